@@ -41,7 +41,7 @@ demo:
 demo_venv = $(MAKE) --no-print-directory .venv/.demo
 
 # Pages are rendered and tested with Chromium. Root gets it by apt-get; for others the way is printed.
-find_chromium = $(PYTHON) -m osc_contact.visual.browser
+find_chromium = $(PYTHON) -m osc_contact.lab.visual.browser
 chromium = $(find_chromium) || { \
 		test "$$(id -u)" = 0 && command -v apt-get > /dev/null && echo "installing chromium" && \
 		nice apt-get update -qq && DEBIAN_FRONTEND=noninteractive nice apt-get install -y -qq \

@@ -11,9 +11,9 @@ from typing import Annotated
 import typer
 
 from benchmarks.measuring import machine, table_from
-from osc_contact.console import JsonOption, exit_codes, out, say
 from osc_contact.errors import InvalidInputError
-from osc_contact.runs.report import write_json
+from osc_contact.lab.cli.console import JsonOption, exit_codes, out, say
+from osc_contact.lab.reports.report import write_json
 from paper.study import Data
 
 #: Name of each benchmark, which is that of its module, → ticks (rows, edits) where none are given.

@@ -20,10 +20,10 @@ import numpy as np
 from scipy.optimize import root
 
 import osc_contact as osc
-from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.runs.rig import PLANTS
+from osc_contact.lab.plants.mujoco import MujocoPlant
+from osc_contact.lab.rig.rig import PLANTS
+from osc_contact.lab.sweeps.sweep import without_logged_doubts
 from osc_contact.spatial import Array
-from osc_contact.sweeps.sweep import without_logged_doubts
 from paper.study import Data
 
 RADII = [0.1, 0.3, 1.0]

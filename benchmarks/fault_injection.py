@@ -43,7 +43,7 @@ from benchmarks.faults import FAULTS, HOLD, NAN, POST_SEEN_AFTER, SAFE_STOP, Fau
 from benchmarks.measuring import side_by_side
 from osc_contact.control.status import Phase, SafetyState
 from osc_contact.interface import Reference
-from osc_contact.runs.run import Taring, start
+from osc_contact.lab.runs.run import Taring, start
 from paper.study import table_of
 
 ROOT = Path(__file__).parents[1]

@@ -14,7 +14,7 @@ import pinocchio as pin
 import osc_contact as osc
 from osc_contact.control.status import SafetyState
 from osc_contact.interface import Measurement, Reference, Stamps
-from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.lab.plants.mujoco import MujocoPlant
 
 RUN, DEGRADED, HOLD, SAFE_STOP = SafetyState
 NAN = float("nan")

@@ -14,7 +14,7 @@ from rich.console import Console
 
 import osc_contact as osc
 from benchmarks.hybrid_cases import CASES, MUJOCO, RADIUS, scenario_of
-from osc_contact.visual.plots import legend, save, style
+from osc_contact.lab.visual.plots import legend, save, style
 from paper.study import table_of
 
 FORCE = 10.0

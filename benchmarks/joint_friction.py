@@ -25,10 +25,10 @@ import typer
 import osc_contact as osc
 from benchmarks.measuring import side_by_side
 from osc_contact.contacts.pairs.pair import triad
-from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.runs import poses
-from osc_contact.runs.rig import PLANTS, Rig
-from osc_contact.sweeps.sweep import without_logged_doubts
+from osc_contact.lab.plants.mujoco import MujocoPlant
+from osc_contact.lab.rig.rig import PLANTS, Rig
+from osc_contact.lab.runs import poses
+from osc_contact.lab.sweeps.sweep import without_logged_doubts
 
 MJCF = ("iiwa", "jaco", "kinova3", "panda", "sawyer", "spot_arm", "ur5e", "xarm7")  #: folders
 TIPS = {"ur10": "tool0", "xarm7": "link7", "panda": "panda_hand_tcp"}

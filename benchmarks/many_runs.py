@@ -7,8 +7,8 @@ what it spends on a row bounds how many workers have work.
 from collections.abc import Sequence
 from time import thread_time
 
-from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.sweep import available_cores, make_rows
+from osc_contact.lab.sweeps.study import SweepStudy
+from osc_contact.lab.sweeps.sweep import available_cores, make_rows
 from paper.study import Data
 
 MASSES = (

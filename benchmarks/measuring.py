@@ -16,7 +16,7 @@ import numpy as np
 from rich.progress import track
 from rich.table import Table
 
-from osc_contact.console import err
+from osc_contact.lab.cli.console import err
 from osc_contact.spatial import Array
 from paper.study import Data, table_of
 

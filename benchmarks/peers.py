@@ -16,7 +16,7 @@ from benchmarks.measuring import Call, Rows, spread, take_turns
 from benchmarks.textbook import TextbookLaw
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import triad
-from osc_contact.plants.mujoco import MujocoPlant
+from osc_contact.lab.plants.mujoco import MujocoPlant
 from osc_contact.spatial import Array
 from paper.study import Data, with_object
 

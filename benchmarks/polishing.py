@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 import osc_contact as osc
+from osc_contact.lab.sweeps.vector_env import ContactVectorEnv
+from osc_contact.lab.visual.plots import save, style
 from osc_contact.spatial import Array
-from osc_contact.sweeps.vector_env import ContactVectorEnv
-from osc_contact.visual.plots import save, style
 from paper.study import table_of, with_object
 
 LENGTH = 0.1

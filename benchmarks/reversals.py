@@ -5,7 +5,7 @@
 A Panda slides a ball-nosed peg to and fro on a tilted face with 10 N, along a line across the arm
 and along the steepest one. Printed is the rms force error of each line on four plants:
 
-    mujoco        as packaged: a small impedance of the contacts, see `plants.mujoco`
+    mujoco        as packaged: a small impedance of the contacts, see `lab.plants.mujoco`
     elliptic      solref and solimp for normal forces and friction alike, MuJoCo's elliptic cone
     + impratio    the same with impratio 100; + noslip: with ten iterations against slip
     exact         rigid contact and regularised Coulomb friction, no part of MuJoCo
@@ -18,8 +18,8 @@ import numpy as np
 
 import osc_contact as osc
 from benchmarks.cases import POINT
-from osc_contact.plants.rigid import RigidPlant, Solution
-from osc_contact.runs.rig import PLANTS, MakesPlant, Rig, register_plant
+from osc_contact.lab.plants.rigid import RigidPlant, Solution
+from osc_contact.lab.rig.rig import PLANTS, MakesPlant, Rig, register_plant
 from osc_contact.spatial import Array, carry_wrench, cross, skew
 
 STROKES = ((20, 2), (5, 4))  #: mm, Hz

@@ -22,8 +22,8 @@ import numpy as np
 import typer
 
 import osc_contact as osc
+from osc_contact.lab.sweeps.sweep import available_cores
 from osc_contact.spatial import Array
-from osc_contact.sweeps.sweep import available_cores
 
 SEED = 1
 #: channels and meta data that a clock measured, and that are of the sources themselves

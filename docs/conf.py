@@ -41,7 +41,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     ("py:class", r"(npt\.)?(Array|ArrayLike)|TypeAliasForwardRef"),
     ("py:class", r"(Force|Motion|Structure)Command|Block"),
-    ("py:class", r"FieldInfo|NoneType|(bodies\.)?(Body)?(Point|Direction)"),  # of pairs' fields
+    ("py:class", r"FieldInfo|NoneType|Outward|(Body)?(Point|Direction)"),  # of pairs' fields
     ("py:class", r"(pin\.)?(SE3|Inertia|Model|Data)|Path|Sequence|Callable|Mapping|Any"),
     ("py:class", r"(numpy|pinocchio|coal|enum|os|pathlib|collections|typing)\..*"),
     ("py:class", r"osc_contact\..*"),  # types in signatures that have no page

@@ -2,7 +2,7 @@
 
 A room is a folder or a module of the package; a line leads from it down to a room that it imports.
 A line is left out where others lead the same way. `errors` and `files`, which most rooms import,
-are not drawn.
+are not drawn. Rooms of the lab stand above those of the core.
 """
 
 from __future__ import annotations
@@ -19,33 +19,41 @@ ROOMS = {  # column and duty
     "benchmarks": (2.2, "times of tick, peers and runs"),
     "paper": (2.2, "figures, studies and their report"),
     "cli": (2.2, "commands and their tables"),
-    "sweeps": (2.2, "many runs, tuning, environments"),
-    "runs": (2.2, "rig, loop, preflight, verdict"),
-    "visual": (0.5, "plots, scenes, live view"),
-    "plants": (2.2, "MuJoCo, and rigid contacts"),
-    "control": (4.8, "Controller: settings, reports"),
+    "sweeps": (1.0, "many runs, tuning, environments"),
+    "reports": (3.4, "tables, scenes, live view"),
+    "runs": (2.2, "a run, its verdict, recovery"),
+    "checks": (2.2, "preflight, inspection"),
+    "rig": (2.2, "a scenario as objects"),
+    "plants": (3.4, "MuJoCo, and rigid contacts"),
+    "visual": (0.4, "plots, scenes and their page"),
+    "scenarios": (2.2, "YAML keys and their checks"),
+    "loop": (3.4, "run_loop, recorder, start checks"),
+    "control": (3.8, "Controller: settings, reports"),
+    "drivers": (5.2, "robots by their makers' protocols"),
     "recorder": (0.0, "recordings and their files"),
-    "response": (4.4, "contact forces and motion, eqs. 17–20"),
-    "sensing": (5.3, "estimates from sensors"),
-    "dynamics": (1.7, "arms, grasps, closed chain"),
-    "contacts": (2.7, "contact pairs: N, T and n_γ"),
-    "interface": (4.3, "measurement and reference"),
+    "response": (1.8, "contact forces and motion, eqs. 17–20"),
+    "sensing": (5.2, "estimates from sensors"),
+    "dynamics": (2.9, "arms, grasps, closed chain"),
+    "contacts": (1.8, "contact pairs: N, T and n_γ"),
+    "interface": (5.2, "measurement and reference"),
     "robots": (0.7, "URDF and MJCF, checked"),
-    "law": (2.2, "one tick: wrenches to torques"),
-    "projections": (3.15, "of forces and motions, eqs. 3–12"),
-    "scenarios": (5.3, "declarations of the YAML keys"),
-    "spans": (1.0, "orthonormal bases in a metric"),
-    "jerk_limits": (5.3, "set points in time"),
-    "spatial": (2.6, "conventions of 6-vectors"),
+    "settings": (2.0, "quantities, gains, limits"),
+    "projections": (4.1, "of forces and motions, eqs. 3–12"),
+    "law": (3.0, "one tick: wrenches to torques"),
+    "jerk_limits": (4.05, "set points in time"),
+    "spatial": (4.1, "conventions of 6-vectors"),
 }
-COLUMN, ROW, WIDTH, HEIGHT = 162, 104, 140, 66
+COLUMN, ROW, WIDTH, HEIGHT = 162, 92, 140, 66
+LAB = "osc_contact.lab"
+OUTSIDE = {"benchmarks", "paper"}
 
 
 def room_of(module: str) -> str:
-    """The room of a module; the modules of the command line are one."""
-    top, _, rest = module.partition(".")
-    name = rest.partition(".")[0] if top == "osc_contact" else top
-    return "cli" if name.startswith("cli_") or name in ("console", "__main__") else name
+    """The room of a module: its folder, in the lab the folder there."""
+    top, name, inner = (*module.split("."), "", "")[:3]
+    if top != "osc_contact":
+        return top
+    return inner if name == "lab" else name
 
 
 def imports() -> dict[str, set[str]]:
@@ -62,6 +70,7 @@ def imports() -> dict[str, set[str]]:
 def drawing() -> str:
     """The picture, as SVG."""
     below = imports()
+    lab = {room_of(name) for name in grimp.build_graph("osc_contact").find_children(LAB)}
 
     @cache
     def reach(room: str) -> frozenset[str]:
@@ -69,7 +78,10 @@ def drawing() -> str:
 
     @cache
     def floor(room: str) -> int:
-        return max((1 + floor(above) for above in ROOMS if room in below[above]), default=0)
+        least = max((1 + floor(above) for above in ROOMS if room in below[above]), default=0)
+        return least if room in OUTSIDE | lab else max(least, ground)
+
+    ground = 1 + max(map(floor, sorted(lab & ROOMS.keys())))
 
     def place(room: str) -> tuple[float, int]:
         return (80 + COLUMN * ROOMS[room][0], 40 + ROW * floor(room))
@@ -94,8 +106,15 @@ def drawing() -> str:
     )
     right, bottom = (max(place(room)[i] for room in ROOMS) for i in (0, 1))
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {right + 80:g} {bottom + 40:g}">'
-    ground = '<rect width="100%" height="100%" style="fill:#fff;stroke:none"/>'
-    return "\n".join([head, f"<style>{style}</style>", ground, *lines, *boxes, "</svg>\n"])
+    paper = '<rect width="100%" height="100%" style="fill:#fff;stroke:none"/>'
+    first = min(place(room)[1] for room in lab & ROOMS.keys()) - ROW / 2
+    middle = 40 + ROW * (ground - 0.5)
+    for name, begin, end in (("lab", first, middle), ("core", middle, bottom + 40)):
+        lines.append(f'<path d="M0 {begin:g} H{right + 80:g}" style="stroke-dasharray:6 6"/>')
+        lines.append(
+            f'<text x="{right + 40:g}" y="{(begin + end) / 2:g}" class="name">{name}</text>'
+        )
+    return "\n".join([head, f"<style>{style}</style>", paper, *lines, *boxes, "</svg>\n"])
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, FancyArrowPatch, FancyBboxPatch, Polygon
 
-from osc_contact.visual.plots import save, style
+from osc_contact.lab.visual.plots import save, style
 
 IMAGES = Path(__file__).parent / "images"
 BLUE, RED, GREEN, GREY, DARK = "#0072B2", "#D55E00", "#009E73", "#9AA1A9", "#2A2E33"

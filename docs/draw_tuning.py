@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import osc_contact as osc
-from osc_contact.visual.plots import legend, panels, save, style
+from osc_contact.lab.visual.plots import legend, panels, save, style
 
 IMAGES = Path(__file__).parent / "images"
 FORCES = [

@@ -50,8 +50,8 @@ for name, u in zip("xyz", np.eye(3), strict=True):
 # %%
 from matplotlib import pyplot as plt
 
-from osc_contact.visual import contact_colour
-from osc_contact.visual.plots import style
+from osc_contact.lab.visual import contact_colour
+from osc_contact.lab.visual.plots import style
 
 angle = np.linspace(0, 2 * np.pi, 181)
 directions = np.array([np.cos(angle), 0 * angle, np.sin(angle)])
@@ -112,9 +112,9 @@ for k in range(2000):
 print(f"largest miss after 1 s: {1e3 * miss:.2f} mm")
 
 # %%
-from osc_contact.visual.page import embed
-from osc_contact.visual.parts import Content, Visual
-from osc_contact.visual.scene import write_scene
+from osc_contact.lab.visual.page import embed
+from osc_contact.lab.visual.parts import Content, Visual
+from osc_contact.lab.visual.scene import write_scene
 
 fingers = np.full((len(rows), 2), 0.02)  # the drawing has two joints more than the chain
 recording = osc.Recording({}, {"t": dt * np.arange(len(rows)), "q": np.hstack((rows, fingers))})

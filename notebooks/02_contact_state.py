@@ -72,7 +72,7 @@ for name, law in laws.items():
 # rod slides, and one force steps at 0.25 s.
 
 # %%
-from osc_contact.visual import plots
+from osc_contact.lab.visual import plots
 
 moving = osc.load_scenario(
     "two_contact_rod",
@@ -101,8 +101,8 @@ plots.contact_forces(runs["ours"], judged)
 # %%
 from pathlib import Path
 
-from osc_contact.runs.viewing import write_scene_of
-from osc_contact.visual.page import embed
+from osc_contact.lab.reports.viewing import write_scene_of
+from osc_contact.lab.visual.page import embed
 
 embed(write_scene_of(runs["ours"], osc.build_rig(moving), Path("scene.html")))
 

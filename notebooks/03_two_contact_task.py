@@ -23,7 +23,7 @@
 import numpy as np
 
 import osc_contact as osc
-from osc_contact.runs.inspection import inspect_rig
+from osc_contact.lab.checks.inspection import inspect_rig
 
 np.set_printoptions(precision=4, suppress=True, linewidth=100)
 scenario = osc.load_scenario("two_contact_rod", ["plant.type=rigid", "plant.step=1 ms"])
@@ -151,15 +151,15 @@ if find_spec("mujoco"):
 # leaves a short trace on the right one. The sliding motion leaves next to none on either.
 
 # %%
-from osc_contact.visual import plots
+from osc_contact.lab.visual import plots
 
 plots.contact_forces(recording)
 
 # %%
 from pathlib import Path
 
-from osc_contact.runs.viewing import write_scene_of
-from osc_contact.visual.page import embed
+from osc_contact.lab.reports.viewing import write_scene_of
+from osc_contact.lab.visual.page import embed
 
 embed(write_scene_of(recording, rig, Path("scene.html")))
 

@@ -24,8 +24,8 @@ from matplotlib import pyplot as plt
 
 import osc_contact as osc
 from osc_contact.control.custom_laws import force_law
-from osc_contact.visual import contact_colour, plots
-from osc_contact.visual.plots import style
+from osc_contact.lab.visual import contact_colour, plots
+from osc_contact.lab.visual.plots import style
 from paper.figures import reproduce
 
 scenario = osc.load_scenario(
@@ -121,8 +121,8 @@ plots.tracking(runs["leaking integral"])
 # %%
 from pathlib import Path
 
-from osc_contact.runs.viewing import write_scene_of
-from osc_contact.visual.page import embed
+from osc_contact.lab.reports.viewing import write_scene_of
+from osc_contact.lab.visual.page import embed
 
 embed(write_scene_of(runs["leaking integral"], osc.build_rig(scenario), Path("scene.html")))
 

@@ -132,7 +132,7 @@ print("Λ_S =\n", state.Lambda_S.round(3))
 # ## Run and judge
 
 # %%
-from osc_contact.visual import plots
+from osc_contact.lab.visual import plots
 
 recording = osc.run(scenario, duration=1.5)
 verdict = osc.metrics(recording)
@@ -145,8 +145,8 @@ plots.contact_forces(recording)
 plots.torques(recording)
 
 # %%
-from osc_contact.runs.viewing import write_scene_of
-from osc_contact.visual.page import embed
+from osc_contact.lab.reports.viewing import write_scene_of
+from osc_contact.lab.visual.page import embed
 
 embed(write_scene_of(recording, rig, Path("scene.html")))
 

@@ -22,8 +22,8 @@ import pinocchio as pin
 from matplotlib import pyplot as plt
 
 import osc_contact as osc
-from osc_contact.visual import contact_colour
-from osc_contact.visual.plots import style
+from osc_contact.lab.visual import contact_colour
+from osc_contact.lab.visual.plots import style
 
 radius, ball = 0.1, 0.012
 pair = osc.SphereOnSurface([0, 0, 0], ball, osc.Surface.sphere(radius))
@@ -117,9 +117,9 @@ figure
 # %%
 from pathlib import Path
 
-from osc_contact.runs.viewing import write_scene_of
-from osc_contact.visual import plots
-from osc_contact.visual.page import embed
+from osc_contact.lab.reports.viewing import write_scene_of
+from osc_contact.lab.visual import plots
+from osc_contact.lab.visual.page import embed
 
 wiping = osc.load_scenario("panda_dome")
 recording = osc.run(wiping, duration=3.0)

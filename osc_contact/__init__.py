@@ -10,12 +10,13 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
+from osc_contact.moved import find_moved_modules
+
 if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.contacts.contact import Contact
     from osc_contact.contacts.detection.detect import detect
     from osc_contact.contacts.pairs import ContactPair, register_pair
     from osc_contact.contacts.pairs.functions import CompiledPair, GapFunctions
-    from osc_contact.contacts.pairs.pair import EdgeOnEdge, FaceOnVertex
     from osc_contact.contacts.pairs.points_on_planes import (
         CylinderInHole,
         CylinderInVGroove,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
         Revolute,
         Screw,
     )
+    from osc_contact.contacts.pairs.vertex_and_edge import EdgeOnEdge, FaceOnVertex
     from osc_contact.contacts.raibert_craig import RaibertCraig
     from osc_contact.contacts.surface import Surface
     from osc_contact.control.batch import BatchController
@@ -62,21 +64,26 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     )
     from osc_contact.interface import Measurement, Reference, Robot, pose_reference
     from osc_contact.jerk_limits import JerkLimits
-    from osc_contact.plants.judge import Judge
-    from osc_contact.plants.own_mujoco import MujocoRobot
+    from osc_contact.lab.checks.preflight import preflight
+    from osc_contact.lab.plants.own_mujoco import MujocoRobot
+    from osc_contact.lab.reports.viewing import open_viewer
+    from osc_contact.lab.rig.contacts import OwnMotion
+    from osc_contact.lab.rig.references import surface_references
+    from osc_contact.lab.rig.rig import Rig, build_rig, register_plant
+    from osc_contact.lab.runs.run import recover, run
+    from osc_contact.lab.runs.verdict import metrics
+    from osc_contact.lab.scenarios.loader import list_scenarios, load_scenario
+    from osc_contact.lab.scenarios.schema import Scenario
+    from osc_contact.lab.sweeps.sweep import sweep
+    from osc_contact.lab.sweeps.vector_env import make_vector_env
+    from osc_contact.lab.visual.live import Viewer
+    from osc_contact.loop.judge import Judge
+    from osc_contact.loop.loop import run_loop
+    from osc_contact.loop.recorder import Recorder
+    from osc_contact.loop.rules import Finding
     from osc_contact.recorder import Recording
     from osc_contact.response import ContactResponse, contact_response
-    from osc_contact.runs.contacts import OwnMotion
-    from osc_contact.runs.loop import run_loop
-    from osc_contact.runs.preflight import preflight
-    from osc_contact.runs.recorder import Recorder
-    from osc_contact.runs.references import surface_references
-    from osc_contact.runs.rig import Rig, build_rig, register_plant
-    from osc_contact.runs.rules import Finding
-    from osc_contact.runs.run import recover, run
-    from osc_contact.runs.verdict import metrics
-    from osc_contact.runs.viewing import open_viewer
-    from osc_contact.scenarios.control_schema import (
+    from osc_contact.settings.control import (
         ForceGains,
         Friction,
         Gains,
@@ -85,11 +92,8 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
         PhaseSettings,
         SafetySettings,
     )
-    from osc_contact.scenarios.loader import list_scenarios, load_scenario
-    from osc_contact.scenarios.schema import Scenario
-    from osc_contact.sweeps.sweep import sweep
-    from osc_contact.sweeps.vector_env import make_vector_env
-    from osc_contact.visual.live import Viewer
+
+find_moved_modules()
 
 __version__ = "0.2.0"
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import cbrt, sqrt
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -136,6 +137,33 @@ def follow(
         a += h * jerk
         t -= h
     return (x, v, a)
+
+
+def rise(t: Any, start: float, duration: float) -> tuple[Any, Any, Any]:
+    """The minimum-jerk rise 10s³ − 15s⁴ + 6s⁵ from 0 to 1, s = (t − start)/duration.
+
+    A rise of zero duration is a step whose derivatives are zero.
+
+    Args:
+        t: s, or many times (k,). start, duration: s.
+
+    Returns:
+        The value, its first (1/s) and its second derivative (1/s²).
+    """
+    if isinstance(t, np.ndarray):
+        s = np.where(t >= start + duration, 1.0, np.maximum(t - start, 0.0) / (duration or 1.0))
+    elif t < start:
+        return 0.0, 0.0, 0.0
+    elif t >= start + duration:
+        return 1.0, 0.0, 0.0
+    else:
+        s = (t - start) / duration
+    duration = duration or 1.0  # s is 0 or 1 then
+    return (
+        s**3 * (10.0 - 15.0 * s + 6.0 * s * s),
+        30.0 * s * s * (1.0 - s) ** 2 / duration,
+        60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / duration**2,
+    )
 
 
 def _duration(pieces: Pieces) -> float:

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from osc_contact.console import (
+from osc_contact.errors import InvalidInputError
+from osc_contact.lab.cli.console import (
     DurationOption,
     JsonOption,
     PlantOption,
@@ -18,8 +19,7 @@ from osc_contact.console import (
     require_report,
     say,
 )
-from osc_contact.errors import InvalidInputError
-from osc_contact.runs.report import write_json
+from osc_contact.lab.reports.report import write_json
 from paper import figures
 from paper.report import (
     REPRODUCIBLE,

@@ -13,13 +13,13 @@ from rich.table import Table
 
 import osc_contact as osc
 from osc_contact.contacts.feet import feet
-from osc_contact.plants.rigid import RigidPlant
+from osc_contact.lab.plants.rigid import RigidPlant
+from osc_contact.lab.reports.report import require_judgeable
+from osc_contact.lab.runs.run import start
+from osc_contact.lab.visual import OKABE_ITO
+from osc_contact.lab.visual.plots import style
 from osc_contact.projections import Omega_m_bar
-from osc_contact.runs.report import require_judgeable
-from osc_contact.runs.run import start
 from osc_contact.spatial import Array, pose_error
-from osc_contact.visual import OKABE_ITO
-from osc_contact.visual.plots import style
 from paper.selection_laws import (
     BASELINES,
     Coupling,

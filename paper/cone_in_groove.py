@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 import osc_contact as osc
+from osc_contact.lab.visual import OKABE_ITO, plots
 from osc_contact.spatial import Array, cross
-from osc_contact.visual import OKABE_ITO, plots
 from paper.baselines import measured_coupling
 from paper.contact_pictures import FACE, HALO, draw_arrow, draw_force, draw_line, scale_equally
 from paper.selection_laws import Instant, Ours

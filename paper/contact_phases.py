@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import osc_contact as osc
-from osc_contact.visual import OKABE_ITO, plots
+from osc_contact.lab.visual import OKABE_ITO, plots
 from paper.statements import Answer
 from paper.study import Ask, Study, table_of
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
+from osc_contact.lab.visual import contact_colour
 from osc_contact.spatial import Array
-from osc_contact.visual import contact_colour
 
 FACE: dict[str, Any] = {"facecolor": "#9CC5C1", "edgecolor": "#3C6E6A", "alpha": 0.45}
 HALO = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8}

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch, Patch
 
-from osc_contact.visual import OKABE_ITO
-from osc_contact.visual.plots import style
+from osc_contact.lab.visual import OKABE_ITO
+from osc_contact.lab.visual.plots import style
 
 Point = tuple[float, float]
 

@@ -14,16 +14,16 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import osc_contact as osc
-from osc_contact.runs.viewing import content_of
+from osc_contact.lab.reports.viewing import content_of
+from osc_contact.lab.visual import contact_colour
+from osc_contact.lab.visual.browser import write_png
+from osc_contact.lab.visual.marks import TwistAxes
+from osc_contact.lab.visual.page import EMPTY, CommandSink, write_page
+from osc_contact.lab.visual.parts import States, changes
+from osc_contact.lab.visual.plots import style
+from osc_contact.lab.visual.scene import Scene, eye, label, picture_axes, samples_at, set_stage
+from osc_contact.lab.visual.shapes import along, at, material, plain
 from osc_contact.spatial import Array
-from osc_contact.visual import contact_colour
-from osc_contact.visual.browser import write_png
-from osc_contact.visual.marks import TwistAxes
-from osc_contact.visual.page import EMPTY, CommandSink, write_page
-from osc_contact.visual.parts import States, changes
-from osc_contact.visual.plots import style
-from osc_contact.visual.scene import Scene, eye, label, picture_axes, samples_at, set_stage
-from osc_contact.visual.shapes import along, at, material, plain
 from paper.statements import Answer
 from paper.study import Ask, Data, Study, table_of
 

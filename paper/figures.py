@@ -12,10 +12,10 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 import osc_contact as osc
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.contacts.raibert_craig import as_raibert_craig
+from osc_contact.lab.visual import plots
+from osc_contact.lab.visual.screws import common_perpendicular
 from osc_contact.recorder.judged import SETTLE_S, judged_ticks
 from osc_contact.spatial import Array
-from osc_contact.visual import plots
-from osc_contact.visual.screws import common_perpendicular
 from paper.contact_pictures import FACE, draw_force, draw_line, scale_equally
 from paper.diagrams import BLOCKS, LOOP, draw_blocks
 from paper.statements import Answer

@@ -22,9 +22,9 @@ from matplotlib.figure import Figure
 
 import osc_contact as osc
 from osc_contact import robots
+from osc_contact.lab.visual.plots import style
 from osc_contact.projections import left_inverse
 from osc_contact.spatial import Array
-from osc_contact.visual.plots import style
 from paper.study import Ask, Data, Study, table_of, with_object
 
 

@@ -16,10 +16,10 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context
 from typing import Any, NamedTuple
 
-from osc_contact.console import err
 from osc_contact.errors import OscContactError, missing
+from osc_contact.lab.cli.console import err
+from osc_contact.lab.sweeps.sweep import available_cores, end_with_parent
 from osc_contact.law import compiled
-from osc_contact.sweeps.sweep import available_cores, end_with_parent
 from paper.study import silent
 
 Tell = Callable[[str], None]

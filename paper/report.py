@@ -20,11 +20,11 @@ from rich.table import Table
 
 import osc_contact as osc
 from osc_contact import __version__
-from osc_contact.console import out, record
 from osc_contact.files import write_whole
-from osc_contact.runs.report import verdict_table, write_json, write_report
-from osc_contact.visual.page import POLICY, asset, filled
-from osc_contact.visual.plots import PRINT, save
+from osc_contact.lab.cli.console import out, record
+from osc_contact.lab.reports.report import verdict_table, write_json, write_report
+from osc_contact.lab.visual.page import POLICY, asset, filled
+from osc_contact.lab.visual.plots import PRINT, save
 from paper import (
     baselines,
     cone_in_groove,

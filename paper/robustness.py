@@ -8,9 +8,9 @@ import numpy as np
 from rich.table import Table
 
 import osc_contact as osc
+from osc_contact.lab.sweeps.study import SweepStudy
+from osc_contact.lab.sweeps.sweep import make_rows, run_rows
 from osc_contact.spatial import Array
-from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.sweep import make_rows, run_rows
 from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, SelectionLaw, best_frames
 from paper.study import Ask, Data, Study, table_of
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 import osc_contact as osc
-from osc_contact.plants.judge import Plant, Truth
+from osc_contact.loop.judge import Plant, Truth
 from paper.statements import Answer
 
 Data = dict[str, Any]  #: numbers for JSON

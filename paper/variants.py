@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 import osc_contact as osc
+from osc_contact.lab.visual import plots
 from osc_contact.recorder.judged import judged_ticks
-from osc_contact.visual import plots
 from paper.study import Ask, Data, Study, table_of
 
 

@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 from typer.testing import CliRunner
 
-from osc_contact.cli import app
+from osc_contact.lab.cli.app import app
 
 
 def call(line, *words):

@@ -16,14 +16,14 @@ def pytest_collection_finish():
 @fixture
 def no_figures(monkeypatch):
     """`osc-contact run` without its figures, half of the time: tests/test_cli.py has them drawn."""
-    monkeypatch.setattr("osc_contact.cli.available_cores", lambda: 1)  # in this process
-    monkeypatch.setattr("osc_contact.visual.plots.save", lambda *_: ())
+    monkeypatch.setattr("osc_contact.lab.cli.app.available_cores", lambda: 1)  # in this process
+    monkeypatch.setattr("osc_contact.lab.visual.plots.save", lambda *_: ())
 
 
 @fixture
 def own_plants():
     """Plants that a test registers are taken out again."""
-    from osc_contact.runs.rig import PLANT_TYPES, PLANTS
+    from osc_contact.lab.rig.rig import PLANT_TYPES, PLANTS
 
     with patch.dict(PLANTS), patch.dict(PLANT_TYPES):
         yield

@@ -22,9 +22,9 @@ import osc_contact as osc
 from osc_contact.control.record_ranges import RECORDS as KINDS
 from osc_contact.control.saving import HEAD, controller_bytes
 from osc_contact.control.without_python import write_library
+from osc_contact.lab.runs.run import start
+from osc_contact.lab.runs.tape import Tape
 from osc_contact.law import records
-from osc_contact.runs.run import start
-from osc_contact.runs.tape import Tape
 
 FLAGS = ("-std=gnu11", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-w")
 #: how a crafted file ends that is accepted; below 1: an error code

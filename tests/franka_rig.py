@@ -14,7 +14,7 @@ from samples import module_fixture
 
 import osc_contact as osc
 from osc_contact.drivers.franka import FrankaRobot
-from osc_contact.scenarios.signals import rise
+from osc_contact.jerk_limits import rise
 
 URDF = Path(franky_sim.__file__).parent / "assets" / "fr3_clean.urdf"
 HAND = """

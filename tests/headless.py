@@ -5,7 +5,7 @@ import io
 import numpy as np
 from PIL import Image
 
-from osc_contact.visual import browser
+from osc_contact.lab.visual import browser
 
 
 class Browser(browser.Browser):

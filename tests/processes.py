@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]  #: that end programs
-COMMAND = [sys.executable, "-c", "from osc_contact.cli import app; app()"]
+COMMAND = [sys.executable, "-c", "from osc_contact.lab.cli.app import app; app()"]
 
 
 def completed(*words, code=0, **how):

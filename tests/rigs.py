@@ -12,7 +12,7 @@ import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.pairs.pair import Bodies
 from osc_contact.dynamics.assembly import close, constraint_rows, inverse_rows, reach
-from osc_contact.plants.rigid import RigidPlant
+from osc_contact.lab.plants.rigid import RigidPlant
 from osc_contact.response import require_reachable
 
 LWA = pin.LOCAL_WORLD_ALIGNED

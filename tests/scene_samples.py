@@ -12,9 +12,9 @@ import umsgpack
 from rigs import data_at, placed
 from samples import ROOT
 
+from osc_contact.lab.visual.parts import Content, Visual
+from osc_contact.lab.visual.scene import write_scene
 from osc_contact.recorder import Recording
-from osc_contact.visual.parts import Content, Visual
-from osc_contact.visual.scene import write_scene
 
 URDF = ROOT / "urdf"
 BASE = placed(-0.35, -0.4)

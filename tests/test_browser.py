@@ -13,10 +13,10 @@ from rigs import assert_near, largest, vector
 from samples import module_fixture, names_in
 from scene_samples import BASE, ENDS, RECORDING, links, write
 
-from osc_contact.visual import browser as pages
-from osc_contact.visual import contact_colour
-from osc_contact.visual.browser import FRAMES, moments, write_gif, write_mp4, write_png
-from osc_contact.visual.marks import T_COLOUR
+from osc_contact.lab.visual import browser as pages
+from osc_contact.lab.visual import contact_colour
+from osc_contact.lab.visual.browser import FRAMES, moments, write_gif, write_mp4, write_png
+from osc_contact.lab.visual.marks import T_COLOUR
 
 BLUE = contact_colour(0)
 VERMILLION = contact_colour(1)

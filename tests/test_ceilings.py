@@ -14,6 +14,8 @@ from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
 from benchmarks.cases import CASES, repeatable
+from osc_contact.lab.checks.preflight import preflight
+from osc_contact.lab.runs.run import start
 from osc_contact.law.ceilings import (
     CONTACT_ABOVE_CEILING,
     TIP_ABOVE_CEILING,
@@ -21,10 +23,8 @@ from osc_contact.law.ceilings import (
 )
 from osc_contact.law.reasons import NO_REASON
 from osc_contact.law.records import views
-from osc_contact.runs.preflight import preflight
-from osc_contact.runs.run import start
-from osc_contact.runs.start_rules import speed_ceiling
-from osc_contact.scenarios.control_schema import HEADROOM, LEAST_CEILING
+from osc_contact.loop.start_rules import speed_ceiling
+from osc_contact.settings.control import HEADROOM, LEAST_CEILING
 
 DT = 1e-3
 SAFE_STOP = osc.SafetyState.SAFE_STOP

@@ -19,12 +19,12 @@ from scenario_runs import run_of
 from scene_samples import read_commands
 
 import osc_contact
-from osc_contact.cli import app
-from osc_contact.console import PARTIAL
-from osc_contact.plants.rigid import RigidPlant
+from osc_contact.lab.cli.app import app
+from osc_contact.lab.cli.console import PARTIAL
+from osc_contact.lab.plants.rigid import RigidPlant
+from osc_contact.lab.visual import browser
+from osc_contact.lab.visual.plots import PRINT
 from osc_contact.recorder import Recording
-from osc_contact.visual import browser
-from osc_contact.visual.plots import PRINT
 
 ROD = "two_contact_rod --plant rigid --set 'plant.step=1 ms'"
 SHORT = f"{ROD} --duration 1.05"

@@ -13,9 +13,9 @@ from samples import module_fixture
 from test_sweeps import MASSES, SHORT
 
 import osc_contact as osc
-from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.sweep import TABLE, run_study
-from osc_contact.sweeps.tune import tune
+from osc_contact.lab.sweeps.study import SweepStudy
+from osc_contact.lab.sweeps.sweep import TABLE, run_study
+from osc_contact.lab.sweeps.tune import tune
 
 
 class Deadly(SweepStudy):
@@ -93,7 +93,7 @@ def test_tuning_finds_the_same_on_a_cluster(client):
 
 
 def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch):
-    monkeypatch.setattr("osc_contact.sweeps.cluster._PATIENCE_S", 0.5)
+    monkeypatch.setattr("osc_contact.lab.sweeps.cluster._PATIENCE_S", 0.5)
 
     def refused(scheduler, complaint, **how):
         with invalid_input(complaint):
@@ -104,5 +104,5 @@ def test_what_cannot_be_used_is_refused_with_what_to_do(client, monkeypatch):
     refused("nonsense://x", "cluster of nonsense://x cannot be used")
     with cluster_of(0) as idle:
         refused(idle, "dask worker ADDRESS")
-    monkeypatch.setattr("osc_contact.sweeps.cluster.__version__", "0.0.1")
+    monkeypatch.setattr("osc_contact.lab.sweeps.cluster.__version__", "0.0.1")
     refused(client, "this is osc_contact 0.0.1")

@@ -12,7 +12,7 @@ from rich.console import Console
 from samples import parametrize
 
 import osc_contact as osc
-from osc_contact import console
+from osc_contact.lab.cli import console
 from osc_contact.law import c_object, nested, records
 
 #: torques of ticks that end in every way: OK, near a singular posture, beyond the motors' limits,

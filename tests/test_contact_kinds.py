@@ -15,14 +15,18 @@ from rigs import STILL, assert_near, placed, pose_of, vector
 from samples import parametrize
 
 from osc_contact.contacts.feet import feet, force_owners
-from osc_contact.contacts.pairs.pair import make_pair
-from osc_contact.runs.contacts import build_pairs, environment_bodies
-from osc_contact.runs.references import References, force_names
-from osc_contact.runs.rules import findings
-from osc_contact.runs.start_rules import pulls
-from osc_contact.scenarios.bodies import CONTACT_TYPES, OnBodySpec, magnitude_names
-from osc_contact.scenarios.loader import parse_scenario
-from osc_contact.scenarios.quantities import Dimension
+from osc_contact.lab.rig.contacts import build_pairs, environment_bodies
+from osc_contact.lab.rig.references import References, force_names
+from osc_contact.lab.scenarios.contact_keys import (
+    OnBodySpec,
+    contact_types,
+    magnitude_names,
+    make_pair,
+)
+from osc_contact.lab.scenarios.loader import parse_scenario
+from osc_contact.loop.rules import findings
+from osc_contact.loop.start_rules import pulls
+from osc_contact.settings.quantities import Dimension
 
 HEAD = """\
 name: kinds
@@ -41,14 +45,14 @@ environment:
 contacts:
 """
 #: Kinds on a body of `environment`.
-KINDS = [kind for kind, spec in CONTACT_TYPES.items() if issubclass(spec, OnBodySpec)]
+KINDS = [kind for kind, spec in contact_types().items() if issubclass(spec, OnBodySpec)]
 VALUES = {"a length": "[{0} cm, -{1} mm, {0} mm]", "a plain number": "[{0}, -{1}, 0.{0}]"}
 
 
 def keys_of(kind):
     """Every key of a kind with a value of its own."""
     keys = []
-    for i, (key, field) in enumerate(CONTACT_TYPES[kind].model_fields.items(), start=1):
+    for i, (key, field) in enumerate(contact_types()[kind].model_fields.items(), start=1):
         if field.annotation is float:
             (dimension,) = (mark for mark in field.metadata if isinstance(mark, Dimension))
             keys.append(f"{key}: {40 + i} {'deg' if dimension.kind == 'an angle' else 'mm'}")
@@ -62,7 +66,7 @@ def keys_of(kind):
 
 def text(kind, forces=None):
     """A scenario with one contact `pad` of a kind."""
-    names = magnitude_names({"pad": CONTACT_TYPES[kind].forces}) if forces is None else forces
+    names = magnitude_names({"pad": contact_types()[kind].forces}) if forces is None else forces
     entries = "".join(f"  {name}: [{{type: constant, value: 3 N}}]\n" for name in names)
     contact = f"  - {{name: pad, type: {kind}, body: table, {keys_of(kind)}}}\n"
     return f"{HEAD}{contact}force:\n{entries}"
@@ -85,7 +89,7 @@ def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
         V = rng.standard_normal(6)
         ours = pair.contact(X, V)
         theirs = own.contact(X, V, X_WB)
-        assert ours.r == CONTACT_TYPES[kind].forces == len(force_names(scenario))
+        assert ours.r == contact_types()[kind].forces == len(force_names(scenario))
         # the cross axes of a hole are a choice: compare spaces there
         if kind == "cylinder_in_hole":
             projected = theirs.N @ lstsq(theirs.N, ours.N, rcond=None)[0]
@@ -133,7 +137,7 @@ REFUSED = {
     "unknown kind": (text("face_on_face").replace("face_on_face", "face_onface"), "'face_on_face'"),
     "no kind": (
         text("face_on_face").replace("type: face_on_face, ", ""),
-        "for a contact face_on_vertex",
+        "for a contact cylinder_in_hole",
     ),
     "missing key": (
         changed("edge_on_edge", r", edge_outward: \[.*?\]", ""),

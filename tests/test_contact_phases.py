@@ -32,8 +32,8 @@ from test_law import inputs
 
 import osc_contact as osc
 from osc_contact.control.status import Phase
-from osc_contact.runs.run import start
-from osc_contact.scenarios.control_schema import Friction, PhaseSettings
+from osc_contact.lab.runs.run import start
+from osc_contact.settings.control import Friction, PhaseSettings
 from paper.contact_phases import answers, collisions, draw_collisions, false_alarms
 
 DT = 1e-3

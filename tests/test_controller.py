@@ -30,7 +30,7 @@ from scenario_runs import first_inputs
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
-from osc_contact.scenarios.loader import parse_scenario
+from osc_contact.lab.scenarios.loader import parse_scenario
 from paper.diagrams import BLOCKS
 
 GAINS = osc.Gains(osc.MotionGains(900, 60, 9000), osc.ForceGains(30, 0))

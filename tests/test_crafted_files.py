@@ -17,9 +17,9 @@ from osc_contact.control import record_ranges
 from osc_contact.control.record_ranges import NUMBERS, RELATIONS, broken_ranges, names_in
 from osc_contact.control.saving import controller_bytes
 from osc_contact.control.without_python import ERRORS, write_library
+from osc_contact.lab.runs.run import start
 from osc_contact.law import records
 from osc_contact.law.jit import HAS_LIBRARY
-from osc_contact.runs.run import start
 
 pytestmark = mark.skipif(not HAS_LIBRARY, reason="no library of the law is used here")
 OUT_OF_RANGE, DAMAGED = (-list(ERRORS).index(name) for name in ("OUT_OF_RANGE", "DAMAGED"))

@@ -7,10 +7,10 @@ from scenario_runs import closed_force, verdict_of
 
 from benchmarks.combined_errors import ERRORS
 from osc_contact.contacts.feet import feet
-from osc_contact.runs.inspection import inspect_rig
-from osc_contact.runs.references import known_to, showing_twist, slides
-from osc_contact.runs.report import verdict_table
-from osc_contact.scenarios.control_schema import Dither
+from osc_contact.lab.checks.inspection import inspect_rig
+from osc_contact.lab.reports.report import verdict_table
+from osc_contact.lab.rig.references import known_to, showing_twist, slides
+from osc_contact.settings.control import Dither
 
 H = 1e-5
 

@@ -17,9 +17,9 @@ from samples import ROOT, aligned, module_fixture, names_in, parametrize
 from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
-from osc_contact.cli import app
 from osc_contact.contacts.pairs import PAIRS
-from osc_contact.scenarios.bodies import CONTACT_TYPES
+from osc_contact.lab.cli.app import app
+from osc_contact.lab.scenarios.contact_keys import contact_types
 
 PAGES = [
     *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY", "CODE_OF_CONDUCT")),
@@ -165,7 +165,7 @@ def test_every_pair_has_a_row_with_its_r_and_its_keys():
             documented[snake(name)] = (int(row[1]), set(TICKED.findall(row[-1])))
     assert documented == {
         kind: (spec.forces, set(spec.model_fields) - {"name", "type", "body"})
-        for kind, spec in CONTACT_TYPES.items()
+        for kind, spec in contact_types().items()
     }
 
 

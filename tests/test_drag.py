@@ -6,7 +6,7 @@ from samples import parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
-from osc_contact.runs.run import start
+from osc_contact.lab.runs.run import start
 
 DRAG = 20.0  #: N
 REGULAR = 0.02  #: m/s; slower motions are opposed by less

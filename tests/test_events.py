@@ -13,11 +13,11 @@ from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
 from osc_contact.control.changes import changed_settings
+from osc_contact.lab.runs.run import start
 from osc_contact.law.library import law_hash
 from osc_contact.recorder import events
 from osc_contact.recorder.events import EventLog, events_beside
 from osc_contact.robots import resolve_urdf
-from osc_contact.runs.run import start
 
 
 class Stopped:

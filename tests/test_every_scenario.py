@@ -22,9 +22,9 @@ import osc_contact as osc
 from benchmarks.combined_errors import MASSES, judge
 from osc_contact.contacts.feet import feet
 from osc_contact.dynamics.chain_state import modes
-from osc_contact.runs.hardware import flexible_joints
-from osc_contact.runs.inspection import inspect_rig
-from osc_contact.runs.viewing import write_scene_of
+from osc_contact.lab.checks.inspection import inspect_rig
+from osc_contact.lab.reports.viewing import write_scene_of
+from osc_contact.lab.rig.hardware import flexible_joints
 
 ROBOTS = {  # d, r, motors, words of `inspect`
     "two_contact_rod": (5, 2, 8, ("279.6 mm apart (skew", "'left_end' lands at 10 mm/s")),

@@ -14,8 +14,8 @@ from benchmarks.fault_injection import Case, Kept, Run, Verdict, runs, try_fault
 from benchmarks.faults import FAULTS, NAN
 from benchmarks.pushes import push_arm
 from osc_contact.control.status import Phase
+from osc_contact.lab.runs.run import start
 from osc_contact.law.phases import CLOSED
-from osc_contact.runs.run import start
 
 RUN, DEGRADED, HOLD, SAFE_STOP = osc.SafetyState
 

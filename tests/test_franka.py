@@ -14,7 +14,8 @@ from samples import first, parametrize
 
 import osc_contact as osc
 from osc_contact.drivers.franka import FrankaRobot
-from osc_contact.runs.commissioning import Commissioning
+from osc_contact.lab.visual.plots import draw_forces
+from osc_contact.loop.commissioning import Commissioning
 from osc_contact.testing import check_robot
 
 OK = osc.Status.OK
@@ -292,7 +293,9 @@ def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path
         franka.send(nudge=[0.0, 0.0, 0.0], push=push, plate=0.003)
         return True
 
-    course = Commissioning(robot, tmp_path, PROBE + RADIUS + 0.003, confirm, 3.0, False)
+    course = Commissioning(
+        robot, tmp_path, PROBE + RADIUS + 0.003, confirm, 3.0, False, draw_forces
+    )
     assert course.run(), course.lines
     assert steps == ["model", "wrench", "shadow", "contact"]
     report = (tmp_path / "report.md").read_text()

@@ -9,7 +9,7 @@ from scenario_runs import closed_force, run_of, verdict_of
 import osc_contact as osc
 from benchmarks.cases import POINT
 from benchmarks.reversals import register_plants, reversing
-from osc_contact.runs.rig import PLANTS, register_plant
+from osc_contact.lab.rig.rig import PLANTS, register_plant
 
 
 def worst(mu, compensation):

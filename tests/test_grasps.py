@@ -34,9 +34,8 @@ from scenario_runs import first_inputs
 import osc_contact as osc
 from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.grasp import GRASPS, moved, register_grasp
-from osc_contact.plants.rigid import RigidPlant
-from osc_contact.scenarios.bodies import GRASP_TYPES
-from osc_contact.scenarios.control_schema import PostureTask
+from osc_contact.lab.plants.rigid import RigidPlant
+from osc_contact.settings.control import PostureTask
 
 ARMS = ("scara", "ur5", "panda", "2R", "3R")
 NOTHING = osc.Contact(np.zeros((6, 0)))
@@ -328,8 +327,7 @@ def test_scenarios_refuse_half_a_grasp(how, words):
 
 
 def test_a_grasp_that_registers_itself_has_a_name_in_scenarios(monkeypatch):
-    monkeypatch.setitem(GRASPS, "slide", None)  # both are taken out again after the test
-    monkeypatch.setitem(GRASP_TYPES, "slide", None)
+    monkeypatch.setitem(GRASPS, "slide", None)  # taken out again after the test
 
     def slide(X_TO, axis):
         return osc.Grasp(X_TO, np.append(axis, np.zeros(3))[:, None])

@@ -15,10 +15,10 @@ from samples import aligned
 import osc_contact as osc
 from benchmarks.tick import ALL_CASES
 from osc_contact.control.inputs import touched_rows
+from osc_contact.lab.runs.run import start
 from osc_contact.law import jit, records, tick
 from osc_contact.law.compiled import rows
 from osc_contact.law.limits import PROGRAM, TorqueLimits, fill_program, settle
-from osc_contact.runs.run import start
 
 MOVING = "moving_face"  #: bodies that move
 MARGIN = 1 << 20  #: bytes on both sides that must not be touched

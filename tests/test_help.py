@@ -14,7 +14,7 @@ import pinocchio as pin
 from samples import parametrize
 
 import osc_contact as osc
-from osc_contact.scenarios.quantities import Frequency, OrderedSpec, Positive
+from osc_contact.settings.quantities import Frequency, OrderedSpec, Positive
 
 WIDTH = 100  #: columns of a screen
 SIGNATURE = 10 * WIDTH  #: characters

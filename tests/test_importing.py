@@ -22,8 +22,8 @@ LATER = (
     "ssl",
     "paper",
     "benchmarks",
-    "osc_contact.cli",
-    "osc_contact.visual.plots",
+    "osc_contact.lab.cli.app",
+    "osc_contact.lab.visual.plots",
 )
 
 
@@ -88,7 +88,7 @@ def test_a_pair_that_is_only_a_file_beside_the_others_is_a_name(monkeypatch):
 
 def test_scenarios_know_the_kinds_of_the_layers_above_by_themselves():
     program = (
-        "from osc_contact.scenarios.loader import load_scenario;"
+        "from osc_contact.lab.scenarios.loader import load_scenario;"
         "print(*(type(c).__name__ for c in load_scenario('scara_peg').contacts))"
     )
     assert printed(program) == ["SphereOnPlaneSpec", "SphereOnPlaneSpec"]

@@ -23,8 +23,8 @@ from samples import aligned, module_fixture, parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
-from osc_contact.runs.inspection import inspect_rig
-from osc_contact.runs.references import References, common_tangent
+from osc_contact.lab.checks.inspection import inspect_rig
+from osc_contact.lab.rig.references import References, common_tangent
 
 
 @module_fixture

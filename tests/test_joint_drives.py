@@ -16,9 +16,9 @@ from scenario_runs import closed_force, rig_of, verdict_of, worst_force
 import osc_contact as osc
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.dynamics.chain_state import joint_inertias, modes, stiffness_for
-from osc_contact.plants.joint_drives import FlexibleJoints, Motors, set_dry_friction
-from osc_contact.runs.hardware import drives
-from osc_contact.scenarios.control_schema import JointTorqueSpec
+from osc_contact.lab.plants.joint_drives import FlexibleJoints, Motors, set_dry_friction
+from osc_contact.lab.rig.hardware import drives
+from osc_contact.settings.control import JointTorqueSpec
 
 FLEXIBLE = "plant.flexible_joints={frequency: 5 Hz}"
 LOOP = "control.joint_torque={rate: 4 kHz}"

@@ -18,7 +18,7 @@ from samples import aligned, parametrize
 
 import osc_contact as osc
 from osc_contact.control.records import joint_limit_margins
-from osc_contact.scenarios.control_schema import PostureTask
+from osc_contact.settings.control import PostureTask
 
 
 def push_of(q, margins):

@@ -13,8 +13,8 @@ from scenario_runs import rig_of, verdict_of, worst_force
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.runs.inspection import inspect_rig
-from osc_contact.runs.report import verdict_table
+from osc_contact.lab.checks.inspection import inspect_rig
+from osc_contact.lab.reports.report import verdict_table
 
 ROTORS = vector(0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05)
 DRY = vector(2.0, 1.5, 1.0, 1.0, 0.5, 0.4, 0.3)

@@ -7,7 +7,7 @@ from samples import aligned, parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
-from osc_contact.runs.rig import landings
+from osc_contact.lab.rig.rig import landings
 
 PUSH = 10.0  # N, of either end of the rod
 

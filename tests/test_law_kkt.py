@@ -54,7 +54,7 @@ from test_linkage import bars_of
 
 import osc_contact as osc
 from benchmarks.cases import RandomRig
-from osc_contact.scenarios.control_schema import Friction, PostureTask
+from osc_contact.settings.control import Friction, PostureTask
 
 K_P = 400.0
 K_D = 40.0

@@ -6,7 +6,7 @@ from samples import parametrize
 from scenario_runs import verdict_of
 
 import osc_contact as osc
-from osc_contact.runs.limit_cycles import find_cycle, worst_cycles
+from osc_contact.lab.runs.limit_cycles import find_cycle, worst_cycles
 
 DT = 1e-3
 T = np.arange(4000) * DT

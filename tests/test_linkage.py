@@ -17,7 +17,7 @@ from scenario_runs import run_of
 
 import osc_contact as osc
 from osc_contact.dynamics.arm import effort_scale
-from osc_contact.runs.run import start
+from osc_contact.lab.runs.run import start
 
 
 def bars_of(points):

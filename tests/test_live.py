@@ -317,7 +317,7 @@ def test_a_viewer_that_cannot_start_gives_the_reason(monkeypatch, tmp_path):
 
 def test_no_part_of_meshcat_that_opens_sockets_is_imported():
     done = python(
-        "from osc_contact.visual.page import CommandSink",
+        "from osc_contact.lab.visual.page import CommandSink",
         "CommandSink().visualizer()",
         "print([m for m in sys.modules if 'ngrok' in m])",
     )

@@ -19,7 +19,7 @@ from samples import first, parametrize
 from scenario_runs import assert_same_run, rig_of, run_of
 
 import osc_contact as osc
-from osc_contact.runs.run import start
+from osc_contact.lab.runs.run import start
 
 TICKS = 30
 pytestmark = mark.usefixtures("usual_handlers")
@@ -93,7 +93,7 @@ def test_a_temporary_file_gets_rows_block_by_block(kind, chunks, tmp_path, monke
 
     Clocks here show a second later each time.
     """
-    monkeypatch.setattr("osc_contact.runs.recorder.perf_counter", count().__next__)
+    monkeypatch.setattr("osc_contact.loop.recorder.perf_counter", count().__next__)
     rig, plant, controller = started(*RIGID)
     journal = tmp_path / "unfinished.mcap" if kind == "named" else None
     recorder = osc.Recorder(controller, plant, journal=journal)
@@ -337,7 +337,7 @@ import signal, sys
 from itertools import count
 from pathlib import Path
 import osc_contact as osc
-from osc_contact.runs.run import start
+from osc_contact.lab.runs.run import start
 
 folder = Path(sys.argv[1])
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may ignore it

@@ -21,7 +21,7 @@ from scenario_runs import (
 )
 
 import osc_contact as osc
-from osc_contact.plants.faces import Faces
+from osc_contact.lab.plants.faces import Faces
 from paper import variants
 from paper.study import ticks
 

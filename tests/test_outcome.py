@@ -12,9 +12,9 @@ from test_law_phases import watched
 
 import osc_contact as osc
 from osc_contact.control.monitor import ContactMonitor, watch_series
-from osc_contact.runs.report import task_lines, verdict_table
-from osc_contact.runs.verdict import RULES, Rule, judge_task
-from osc_contact.scenarios.control_schema import MonitorLimits, VerdictSpec
+from osc_contact.lab.reports.report import task_lines, verdict_table
+from osc_contact.lab.runs.verdict import RULES, Rule, judge_task
+from osc_contact.settings.control import MonitorLimits, VerdictSpec
 
 RATE = 1000
 TICKS = 3000

@@ -62,10 +62,10 @@ def constraints():
     "pattern",
     [
         "urdf/*.urdf",
-        "osc_contact/scenarios/files/*.yaml",
+        "osc_contact/lab/scenarios/files/*.yaml",
         "osc_contact/**/*.py",
         "osc_contact/py.typed",
-        "osc_contact/visual/assets/*",
+        "osc_contact/lab/visual/assets/*",
         "docs/own_loop.md",
     ],
 )
@@ -184,7 +184,7 @@ def test_the_demo_shows_its_task_before_it_waits_for_anything():
 
 
 def test_a_browser_is_looked_for_without_any_package(tmp_path):
-    program = [sys.executable, "-S", "-m", "osc_contact.visual.browser"]
+    program = [sys.executable, "-S", "-m", "osc_contact.lab.visual.browser"]
     nothing = {"PATH": str(tmp_path), "PYTHONPATH": str(ROOT)}
     found = subprocess.run(program, capture_output=True, text=True, env=nothing, timeout=120)
     assert found.returncode == 1 and "apt-get install chromium" in found.stderr, found.stderr

@@ -18,9 +18,9 @@ from samples import ROOT, aligned, module_fixture, names_in, parametrize
 from scene_samples import read_commands
 
 import osc_contact as osc
-from osc_contact.runs.viewing import write_scene_of
-from osc_contact.visual import contact_colour
-from osc_contact.visual.browser import VARIABLE
+from osc_contact.lab.reports.viewing import write_scene_of
+from osc_contact.lab.visual import contact_colour
+from osc_contact.lab.visual.browser import VARIABLE
 from paper import fig3
 from paper.figures import ANSWERS, FIGURES, Evidence
 from paper.report import STUDIES, Reproduction, names_of, typed, write_paper_report, write_study

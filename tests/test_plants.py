@@ -12,8 +12,8 @@ from samples import module_fixture, parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
-from osc_contact.plants.rigid import RigidPlant
-from osc_contact.runs.rig import PLANTS
+from osc_contact.lab.plants.rigid import RigidPlant
+from osc_contact.lab.rig.rig import PLANTS
 
 
 @module_fixture

@@ -16,8 +16,8 @@ from scenario_runs import rig_of, verdict_of
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.dynamics.assembly import outside_limits, reach
-from osc_contact.runs import poses
-from osc_contact.runs.poses import Press, _text
+from osc_contact.lab.runs import poses
+from osc_contact.lab.runs.poses import Press, _text
 
 TIP = "pose panda --tip panda_hand_tcp"
 

@@ -24,7 +24,7 @@ from test_law import inputs, motion_of, off_their_faces
 import osc_contact as osc
 from benchmarks.cases import POINT
 from osc_contact.dynamics.environment import Conveyor, Guided, Rail
-from osc_contact.runs.run import start
+from osc_contact.lab.runs.run import start
 
 
 def point(changes=None, **control):

@@ -18,9 +18,9 @@ from test_loop import REFERENCE, Controller, Robot, loop_of
 from test_own_driver import HOME, Driver
 
 import osc_contact as osc
-from osc_contact.runs import loop
-from osc_contact.runs.loop import LoopReport, latency
-from osc_contact.runs.report import verdict_table
+from osc_contact.lab.reports.report import verdict_table
+from osc_contact.loop import loop
+from osc_contact.loop.loop import LoopReport, latency
 
 
 def state_of_process():

@@ -21,10 +21,10 @@ import osc_contact as osc
 from osc_contact import robots
 from osc_contact.errors import RecordingError
 from osc_contact.files import sole_user
+from osc_contact.lab.sweeps.study import SweepStudy
+from osc_contact.lab.sweeps.sweep import RowFile
 from osc_contact.recorder import Recording
 from osc_contact.recorder.journal import Journal, JournalFile
-from osc_contact.sweeps.study import SweepStudy
-from osc_contact.sweeps.sweep import RowFile
 
 META = {"scenario": {"name": "rod"}, "plant": "rigid", "seed": 3, "arm_names": ("left", "right")}
 

@@ -18,7 +18,7 @@ from samples import first, module_fixture, parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
-from osc_contact.runs import recorder as rows_of_runs
+from osc_contact.loop import recorder as rows_of_runs
 
 RUN = [sys.executable, str(Path(__file__).with_name("recorded_run.py"))]
 pytestmark = mark.usefixtures("usual_handlers")

@@ -9,8 +9,8 @@ from samples import aligned, module_fixture, names_in
 from scenario_runs import rig_of, verdict_of
 
 import osc_contact as osc
-from osc_contact.sweeps import sweep
-from osc_contact.sweeps.study import SweepStudy
+from osc_contact.lab.sweeps import sweep
+from osc_contact.lab.sweeps.study import SweepStudy
 from paper import robustness as study
 from paper.selection_laws import Selection
 

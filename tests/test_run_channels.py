@@ -14,11 +14,12 @@ from test_moving_face import TURNING
 
 import osc_contact as osc
 from osc_contact.contacts import pairs
-from osc_contact.contacts.pairs.pair import normals_over, pushes_only
+from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import pushes_only
 from osc_contact.control.monitor import ContactMonitor
 from osc_contact.dynamics.closed_chain import columns_at
-from osc_contact.plants.mujoco import MujocoPlant
-from osc_contact.runs.run import start
+from osc_contact.lab.plants.mujoco import MujocoPlant
+from osc_contact.lab.runs.run import start
 from osc_contact.spatial import Poses, rotated, rotations
 
 ON_SURFACE = {

@@ -8,8 +8,8 @@ from pytest import fixture
 from samples import names_in, parametrize
 
 import osc_contact as osc
-from osc_contact.runs.report import write_report
-from osc_contact.visual.run_figures import RECORDING, SHARES, FigureProcess, draw_figures
+from osc_contact.lab.reports.report import write_report
+from osc_contact.lab.visual.run_figures import RECORDING, SHARES, FigureProcess, draw_figures
 
 FIGURES = {
     f"{name}.{kind}"

@@ -13,8 +13,8 @@ from scenario_runs import assert_same_run, rig_of, run_of
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
-from osc_contact.scenarios.loader import load_scenario, parse_scenario
-from osc_contact.scenarios.signals import MinimumJerk
+from osc_contact.lab.scenarios.loader import load_scenario, parse_scenario
+from osc_contact.lab.scenarios.signals import MinimumJerk
 
 GOOD = """\
 name: small

@@ -25,12 +25,12 @@ from scene_samples import (
 )
 
 from osc_contact import robots
-from osc_contact.visual import contact_colour
-from osc_contact.visual.browser import write_png
-from osc_contact.visual.key_frames import Animation
-from osc_contact.visual.page import EMPTY, CommandSink, page_text, write_page
-from osc_contact.visual.parts import Content
-from osc_contact.visual.scene import (
+from osc_contact.lab.visual import contact_colour
+from osc_contact.lab.visual.browser import write_png
+from osc_contact.lab.visual.key_frames import Animation
+from osc_contact.lab.visual.page import EMPTY, CommandSink, page_text, write_page
+from osc_contact.lab.visual.parts import Content
+from osc_contact.lab.visual.scene import (
     ASPECT,
     FIELD_OF_VIEW_DEG,
     MOST_FRAMES,
@@ -40,8 +40,8 @@ from osc_contact.visual.scene import (
     thinned,
     write_scene,
 )
-from osc_contact.visual.screws import twist_screw, wrench_screw
-from osc_contact.visual.shapes import along, triangle_colours, urdf_geometry, vertex_colours
+from osc_contact.lab.visual.screws import twist_screw, wrench_screw
+from osc_contact.lab.visual.shapes import along, triangle_colours, urdf_geometry, vertex_colours
 
 LEFT, RIGHT = (f"/meshcat/contacts/{name}" for name in ENDS)
 

@@ -18,8 +18,8 @@ from test_moving_face import TURNING
 
 import osc_contact as osc
 from osc_contact.interface import Measurement, Touched
-from osc_contact.plants.sensors import SensedPlant, SensorErrors, Sensors
-from osc_contact.scenarios.hardware import Clock, VisionSpec
+from osc_contact.lab.plants.sensors import SensedPlant, SensorErrors, Sensors
+from osc_contact.lab.scenarios.hardware import Clock, VisionSpec
 from osc_contact.sensing.calibration import calibrate_wrist
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.sensing.vision_fusion import History, Registration

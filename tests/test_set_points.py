@@ -27,7 +27,7 @@ import osc_contact as osc
 from osc_contact import jerk_limits
 from osc_contact.control.set_point import rotation_of
 from osc_contact.jerk_limits import Trajectory
-from osc_contact.scenarios.signals import jerk_limited
+from osc_contact.lab.scenarios.signals import jerk_limited
 
 DT = 1e-3
 LINEAR = osc.JerkLimits(0.3, 2.0, 40.0)

@@ -13,19 +13,7 @@ from rigs import assert_near, largest
 from samples import aligned, parametrize
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.scenarios.quantities import (
-    Angle,
-    Force,
-    Frequency,
-    JointValue,
-    Length,
-    Mass,
-    Number,
-    Time,
-    UnitVec3,
-    Vec3,
-)
-from osc_contact.scenarios.signals import (
+from osc_contact.lab.scenarios.signals import (
     AngleSignal,
     Constant,
     ForceSignal,
@@ -36,6 +24,18 @@ from osc_contact.scenarios.signals import (
     Sine,
     Step,
     total,
+)
+from osc_contact.settings.quantities import (
+    Angle,
+    Force,
+    Frequency,
+    JointValue,
+    Length,
+    Mass,
+    Number,
+    Time,
+    UnitVec3,
+    Vec3,
 )
 
 SMOOTH = [

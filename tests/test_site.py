@@ -10,7 +10,7 @@ from html_pages import Page
 from samples import ROOT, chosen, made_once, module_fixture, parametrize
 
 import osc_contact as osc
-from osc_contact.visual.page import embed
+from osc_contact.lab.visual.page import embed
 
 
 def build(source, into, *options):

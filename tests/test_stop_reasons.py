@@ -9,9 +9,9 @@ from samples import parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
+from osc_contact.lab.runs.run import start
 from osc_contact.law.reasons import CODES, LASTING, SENTENCES
-from osc_contact.runs.recorder import Recorder
-from osc_contact.runs.run import start
+from osc_contact.loop.recorder import Recorder
 
 SAFE_STOP = osc.SafetyState.SAFE_STOP
 

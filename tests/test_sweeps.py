@@ -26,11 +26,11 @@ from scipy.stats import qmc
 import osc_contact as osc
 from osc_contact import robots
 from osc_contact.contacts.detection import collision_shapes
-from osc_contact.runs.preflight import judge_rig, require_ready
-from osc_contact.runs.run import start
-from osc_contact.sweeps.report import variances, write_report
-from osc_contact.sweeps.study import SweepStudy, parse_distribution
-from osc_contact.sweeps.sweep import (
+from osc_contact.lab.checks.preflight import judge_rig, require_ready
+from osc_contact.lab.runs.run import start
+from osc_contact.lab.sweeps.report import variances, write_report
+from osc_contact.lab.sweeps.study import SweepStudy, parse_distribution
+from osc_contact.lab.sweeps.sweep import (
     ROWS,
     TABLE,
     RigBuilder,
@@ -371,7 +371,7 @@ def test_rigs_that_share_chains_are_those_built_alone(monkeypatch):
     builder = RigBuilder()
     judged = []
     monkeypatch.setattr(
-        "osc_contact.sweeps.sweep.judge_rig", lambda rig: judged.append(rig) or judge_rig(rig)
+        "osc_contact.lab.sweeps.sweep.judge_rig", lambda rig: judged.append(rig) or judge_rig(rig)
     )
     scenarios = [
         osc.load_scenario(

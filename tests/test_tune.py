@@ -7,8 +7,8 @@ from samples import aligned, parametrize
 from scenario_runs import verdict_of, worst_force
 
 import osc_contact as osc
-from osc_contact.sweeps import tune as tuning
-from osc_contact.sweeps.tune import tune
+from osc_contact.lab.sweeps import tune as tuning
+from osc_contact.lab.sweeps.tune import tune
 
 SHORT = ("duration=1.1 s",)
 ONE = {"overrides": SHORT, "workers": 1}

@@ -14,8 +14,8 @@ from samples import aligned, first, parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
-from osc_contact.sweeps.fleet import Fleet, Start
-from osc_contact.sweeps.vector_env import make_vector_env
+from osc_contact.lab.sweeps.fleet import Fleet, Start
+from osc_contact.lab.sweeps.vector_env import make_vector_env
 
 SHORT = ("duration=0.1 s",)  # five actions
 MASS = {"model_error.object_mass": "uniform(0.8, 1.2)"}

@@ -11,7 +11,7 @@ from pytest import fixture
 from scene_samples import RECORDING, changed, make_recording
 
 from osc_contact import load_scenario
-from osc_contact.visual import plots
+from osc_contact.lab.visual import plots
 from paper.diagrams import BLOCKS, CONNECTIONS, GROUPS, LABELS, LOOP, draw_blocks
 from paper.figures import reproduce
 

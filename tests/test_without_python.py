@@ -22,10 +22,10 @@ from benchmarks.tick import ALL_CASES
 from osc_contact.control.saving import controller_bytes
 from osc_contact.control.without_python import ERRORS, write_library
 from osc_contact.drivers.franka import TORQUE_STEP
+from osc_contact.lab.runs.run import start
+from osc_contact.lab.runs.tape import Tape, build
 from osc_contact.law.jit import HAS_LIBRARY
 from osc_contact.law.reasons import CODES, SENTENCES
-from osc_contact.runs.run import start
-from osc_contact.runs.tape import Tape, build
 
 pytestmark = mark.skipif(not HAS_LIBRARY, reason="no library of the law is used here")
 #: packaged tasks: plain, redundant, two Pandas, bars, motor limits, bodies that move, phases

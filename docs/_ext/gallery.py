@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 from PIL import Image
 
 import osc_contact as osc
-from osc_contact.runs.rig import build_rig
-from osc_contact.runs.viewing import write_scene_of
-from osc_contact.visual.browser import write_gif
+from osc_contact.lab.reports.viewing import write_scene_of
+from osc_contact.lab.rig.rig import build_rig
+from osc_contact.lab.visual.browser import write_gif
 from paper.report import STUDIES
 from paper.statements import PAPER, judge
 from paper.study import Ask, Study

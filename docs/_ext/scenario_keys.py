@@ -15,11 +15,10 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-import osc_contact.contacts.pairs  # noqa: F401 - the kinds of contact
-from osc_contact.scenarios.bodies import CONTACT_TYPES, ContactSpec
-from osc_contact.scenarios.quantities import Dimension, Spec, meaning
-from osc_contact.scenarios.schema import Scenario
-from osc_contact.scenarios.signals import ForceSignal
+from osc_contact.lab.scenarios.contact_keys import ContactSpec, contact_types
+from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.lab.scenarios.signals import ForceSignal
+from osc_contact.settings.quantities import Dimension, Spec, meaning
 
 PAGE = Path(__file__).parents[1] / "scenario.md"
 BLOCK = re.compile(r"(?<=<!-- keys: )(.*?) -->\n.*?(?=<!-- end of keys -->)", re.S)
@@ -136,7 +135,7 @@ def is_tag(field: FieldInfo | None) -> bool:
 def models_in(kind: Any) -> list[type[BaseModel]]:
     """The models that a key's type can hold."""
     if kind is ContactSpec:
-        return list(CONTACT_TYPES.values())
+        return list(contact_types().values())
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return [kind]
     inner = get_args(kind)

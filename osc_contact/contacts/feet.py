@@ -7,7 +7,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import ContactPair, count_forces, normals_over
+from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import ContactPair, count_forces
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.spatial import Array, Poses, cross
 

@@ -49,7 +49,7 @@ from osc_contact.law.chain import OBJECT_UNKNOWN
 from osc_contact.law.compiled import rows as law_rows
 from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, OK, Bytes
 from osc_contact.robots.model import joint_names
-from osc_contact.scenarios.control_schema import (
+from osc_contact.settings.control import (
     Friction,
     Gains,
     JointFriction,

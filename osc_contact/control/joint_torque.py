@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.scenarios.control_schema import JointTorqueSpec
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
+from osc_contact.settings.control import JointTorqueSpec
 from osc_contact.spatial import Array, as_array
 
 #: The rate τ̇ is estimated with a bandwidth this many times that of the loop.

@@ -12,7 +12,7 @@ import numpy as np
 
 from osc_contact.law import phases
 from osc_contact.law.jit import as_python
-from osc_contact.scenarios.control_schema import MonitorLimits
+from osc_contact.settings.control import MonitorLimits
 from osc_contact.spatial import Array
 
 _monitor = as_python(phases.monitor)  # one number at a time, in Python

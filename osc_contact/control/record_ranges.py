@@ -38,8 +38,8 @@ from osc_contact.law import records as at
 from osc_contact.law.limits import PROGRAM
 from osc_contact.law.nested import Bytes, Nested
 from osc_contact.law.reasons import CODES
-from osc_contact.scenarios.control_schema import PhaseSettings, SafetySettings
-from osc_contact.scenarios.quantities import may_be_infinite
+from osc_contact.settings.control import PhaseSettings, SafetySettings
+from osc_contact.settings.quantities import may_be_infinite
 
 MOST_ARMS = 32  #: that a file may hold
 MOST_ROWS = 4096  #: of contacts, shapes, columns of N

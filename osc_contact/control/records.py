@@ -10,17 +10,11 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.pairs.pair import (
-    FaceOnVertex,
-    PairRow,
-    count_forces,
-    knows_where_it_slides,
-    law_row,
-    pushes_only,
-    require_object_fits,
-    store,
-)
+from osc_contact.contacts.pairs.keys import require_object_fits, store
+from osc_contact.contacts.pairs.law_pair import PairRow, law_row
+from osc_contact.contacts.pairs.pair import count_forces, knows_where_it_slides, pushes_only
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
+from osc_contact.contacts.pairs.vertex_and_edge import FaceOnVertex
 from osc_contact.control.status import LostDirection
 from osc_contact.dynamics.arm import effort_scale, stretched_length
 from osc_contact.dynamics.assembly import require_in_range
@@ -34,7 +28,7 @@ from osc_contact.law.records import Bytes, Rows, new_model, views
 from osc_contact.law.safety import BRAKE_RATE, SURE
 from osc_contact.projections import unit_diagonal
 from osc_contact.robots.model import position_limits
-from osc_contact.scenarios.control_schema import (
+from osc_contact.settings.control import (
     HEADROOM,
     LEAST_CEILING,
     Friction,
@@ -44,7 +38,7 @@ from osc_contact.scenarios.control_schema import (
     PostureTask,
     SafetySettings,
 )
-from osc_contact.scenarios.quantities import Spec
+from osc_contact.settings.quantities import Spec
 from osc_contact.spatial import Array, as_array, norm
 
 # What a controller is made of: taken once, never changed.

@@ -34,8 +34,8 @@ from osc_contact.law.library import law_hash
 from osc_contact.law.reasons import CODES, SENTENCES
 from osc_contact.law.records import COUNTED
 from osc_contact.law.tick import BAD_INPUT, STOPPED
-from osc_contact.scenarios.control_schema import Gains, PhaseSettings
-from osc_contact.scenarios.quantities import Dimension, meaning
+from osc_contact.settings.control import Gains, PhaseSettings
+from osc_contact.settings.quantities import Dimension, meaning
 
 #: enum osc_error, by its codes 0, −1, …
 ERRORS = {

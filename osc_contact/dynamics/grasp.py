@@ -17,7 +17,6 @@ import pinocchio as pin
 from pinocchio import SE3
 
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.scenarios.bodies import GRASP_TYPES
 from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist, unit_vector
 
 _SAME = 1e-9  #: columns of unit size nearer to dependence than this are dependent
@@ -157,19 +156,31 @@ def _wrenches(T: Array) -> Array:
     return N
 
 
-#: What a scenario's `type` makes of X_TO and, if it has one, an axis (3,) in the tip frame.
-GRASPS: dict[str, Callable[..., Grasp]] = {}
+@dataclass(frozen=True)
+class GraspKind:
+    """A grasp by its name.
+
+    Attributes:
+        make: X_TO, and an axis (3,) in the tip frame if the grasp has one → Grasp.
+        has_axis: whether it has one.
+    """
+
+    make: Callable[..., Grasp]
+    has_axis: bool
+
+
+#: The registered grasps by their names.
+GRASPS: dict[str, GraspKind] = {}
 
 
 def register_grasp(name: str, make: Callable[..., Grasp], *, axis: bool) -> None:
-    """Let scenarios name a grasp.
+    """Enter a grasp in the register, such as for the `type` of a scenario's grasp.
 
     Args:
-        name: its `type`. make: X_TO, and an axis (3,) if it has one → Grasp.
+        name: of the grasp. make: X_TO, and an axis (3,) if it has one → Grasp.
         axis: whether it has one.
     """
-    GRASPS[name] = make
-    GRASP_TYPES[name] = axis
+    GRASPS[name] = GraspKind(make, axis)
 
 
 register_grasp("rigid", Grasp.rigid, axis=False)

@@ -23,9 +23,10 @@ from osc_contact.contacts.detection.features import (
 )
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.functions import GapFunctions
-from osc_contact.contacts.pairs.pair import EdgeOnEdge, FaceOnVertex, triad
+from osc_contact.contacts.pairs.pair import triad
 from osc_contact.contacts.pairs.points_on_planes import CylinderOnPlane, FaceOnFace, SphereOnPlane
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
+from osc_contact.contacts.pairs.vertex_and_edge import EdgeOnEdge, FaceOnVertex
 from osc_contact.contacts.surface import Surface
 from osc_contact.errors import ContactError, InvalidInputError
 from osc_contact.spatial import Array, cross, norm

@@ -14,14 +14,10 @@ import pinocchio as pin
 from pinocchio import SE3
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.pairs.pair import (
-    Bodies,
-    Extent,
-    PackagedPair,
-    PairRow,
-    register_pair,
-    store,
-)
+from osc_contact.contacts.pairs.keys import Extent, store
+from osc_contact.contacts.pairs.law_pair import PairRow
+from osc_contact.contacts.pairs.pair import Bodies
+from osc_contact.contacts.pairs.register import PackagedPair, register_pair
 from osc_contact.errors import ContactError, InvalidInputError, missing
 from osc_contact.law.jit import PLAIN_PYTHON, call_address
 from osc_contact.law.records import FUNCTION

@@ -9,25 +9,23 @@ import numpy as np
 from pinocchio import SE3
 from pydantic import Field
 
-from osc_contact.contacts.pairs.pair import (
+from osc_contact.contacts.pairs.keys import (
     BodyDirection,
     BodyPoint,
     Direction,
     Extent,
     FaceDirection,
     FacePoint,
-    LawPair,
     Point,
     Radius,
-    register_pair,
-    shape,
     store,
-    triad,
 )
+from osc_contact.contacts.pairs.law_pair import LawPair, shape
+from osc_contact.contacts.pairs.pair import triad
+from osc_contact.contacts.pairs.register import register_pair
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import POINTS
-from osc_contact.scenarios.bodies import OnFaceSpec
-from osc_contact.scenarios.quantities import Angle
+from osc_contact.settings.quantities import Angle
 from osc_contact.spatial import Array, cross, norm
 
 
@@ -74,7 +72,7 @@ def ends(line: Any) -> Array:
 # A vertex of the object on a face of the environment.
 
 
-@register_pair(forces=1, on=OnFaceSpec)
+@register_pair(forces=1)
 class VertexOnFace(PointsOnPlanes):
     """A rounded vertex of the object on a face of the environment, r = 1 (fig. 1).
 

@@ -3,80 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import field
-from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
 from pinocchio import SE3
-from pydantic import Field
 
-from osc_contact.contacts.pairs.pair import (
-    BodyDirection,
-    BodyPoint,
-    LawPair,
-    Point,
-    Radius,
-    register_pair,
-    store,
-)
+from osc_contact.contacts.pairs.keys import BodyDirection, BodyPoint, Point, Radius, store
+from osc_contact.contacts.pairs.law_pair import LawPair
+from osc_contact.contacts.pairs.register import register_pair
 from osc_contact.contacts.surface import Surface, distance_and_normal
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import SURFACE
-from osc_contact.scenarios.quantities import Length, Spec
 from osc_contact.spatial import Array, Poses, cross, norm
-
-
-class SphereSpec(Spec):
-    """A sphere about `surface_point`; a radius < 0: a bowl."""
-
-    type: Literal["sphere"] = "sphere"
-    radius: Length
-    """of the sphere, < 0 seen from inside"""
-
-    def made(self, folder: Path | None) -> Surface:
-        """The surface."""
-        return Surface.sphere(self.radius)
-
-
-class CylinderSpec(SphereSpec):
-    """A cylinder about `surface_axis`; a radius < 0: a pipe."""
-
-    type: Literal["cylinder"] = "cylinder"  # type: ignore[assignment]
-
-    def made(self, folder: Path | None) -> Surface:
-        """The surface."""
-        return Surface.cylinder(self.radius)
-
-
-class SaddleSpec(Spec):
-    """z = x²/(2R₁) + y²/(2R₂), z along `surface_axis` and x along `surface_x`."""
-
-    type: Literal["saddle"] = "saddle"
-    radii: tuple[Length, Length]
-    """R₁ and R₂, of curvature at the origin; > 0: hollow"""
-
-    def made(self, folder: Path | None) -> Surface:
-        """The surface."""
-        return Surface.saddle(*self.radii)
-
-
-class MeshSpec(Spec):
-    """A spline through the corners of a mesh, as a height along `surface_axis`."""
-
-    type: Literal["mesh"] = "mesh"
-    file: Annotated[str, Field(min_length=1)]
-    """an STL or OBJ file beside the scenario, in metres"""
-    cells: tuple[Annotated[int, Field(ge=1, le=64)], Annotated[int, Field(ge=1, le=64)]] = (8, 8)
-    """how many pieces the spline has along x and y"""
-
-    def made(self, folder: Path | None) -> Surface:
-        """The surface; its points' distances from it are `rms` and `worst`."""
-        return Surface.of_mesh((folder or Path()) / self.file, self.cells)
-
-
-SurfaceSpec = Annotated[
-    SphereSpec | CylinderSpec | SaddleSpec | MeshSpec, Field(discriminator="type")
-]
 
 
 @register_pair(forces=1)
@@ -99,7 +36,7 @@ class SphereOnSurface(LawPair):
     """the centre of the ball [x, y, z] in the object frame"""
     radius: Radius
     """of the ball"""
-    surface: Annotated[Surface, "", SurfaceSpec]
+    surface: Surface
     """the [surface](polish_curved_part.md#the-surface), outside which the ball is"""
     surface_point: BodyPoint = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     """the origin of the surface's axes [x, y, z] in the body frame"""

@@ -8,15 +8,11 @@ from typing import Any
 import numpy as np
 from pinocchio import SE3
 
-from osc_contact.contacts.pairs.pair import (
-    Direction,
-    Point,
-    register_pair,
-    shape,
-    store,
-    triad,
-)
+from osc_contact.contacts.pairs.keys import Direction, Point, store
+from osc_contact.contacts.pairs.law_pair import shape
+from osc_contact.contacts.pairs.pair import triad
 from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
+from osc_contact.contacts.pairs.register import register_pair
 from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import COUPLE, FORCE, SCREW, SLIDE, TANGENTS, THREAD, TURN
 from osc_contact.spatial import Array

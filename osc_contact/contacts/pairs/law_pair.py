@@ -1,0 +1,181 @@
+"""Pairs that the law evaluates: rows of numbers from which `law.contact` computes N and n_γ.
+
+The tick runs these functions compiled, `LawPair` runs the same source as Python: on floats at one
+instant, on arrays at many.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from pinocchio import SE3
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.pairs.keys import store
+from osc_contact.contacts.pairs.pair import AT_REST, Bodies, ContactPair
+from osc_contact.contacts.pairs.register import PackagedPair
+from osc_contact.contacts.surface import OF_ARRAYS, Shapes
+from osc_contact.errors import ContactError
+from osc_contact.law import contact as law
+from osc_contact.law.jit import as_python
+from osc_contact.law.records import SURFACE, TANGENTS
+from osc_contact.spatial import Array, Poses
+
+_place = as_python(law.place_pair, **OF_ARRAYS)
+_motion = as_python(law.permitted_motion)
+_point = as_python(law.point_of_contact)
+
+#: Elements of a matrix as the law reads them, M[i, j]: a dictionary is faster than an array.
+_Elements = dict[tuple[int, int], Any]
+_IDENTITY = {(i, j): float(i == j) for i in range(3) for j in range(4)}
+#: Methods that determine a row; a class that replaces one of them differs from its row.
+_GIVEN_BY_ROW = ("contact", "points_of_contact")
+
+
+class PairRow(NamedTuple):
+    """A pair as the compiled law reads it.
+
+    Attributes:
+        kind: POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, SURFACE or FUNCTION of `law.records`.
+        shapes: (16,) each, see the functions of `law.contact`: the columns of N, then the permitted
+            motions.
+        freedoms: number of the latter.
+        address: of the C function of a pair that is a function.
+    """
+
+    kind: int
+    shapes: tuple[Array, ...]
+    freedoms: int = 0
+    address: int = 0
+
+
+def shape(*parts: Array | float) -> Array:
+    """(16,) numbers of one column or one permitted motion, zeros behind them."""
+    row = np.zeros(16)
+    flat = np.concatenate([np.atleast_1d(part) for part in parts])
+    row[: len(flat)] = flat
+    return row
+
+
+def law_row(pair: ContactPair) -> PairRow | None:
+    """What a pair is to the compiled law; None: nothing, or a subclass changes what it does."""
+    row = getattr(pair, "row", None)
+    if row is None:
+        return None
+    kinds = type(pair).__mro__
+    declared_by = next(kind for kind in kinds if "row" in vars(kind))
+    newer = kinds[: kinds.index(declared_by)]
+    changed = any(name in vars(kind) for kind in newer for name in _GIVEN_BY_ROW)
+    return None if changed else row()
+
+
+class LawPair(PackagedPair):
+    """A pair that the law evaluates.
+
+    Attributes:
+        pushes, surface_point, surface_radius: see `ContactPair`.
+    """
+
+    pushes: ClassVar[bool] = False
+    surface_point: Array
+    surface_radius: float = 0.0
+    _row: PairRow
+    _numbers: tuple[Any, Shapes]
+
+    def _hold(self, surface_point: Array, *given: Any) -> None:
+        """Take the geometry of a pair that is being made; `given`: kind, shapes … of its row."""
+        row = PairRow(*given)
+        head = SimpleNamespace(**row._asdict(), first=0, shape_at=0)
+        head.count = len(row.shapes) - row.freedoms
+        store(self, _row=row, _numbers=(head, Shapes(row.shapes)), surface_point=surface_point)
+
+    def row(self) -> PairRow:
+        """The pair as the compiled law reads it."""
+        return self._row
+
+    def _contact(self, b: Bodies) -> Contact:
+        """And T (6, 6−r), if the pair is given by it."""
+        A = _elements(b.X_A)
+        E = _elements(b.X_E)
+        columns = self._columns(A, E, b.V_A, b.V_E)
+        N = np.array([column.N for column in columns]).reshape(-1, 6).T
+        n_gamma = np.array([column.n_gamma for column in columns])
+        T = None
+        if self._row.kind == TANGENTS and len(self._row.shapes) == 6:
+            freedoms = self._numbers[1][N.shape[1] :]
+            T = np.array([_motion(one.row, A, E) for one in freedoms]).reshape(-1, 6).T
+        return Contact(N, n_gamma, T=T, name=self.name)
+
+    def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
+        """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
+        A = _elements(X_WO)
+        E = _IDENTITY if X_WE is None else _elements(X_WE)
+        each = zip(self._numbers[1], self._columns(A, E), strict=False)
+        points = [_point(self._row.kind, one.row, A, E, column.N) for one, column in each]
+        return X_WO.translation[:, None] + np.array(points).T
+
+    def normals(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
+        """(6, r, k) N at k instants; see `normals_over`."""
+        A = _elements_over(X_WO)
+        E = _IDENTITY if X_WE is None else _elements_over(X_WE)
+        columns = self._columns(A, E)
+        N = np.empty((6, len(columns), X_WO.p.shape[-1]))
+        for j, column in enumerate(columns):
+            for i in range(6):
+                N[i, j] = column.N[i]
+        return N
+
+    def _columns(
+        self, A: _Elements, E: _Elements, V_O: Array = AT_REST, V_E: Array = AT_REST
+    ) -> list[Any]:
+        head, shapes = self._numbers
+        columns = [
+            SimpleNamespace(N=[0.0] * 6, n_gamma=0.0, turn=(0.0, 0.0, 0.0), believed=[0.0] * 3)
+            for _ in range(head.count)
+        ]
+        try:
+            with np.errstate(all="ignore"):
+                V_rel = (V_O - V_E).tolist()
+                motion = law.Motion(A, V_O.tolist(), E, V_E.tolist(), V_rel, True)
+                sine = _place(head, shapes, columns, motion)
+        except ZeroDivisionError:
+            sine = 0.0
+        least = np.min(sine)
+        if least >= law.PARALLEL:
+            return columns
+        if self._row.kind == SURFACE:
+            raise ContactError(
+                f"{self.name}: the ball's centre is where no one place of the surface is nearest; "
+                "start with it on the outer side, nearer than the least radius of curvature"
+            )
+        raise ContactError(
+            f"{self.name}: the edges are parallel (sine of their angle {least:.2g}), so their "
+            "common normal is undefined; model this contact as an edge on a face"
+        )
+
+
+def normals_over(pair: ContactPair, X_WO: Poses, X_WE: Poses | None = None) -> Array:
+    """(6, r, k) what `pair.contact` gives as N at each of k instants, at O in world axes.
+
+    Args:
+        pair: of any kind; one unknown to the law is evaluated instant by instant.
+        X_WO: k poses of the object. X_WE: k poses (or 1) of the environment body; None: the world.
+    """
+    if isinstance(pair, LawPair) and law_row(pair) is not None:
+        return pair.normals(X_WO, X_WE)
+    parts = [
+        pair.contact(X_WO[i], AT_REST, None if X_WE is None else X_WE[i]).N
+        for i in range(X_WO.p.shape[-1])
+    ]
+    return np.stack(parts, axis=-1)
+
+
+def _elements(X: SE3) -> _Elements:
+    rows = X.homogeneous.tolist()
+    return {(i, j): rows[i][j] for i in range(3) for j in range(4)}
+
+
+def _elements_over(X: Poses) -> _Elements:
+    return {(i, j): X.p[i] if j == 3 else X.R[i, j] for i in range(3) for j in range(4)}

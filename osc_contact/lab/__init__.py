@@ -1,0 +1,1 @@
+"""Experiments on top of the controller: scenarios, simulated rigs, runs, pictures, commands."""

@@ -1,0 +1,214 @@
+"""What a state of contact is, in plain words: d, r, free motions, controllable forces."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.feet import feet
+from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
+from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
+from osc_contact.dynamics.chain_state import ChainState
+from osc_contact.lab.rig.references import gain_in_words, known_to
+from osc_contact.lab.rig.rig import Rig, landings
+from osc_contact.lab.visual.screws import common_perpendicular, echelon
+from osc_contact.law.joint_friction import LAG
+from osc_contact.robots.summary import friction_warnings, joint_losses, loss_words
+from osc_contact.spatial import Array, norm
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """The contact state of a scenario at its start.
+
+    Attributes:
+        d: motions the object can make. r: independent contact forces.
+        lines: the report, one sentence each.
+        N, T: bases (6, r), (6, 6−r), columns of N named by `contacts` (``pad.1``, … if several).
+        free: (6, d−r) the motions that are both possible for the arms and permitted by the contact.
+        conditioning: largest over smallest apparent mobility of the contact forces, unit-free.
+    """
+
+    d: int
+    r: int
+    lines: tuple[str, ...]
+    contacts: tuple[str, ...]
+    N: Array
+    T: Array
+    free: Array
+    conditioning: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able form."""
+        values = {name: np.asarray(value).tolist() for name, value in vars(self).items()}
+        return values | {"free_motions": self.d - self.r}
+
+
+def inspect_rig(rig: Rig) -> Inspection:
+    """Describe the contact state of a rig at its start."""
+    state = rig.state
+    contact = rig.contact
+    free = _free_motions(state, contact)
+    mobility = contact.N.T @ state.Phi @ contact.N
+    scale = np.sqrt(np.diag(mobility))
+    values = np.linalg.eigvalsh(mobility / np.outer(scale, scale)) if contact.r else np.ones(1)
+    conditioning = float(values[-1] / values[0])
+    motors = rig.chain.n_a
+    own = sum(t.J.shape[1] - t.rank for t in state.arms)  # motions of an arm alone
+    internal = motors - own - (int(np.linalg.matrix_rank(state.G)) if state.d else 0)
+    lines = (
+        f"{len(rig.chain.arms)} arm(s), {rig.chain.nq} joints, {motors} motors; "
+        f"the object can make d = {state.d} independent motions.",
+        *(
+            f"the arms' structure carries the wrench {_wrench_words(c)}: it cannot be controlled."
+            for c in state.C.T
+        ),
+        f"{len(rig.pairs)} contact(s) constrain r = {contact.r} of them; "
+        f"{state.d - contact.r} motions stay free, {contact.r} contact forces can be controlled.",
+        *(
+            f"joints of '{arm.name}': {loss_words(joint_losses(arm.model))}"
+            for arm in rig.chain.arms
+        ),
+        *_friction(rig),
+        *_contact_lines(rig),
+        *(f"{one.sentence} (v √(k m))." for one in landings(rig)),
+        *_skew(rig),
+        *_normals(rig),
+        *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
+        *_redundancy(len(rig.chain.arms), internal, own),
+        f"conditioning of the contact forces: {conditioning:.3g} (1 = independent of each other)",
+    )
+    return Inspection(
+        d=state.d,
+        r=contact.r,
+        lines=lines,
+        contacts=tuple(rig.force_names),
+        N=contact.N,
+        T=contact.T,
+        free=free,
+        conditioning=conditioning,
+    )
+
+
+def _friction(rig: Rig) -> Iterator[str]:
+    """What of friction and rotors in the controller's model limits its accuracy or stability."""
+    how = rig.joint_friction
+    for arm, own in zip(rig.model.arms, rig.model.slices, strict=True):
+        share = how.share if how and (how.learning or how.errors) else 0.0
+        q = rig.q_contact[own]
+        passive = arm.passive_joints
+        for words in friction_warnings(arm.model, q, share, 1.0 / LAG, passive):
+            yield f"joints of '{arm.name}': {words}"
+
+
+def _normals(rig: Rig) -> Iterator[str]:
+    """What of the contact normals the motion does not show, and what that costs."""
+    std = 0.5 * rig.gains.force.tilt
+    if std == 0.0:
+        return
+    moves = rig.references.overview[1].V_D.any()
+    for pair in rig.pairs:
+        if knows_where_it_slides(pair) and not moves:
+            yield (
+                f"the normal of '{pair.name}' cannot be observed: no motion is commanded; it is "
+                "taken as given."
+            )
+    share = known_to(rig.pairs, rig.state, 1.0)
+    if rig.scenario.control.dither is None and (words := gain_in_words(share, std)):
+        yield f"with normals known to {np.rad2deg(std):.3g} deg (gains.force.tilt / 2), {words}."
+
+
+def _free_motions(state: ChainState, contact: Contact) -> Array:
+    """Basis of range(S) ∩ T, echelon form: translations first, as simple as they come."""
+    Vh = np.linalg.svd(contact.N.T @ state.S)[2]
+    return echelon(state.S @ Vh[contact.r :].T)
+
+
+def _redundancy(arms: int, internal: int, own: int) -> Iterator[str]:
+    if internal or arms > 1:
+        yield (
+            f"{internal} internal force(s) can be set without moving the object or pressing harder"
+            + (" (squeeze along the grasp line is one)." if arms == 2 else ".")
+        )
+    if own:
+        yield f"{own} motion(s) of arms leave the object where it is: postures to choose."
+
+
+def _contact_lines(rig: Rig) -> Iterator[str]:
+    X = rig.state.X_WO
+    for i, pair in enumerate(rig.pairs):
+        points, directions = feet(pair, X)
+        if len(points) == 1:
+            kind = (
+                "the face"
+                if isinstance(pair, VertexOnFace)
+                else f"the {_words(pair).split()[-1]} of '{_body(rig, i)}'"
+            )
+            yield (
+                f"contact '{pair.name}': force along {_vector(directions[0])} into {kind}, "
+                f"through {_vector(points[0])} m."
+            )
+            continue
+        sign = "pushing only" if pushes_only(pair) else "of either sign"
+        yield (
+            f"contact '{pair.name}' ({_words(pair)} of '{_body(rig, i)}'): {len(points)} forces at "
+            f"once, {sign}; any force and couple it transmits is made of them:"
+        )
+        for k, (p, d) in enumerate(zip(points, directions, strict=True)):
+            yield f"  {pair.name}.{k + 1} along {_vector(d)} through {_vector(p)} m"
+
+
+def _words(pair: ContactPair) -> str:
+    """FaceOnFace → face on face."""
+    return re.sub(r"(?<!^)(?=[A-Z])", " ", type(pair).__name__).lower()
+
+
+def _body(rig: Rig, contact: int) -> str:
+    return rig.bodies[rig.on[contact]].name
+
+
+def _skew(rig: Rig) -> Iterator[str]:
+    """The distance and angle of lines of force, two contacts with one line each at a time."""
+    lines = [(pair, *feet(pair, rig.state.X_WO)) for pair in rig.pairs]
+    for (a, p, d), (b, q, e) in combinations([one for one in lines if len(one[1]) == 1], 2):
+        between = common_perpendicular(p[0], d[0], q[0], e[0])
+        names = f"'{a.name}' and '{b.name}'"
+        gap = f"{1e3 * between.distance:.1f} mm apart"
+        if between.angle < 1e-9:
+            yield f"{names} press along parallel lines, {gap}."
+            continue
+        skew = between.distance > 1e-6
+        kind = "skew: no single frame's axes hold both" if skew else "they meet in a point"
+        yield (
+            f"the lines of force of {names} enclose {np.degrees(between.angle):.1f}° and pass "
+            f"{gap} ({kind})."
+        )
+
+
+def _twist_words(twist: Array) -> str:
+    """A twist as pure translation, or as turning about an axis with a pitch."""
+    v, w = np.split(twist, 2)
+    if norm(w) < 1e-9 * max(norm(v), 1.0):
+        return f"translation along {_vector(v / norm(v))}"
+    turn = w / norm(w)
+    speed = v / norm(w)
+    pitch = turn @ speed
+    point = np.cross(turn, speed)
+    words = f"turning about {_vector(turn)} through {_vector(point)} m from the object's origin"
+    return words + (f", advancing {1e3 * pitch:.1f} mm/rad" if abs(pitch) > 5e-5 else "")
+
+
+def _wrench_words(wrench: Array) -> str:
+    force, couple = np.split(wrench, 2)
+    if norm(force) < 1e-6 * norm(couple):
+        return f"couple about {_vector(couple / norm(couple))}"
+    size = norm(force)
+    return f"force along {_vector(force / size)} with couple {_vector(couple / size)} m"
+
+
+def _vector(x: Array) -> str:
+    return f"[{', '.join(f'{value:.3f}' for value in np.round(x, 3) + 0.0)}]"

@@ -1,0 +1,339 @@
+"""The command line `osc-contact`: thin, everything it does is a call into the package."""
+
+import atexit
+import gc
+import re
+import unicodedata
+from collections.abc import Iterator
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Annotated, Any
+
+from typer import Argument, Context, Exit, Option, Typer
+from typer.core import TyperGroup
+
+from osc_contact import __version__
+from osc_contact.errors import Interrupted, InvalidInputError
+from osc_contact.files import sole_user, write_whole
+from osc_contact.lab.checks.inspection import inspect_rig
+from osc_contact.lab.checks.preflight import require_ready
+from osc_contact.lab.cli import robots as cli_robots
+from osc_contact.lab.cli import sweeps as cli_sweeps
+from osc_contact.lab.cli.console import (
+    CompilationBar,
+    DurationOption,
+    FolderOption,
+    JsonOption,
+    PlantOption,
+    ScenarioArgument,
+    SeedOption,
+    SetOption,
+    err,
+    exit_codes,
+    forget_rows,
+    load_program,
+    load_task,
+    open_recording,
+    out,
+    recording_in,
+    report_run,
+    require,
+    require_report,
+    run_with_progress,
+    say,
+    show_live,
+)
+from osc_contact.lab.reports import report, viewing
+from osc_contact.lab.reports.viewing import shown_of
+from osc_contact.lab.rig.rig import build_rig
+from osc_contact.lab.runs.tape import build as build_library
+from osc_contact.lab.scenarios.loader import list_scenarios
+from osc_contact.lab.sweeps.sweep import available_cores
+from osc_contact.lab.visual.browser import find_browser, write_gif, write_mp4
+from osc_contact.lab.visual.run_figures import FigureProcess
+from osc_contact.law import compiled
+
+
+class Commands(TyperGroup):
+    """All commands; errors end them with an exit code."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command of the line."""
+        with exit_codes():
+            return super().invoke(ctx)
+
+
+app = Typer(
+    cls=Commands,
+    invoke_without_command=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+for command in (
+    cli_sweeps.sweep,
+    cli_sweeps.tune,
+    cli_robots.check,
+    cli_robots.pose,
+    cli_robots.new,
+    cli_robots.commission,
+):
+    app.command()(command)
+RECORDINGS = (".npz", ".mcap")
+#: of a command whose words another program reads
+PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+
+
+def _show_version(requested: bool) -> None:
+    if requested:
+        say(f"osc-contact {__version__}")
+        raise Exit
+
+
+@app.callback()
+def main(
+    context: Context,
+    version: Annotated[
+        bool, Option("--version", callback=_show_version, is_eager=True, help="and exit")
+    ] = False,
+) -> None:
+    """Decoupled force and motion control of arms in contact."""
+    if context.invoked_subcommand is None:
+        say(FIRST_STEPS)
+    compiled.report_to(lambda text: err.print(text, style="dim", highlight=False), CompilationBar())
+    atexit.register(gc.freeze)  # or Python looks through all of numba's objects before it ends
+
+
+@app.command()
+def run(
+    scenario: ScenarioArgument,
+    plant: PlantOption = None,
+    duration: DurationOption = None,
+    out_dir: Annotated[
+        Path | None, Option("--out", help="folder for the results (default: out/SCENARIO)")
+    ] = None,
+    seed: SeedOption = 0,
+    set_: SetOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Run a scenario; write metrics.json, the recording, figures and an HTML scene."""
+    chosen = load_task(scenario, set_, plant, duration)
+    folder = out_dir or Path("out") / chosen.file_stem
+    require_report(chosen)
+    code = 0
+    beside = FigureProcess() if available_cores() > 1 else nullcontext()
+    with sole_user(folder), beside as figures:
+        try:
+            recording = run_with_progress(chosen, seed, folder)
+        except Interrupted as error:
+            recording = error.recording
+            code = 130
+            say(str(error))
+        written, failed = report_run(recording, chosen, folder, json_file, figures)
+        forget_rows(folder)
+    missing = recording.meta.get("missing", ())
+    say(*missing, f"written to {folder}: {written}")
+    if failed or missing or recording.meta.get("doubts"):
+        code = code or 1
+    raise Exit(code)
+
+
+@app.command()
+def export(
+    recording: Annotated[
+        str, Argument(help="folder of a run, its recording.npz or unfinished.mcap")
+    ],
+    file: Annotated[Path, Argument(help="to write: .npz, .csv or .mcap")],
+    folder: FolderOption = None,
+) -> None:
+    """Write a recording for other programs; recover that of a run that was killed."""
+    loaded = open_recording(recording_in(recording), folder)
+    say(*loaded.meta.get("missing", ()))
+    say(f"written: {loaded.export(file)}")
+
+
+@app.command(context_settings=PASSED_ON)
+def reproduce(context: Context) -> None:
+    """Make the paper's figures from our own data, with a report on them (needs a checkout)."""
+    load_program("paper").app(context.args, prog_name="osc-contact reproduce")
+
+
+@app.command()
+def build(
+    scenario: ScenarioArgument,
+    folder: Annotated[Path, Option("--out", help="folder for the C library")],
+    ticks: Annotated[int, Option(min=1, help="to record for the replay")] = 10_000,
+    seed: SeedOption = 0,
+    set_: SetOption = None,
+) -> None:
+    """Write the scenario's controller for C programs, with a recording to replay there."""
+    tape = build_library(build_rig(load_task(scenario, set_)), folder, ticks, seed)
+    say(f"{tape.count} ticks recorded. Build and replay: make -C {folder} && {folder}/replay")
+
+
+@app.command()
+def view(
+    what: Annotated[
+        str,
+        Argument(metavar="SCENARIO|RECORDING", help="as for `run`, an .npz file, a run's folder"),
+    ],
+    *,
+    live: Annotated[bool, Option("--live", help="in a browser, during the run")] = False,
+    html: Annotated[
+        Path | None,
+        Option(help="one file that needs no server"),
+    ] = None,
+    png: Annotated[Path | None, Option(help="a picture of the page")] = None,
+    gif: Annotated[Path | None, Option(help="a moving picture of it")] = None,
+    mp4: Annotated[Path | None, Option(help="a video of it (extra `video`)")] = None,
+    time: Annotated[
+        float | None,
+        Option(help="s: stand still there (PNG: default the middle)"),
+    ] = None,
+    hold: Annotated[
+        float | None,
+        Option(help="s: wait for a browser, stay after the end (terminal: until Ctrl-C)"),
+    ] = None,
+    plant: PlantOption = None,
+    duration: DurationOption = None,
+    seed: SeedOption = 0,
+    set_: SetOption = None,
+    folder: FolderOption = None,
+) -> None:
+    """Look at a scenario or a recording: page with a time slider (default), PNG, GIF, MP4, live."""
+    if live + sum(file is not None for file in (html, png, gif, mp4)) > 1:
+        raise InvalidInputError(
+            "give one of --live, --html FILE, --png FILE, --gif FILE and --mp4 FILE"
+        )
+    film = gif or mp4
+    if film and time is not None:
+        kind = "a GIF" if gif else "a video"
+        raise InvalidInputError(f"{kind} shows the whole recording: leave --time out")
+    if png or film:
+        find_browser()
+    if mp4:
+        require("av")
+    if film:
+        require("PIL")
+    recording = scenario = None
+    what = recording_in(what)
+    if what.endswith(RECORDINGS):
+        if set_ or plant or duration is not None:
+            raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
+        recording = open_recording(what, folder)
+        shown = shown_of(recording, Path(what), folder)
+        viewing.require_drawable(recording, shown, what)
+    else:
+        scenario = load_task(what, set_, plant, duration)
+        shown = viewing.content_of(build_rig(scenario))
+    if live:
+        show_live(shown, scenario, recording, seed, hold)
+        return
+    if scenario is not None:
+        recording = run_with_progress(scenario, seed, None)
+    assert recording is not None
+    if png:
+        written = viewing.picture(recording, shown, png, time)
+    elif film:
+        write = write_gif if gif else write_mp4
+        written = viewing.moving_picture(recording, shown, film, write)
+    else:
+        page = html or Path("out") / f"{Path(what).stem}.html"
+        written = viewing.write_scene_of(recording, shown, page, time)
+    say(f"written: {written}")
+
+
+@app.command()
+def inspect(
+    scenario: ScenarioArgument, set_: SetOption = None, json_file: JsonOption = None
+) -> None:
+    """Say in plain words what the contact state is: d, r, free motions, forces, N and T."""
+    rig = build_rig(load_task(scenario, set_))
+    doubts = require_ready(rig)
+    inspection = inspect_rig(rig)
+    say(*inspection.lines)
+    for table in report.basis_tables(inspection):
+        out.print(table)
+    if json_file:
+        report.write_json(inspection.as_dict(), json_file)
+    if doubts:
+        raise Exit(1)
+
+
+@app.command("list")
+def list_(json_file: JsonOption = None) -> None:
+    """List the packaged scenarios."""
+    scenarios = list_scenarios()
+    out.print(report.scenario_table(scenarios))
+    say("osc-contact reproduce --help lists the figures")
+    if json_file:
+        report.write_json({"scenarios": scenarios}, json_file)
+
+
+@app.command(context_settings=PASSED_ON)
+def bench(context: Context) -> None:
+    """Time the control tick, and more: `python -m benchmarks` (needs a checkout)."""
+    load_program("benchmarks").app(context.args, prog_name="osc-contact bench")
+
+
+# Where to begin: five commands, and the short programs of the docs as files.
+
+
+FIRST_STEPS = """\
+Contact forces and free motion of arms, controlled at once. Five things to do first:
+
+  osc-contact list                        the tasks that come with it
+  osc-contact inspect two_contact_rod     what its contacts transmit and permit, in words
+  osc-contact run two_contact_rod         run it: verdict, figures, a moving scene in out/
+  osc-contact new --robot panda           a first task for a robot: a YAML file that runs
+  osc-contact examples                    short Python programs to change
+
+All commands: osc-contact --help"""
+PAGES = (
+    "README.md",
+    "press_and_slide.md",
+    "two_arms.md",
+    "contact_phases.md",
+    "friction.md",
+    "own_loop.md",
+    "mujoco_arm.md",
+    "extend.md",
+)
+PROGRAM = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+HEADING = re.compile(r"^#{1,2} (.*)$", re.MULTILINE)
+
+
+@app.command()
+def examples(
+    folder: Annotated[Path, Argument(help="where to write them")] = Path("examples"),
+) -> None:
+    """Write the short programs of the docs as files, each of which runs by itself."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InvalidInputError(f"{folder} is there already: name an empty or a new folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, (name, page, code) in enumerate(programs(), start=1):
+        path = folder / f"{number:02d}_{name}.py"
+        write_whole(f"# From {page}\n\n{code}", path)
+        say(f"written: {path}")
+    say(f"run one: python {path}")
+
+
+def programs() -> Iterator[tuple[str, str, str]]:
+    """Name, page and text of every program of the pages for users."""
+    for page in PAGES:
+        text = _page(page).read_text(encoding="utf-8")
+        for found in PROGRAM.finditer(text):
+            heading = HEADING.findall(text[: found.start()])[-1]
+            yield (_slug(heading), page, found[1])
+
+
+def _page(name: str) -> Path:
+    """A page: inside the installed package, or beside it in a checkout."""
+    here = Path(__file__).resolve().parents[2]
+    places = (here / "docs" / name, here.parent / "docs" / name, here.parent / name)
+    return next((place for place in places if place.is_file()), places[0])
+
+
+def _slug(heading: str) -> str:
+    """A heading as the name of a file: its first words in plain letters."""
+    plain = unicodedata.normalize("NFKD", heading.partition(":")[0]).encode("ascii", "ignore")
+    return "_".join(re.findall(r"[a-z0-9]+", plain.decode().lower()))

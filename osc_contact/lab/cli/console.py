@@ -1,0 +1,314 @@
+"""Shared by commands: output and errors, exit codes, tasks, runs with a progress display."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from importlib.util import find_spec
+from multiprocessing import parent_process
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Literal
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+from typer import Argument, Exit, Option
+
+from osc_contact.errors import InvalidInputError, OscContactError, PlantError, missing
+from osc_contact.files import sole_user
+from osc_contact.lab.reports import report, viewing
+from osc_contact.lab.runs.run import recover, run
+from osc_contact.lab.scenarios.loader import load_scenario
+from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.lab.visual.parts import Content
+from osc_contact.lab.visual.run_figures import FigureProcess
+from osc_contact.loop.loop import Shows
+from osc_contact.recorder import Recording
+from osc_contact.recorder.events import events_beside
+from osc_contact.recorder.judged import SETTLE_S
+
+ScenarioArgument = Annotated[str, Argument(help="packaged name (see `list`) or a YAML file")]
+
+
+PlantOption = Annotated[
+    Literal["mujoco", "rigid"] | None, Option(help="instead of the scenario's own")
+]
+DurationOption = Annotated[float | None, Option(help="seconds, instead of the scenario's own")]
+SeedOption = Annotated[int, Option(min=0, help="of everything random")]
+SetOption = Annotated[
+    list[str] | None, Option("--set", help="path.to.key=value, any number of times")
+]
+FolderOption = Annotated[
+    Path | None,
+    Option(help="of the scenario's file, if its URDFs are beside it"),
+]
+JsonOption = Annotated[Path | None, Option("--json", help="also write the result as JSON")]
+
+# without markup: names of robots may hold brackets
+out = Console(width=None if sys.stdout.isatty() else 120, markup=False)
+err = Console(stderr=True, markup=False)
+WHOLE = "recording.npz"
+PARTIAL = "recording_until_failure.npz"
+UNFINISHED = "unfinished.mcap"
+
+
+def progress_bar(*columns: ProgressColumn) -> Progress:
+    """A bar below the other output, with what else its line shows.
+
+    On terminals only, and only in the process that was started there.
+    """
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        *columns,
+        console=err,
+        transient=True,
+        disable=not err.is_terminal or parent_process() is not None,
+    )
+
+
+class CompilationBar:
+    """How far the compilation of the law is, below the other output; on terminals only."""
+
+    def __init__(self) -> None:
+        self._bar: Progress | None = None
+
+    def __call__(self, share: float) -> None:
+        """Show it; take it away at 1.
+
+        Args:
+            share: of the work that is done, 0 … 1.
+        """
+        if self._bar is None and share < 1.0:
+            self._bar = progress_bar(TimeElapsedColumn())
+            self._bar.add_task("compiling", total=1.0)
+            self._bar.start()
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], completed=share)
+            if share >= 1.0:
+                self._bar.stop()
+                self._bar = None
+
+
+def say(*parts: str | Table) -> None:
+    """Print texts and tables as they are, each on a new line."""
+    for part in parts:
+        out.print(part, highlight=False, soft_wrap=isinstance(part, str))
+
+
+def require(package: str) -> None:
+    """Refuse what would fail later because a package is missing."""
+    if find_spec(package) is None:
+        raise ModuleNotFoundError(f"No module named '{package}'", name=package)
+
+
+def load_program(name: str) -> ModuleType:
+    """The `__main__` of a package that stands beside `osc_contact` in a checkout and in the sdist.
+
+    The checkout's folder is put first on Python's path, so that this process and its workers find
+    this package and no other one of the name.
+
+    Args:
+        name: of the package.
+
+    Raises:
+        InvalidInputError: there is no checkout, as where the wheel is installed.
+    """
+    root = Path(__file__).resolve().parents[3]
+    needed = (root / "pyproject.toml", root / name / "__main__.py")
+    if not all(file.is_file() for file in needed):
+        raise InvalidInputError(
+            f"this command needs the folder {name}/ of a checkout or of the source archive: unpack "
+            "one, run `pip install -e '.[all]'` in it and repeat the command there"
+        )
+    if sys.path[0] != str(root):
+        sys.path.insert(0, str(root))
+    return import_module(f"{name}.__main__")
+
+
+@contextmanager
+def exit_codes() -> Iterator[None]:
+    """0 done, 1 the run failed, 2 bad input or a missing extra; messages without a traceback."""
+    try:
+        yield
+    except (OscContactError, ImportError, OSError) as error:
+        cause = error if isinstance(error, ImportError) else error.__cause__
+        absent = missing(cause) if isinstance(cause, ImportError) else ""
+        if isinstance(error, ImportError) and not absent:
+            raise
+        words = absent or "\n".join((str(error), *getattr(error, "__notes__", ())))
+        err.print(f"error: {words}", style="red", highlight=False, soft_wrap=True)
+        failed = isinstance(error, PlantError) and not absent
+        raise Exit(1 if failed else 2) from error
+
+
+def run_with_progress(
+    scenario: Scenario, seed: int, folder: Path | None, viewer: Shows | None = None
+) -> Recording:
+    """Run, with a progress bar on a terminal.
+
+    Args:
+        scenario, seed, viewer: see `run`.
+        folder: that is there: a failed run leaves its recording in it, and any run its rows while
+            it lasts.
+    """
+    journal = None if folder is None else folder / UNFINISHED
+    with progress_bar(TextColumn("{task.completed:.1f} s"), TimeRemainingColumn()) as bar:
+        task = bar.add_task(f"{scenario.name} on {scenario.plant.type}", total=scenario.duration)
+        try:
+            return run(
+                scenario,
+                seed=seed,
+                progress=lambda t: bar.update(task, completed=t),
+                viewer=viewer,
+                journal=journal,
+            )
+        except PlantError as error:
+            if error.recording is not None and folder is not None:
+                error.recording.save(folder / PARTIAL)
+                forget_rows(folder)
+                error.add_note(f"recorded until then: {folder / PARTIAL}")
+            raise
+
+
+def forget_rows(folder: Path) -> None:
+    """Remove the rows of a run, once what they make is written."""
+    for path in (folder / UNFINISHED, events_beside(folder / UNFINISHED)):
+        path.unlink(missing_ok=True)
+
+
+def recording_in(name: str) -> str:
+    """The recording in the folder of a run; a name that is no folder as it is.
+
+    Raises:
+        InvalidInputError: no recording is in the folder.
+    """
+    folder = Path(name)
+    if not folder.is_dir():
+        return name
+    for file in (WHOLE, PARTIAL, UNFINISHED):
+        if (folder / file).is_file():
+            return str(folder / file)
+    raise InvalidInputError(
+        f"{name} is a folder without a recording: there is no {WHOLE}, {PARTIAL} or {UNFINISHED}"
+    )
+
+
+def open_recording(name: str, folder: Path | None) -> Recording:
+    """A recording, or what is left of one.
+
+    Args:
+        name: of its file. folder: of its scenario.
+    """
+    return recover(name, folder) if name.endswith(".mcap") else Recording.load(name)
+
+
+def record(scenario: Scenario, seed: int, folder: Path) -> Recording:
+    """Run, and keep nothing but the recording.
+
+    Args:
+        scenario: to run. seed: of the noise. folder: for what the run writes.
+    """
+    with sole_user(folder):
+        recording = run_with_progress(scenario, seed, folder)
+        forget_rows(folder)
+    return recording
+
+
+def report_run(
+    recording: Recording,
+    scenario: Scenario,
+    folder: Path,
+    json_file: Path | None,
+    figures: FigureProcess | None = None,
+) -> tuple[str, bool]:
+    """Write and report the results of a run: what was written, in words; whether its task failed.
+
+    Args:
+        recording, scenario: of the run. folder: for its files. json_file: for the verdict.
+        figures: see `report.write_report`.
+    """
+    if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
+        recording.save(folder / WHOLE)
+        return (f"{WHOLE}; the run was too short to be judged", False)
+    verdict = report.write_report(recording, scenario, folder, figures)
+    out.print(report.verdict_table(verdict))
+    say(*report.task_lines(verdict))
+    if json_file:
+        report.write_json(verdict, json_file)
+    return ("metrics.json, recording.npz, figures, scene.html", bool(verdict["task"]["failed"]))
+
+
+def show_live(
+    shown: Content,
+    scenario: Scenario | None,
+    recording: Recording | None,
+    seed: int,
+    hold: float | None,
+) -> None:
+    """Show a run, or a recording, live.
+
+    Args:
+        shown: what the page shows.
+        scenario: to run. recording: to show instead. seed: of its noise.
+        hold: s for which the page stays; None: until it is closed.
+    """
+    at_terminal = out.is_terminal
+    patience = stay = hold or 0.0
+    if hold is None and at_terminal:
+        patience = 15.0
+        stay = float("inf")
+    with viewing.open_viewer(shown) as viewer:
+        say(f"open {viewer.url}" + "   (Ctrl-C ends it)" * at_terminal)
+        viewing.wait_for(lambda: viewer.count_browsers() > 0, patience)
+        try:
+            if recording is not None:
+                viewing.replay(recording, viewer)
+            elif scenario is not None:
+                run_with_progress(scenario, seed, None, viewing.RealTime(viewer))
+            viewing.wait_for(lambda: viewer.error is not None, stay)
+        except KeyboardInterrupt:
+            return
+        if viewer.error is not None:
+            raise viewer.error
+
+
+def changed(
+    overrides: list[str] | None, plant: str | None = None, duration: float | None = None
+) -> list[str]:
+    """What the command line changes of a scenario.
+
+    Args:
+        overrides: KEY=VALUE. plant, duration: instead of the scenario's (duration in s).
+    """
+    given = {"plant.type": plant, "duration": duration}
+    options = [f"{key}={value}" for key, value in given.items() if value is not None]
+    return [*(overrides or ()), *options]
+
+
+def load_task(
+    name: str,
+    overrides: list[str] | None,
+    plant: str | None = None,
+    duration: float | None = None,
+) -> Scenario:
+    """A scenario with what the command line changes of it.
+
+    Args:
+        name: of the scenario, or its file. overrides, plant, duration: see `changed`.
+    """
+    return load_scenario(name, changed(overrides, plant, duration))
+
+
+def require_report(scenario: Scenario) -> None:
+    """Refuse what would fail after the run."""
+    require("matplotlib")
+    report.require_judgeable(scenario)

@@ -1,0 +1,211 @@
+"""An action term for mjlab: policies command set points of the motion and contact forces.
+
+mjlab simulates many environments on one device and has no operational-space action. Here the law
+of all environments is one call of a `BatchController` for each control period; it runs on the
+processor, so states and torques are copied from and to the device.
+
+mjlab and torch come with mjlab; nothing else in the package imports this module.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from mjlab.actuator import XmlActuatorCfg
+from mjlab.entity import EntityArticulationInfoCfg, EntityCfg
+from mjlab.managers.action_manager import ActionTerm, ActionTermCfg
+
+from osc_contact.control.batch import BatchController
+from osc_contact.control.controller import Controller
+from osc_contact.control.status import SafetyState
+from osc_contact.errors import InvalidInputError
+from osc_contact.lab.plants.mujoco import MujocoPlant
+from osc_contact.lab.rig.rig import Rig
+from osc_contact.lab.runs.run import start
+from osc_contact.settings.control import require_below_ceilings
+from osc_contact.spatial import Array, moved
+
+
+def begin(rig: Rig) -> tuple[EntityCfg, Controller]:
+    """Arms, object and surroundings of a rig as one entity, and its controller at the start.
+
+    Raises:
+        InvalidInputError: the plant of the rig is not MuJoCo, seen by ideal sensors.
+    """
+    plant, controller = start(rig)
+    if not isinstance(plant, MujocoPlant):
+        raise InvalidInputError("mjlab takes rigs with plant.type=mujoco and ideal sensors")
+    spec = plant.spec
+    joints = (name.split("/")[-1] for name in rig.chain.joint_names)
+    return (
+        EntityCfg(
+            init_state=EntityCfg.InitialStateCfg(
+                joint_pos=dict(zip(joints, rig.q_start.tolist(), strict=True))
+            ),
+            spec_fn=lambda: spec.copy(),
+            articulation=EntityArticulationInfoCfg(
+                actuators=(XmlActuatorCfg(target_names_expr=(".*",)),)
+            ),
+        ),
+        controller.with_safety(rig.scenario.control.safety),
+    )  # ceilings follow the actions
+
+
+@dataclass(kw_only=True)
+class ContactActionCfg(ActionTermCfg):  # type: ignore[misc]
+    """What `ContactAction` does.
+
+    Attributes:
+        controller: of every environment. Its period is a multiple of the physics' step and divides
+            the environment's; it may have been ticked at the start.
+        most_force: the largest of a contact (N).
+        move: the largest increments of the set point, along and about each axis (m, rad).
+        joints: the entity's names of the controller's joints; default: what follows the last "/"
+            of their names.
+        wrists: the scene's force and torque sensor of each arm; default: those of `begin`.
+        threads: that share a tick.
+    """
+
+    controller: Controller
+    most_force: float
+    move: tuple[float, float] = (2e-3, 1e-2)
+    joints: tuple[str, ...] | None = None
+    wrists: tuple[tuple[str, str], ...] | None = None
+    threads: int = 1
+
+    def build(self, env: Any) -> ContactAction:
+        """The term of an environment."""
+        return ContactAction(self, env)
+
+
+class ContactAction(ActionTerm):  # type: ignore[misc]
+    """Actions (6 + r,) from −1 to 1: increments of the set point's position and orientation in
+
+    units of `move`, world axes at the object; then each contact force, from 0 (−1) to the most (1).
+
+    Both change evenly during the action. An environment's set point begins where its object is
+    after a reset.
+
+    Attributes:
+        batch: the controllers.
+    """
+
+    cfg: ContactActionCfg
+
+    def __init__(self, cfg: ContactActionCfg, env: Any) -> None:
+        super().__init__(cfg=cfg, env=env)
+        chain = cfg.controller.chain
+        joints = cfg.joints or tuple(name.split("/")[-1] for name in chain.joint_names)
+        ids, _ = self._entity.find_joints(joints, preserve_order=True)
+        self._joints = torch.tensor(ids, device=self.device)
+        self._motors = self._joints[torch.tensor(chain.actuated, device=self.device)]
+        self._wrists = cfg.wrists or tuple(
+            (f"{cfg.entity_name}/{arm.name}/force", f"{cfg.entity_name}/{arm.name}/torque")
+            for arm in chain.arms
+        )
+        every = cfg.controller.dt / env.physics_dt
+        of_action = env.step_dt / cfg.controller.dt
+        self._every = round(every)
+        self._ticks = round(of_action)
+        if max(abs(every - self._every), abs(of_action - self._ticks)) > 1e-6 or not self._every:
+            raise InvalidInputError(
+                f"physics every {env.physics_dt:g} s, control every {cfg.controller.dt:g} s, "
+                f"actions every {env.step_dt:g} s: each must be a multiple of the one before"
+            )
+        self.batch = BatchController([cfg.controller] * self.num_envs, cfg.threads)
+        self._r = self.batch.alpha_meas.shape[1]
+        require_below_ceilings(cfg.controller.settings.safety, cfg.most_force, self._r)
+        self._raw = torch.zeros(self.num_envs, 6 + self._r, device=self.device)
+        self._target = np.tile(np.eye(4), (self.num_envs, 1, 1))
+        self._forces = np.zeros((self.num_envs, self._r))
+        self._fresh = np.ones(self.num_envs, dtype=bool)
+        self._step = 0
+        self._plan: tuple[Array, Array, Array] | None = None
+
+    @property
+    def action_dim(self) -> int:
+        """6 + r."""
+        return 6 + self._r
+
+    @property
+    def raw_action(self) -> torch.Tensor:
+        """(B, 6 + r) as given."""
+        return self._raw
+
+    @property
+    def force(self) -> torch.Tensor:
+        """(B, r) measured contact forces (N)."""
+        return self._tensor(self.batch.alpha_meas)
+
+    @property
+    def stopped(self) -> torch.Tensor:
+        """(B,) whether the controller has stopped: a termination."""
+        return torch.as_tensor(self.batch.state == SafetyState.SAFE_STOP, device=self.device)
+
+    def _tensor(self, x: Array) -> torch.Tensor:
+        return torch.as_tensor(x, dtype=torch.float32, device=self.device)
+
+    def process_actions(self, actions: torch.Tensor) -> None:
+        """Set points and forces of the control periods of one action."""
+        self._raw[:] = actions
+        given = np.clip(actions.detach().cpu().numpy().astype(float), -1.0, 1.0)
+        forces = 0.5 * (given[:, 6:] + 1.0) * self.cfg.most_force
+        self._begin(forces)
+        increment = given[:, :6] * np.repeat(self.cfg.move, 3)
+        share = np.arange(1, self._ticks + 1)[:, None, None] / self._ticks
+        X = moved(self._target, share * increment)
+        alpha = self._forces + share * (forces - self._forces)
+        self._plan = (X, increment / self._env.step_dt, alpha)
+        self._target = X[-1]
+        self._forces = forces
+        self._step = 0
+
+    def _begin(self, forces: Array) -> None:
+        """Set points of environments that were reset: where their objects are."""
+        if not self._fresh.any():  # reading joints waits for the simulation
+            return
+        chain = self.cfg.controller.chain
+        q = self._read(self._entity.data.joint_pos[:, self._joints])
+        for i in np.flatnonzero(self._fresh):
+            self._target[i] = chain.state(q[i]).X_WO.homogeneous
+            self._forces[i] = forces[i]
+
+    @staticmethod
+    def _read(x: torch.Tensor) -> Array:
+        return x.cpu().numpy().astype(float)
+
+    def apply_actions(self) -> None:
+        """The torques of this step of the physics: of a new tick, or those of the last one."""
+        assert self._plan is not None
+        tick, between = divmod(self._step, self._every)
+        self._step += 1
+        if between:
+            return
+        X, V, alpha = self._plan
+        data = self._entity.data
+        sensors = self._env.scene
+        wrenches = [torch.cat([sensors[name].data for name in pair], 1) for pair in self._wrists]
+        tau = self.batch.tick(
+            self._read(data.joint_pos[:, self._joints]),
+            self._read(data.joint_vel[:, self._joints]),
+            self._read(torch.stack(wrenches, 1)),
+            X[tick],
+            V_D=V,
+            alpha_d=alpha[tick],
+            wrench_valid=~self._fresh,  # after a reset sensors feel limp arms
+        )
+        self._fresh[:] = False
+        self._entity.set_joint_effort_target(self._tensor(tau), joint_ids=self._motors)
+
+    def reset(self, env_ids: torch.Tensor | slice | None = None) -> None:
+        """Controllers of these environments begin anew."""
+        rows = env_ids.cpu().numpy() if isinstance(env_ids, torch.Tensor) else env_ids
+        mask = np.zeros(self.num_envs, dtype=bool)
+        mask[slice(None) if rows is None else rows] = True
+        self._fresh |= mask
+        if mask.any():
+            self.batch.reset(mask)
+        self._raw[torch.as_tensor(mask, device=self.device)] = 0.0

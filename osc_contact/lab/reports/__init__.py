@@ -1,0 +1,1 @@
+"""Tables, figures and scenes of a recording."""

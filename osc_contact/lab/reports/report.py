@@ -1,0 +1,265 @@
+"""What people read: tables of the command line, and the files that a run leaves behind."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from osc_contact.errors import InvalidInputError
+from osc_contact.files import Json, write_whole
+from osc_contact.lab.checks.inspection import Inspection
+from osc_contact.lab.reports.viewing import write_scene_of
+from osc_contact.lab.rig.references import gain_in_words
+from osc_contact.lab.rig.rig import build_rig
+from osc_contact.lab.runs.verdict import metrics
+from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.lab.visual.run_figures import RECORDING, FigureProcess, draw_figures
+from osc_contact.loop.loop import latency
+from osc_contact.recorder import Recording
+from osc_contact.recorder.judged import SETTLE_S
+from osc_contact.robots import RobotSummary
+from osc_contact.robots.summary import losses_by_arm
+from osc_contact.spatial import Array
+
+MOST_PROJECTED = 0.1  #: of the total power; a larger share is explained
+
+
+def verdict_table(verdict: Json) -> Table:
+    """metrics.json of a run, for people."""
+    title = (
+        f"{verdict['scenario']} on {verdict['plant']}, {verdict['duration_s']:g} s, "
+        f"{verdict['real_time_factor']:.2f} × real time"
+    )
+    table = Table("quantity", "value", title=title)
+    for name, force in verdict["force"].items():
+        table.add_row(
+            f"force {name}",
+            f"rms {_percent(force['rms_error_rel'])}, peak {_percent(force['peak_error_rel'])} "
+            f"of {force['mean_command_N'] or 0.0:.2f} N; sensed within "
+            f"{_percent(force['sensing_rms_rel'])}; closed "
+            f"{100 * verdict['contact_fraction'][_owner(name)]:.2f} %",
+        )
+    for contact, first in verdict["first_contact_s"].items():
+        words = "never" if first is None else _first(first, contact, verdict["steps"])
+        table.add_row(f"first contact {contact}", words)
+    for row in _steps(verdict["steps"]):
+        table.add_row(*row)
+    motion = verdict["motion"]
+    power = verdict["power"]
+    tick = verdict["tick_us"]
+    if motion["rms_error_m"] is not None:
+        table.add_row(
+            "free motion",
+            f"rms {1e3 * motion['rms_error_m']:.4f} mm, {1e3 * motion['rms_error_rad']:.4f} mrad",
+        )
+    if power["total_rms_W"] is not None:
+        table.add_row(
+            "power",
+            f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W"
+            + _share(power["ratio"]),
+        )
+    for arm, words in losses_by_arm(verdict["joint_losses"]):
+        table.add_row(f"joints {arm}, in the model", words)
+    for arm, words in losses_by_arm(verdict["learned_friction"]):
+        table.add_row(f"joints {arm}, learned", words)
+    for name, std in verdict["normals"].items():
+        if std is not None:
+            table.add_row(f"normal of {name}", f"known to {np.rad2deg(std):.2g} deg")
+    least = max(filter(None, verdict["normals"].values()), default=0.0)
+    if words := gain_in_words(verdict["force_per_normal"], least):
+        table.add_row("", words)
+    table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
+    if verdict.get("loop"):
+        table.add_row("measurement to torques", latency(verdict["loop"]))
+    table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
+    if verdict["at_limit"]:
+        motors = ", ".join(f"{joint} {n}" for joint, n in verdict["at_limit"])
+        table.add_row("ticks at a motor limit", motors)
+    return table
+
+
+def task_lines(verdict: Json) -> Iterator[str]:
+    """How the task went, in a word, and why."""
+    task = verdict["task"]
+    yield f"verdict: {task['word']}" + (", the task failed" if task["failed"] else "")
+    yield from (f"  {why}" for why in task["why"])
+
+
+def _first(t: float, contact: str, steps: Sequence[Json]) -> str:
+    """When a contact closed and how far its forces overshot."""
+    own = [s for s in steps if s["what"] == "first contact" and _owner(s["force"]) == contact]
+    return f"at {t:.3f} s" + "".join(f"; {_over(s)}" for s in own)
+
+
+def _steps(steps: Sequence[Json], most: int = 3) -> Iterator[tuple[str, str]]:
+    """Rows of the steps of a force: all of them, or of many the worst."""
+    by_force: dict[str, list[Json]] = {}
+    for step in steps:
+        if step["what"] == "step":
+            by_force.setdefault(step["force"], []).append(step)
+    for name, some in by_force.items():
+        label = f"step {name}"
+        if len(some) > most:
+            label = f"worst of {len(some)} steps {name}"
+            some = [max(some, key=lambda s: s["overshoot_rel"])]
+        for s in some:
+            change = f"at {s['t_s']:.3f} s from {s['from_N']:.3g} N to {s['to_N']:.3g} N"
+            yield label, f"{change}; {_over(s)}"
+
+
+def _share(ratio: float | None) -> str:
+    """The ratio of powers, and its cause where it is large."""
+    if ratio is None:
+        return ""
+    if ratio <= MOST_PROJECTED:
+        return f", ratio {_percent(ratio)}"
+    return (
+        f"; the projected part (ratio {_percent(ratio)}) is power into the contacts: "
+        "they yielded, or the object hardly moved along them"
+    )
+
+
+def _over(step: Json) -> str:
+    if not step["overshoot_N"]:
+        return "no overshoot"
+    return (
+        f"reaches {step['peak_N']:.3g} N of {step['commanded_N']:.3g} N, "
+        f"overshoot {_percent(step['overshoot_rel'])}"
+    )
+
+
+def _owner(force: str) -> str:
+    return force.partition(".")[0]
+
+
+def basis_tables(inspection: Inspection) -> Iterator[Table]:
+    """N with a column for each contact, T with a column for each motion."""
+    where = "(at the object's origin, world axes)"
+    yield _basis(
+        f"N: forces the contacts transmit {where}",
+        inspection.N,
+        inspection.contacts,
+        ("force {}", "moment {} (m)"),
+    )
+    names = [f"t{i + 1}" for i in range(inspection.T.shape[1])]
+    largest = np.abs(inspection.T).max(axis=0, initial=1e-300)
+    yield _basis(
+        f"T: motions they permit {where}",
+        inspection.T / largest,
+        names,
+        ("linear {} (m/s)", "angular {} (rad/s)"),
+    )
+
+
+def scenario_table(scenarios: Mapping[str, str]) -> Table:
+    """Names and descriptions of the packaged scenarios."""
+    table = Table("scenario", "what it is", title="osc-contact run SCENARIO")
+    for name, words in scenarios.items():
+        table.add_row(name, words.strip())
+    return table
+
+
+def robot_tables(robot: RobotSummary) -> Iterator[Table]:
+    """The joints, and what the tips can do."""
+    joints = Table(
+        "joint",
+        "type",
+        "positions",
+        "effort",
+        "velocity",
+        "moves (kg)",
+        title=f"{robot.name}: joints",
+    )
+    for joint in robot.joints:
+        angle, effort, speed = (
+            ("m", "N", "m/s") if joint.kind == "prismatic" else ("rad", "N m", "rad/s")
+        )
+        joints.add_row(
+            joint.name,
+            joint.kind,
+            f"{_range(joint.lower, joint.upper)} {angle}",
+            f"{joint.effort:g} {effort}",
+            f"{joint.velocity:g} {speed}",
+            f"{joint.moved_mass:.4g}",
+        )
+    if robot.joints:
+        yield joints
+    tips = Table(
+        "tip",
+        "joints",
+        "apparent mass (kg)",
+        "apparent inertia (kg m²)",
+        "mobility σ₁, σ₂, … (unit-free)",
+        title="reachable at the tips",
+    )
+    for tip in robot.tips:
+        sigma = ", ".join(_range(low, high, 2) for low, high in tip.mobility)
+        tips.add_row(
+            tip.tip,
+            str(tip.joints),
+            _range(*tip.mass, 3),
+            _range(*tip.inertia, 3),
+            sigma or "the tip's body is no solid",
+        )
+    if robot.tips:
+        yield tips
+
+
+def _range(low: float, high: float, digits: int = 4) -> str:
+    words = (f"{value:.{digits}g}".replace("inf", "∞") for value in (low, high))
+    return " … ".join(words)
+
+
+def _basis(title: str, basis: Array, names: Sequence[str], kinds: Sequence[str]) -> Table:
+    """Rows of both kinds, {} their axis."""
+    table = Table("", *names, title=title)
+    for i, row in enumerate(basis):
+        label = kinds[i // 3].format("xyz"[i % 3])
+        table.add_row(label, *(f"{round(float(value), 4) + 0.0:.4f}" for value in row))
+    return table
+
+
+def _percent(ratio: float | None) -> str:
+    return "–" if ratio is None else f"{100 * ratio:.3g} %"
+
+
+def require_judgeable(scenario: Scenario) -> None:
+    """Refuse, before it runs, a run that would end before it can be judged.
+
+    Raises:
+        InvalidInputError: with the time from which runs are judged.
+    """
+    if scenario.duration <= SETTLE_S:
+        raise InvalidInputError(
+            f"duration {scenario.duration:g} s: a run is judged from t = {SETTLE_S:g} s on; "
+            "run it longer"
+        )
+
+
+def write_report(
+    recording: Recording, scenario: Scenario, folder: Path, figures: FigureProcess | None = None
+) -> Json:
+    """Write metrics.json, recording.npz, the figures and scene.html; returns the metrics.
+
+    Args:
+        recording: of the run. scenario: that was run. folder: for the files.
+        figures: draws them meanwhile; None: this process draws them.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    recording.save(folder / RECORDING)
+    if figures is not None:
+        figures.begin(folder)
+    verdict = metrics(recording)
+    write_json(verdict, folder / "metrics.json")
+    write_scene_of(recording, build_rig(scenario), folder / "scene.html")
+    if figures is None or not figures.finish():
+        draw_figures(recording, folder)
+    return verdict
+
+
+def write_json(data: Any, path: Path) -> None:
+    """Write JSON, a file that appears complete or not at all."""
+    write_whole(json.dumps(data, indent=2) + "\n", path)

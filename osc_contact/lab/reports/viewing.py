@@ -1,0 +1,248 @@
+"""Scenes of scenarios and recordings, live, replayed, as pictures."""
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact import robots
+from osc_contact.contacts.feet import force_owners
+from osc_contact.errors import InvalidInputError, RecordingError
+from osc_contact.files import StrPath
+from osc_contact.lab.plants.own_mujoco import MujocoRobot
+from osc_contact.lab.rig.rig import Rig, build_rig
+from osc_contact.lab.runs.run import scenario_of
+from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.lab.visual.browser import write_png
+from osc_contact.lab.visual.live import CHANNELS, Viewer
+from osc_contact.lab.visual.parts import Content, Visual
+from osc_contact.lab.visual.run_figures import DRAWN
+from osc_contact.lab.visual.scene import Scene, write_scene
+from osc_contact.recorder import Recording
+
+_LARGEST = 1e9  #: m, rad, N, W; no run comes near it
+
+
+def content_of(what: Rig | MujocoRobot | Content) -> Content:
+    """What pictures of a scenario's rig show, or of a robot in a MuJoCo scene."""
+    if isinstance(what, Rig):
+        return _content_of_rig(what)
+    if isinstance(what, Content):
+        return what
+    pairs = what.contacts
+    contacts = [pair.name for pair in pairs], force_owners(pairs).tolist()
+    return _of_picture(what.picture(), what.chain.arms[0].name, contacts, what.chain.nq)
+
+
+def content_of_recording(recording: Recording) -> Content:
+    """What pictures of a recording show that carries a picture.
+
+    Raises:
+        RecordingError: that is damaged, or there is no first tick.
+    """
+    meta = recording.meta
+    try:
+        name = meta["arm_names"][0]
+        joints = len(meta["joint_names"])
+        contacts = meta["contact_names"], meta["columns"]
+        content = _of_picture(meta["picture"], name, contacts, joints)
+        Scene(content, {})  # refused where it is damaged
+    except (KeyError, TypeError, IndexError, ValueError, InvalidInputError) as error:
+        raise RecordingError(f"its picture cannot be drawn: {error}") from error
+    return content
+
+
+def _of_picture(
+    picture: Any, name: str, contacts: tuple[Sequence[str], Sequence[int]], joints: int
+) -> Content:
+    arm = Visual(name, picture, (), pin.SE3.Identity(), slice(0, joints))
+    return Content(name.replace("_", " "), [arm], [], *contacts, joints=joints)
+
+
+def shown_of(recording: Recording, path: Path, folder: StrPath | None = None) -> Content:
+    """What a recording is of: the picture that it carries, or its scenario.
+
+    Args:
+        recording, path: as read, and its file. folder: as of `scenario_of`.
+
+    Raises:
+        RecordingError: it holds neither, see `scenario_of`.
+    """
+    if "picture" in recording.meta:
+        return content_of_recording(recording)
+    return content_of(build_rig(scenario_of(recording.meta, path, folder)))
+
+
+def write_scene_of(
+    recording: Recording, rig: Rig | Content, path: Path, still: float | None = None
+) -> Path:
+    """The moving scene of a run as one HTML file that needs no server.
+
+    Args:
+        recording: of a run of this rig.
+        rig: what is shown.
+        path: the page to write.
+        still: s; the page opens standing still at that time instead of playing.
+    """
+    return write_scene(recording.thinned(DRAWN), content_of(rig), path, still=still)
+
+
+def require_drawable(recording: Recording, shown: Content, source: str) -> None:
+    """Refuse a recording that runs of this rig cannot have left; channels may be missing.
+
+    Args:
+        recording: read from a file. shown: what it is of. source: the file.
+
+    Raises:
+        RecordingError: other contacts, channels of other shapes, times that do not grow, numbers
+            too large to be drawn. NaN is a number that is not known, as of a tick that was held.
+    """
+    names = list(shown.contacts)
+    owners = list(shown.columns)
+    for key, of_rig in (("contact_names", names), ("columns", owners)):
+        if recording.meta.get(key, of_rig) != of_rig:
+            raise RecordingError(
+                f"{source}: its {key} are {recording.meta[key]!r}; runs of {shown.title} "
+                f"have {of_rig!r}"
+            )
+    sizes = {"joints": shown.joints, "contacts": len(names), "forces": len(owners)}
+    recording = recording.thinned(DRAWN)
+    for name, sides in CHANNELS.items():
+        shape = tuple(side if isinstance(side, int) else sizes[side] for side in sides)
+        if name not in recording and name != "t":
+            continue
+        values = np.asarray(recording[name], dtype=float)
+        if values.shape[1:] != shape:
+            raise RecordingError(
+                f"{source}: channel {name!r} has shape {values.shape[1:]} at a tick; runs of "
+                f"{shown.title} have {shape}"
+            )
+        if np.abs(values).max(initial=0.0, where=~np.isnan(values)) > _LARGEST:
+            raise RecordingError(f"{source}: channel {name!r} holds numbers above {_LARGEST:g}")
+    t = np.asarray(recording["t"], dtype=float)
+    if not (np.isfinite(t).all() and (np.diff(t) > 0.0).all()):
+        raise RecordingError(f"{source}: channel 't' does not grow from tick to tick")
+
+
+def _content_of_rig(rig: Rig) -> Content:
+    scenario = rig.scenario
+    source = scenario.folder
+    arms = [
+        Visual(
+            arm.name, *robots.resolve_urdf(spec.urdf, source), arm.base, part, arm.locked, arm.tip
+        )
+        for spec, arm, part in zip(scenario.arms, rig.chain.arms, rig.chain.slices, strict=True)
+    ]
+    bodies = [Visual("object", *robots.resolve_urdf(scenario.object.urdf, source), None)]
+    for body in rig.bodies:
+        bodies.append(Visual(body.name, *body.urdf, body.placement, face=body.contacts[0]))
+    return Content(
+        scenario.name.replace("_", " "),
+        arms,
+        bodies,
+        tuple(pair.name for pair in rig.pairs),
+        tuple(rig.owners.tolist()),
+        rig.chain.nq,
+    )
+
+
+def open_viewer(what: Scenario | MujocoRobot | Content, rate: float = 30.0) -> Viewer:
+    """Open a live view of runs, for ``run(scenario, viewer=...)`` or ``run_loop(...)``.
+
+    Args:
+        what: will be run: a scenario, or a robot in a MuJoCo scene.
+        rate: pictures per second at most, 1 … 60.
+
+    Returns:
+        The viewer; its `url` opens in a browser on this machine, `close` ends it.
+
+    Raises:
+        ViewerError: the page's server does not start.
+    """
+    content = content_of(build_rig(what) if isinstance(what, Scenario) else what)
+    return Viewer(content, rate)
+
+
+class RealTime:
+    """A viewer for watching: passes ticks on, and holds up whatever runs faster than real time."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self.viewer = viewer
+        self.begin: float | None = None
+
+    def show(self, tick: Mapping[str, Any]) -> None:
+        """Pass the tick on, then wait until its time has come."""
+        self.viewer.show(tick)
+        t = float(tick["t"])
+        if self.begin is None:
+            self.begin = monotonic() - t
+        sleep(max(0.0, self.begin + t - monotonic()))
+
+
+def replay(recording: Recording, viewer: Viewer) -> None:
+    """Show a recording in real time, until its end or the viewer's."""
+    clock = RealTime(viewer)
+    for tick in range(len(recording)):
+        if viewer.error is not None:
+            return
+        clock.show(recording.at(tick))
+
+
+def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
+    """Look ten times per second whether the condition has come true; False after `seconds`."""
+    end = monotonic() + seconds
+    while not condition():
+        if monotonic() >= end:
+            return False
+        sleep(0.1)
+    return True
+
+
+def picture(recording: Recording, rig: Rig | Content, path: Path, time: float | None) -> Path:
+    """A PNG of the recording's page at a time (s), default the middle.
+
+    Args:
+        recording: to draw. rig: it was made on. path: of the PNG. time: s.
+
+    Raises:
+        ViewerError: there is no browser to render it.
+        InvalidInputError: the time is not in the recording.
+    """
+    t = recording["t"]
+    moment = 0.5 * float(t[0] + t[-1]) if time is None else time
+    if not t[0] <= moment <= t[-1] + 1e-3:
+        raise InvalidInputError(
+            f"time {moment:g} s is not in the recording, which spans {t[0]:g} to {t[-1]:g} s"
+        )
+    with _page(recording, rig) as page:
+        return write_png(page, path, moment)
+
+
+def moving_picture(
+    recording: Recording, rig: Rig | Content, path: Path, write: Callable[..., Path]
+) -> Path:
+    """The whole recording, moving.
+
+    Args:
+        recording: what is shown.
+        rig: the parts of its scenario.
+        path: to write.
+        write: write_gif or write_mp4.
+
+    Raises:
+        ViewerError: there is no browser to render it.
+    """
+    t = recording["t"]
+    with _page(recording, rig) as page:
+        return write(page, path, float(t[0]), float(t[-1]))
+
+
+@contextmanager
+def _page(recording: Recording, rig: Rig | Content) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
+        yield write_scene_of(recording, rig, Path(folder) / "scene.html")

@@ -1,0 +1,1 @@
+"""A scenario as objects: arms, faces, references, sensors, plant and controller."""

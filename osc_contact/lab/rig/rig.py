@@ -1,0 +1,536 @@
+"""From a scenario to the parts of a run: true chain, controller's chain, contacts, plant, start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from hashlib import sha256
+from math import sqrt
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact import robots
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.feet import contact_at, feet, force_owners
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.control.controller import Controller
+from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.assembly import close, object_pose, outside_limits, reach
+from osc_contact.dynamics.chain_state import ChainState, RigidObject
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.grasp import GRASPS, Grasp
+from osc_contact.errors import ModelError, ScenarioError
+from osc_contact.interface import Measurement, Robot
+from osc_contact.lab.plants.faces import Faces
+from osc_contact.lab.plants.joint_drives import FlexibleJoints
+from osc_contact.lab.plants.mujoco import MujocoPlant
+from osc_contact.lab.plants.rigid import RigidPlant
+from osc_contact.lab.plants.sensors import SensedPlant
+from osc_contact.lab.rig import hardware
+from osc_contact.lab.rig.contacts import (
+    EnvironmentBody,
+    build_pairs,
+    environment_bodies,
+    known_bodies,
+    misplaced,
+    pose_of,
+    rails,
+    require_own_pairs,
+    tracked,
+    urdf_of,
+)
+from osc_contact.lab.rig.references import References, force_names, least_motion, showing_twist
+from osc_contact.lab.scenarios.bodies import CartSpec, GraspSpec
+from osc_contact.lab.scenarios.hardware import PLANT_TYPES
+from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.loop.judge import Plant
+from osc_contact.loop.recorder import Subject
+from osc_contact.response import require_reachable
+from osc_contact.settings.control import (
+    Gains,
+    JointFriction,
+    ModelErrorSpec,
+    PhaseSettings,
+    SafetySettings,
+)
+from osc_contact.spatial import Array
+
+FAR_M = 0.02  #: a contact further from what it touches is named where the start is not found
+
+
+def posture_of(scenario: Scenario, chain: ClosedChain) -> Array:
+    """(n,) the postures of all arms.
+
+    Raises:
+        ScenarioError: not one number for each joint on the way to a tip.
+    """
+    q = np.concatenate([arm.posture for arm in scenario.arms])
+    if len(q) != chain.nq:
+        counts = ", ".join(f"{arm.name} {arm.model.nv}" for arm in chain.arms)
+        raise ScenarioError(
+            f"posture: {len(q)} joint positions given; on the way to their tips the arms "
+            f"have: {counts}"
+        )
+    return q
+
+
+def given_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE3:
+    """`object.pose`, or where the posture puts what the first arm with a rigid grasp holds.
+
+    Args:
+        scenario: with or without `object.pose`.
+        chain: arms and grasps.
+        posture: (n,) joint positions (m, rad).
+
+    Raises:
+        ModelError: it is left out, and the joints do not determine the pose.
+    """
+    given = scenario.object.pose
+    return object_pose(chain, posture) if given is None else pose_of(given)
+
+
+def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: pin.SE3) -> Array:
+    """(n,) joint positions near q that put the object onto its contacts, from near X_WO.
+
+    Args:
+        chain: arms and grasps.
+        pairs: that shall be in contact.
+        q: (n,) joint positions to begin from (m, rad).
+        X_WO: pose of the object to begin from.
+
+    Raises:
+        ModelError: arms, grasps and contacts cannot be met together. ScenarioError: only outside
+            the joints' limits. Both name the contact that is furthest away.
+    """
+
+    faces = Faces(None, None, len(pairs))  # at rest
+
+    q_near = reach(chain, q, X_WO)
+    try:
+        q_contact = close(chain, q_near, partial(faces.gaps, pairs))
+        if found := outside_limits(chain, q_contact):
+            raise ScenarioError(
+                f"the contacts touch where {found[0]}; move object, faces or base, or change the "
+                "posture"
+            )
+    except (ModelError, ScenarioError) as error:
+        raise type(error)(f"{error}{_away(pairs, X_WO)}") from error
+    return q_contact
+
+
+def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
+    """Which contact is furthest from its face at the given pose, in words."""
+    gaps = [(np.abs(pair.gaps(X_WO)).max(initial=0.0), pair.name) for pair in pairs]
+    gap, name = max(gaps, default=(0.0, ""))
+    if gap < FAR_M:
+        return ""
+    return (
+        f". At object.pose contact '{name}' is {1e3 * gap:.0f} mm away from what it touches: "
+        "move that to the object, or object.pose and posture to it"
+    )
+
+
+MakesChain = Callable[[Scenario, ModelErrorSpec], ClosedChain]  #: such as `build_chain`
+TARE_INTEGRAL_S = 0.2  #: integral_time of the motion where there is a tare
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Everything one run needs.
+
+    Attributes:
+        scenario: as loaded.
+        chain: the true arms and object. model: the controller's idea of them.
+        pairs: the contacts. bodies: what they are on.
+        q_contact: (n,) joint positions with loops closed and contacts touching.
+        q_start: (n,) where the run starts: the same, or off the contacts if it begins with a tare.
+        references: of the run.
+        X_given: the pose of the object that the scenario gives.
+        state: the true chain at rest in contact.
+
+    Example:
+        >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+        >>> robot, controller = rig.plant(), rig.controller()
+        >>> tau = controller.tick(robot.measure(), rig.references.at(0.0))
+    """
+
+    scenario: Scenario
+    chain: ClosedChain
+    model: ClosedChain
+    pairs: tuple[ContactPair, ...]
+    bodies: tuple[EnvironmentBody, ...]
+    q_contact: Array
+    q_start: Array
+    references: References
+    X_given: pin.SE3
+    state: ChainState
+
+    def with_error(self, scenario: Scenario, chains: MakesChain) -> Rig:
+        """The same robot at the same task; the controller's model has other things wrong.
+
+        Args:
+            scenario: differs in `model_error`, but for `hidden_mass`, and `verdict` only.
+            chains: makes the chains, see `build_rig`.
+        """
+        return replace(self, scenario=scenario, model=_model(scenario, self.chain, chains))
+
+    def plant(self, seed: int = 0) -> Plant:
+        """The plant the scenario names, at its start, seen through its sensors.
+
+        Args:
+            seed: of everything random in sensors and motors.
+
+        Raises:
+            ScenarioError: a tare on an exact plant, whose contacts cannot open.
+        """
+        scenario = self.scenario
+        kind = scenario.plant.type
+        if scenario.plant.exact and scenario.tare is not None:
+            raise ScenarioError(
+                f"a tare needs contacts that open; the {kind} plant's are bilateral. "
+                "Use plant.type=mujoco, or set tare: null"
+            )
+        plant = PLANTS[kind](self, seed)
+        plant.reset(self.q_start)
+        if scenario.sensors.ideal:
+            return plant
+        sensors = hardware.sensors(scenario.sensors, self.chain, self.placements)
+        return SensedPlant(plant, sensors, seed)
+
+    def at_start(self, read: Measurement) -> Measurement:
+        """What ideal encoders and trackers would have read at the start, where all is at rest."""
+        if read.touched is not None:
+            still = np.zeros_like(read.touched.V_E)
+            read = replace(read, touched=replace(read.touched, V_E=still))
+        return replace(read, q=self.q_start, v=np.zeros(self.chain.nq))
+
+    def file_hashes(self) -> dict[str, str]:
+        """SHA-256 of the URDFs of arms, object and surroundings, by what they are of."""
+        scenario = self.scenario
+        files = {f"arms.{arm.name}": urdf_of(scenario, arm) for arm in scenario.arms}
+        files["object"] = urdf_of(scenario, scenario.object)
+        files |= {f"environment.{body.name}": body.urdf[0] for body in self.bodies}
+        return {name: sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+
+    def robot(self, plant: Plant, controller: Controller) -> Robot:
+        """The plant as the control loop meets it: behind the joint torque loop, if any, and what
+        estimates the velocities that its sensors do not give."""
+        robot: Robot = plant
+        loop = hardware.torque_loop(self.scenario, self.chain, self.springs)
+        if loop is not None:
+            robot = hardware.TorqueLoopRobot(plant, loop)
+        if not self.scenario.sensors.ideal:
+            robot = hardware.ObservedRobot(robot, controller, self.scenario, self.placements)
+        return robot
+
+    @cached_property
+    def springs(self) -> FlexibleJoints | None:
+        """Of the joints; a `ScenarioError` where they cannot be."""
+        return hardware.flexible_joints(self.scenario, self.chain, self.state)
+
+    def subject(self, controller: Controller) -> Subject:
+        """What a recording of this rig is of."""
+        return Subject(controller, self.pairs, self.placements, self.owners)
+
+    @property
+    def gains(self) -> Gains:
+        """Those of the scenario, as the controller takes them.
+
+        Off the contacts nothing but the motion integral holds what the model takes wrongly for
+        weight, so a tare brings one unless the scenario gives the law's own gains.
+        """
+        gains = self.scenario.gains
+        given = gains.motion.model_fields_set
+        if self.scenario.tare is None or {"stiffness", "integral_time"} & given:
+            return gains
+        return gains.replaced(motion=gains.motion.replaced(integral_time=TARE_INTEGRAL_S))
+
+    @property
+    def joint_friction(self) -> JointFriction | None:
+        """As the controller takes it: beside a tare wrong masses are compensated, too."""
+        friction = self.scenario.control.joint_friction
+        if friction is None or friction.errors is not None:
+            return friction
+        return friction.replaced(errors=self.scenario.tare is not None)
+
+    def controller(self) -> Controller:
+        """The controller with the scenario's gains, made of `model` alone.
+
+        Where the scenario has a `tare` it begins without its contacts, as `osc.run` does: a loop of
+        your own averages `residual_wrench()` into `f_tare`, and calls `engage()`.
+        """
+        scenario = self.scenario
+        control = scenario.control
+        return Controller(
+            self.model,
+            self.controlled_pairs(),
+            self.gains,
+            dt=1.0 / control.rate,
+            B=control.metric,
+            bodies=known_bodies(self.bodies, len(self.pairs), scenario.model_error.environment),
+            posture=self.q_contact,
+            engaged=scenario.tare is None,
+            friction=control.friction,
+            reading=control.force.reading,
+            life=self.life,
+            safety=self.safety,
+            laws=scenario.laws() if callable(scenario.laws) else scenario.laws,
+            joint_friction=self.joint_friction or False,
+        )
+
+    @cached_property
+    def safety(self) -> SafetySettings:
+        """As the controller takes them: ceilings not given follow from the scenario's commands."""
+        return self.scenario.control.safety.for_commands(*self.references.largest_commands)
+
+    @property
+    def life(self) -> PhaseSettings | None:
+        """How contacts are made and kept; None: they do not open, or cannot on an exact plant."""
+        return None if self.scenario.plant.exact else self.scenario.control.life
+
+    def controlled_pairs(self) -> tuple[ContactPair, ...]:
+        """The controller's contacts: as declared, or read off the geometry while it moves."""
+        if self.scenario.control.contacts == "declared":
+            return misplaced(self.scenario, self.pairs, self.bodies, self.state.X_WO)
+        return tracked(self.pairs, urdf_of(self.scenario, self.scenario.object), self.bodies)
+
+    @cached_property
+    def on(self) -> tuple[int, ...]:
+        """The body of each contact, a number of `bodies`."""
+        of = {i: k for k, body in enumerate(self.bodies) for i in body.contacts}
+        return tuple(of[i] for i in range(len(self.pairs)))
+
+    @cached_property
+    def placements(self) -> Array:
+        """(contacts, 4, 4) X_WB at the start, of the body of each contact."""
+        return np.reshape([self.bodies[i].placement.homogeneous for i in self.on], (-1, 4, 4))
+
+    @cached_property
+    def owners(self) -> Array:
+        """(r,) the contact of each force magnitude."""
+        return force_owners(self.pairs)
+
+    @property
+    def force_names(self) -> list[str]:
+        """Names of the force magnitudes: ``tip``, ``pad.1``, ``pad.2``, …"""
+        return force_names(self.scenario)
+
+    @cached_property
+    def contact(self) -> Contact:
+        """The contact state where the chain is at rest in contact."""
+        return contact_at(self.pairs, self.state.X_WO)
+
+
+MakesPlant = Callable[[Rig, int], Plant]
+#: Every registered plant by its name in scenarios: makes it of a rig and a seed.
+PLANTS: dict[str, MakesPlant] = {}
+
+
+def register_plant(name: str, *, exact: bool = False) -> Callable[[MakesPlant], MakesPlant]:
+    """Function decorator: enter a plant in the register, for `plant.type` of scenarios.
+
+    The function makes it of a `Rig` and the seed of everything random.
+
+    Args:
+        name: in scenarios.
+        exact: its joints are ideal and its contacts neither open nor end: then no tare, motor
+            error, push or edge of a face.
+    """
+
+    def enter(make: MakesPlant) -> MakesPlant:
+        PLANTS[name] = make
+        PLANT_TYPES[name] = exact
+        return make
+
+    return enter
+
+
+@register_plant("rigid", exact=True)
+def _rigid(rig: Rig, seed: int) -> Plant:
+    return RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step, rails(rig.bodies), rig.on)
+
+
+@register_plant("mujoco")
+def _mujoco(rig: Rig, seed: int) -> Plant:
+    scenario = rig.scenario
+    return MujocoPlant(
+        rig.chain,
+        [urdf_of(scenario, arm) for arm in scenario.arms],
+        urdf_of(scenario, scenario.object),
+        rig.pairs,
+        [(body.urdf[0], body.placement) for body in rig.bodies],
+        options=scenario.plant,
+        rails=rails(rig.bodies),
+        on=rig.on,
+        drives=hardware.drives(scenario, rig.chain, rig.springs, seed),
+    )
+
+
+def build_rig(scenario: Scenario, chains: MakesChain | None = None) -> Rig:
+    """Load the parts, close the loops, put the object onto the faces.
+
+    Args:
+        scenario: from `load_scenario`.
+        chains: makes the chains in place of `build_chain`, such as one that keeps them.
+
+    Raises:
+        ScenarioError, ModelError, ContactError: with what does not fit together.
+    """
+    make = chains or build_chain
+    chain = make(scenario, _true(scenario.model_error))
+    model = _model(scenario, chain, make)
+    pairs = build_pairs(scenario)
+    posture = posture_of(scenario, chain)
+    X_given = given_pose(scenario, chain, posture)
+    require_own_pairs(scenario, X_given)
+    q_contact = touching(chain, pairs, posture, X_given)
+    state = chain.state(q_contact)
+    contact = contact_at(pairs, state.X_WO)
+    require_reachable(state, contact)
+    tare = scenario.tare
+    standoff = np.zeros(6)
+    if tare is not None:  # gaps open against N
+        standoff = least_motion(state, contact.N, np.full(contact.r, -tare.standoff))
+    showing = showing_twist(pairs, state, contact.N)
+    references = References.of(scenario, state.X_WO, pairs, standoff, showing)
+    q_start = q_contact
+    if tare is not None:
+        q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
+    bodies = environment_bodies(scenario)
+    return Rig(
+        scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_given, state
+    )
+
+
+def _true(error: ModelErrorSpec) -> ModelErrorSpec:
+    """The hidden mass of a model error."""
+    return ModelErrorSpec(hidden_mass=error.hidden_mass)
+
+
+def _model(scenario: Scenario, chain: ClosedChain, make: MakesChain) -> ClosedChain:
+    """The controller's idea of arms and object: the true chain where nothing of it is wrong.
+
+    Args:
+        scenario: with its `model_error`. chain: the true one. make: see `build_rig`.
+    """
+    error = scenario.model_error
+    keys = ("arm_mass", "object_mass", "joint_friction", "armature")
+    modelled = ModelErrorSpec(**{key: getattr(error, key) for key in keys})
+    return chain if modelled == _true(error) else make(scenario, modelled)
+
+
+def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> ClosedChain:
+    """Arms and object of a scenario; masses, friction and rotors times the factors of an error.
+
+    Args:
+        scenario: with arms, grasps and object. error: with the factors, and a hidden mass.
+    """
+    error = error or ModelErrorSpec()
+    arms = [
+        Arm.from_urdf(
+            urdf_of(scenario, spec),
+            name=spec.name,
+            tip=spec.tip,
+            base=pose_of(spec.base),
+            passive_joints=spec.passive_joints,
+            locked=spec.locked_joints,
+            wrist_sensor=spec.wrist_sensor,
+            mass_factor=error.arm_mass,
+            effort_factor=spec.effort_factor,
+            armature=_per_joint(spec.armature),
+            damping=_per_joint(spec.damping),
+            friction=_per_joint(spec.friction),
+            friction_factor=error.joint_friction,
+        )
+        for spec in scenario.arms
+    ]
+    for arm in arms:
+        arm.model.armature = error.armature * arm.model.armature
+        arm.model.rotorInertia = error.armature * arm.model.rotorInertia
+    body = RigidObject(robots.load_body(urdf_of(scenario, scenario.object)))
+    grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
+    held = body.scaled(error.object_mass)
+    if error.hidden_mass > 0.0:  # a point
+        at_grasp = grasps[0].X_TO.inverse().translation
+        point = pin.Inertia(error.hidden_mass, at_grasp, np.zeros((3, 3)))
+        held = RigidObject(held.inertia + point)
+    return ClosedChain(arms, grasps, held)
+
+
+def _per_joint(given: Sequence[float] | None) -> float | Sequence[float] | None:
+    """A list of one stands for all joints."""
+    return given[0] if given is not None and len(given) == 1 else given
+
+
+def _grasp(spec: GraspSpec) -> Grasp:
+    axis = () if spec.axis is None else (spec.axis,)
+    return GRASPS[spec.type].make(pose_of(spec), *axis)
+
+
+# How hard contacts are met: the peak of the force that a landing is expected to have.
+
+
+@dataclass(frozen=True)
+class Landing:
+    """One force of a contact that is approached.
+
+    Attributes:
+        name: of the force. speed: v_a of the approach (m/s).
+        mass: behind the contact along its normal, 1 / NᵀΦ₀N (kg).
+        stiffness: of contact and face in series (N/m). command: the largest (N).
+        peak: expected, v √(k m) (N), or the command where that is more.
+        free: whether the contact is still to be made when the run begins.
+    """
+
+    name: str
+    speed: float
+    mass: float
+    stiffness: float
+    command: float
+    peak: float
+    free: bool
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        return (
+            f"'{self.name}' lands at {1e3 * self.speed:.3g} mm/s with {self.mass:.3g} kg behind it "
+            f"on {1e-3 * self.stiffness:.3g} kN/m: up to {self.peak:.3g} N"
+        )
+
+
+def landings(rig: Rig) -> list[Landing]:
+    """Of every force that can only push; none where contacts are not approached.
+
+    MuJoCo's contacts are springs with the rate ω of `solref`, whatever the mass: k = m ω². A face
+    of mass m_e on a spring is met twice, by its mass and by its spring.
+    """
+    life = rig.life
+    if life is None or not rig.pairs:
+        return []
+    plant = rig.scenario.plant
+    rate = 1.0 / (plant.solref[0] * plant.solref[1] * sqrt(plant.solimp[1]))
+    state = rig.state
+    contact = rig.contact
+    directions = np.vstack([feet(pair, state.X_WO)[1] for pair in rig.pairs])
+    commands = rig.references.overview[1].alpha_d
+    columns = zip(rig.force_names, rig.owners, directions, (contact.N @ contact.R).T, strict=True)
+    out = []
+    for (name, owner, direction, N), desired in zip(columns, commands.T, strict=True):
+        mass = 1.0 / (N @ state.Phi @ N)
+        stiffness = mass * rate**2
+        met = mass * rate
+        motion = rig.bodies[rig.on[owner]].motion
+        if isinstance(motion, CartSpec) and (along := (direction @ motion.direction) ** 2):
+            met = rate / (1.0 / mass + along / motion.mass)
+            if motion.stiffness > 0.0:
+                stiffness = 1.0 / (1.0 / stiffness + along / motion.stiffness)
+                met = max(met, sqrt(stiffness * mass))
+        command = desired.max()
+        free = rig.scenario.tare is not None or not desired[0] > 0.0
+        peak = max(life.speed * met, command)
+        if pushes_only(rig.pairs[owner]):
+            out.append(Landing(name, life.speed, mass, stiffness, command, peak, free))
+    return out

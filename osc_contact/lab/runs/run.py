@@ -1,0 +1,245 @@
+"""One run: plant and controller, tick by tick, into a recording."""
+
+from collections.abc import Callable
+from copy import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from osc_contact.control.controller import Controller
+from osc_contact.errors import (
+    Interrupted,
+    InvalidInputError,
+    ModelError,
+    PlantError,
+    RecordingError,
+    ScenarioError,
+)
+from osc_contact.files import StrPath
+from osc_contact.interface import Measurement, Reference
+from osc_contact.lab.checks.preflight import require_ready
+from osc_contact.lab.rig.contacts import environment_bodies
+from osc_contact.lab.rig.references import force_steps, known_to
+from osc_contact.lab.rig.rig import Rig, build_rig
+from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.loop.judge import Plant
+from osc_contact.loop.loop import Shows, run_loop
+from osc_contact.loop.recorder import Recorder, recording_of
+from osc_contact.recorder import Recording
+from osc_contact.recorder.journal import Journal
+from osc_contact.robots import resolve_urdf
+from osc_contact.spatial import Array
+
+Progress = Callable[[float], None]
+Install = Callable[[Controller], Controller]
+
+
+def run(
+    scenario: Scenario,
+    *,
+    plant: str | None = None,
+    duration: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    viewer: Shows | None = None,
+    install: Install | None = None,
+    journal: Path | None = None,
+    build: Callable[[Scenario], Rig] = build_rig,
+    check: Callable[[Rig], list[str]] = require_ready,
+) -> Recording:
+    """Run a scenario and record it.
+
+    Memory does not grow with the duration: rows go to a file on the way, and the channels of a long
+    recording stay on disk.
+
+    Args:
+        scenario: from `load_scenario`.
+        plant: "mujoco" or "rigid" instead of the scenario's own.
+        duration: s, instead of the scenario's own.
+        seed: of everything random in the run (sensors and plants without noise use none).
+        progress: called with the simulated time now and then.
+        viewer: shows the run while it lasts (see `open_viewer`); it cannot hold the loop up.
+        install: puts another control law into each controller of the run.
+        journal: the file that the run's rows go to while it lasts, such as unfinished.mcap, for
+            `recover` if the process is killed; None: a temporary one.
+        build: makes the rig of the scenario. check: refuses it, or returns what is doubtful.
+
+    Returns:
+        The recording; `metrics(recording)` judges it.
+
+    Raises:
+        ScenarioError: it cannot run, see `preflight`. What is doubtful is logged, and kept in
+            `meta["doubts"]`.
+        PlantError: the simulation diverged; `error.recording` holds what came before.
+        Interrupted: Ctrl-C, SIGTERM or SIGHUP ended it; likewise.
+    """
+    if duration is not None:
+        scenario = scenario.replaced(duration=duration)
+    if plant is not None:
+        scenario = scenario.replaced(plant={**dict(scenario.plant), "type": plant})
+    rig = build(scenario)
+    doubts = check(rig)
+    simulated, controller = start(rig, seed, install)
+    ticks = round(scenario.duration * scenario.control.rate)
+    meta = {
+        "scenario": scenario.as_dict(),
+        "source": scenario.source and scenario.source.name,
+        "plant": scenario.plant.type,
+        "seed": seed,
+        "robot_files": rig.file_hashes(),
+        "force_steps_s": force_steps(scenario),
+        "doubts": doubts,
+        "force_per_normal": known_to(rig.pairs, rig.state, 1.0),
+    }
+    recorder = Recorder(
+        controller, simulated, subject=rig.subject(controller), journal=journal, meta=meta
+    )
+    robot = rig.robot(simulated, controller)
+    taring = controller if scenario.tare is None else Taring(rig, controller)
+    plan = rig.references.each(ticks, controller.dt)
+    try:
+        run_loop(
+            robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress, check=False
+        )
+    except PlantError as error:
+        error.recording = recorder.recording()
+        raise
+    except (KeyboardInterrupt, SystemExit) as error:  # a signal, see `run_loop`
+        if recorder.count < ticks:
+            ended = recorder.count * controller.dt
+            interrupted = Interrupted(f"ended on request at t = {ended:g} s")
+            interrupted.recording = recorder.recording({"ended_s": ended})
+            raise interrupted from error
+    return recorder.recording()
+
+
+def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plant, Controller]:
+    """Plant and controller of a rig at its start, under the torques that hold it, not limp.
+
+    Args:
+        rig: see `build_rig`. seed: of everything random.
+        install: puts another control law into each controller.
+    """
+    plant = rig.plant(seed)
+    controller = rig.controller()
+    # laws of the user's own may remember their ticks: each controller has its own
+    first = rig.controller() if callable(rig.scenario.laws) else copy(controller)
+    if install is not None:
+        controller = _installed(install, controller)
+        first = _installed(install, first)
+    plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+    return plant, controller
+
+
+def _installed(install: Install, controller: Controller) -> Controller:
+    """What `install` makes of a controller.
+
+    Raises:
+        InvalidInputError: it takes no controller, or returns none.
+    """
+    how = "install= takes a function of a controller that returns one, such as lambda c: c"
+    if not callable(install):
+        raise InvalidInputError(f"{how}; got {install!r}")
+    try:
+        made = install(controller)
+    except TypeError as error:
+        own = error.__traceback__
+        if own is not None and own.tb_next is None:  # raised by the call itself
+            raise InvalidInputError(f"{how}; calling {install!r} with one: {error}") from error
+        raise
+    if not hasattr(made, "tick"):
+        raise InvalidInputError(f"{how}; {install!r} returned {made!r}, which has no tick")
+    return made
+
+
+class Taring:
+    """A controller that averages its wrist sensors at rest off the contacts, then engages."""
+
+    def __init__(self, rig: Rig, controller: Controller) -> None:
+        assert rig.scenario.tare is not None
+        self.duration = rig.scenario.tare.duration
+        self.engage_at = rig.references.engage_at
+        self.controller = controller
+        self.dt = controller.dt
+        self.samples: list[Array] = []
+        self.ticks = 0
+
+    def tick(self, measurement: Measurement, reference: Reference) -> Array:
+        """See `Controller.tick`."""
+        tau = self.controller.tick(measurement, reference)
+        t = self.ticks * self.dt
+        self.ticks += 1
+        if self.controller.engaged:
+            return tau
+        if 2 * self.duration / 3 <= t < self.duration:  # once the start has settled
+            self.samples.append(self.controller.residual_wrench())
+        elif self.samples and t >= self.duration:
+            self.controller.f_tare = np.mean(self.samples, axis=0)
+            self.samples = []
+        if t >= self.engage_at:
+            self.controller.engage()
+        return tau
+
+
+def recover(path: StrPath, folder: StrPath | None = None) -> Recording:
+    """The recording of a journal that a run left: all its chunks but those that are damaged.
+
+    `meta["missing"]` has a sentence for each missing part.
+
+    Args:
+        path: such as unfinished.mcap.
+        folder: of a custom scenario, see `scenario_of`.
+
+    Raises:
+        RecordingError: no such file, nothing in it, or not the journal of a scenario's run.
+    """
+    source = Path(path)
+    journal = Journal(source)
+    rig = build_rig(scenario_of(journal.about, source, folder))
+    plant = rig.plant(int(journal.about.get("seed", 0)))
+    controller = rig.controller()
+    recording = recording_of(rig.subject(controller), plant.log(), journal, journal.about)
+    ticks = round(rig.scenario.duration * rig.scenario.control.rate)
+    missing = list(journal.missing)
+    if len(recording) < ticks:
+        missing.append(f"{len(recording)} of {ticks} ticks are here")
+    recording.meta["missing"] = missing
+    return recording
+
+
+def scenario_of(meta: dict[str, Any], path: Path, folder: StrPath | None = None) -> Scenario:
+    """The scenario that a recording was made of.
+
+    A recording holds no folders (SECURITY.md): URDFs that its scenario gives by path are looked for
+    in `folder`, then beside the recording, then in the working folder.
+
+    Args:
+        meta: of the recording. path: of its file. folder: in which the scenario's file stands.
+
+    Raises:
+        RecordingError: it does not hold a scenario that this version understands, or its URDFs are
+            in none of these places.
+    """
+    try:
+        scenario = Scenario.model_validate(meta.get("scenario"))
+    except (ScenarioError, ValueError) as error:
+        raise RecordingError(f"{path} does not hold the scenario that was run: {error}") from error
+    given = [] if folder is None else [Path(folder).resolve()]
+    places = dict.fromkeys([*given, path.resolve().parent, Path.cwd()])
+    missing = ModelError()
+    for place in places:
+        placed = scenario.with_source(place / str(meta.get("source")))
+        try:
+            for urdf in (*(arm.urdf for arm in placed.arms), placed.object.urdf):
+                resolve_urdf(urdf, place)
+            environment_bodies(placed)
+        except ModelError as error:
+            missing = error
+        else:
+            return placed
+    raise RecordingError(
+        f"{path} needs files of its scenario, which are not in {', '.join(map(str, places))}. Give "
+        "the scenario's folder (--folder, or folder= in Python), or start there, or copy them "
+        f"beside the recording. ({missing})"
+    )

@@ -1,0 +1,118 @@
+"""A controller for programs without Python, with a recording of ticks to replay there."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from osc_contact.control.controller import Controller
+from osc_contact.control.inputs import touched_rows
+from osc_contact.control.saving import controller_bytes
+from osc_contact.control.without_python import write_library
+from osc_contact.files import write_whole
+from osc_contact.interface import Measurement, Reference
+from osc_contact.lab.checks.preflight import require_ready
+from osc_contact.lab.rig.rig import Rig
+from osc_contact.lab.runs.run import Taring, start
+from osc_contact.loop.loop import run_loop
+from osc_contact.spatial import Array
+
+MAGIC = b"OSCTAPE2"
+#: flags of a tick, as in replay.c; from REPEATED on: which readings are those of the last tick
+MEMORY, TOUCHED, WRENCH_MISSING, ESTIMATED, SQUEEZE = 1, 2, 4, 8, 16
+REPEATED = 5
+
+
+class Tape:
+    """Ticks of a controller as they come: what was given, what was answered.
+
+    What the program around it changes between ticks (contacts engaged, a tare) is noted too.
+
+    Attributes:
+        count: of ticks.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self.count = 0
+        self._ticks: list[bytes] = []
+        self._controller = controller
+        self._tick: Callable[[Measurement, Reference], Array] = controller.tick
+        self._memory = controller._records.memory_bytes.copy()
+        controller.__dict__["tick"] = self.tick
+
+    def tick(self, measurement: Measurement, reference: Reference) -> Array:
+        """The controller's own, noted."""
+        controller = self._controller
+        memory = controller._records.memory_bytes
+        before = self.count
+        first = memory.copy()
+        changed = not np.array_equal(first, self._memory)
+        tau = self._tick(measurement, reference)
+        if self.count == before:  # else it was called again inside, and noted there
+            self._note(measurement, reference, first if changed else None, tau)
+        self._memory = memory.copy()
+        return tau
+
+    def _note(
+        self, measurement: Measurement, reference: Reference, memory: Any, tau: Array
+    ) -> None:
+        controller = self._controller
+        model = controller._records.model
+        squeeze = np.ravel(reference.squeeze_d)
+        given = squeeze.any() and model.n_bars > 0
+        missing = measurement.wrench_valid is not None and not measurement.wrench_valid
+        flags = MEMORY * (memory is not None) + TOUCHED * (measurement.touched is not None)
+        flags += WRENCH_MISSING * missing + ESTIMATED * bool(measurement.estimated)
+        flags += SQUEEZE * bool(given) + (controller._freshness.flags << REPEATED)
+        forces = np.zeros(model.n_columns)
+        alpha = np.ravel(reference.alpha_d)
+        forces[: len(alpha)] = alpha
+        age = -1 if measurement.stamps is None else controller._records.memory.late
+        parts: list[Any] = [np.array([flags, controller.status, age], np.int64)]
+        parts += [] if memory is None else [memory]
+        numbers = [
+            measurement.q,
+            measurement.v,
+            measurement.wrenches,
+            reference.X_WD.homogeneous,
+            reference.V_D,
+            reference.A_D,
+            forces,
+            np.broadcast_to(squeeze, model.n_bars) if given else (),
+            () if measurement.touched is None else touched_rows(measurement.touched),
+            tau,
+        ]
+        parts += [np.ascontiguousarray(x, dtype=float) for x in numbers]
+        self._ticks.append(b"".join(part.tobytes() for part in parts))
+        self.count += 1
+
+    def content(self) -> bytes:
+        """Of a file that replay.c reads."""
+        head = np.array([self.count, len(self._memory)], np.int64)
+        return b"".join((MAGIC, head.tobytes(), *self._ticks))
+
+
+def build(rig: Rig, folder: Path, ticks: int = 10_000, seed: int = 0) -> Tape:
+    """Write a rig's controller, the C library, and a recording to replay into a folder.
+
+    Args:
+        rig: see `build_rig`. folder: is made. ticks: of the recording; longer than the task, the
+            last reference stands. seed: of everything random.
+
+    Raises:
+        InvalidInputError: pairs, bodies or laws that only Python can evaluate.
+        OscContactError: the law is not compiled to objects here, or the task does not run.
+    """
+    require_ready(rig)
+    plant, controller = start(rig, seed)
+    content = controller_bytes(controller)
+    write_library(folder)
+    tape = Tape(controller)
+    taring = controller if rig.scenario.tare is None else Taring(rig, controller)
+    run_loop(
+        rig.robot(plant, controller), taring, rig.references.each(ticks, controller.dt), check=False
+    )
+    write_whole(content, folder / "controller.osc")
+    write_whole(tape.content(), folder / "recording.osc")
+    return tape

@@ -1,0 +1,523 @@
+"""The verdict on a recording: the numbers of metrics.json, and the task in a word."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from osc_contact.errors import InvalidInputError, RecordingError
+from osc_contact.files import Json
+from osc_contact.lab.runs.limit_cycles import worst_cycles
+from osc_contact.recorder import Recording
+from osc_contact.recorder.judged import CLOSED, SETTLE_S, JudgedTicks
+from osc_contact.settings.control import VerdictSpec
+from osc_contact.spatial import Array
+
+STEP_WINDOW_S = 0.5  #: a step's overshoot is looked for this long, or until the next step
+_READ = (
+    "t",
+    "alpha_cmd",
+    "alpha_true",
+    "alpha_meas",
+    "power_total",
+    "power_projected",
+    "motion_error",
+    "closed",
+    "contact_phase",
+    "status",
+    "tau",
+)
+_STATUS = ("ok", "saturated", "held", "degraded")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One row of the verdict: beyond its limit a quantity gives the run a word.
+
+    Attributes:
+        word: for the run.
+        subject: "run", "force", "contact" or "doubt": of what the quantity is.
+        quantity: name of the number that is compared.
+        limit: key of `VerdictSpec`; a number: this one, in every scenario.
+        sentence: with the numbers of its subject and {limit}; {mm} and {limit_mm} are a thousand
+            times the quantity and its limit.
+        fails: whether the task has failed then.
+    """
+
+    word: str
+    subject: str
+    quantity: str
+    limit: str | float
+    sentence: str
+    fails: bool = True
+
+
+#: The gravest word that applies is that of the first row.
+RULES = (
+    Rule(
+        "STOPPED",
+        "run",
+        "stopped",
+        0.0,
+        "it had stopped (SAFE_STOP) at the end; first reason, {reason}",
+    ),
+    Rule(
+        "RUN AWAY",
+        "run",
+        "distance",
+        "distance",
+        "the object was {mm:.0f} mm away from its reference (limit {limit_mm:.0f} mm); "
+        "command a slower or smaller motion, or check gains, model and friction",
+    ),
+    Rule(
+        "RUN AWAY",
+        "run",
+        "angle",
+        "angle",
+        "the object was turned by {angle:.2g} rad from its reference (limit {limit:g} rad); "
+        "command a slower or smaller motion, or check gains, model and friction",
+    ),
+    Rule(
+        "LOST",
+        "contact",
+        "open_at_end",
+        0.0,
+        "contact '{name}' was never made{again}; check the start pose and the place of the face",
+    ),
+    Rule(
+        "LOST",
+        "contact",
+        "longest_loss",
+        "lost_time",
+        "contact '{name}' was lost: open for up to {longest_loss:.3g} s in a row (limit "
+        "{limit:g} s), while the controller took it as closed; command more force or a slower "
+        "motion, or close contacts again with control.life",
+    ),
+    Rule(
+        "POOR",
+        "contact",
+        "open_share",
+        "open_share",
+        "contact '{name}' was open in {open_share:.1%} of its judged time (limit {limit:.1%}), "
+        "though a force was commanded; command more force or a slower motion",
+    ),
+    Rule(
+        "POOR",
+        "force",
+        "rms_error_rel",
+        "force_rms",
+        "force {name} was off by {rms_error_N:.3g} N rms, {rms_error_rel:.1%} of its mean command "
+        "{mean_command_N:.3g} N (limit {limit:.1%}); check gains, masses, friction and sensors",
+    ),
+    Rule(
+        "POOR",
+        "force",
+        "limit_cycle_rel",
+        "limit_cycle",
+        "force {name} oscillates by ± {limit_cycle_N:.3g} N at {limit_cycle_Hz:.3g} Hz, "
+        "{limit_cycle_rel:.1%} of its command (limit {limit:.1%}), uncommanded: a limit cycle; "
+        "lower gains.force.bandwidth, or give a yielding face its compliance, limit_cycle_m_per_N",
+    ),
+    Rule(
+        "POOR",
+        "force",
+        "unjudged",
+        0.0,
+        "force {name} was not judged: its contact closed too late; run it longer",
+    ),
+    Rule(
+        "HELD",
+        "run",
+        "held_share",
+        "held_share",
+        "{held} of {ticks} ticks could not be computed ({held_share:.2%}, limit {limit:.1%}); see "
+        "docs/reliability.md. First reason, {reason}",
+    ),
+    Rule("DOUBTFUL", "doubt", "counts", 0.0, "before it ran: {sentence}", fails=False),
+    Rule(
+        "HELD",
+        "run",
+        "held_share",
+        0.0,
+        "{held} of {ticks} ticks could not be computed ({held_share:.2%})",
+        fails=False,
+    ),
+    Rule(
+        "SATURATED",
+        "run",
+        "saturated",
+        0.0,
+        "{saturated} of {ticks} ticks were at a motor limit ({motors})",
+        fails=False,
+    ),
+)
+
+
+def metrics(recording: Recording) -> Json:
+    """Judge a run against the plant's truth.
+
+    Keys: scenario, plant, seed (None for a loop of the user's own), duration_s, ticks,
+    real_time_factor;
+    force {contact: rms_error_N, rms_error_rel, peak_error_N, peak_error_rel, mean_command_N,
+    sensing_rms_rel, limit_cycle_N, limit_cycle_Hz, limit_cycle_rel, limit_cycle_m_per_N}, of closed
+    contacts, see
+    `osc_contact.recorder.judged` and `limit_cycles`;
+    motion {rms_error_m, rms_error_rad} along the free directions;
+    contact_fraction {contact}; first_contact_s {contact} (null: never); steps, see
+    `step_answers`; judged_ticks; task {word, failed, why}, see `judge_task`;
+    power {total_rms_W, projected_rms_W, ratio};
+    tick_us {p50, p99, p99_9, max}; loop, as `LoopReport.as_dict` (null: not in real time);
+    status {name: ticks}; at_limit [[joint, ticks], …] of motors
+    that ever stood at their limit, the one that did longest first.
+
+    Under force, the magnitudes of a contact with several are called contact.1, contact.2, …
+    rms_error is true force minus command; sensing is what fig. 5's filter made of the wrist
+    sensors, minus true force; both relative to the mean command (null where that is 0).
+
+    Raises:
+        InvalidInputError: the recording is not longer than the settling time.
+        RecordingError: no judge took part in the run.
+    """
+    if "alpha_true" not in recording:
+        raise RecordingError(
+            "the recording does not hold the true contact forces: no judge took part in the run, "
+            "as on hardware; compare alpha_meas with alpha_cmd instead"
+        )
+    limits = VerdictSpec.model_validate(recording.meta.get("scenario", {}).get("verdict", {}))
+    sums = _Sums(recording, limits.limit_cycle)
+    if not sums.count:
+        raise InvalidInputError(
+            f"a run of {len(recording)} ticks ends before t = {SETTLE_S:g} s, from where it is "
+            "judged; run it longer"
+        )
+    verdict = _numbers(recording, sums)
+    return verdict | {"task": judge_task(_facts(recording, sums, verdict), limits)}
+
+
+class _Sums:
+    """What is summed up over the ticks of a recording.
+
+    Attributes:
+        ticks: which are judged. count: how many are, but for contacts. duration: of the run (s).
+        judged, opened: (contacts,) ticks that each is judged, and open then.
+        longest: row of open ticks that the controller took as closed. cycles: the worst of forces.
+        status, at_limit: ticks by status, and by motor.
+    """
+
+    def __init__(self, recording: Recording, least_cycle: float) -> None:
+        """Go through a recording, piece after piece.
+
+        Args:
+            recording: with a judge. least_cycle: see `worst_cycles`.
+        """
+        meta = recording.meta
+        self.ticks = JudgedTicks(recording)
+        self.duration = len(recording) / meta["control_rate_hz"]
+        self.opened, self.judged, self.longest, run = np.zeros((4, len(meta["contact_names"])), int)
+        self.command, self.error, self.sensing = (_Series() for _ in range(3))
+        self.total, self.projected, self.away, self.closed = (_Series() for _ in range(4))
+        limits = list(meta.get("effort_limits", {}).values())
+        effort = np.nan_to_num(np.array(limits, dtype=float), nan=np.inf)
+        self.at_limit = np.zeros(len(effort), dtype=int)
+        self.status = np.zeros(len(_STATUS), dtype=int)
+        self.count = 0
+        judged_forces = [np.zeros((0, len(self.ticks.columns)), dtype=bool)]
+        for piece in recording.pieces(*_READ):
+            judged = piece["t"] >= SETTLE_S - 1e-9
+            self.count += int(judged.sum())
+            settled, counted, quiet = self.ticks.add(piece)
+            command, truth, sensed = (
+                np.where(counted, piece[f"alpha_{key}"], np.nan) for key in ("cmd", "true", "meas")
+            )
+            self.command.add(command)
+            self.error.add(truth - command)
+            self.sensing.add(sensed - truth)
+            self.total.add(piece["power_total"][quiet])
+            self.projected.add(piece["power_projected"][quiet])
+            self.away.add(np.linalg.norm(piece["motion_error"][judged].reshape(-1, 2, 3), axis=2))
+            self.closed.add(piece["closed"][judged])
+            opened = ~piece["closed"].astype(bool) & settled
+            self.judged += settled.sum(axis=0)
+            self.opened += opened.sum(axis=0)
+            lost = opened & (piece["contact_phase"] == CLOSED)
+            run *= lost.any()
+            for row in lost if lost.any() else ():
+                run = (run + 1) * row
+                np.maximum(self.longest, run, out=self.longest)
+            judged_forces.append(counted & np.isfinite(truth - command))
+            self.status += np.bincount(piece["status"], minlength=len(_STATUS))
+            tau = np.abs(piece["tau"][:, : len(effort)])
+            self.at_limit += (tau >= effort * (1.0 - 1e-9)).sum(axis=0)
+        self.cycles = worst_cycles(recording, np.concatenate(judged_forces), least_cycle)
+
+
+def _numbers(recording: Recording, sums: _Sums) -> Json:
+    """All of metrics.json but the task.
+
+    Args:
+        recording: of the run. sums: of its ticks.
+    """
+    meta = recording.meta
+    contacts = meta["contact_names"]
+    position, orientation = sums.away.rms()
+    (total,) = sums.total.rms()
+    (projected,) = sums.projected.rms()
+    losses = meta.get("joint_losses", [])
+    worst = zip(meta.get("effort_limits", {}), sums.at_limit.tolist(), strict=True)
+    return {
+        "scenario": meta.get("scenario", {}).get("name"),
+        "plant": meta.get("plant"),
+        "seed": meta.get("seed"),
+        "duration_s": sums.duration,
+        "ticks": len(recording),
+        "real_time_factor": _ratio(sums.duration, meta.get("wall_s")),
+        "force": _forces(recording.magnitude_names, sums),
+        "motion": {"rms_error_m": position, "rms_error_rad": orientation},
+        "contact_fraction": dict(zip(contacts, sums.closed.mean(), strict=False)),
+        "first_contact_s": dict(zip(contacts, sums.ticks.landed, strict=True)),
+        "steps": step_answers(recording, sums.ticks),
+        "judged_ticks": sums.count,
+        "power": {
+            "total_rms_W": total,
+            "projected_rms_W": projected,
+            "ratio": _ratio(projected, total),
+        },
+        "tick_us": _tick(recording),
+        "loop": meta.get("loop"),
+        "status": dict(zip(_STATUS, sums.status.tolist(), strict=True)),
+        "at_limit": [[joint, n] for joint, n in sorted(worst, key=lambda one: -one[1]) if n],
+        "joint_losses": losses,
+        "learned_friction": _learned(losses, meta),
+        "normals": dict(zip(recording.magnitude_names, meta.get("normal_std", []), strict=False)),
+        "force_per_normal": meta.get("force_per_normal", 0.0),
+    }
+
+
+def _learned(losses: Sequence[Json], meta: Json) -> list[Json]:
+    """Friction and rotor of each joint as learned, rounded to what is significant.
+
+    Args:
+        losses: of the model. meta: of the recording.
+    """
+    friction = meta.get("joint_friction", [])
+    missing = meta.get("missing_inertia", [0.0] * len(friction))
+    return [
+        {
+            "joint": joint["joint"],
+            "slides": joint["slides"],
+            "friction": round(dry, 2),
+            "damping": round(viscous, 2),
+            "armature": round(joint["armature"] + inertia, 2),
+        }
+        for joint, (dry, viscous), inertia in zip(losses, friction, missing, strict=False)
+    ]
+
+
+def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | None]]:
+    """What `metrics` has of each force magnitude.
+
+    Args:
+        names: of them. sums: of the ticks.
+    """
+    found = {}
+    error = sums.error
+    columns = (sums.command.mean(), error.rms(), error.peak(), sums.sensing.rms(), sums.cycles)
+    for name, mean, rms, peak, sensed, cycle in zip(names, *columns, strict=True):
+        found[name] = {
+            "rms_error_N": rms,
+            "rms_error_rel": _ratio(rms, mean),
+            "peak_error_N": peak,
+            "peak_error_rel": _ratio(peak, mean),
+            "mean_command_N": mean,
+            "sensing_rms_rel": _ratio(sensed, mean),
+            "limit_cycle_N": cycle and cycle.amplitude,
+            "limit_cycle_Hz": cycle and cycle.frequency,
+            "limit_cycle_rel": cycle and cycle.relative,
+            "limit_cycle_m_per_N": cycle and cycle.compliance,
+        }
+    return found
+
+
+def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[Json]]:
+    """Of each subject what `RULES` compare and name.
+
+    Args:
+        recording: of the run. sums: of its ticks. verdict: the numbers.
+    """
+    meta = recording.meta
+    landed = sums.ticks.landed
+    distance, angle = sums.away.peak()
+    run = {
+        **verdict["status"],
+        "ticks": verdict["ticks"],
+        "stopped": meta.get("end_state") == "SAFE_STOP",
+        "reason": meta.get("first_reason") or meta.get("end_reason") or "not recorded",
+        "distance": distance,
+        "angle": angle,
+        "held_share": verdict["status"]["held"] / verdict["ticks"],
+        "motors": ", ".join(joint for joint, _ in verdict["at_limit"][:3]) or "some",
+    }
+    contacts = [
+        {
+            "name": name,
+            "open_at_end": sums.ticks.open[i],
+            "again": "" if landed[i] is None else " again",
+            "longest_loss": sums.longest[i] / meta["control_rate_hz"],
+            "open_share": sums.opened[i] / max(sums.judged[i], 1),
+        }
+        for i, name in enumerate(verdict["first_contact_s"])
+    ]
+    forces = [
+        {"name": name, "unjudged": not sums.judged[i] and landed[i] is not None, **force}
+        for i, (name, force) in zip(sums.ticks.columns, verdict["force"].items(), strict=True)
+    ]
+    doubts = [{"counts": 1, "sentence": text} for text in meta.get("doubts", ())]
+    return {"run": [run], "contact": contacts, "force": forces, "doubt": doubts}
+
+
+class _Series:
+    """Sums over the ticks of one or several numbers, piece after piece.
+
+    What is not finite was not computed, or is not judged, and is left out; None where all is.
+    """
+
+    def __init__(self) -> None:
+        self._counts = self._sums = self._squares = self._peaks = np.zeros(1)
+
+    def add(self, values: Array) -> None:
+        """Ticks (k,) or (k, m)."""
+        rows = np.array(values if values.ndim > 1 else values[:, None], dtype=float)
+        finite = np.isfinite(rows)
+        rows[~finite] = 0.0
+        self._counts = self._counts + finite.sum(axis=0)
+        self._sums = self._sums + rows.sum(axis=0)
+        self._squares = self._squares + (rows**2).sum(axis=0)
+        self._peaks = np.maximum(self._peaks, np.abs(rows).max(axis=0, initial=0.0))
+
+    def mean(self) -> list[float | None]:
+        return self._where_counted(self._sums / np.maximum(self._counts, 1))
+
+    def rms(self) -> list[float | None]:
+        return self._where_counted(np.sqrt(self._squares / np.maximum(self._counts, 1)))
+
+    def peak(self) -> list[float | None]:
+        return self._where_counted(self._peaks)
+
+    def _where_counted(self, values: Array) -> list[float | None]:
+        return [float(x) if n else None for x, n in zip(values, self._counts, strict=True)]
+
+
+def _tick(recording: Recording) -> dict[str, float | None]:
+    keys = ("p50", "p99", "p99_9", "max")
+    if "tick_s" not in recording:  # its times were not kept beside it
+        return dict.fromkeys(keys)
+    pieces = [piece["tick_s"].astype(np.float32) for piece in recording.pieces("tick_s")]
+    seconds = np.concatenate(pieces)
+    values = np.percentile(seconds, [50, 99, 99.9, 100], overwrite_input=True) * 1e6
+    return dict(zip(keys, values.tolist(), strict=True))
+
+
+def _ratio(part: float | None, whole: float | None) -> float | None:
+    """None where there is nothing to compare with: JSON has no NaN."""
+    return part / whole if whole and part is not None else None
+
+
+def step_answers(recording: Recording, ticks: JudgedTicks) -> list[Json]:
+    """First contacts and steps of desired forces, each with the overshoot that it caused.
+
+    overshoot = largest (true − desired force) in the direction of the step, within `STEP_WINDOW_S`.
+
+    Args:
+        recording: with a judge. ticks: all of it, added.
+
+    Returns:
+        In order of time, of each magnitude that stepped: t_s, force, what ("first contact" or
+        "step"), from_N, to_N, overshoot_N, overshoot_rel (of the step), and where it is largest the
+        true and the desired force, peak_N and commanded_N.
+    """
+    rate = recording.meta["control_rate_hz"]
+    steps = sorted({round(t * rate) for t in recording.meta["force_steps_s"]})
+    changes = []
+    for column, owner in enumerate(ticks.columns):
+        first = ticks.landed[owner]
+        if first is not None:
+            changes.append((round(first * rate), column, True))
+        begin = max(2, round((first or 0.0) * rate))
+        changes += [(k, column, False) for k in steps if k > begin]
+    rows = (_answer(recording, rate, steps, *one) for one in sorted(changes))
+    return [row for row in rows if row is not None]
+
+
+def _answer(
+    recording: Recording, rate: float, steps: Sequence[int], k: int, column: int, first: bool
+) -> Json | None:
+    """What one magnitude does after tick k; None if it is not commanded to step there."""
+    later = [step for step in steps if step > k]
+    stop = min([k + max(2, round(STEP_WINDOW_S * rate)), *later, len(recording)])
+    some = recording.rows(max(0, k - 3), stop, "alpha_cmd", "alpha_true")
+    command, truth = (some[name][:, column] for name in ("alpha_cmd", "alpha_true"))
+    before = min(k, 3)
+    after = np.flatnonzero(np.isfinite(command + truth) & (np.arange(len(command)) >= before))
+    if not len(after):  # nothing there was computed
+        return None
+    if first:
+        start = 0.0
+        goal = command[after[0]]
+    else:
+        before_last, start, goal = command[before - 2 : before + 1]
+        drift = start - before_last  # of signals that do not step
+        if not abs(goal - start - drift) > 0.01 * np.abs(command[after]).max():
+            return None
+    if goal == start:
+        return None
+    excess = np.sign(goal - start) * (truth - command)
+    worst = after[np.argmax(excess[after])]
+    over = max(0.0, excess[worst])
+    numbers = {
+        "from_N": start,
+        "to_N": goal,
+        "peak_N": truth[worst],
+        "commanded_N": command[worst],
+        "overshoot_N": over,
+        "overshoot_rel": over / abs(goal - start),
+    }
+    return {
+        "t_s": k / rate,
+        "force": recording.magnitude_names[column],
+        "what": "first contact" if first else "step",
+        **{key: float(value) for key, value in numbers.items()},
+    }
+
+
+def judge_task(
+    facts: Mapping[str, Sequence[Json]],
+    limits: VerdictSpec,
+    rules: Sequence[Rule] = RULES,
+) -> Json:
+    """One word for a run, whether its task failed, and why.
+
+    Args:
+        facts: by subject, what is known of each: the quantities of `RULES` and what their
+            sentences name. A quantity that is None is not compared.
+        limits: of the scenario. rules: to apply, the gravest first.
+
+    Returns:
+        {"word": that of the first rule that applies, or OK, "failed": bool, "why":
+        sentences}. A subject that a rule has applied to is not compared with later rules for the
+        same quantity.
+    """
+    found: dict[tuple[str, int, str], tuple[Rule, str]] = {}
+    for rule in rules:
+        limit = getattr(limits, rule.limit) if isinstance(rule.limit, str) else rule.limit
+        for i, fact in enumerate(facts[rule.subject]):
+            value = fact[rule.quantity]
+            if value is not None and value > limit:
+                text = rule.sentence.format(
+                    **fact, limit=limit, mm=1e3 * value, limit_mm=1e3 * limit
+                )
+                found.setdefault((rule.subject, i, rule.quantity), (rule, text))
+    return {
+        "word": next((rule.word for rule, _ in found.values()), "OK"),
+        "failed": any(rule.fails for rule, _ in found.values()),
+        "why": [why for _, why in found.values()],
+    }

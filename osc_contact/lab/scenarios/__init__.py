@@ -1,0 +1,1 @@
+"""Scenarios: YAML files → frozen, checked objects; the packaged files are in `files/`."""

@@ -1,0 +1,142 @@
+"""Checks across the keys of a scenario: names that belong together, times that divide."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from osc_contact.errors import did_you_mean
+from osc_contact.lab.scenarios.contact_keys import ContactSpec, contact_types, magnitude_names
+from osc_contact.lab.scenarios.hardware import PlantSpec
+from osc_contact.settings.control import ControlSpec
+
+Problem = tuple[tuple[str | int, ...], str]
+"""Where (keys and list indices) and what is wrong."""
+
+
+def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
+    """What does not fit together, as far as the keys that are compared are sound themselves.
+
+    Args:
+        data: the keys of a scenario, as a file has them or validated.
+    """
+    names = {key: _names(data.get(key, ())) for key in ("arms", "contacts", "environment")}
+    for key, own in names.items():
+        for index, name in enumerate(own or ()):
+            if own and name in own[:index]:
+                text = f"the name {name!r} is taken by an earlier item of {key}; names are unique"
+                yield (key, index, "name"), text
+    arms, on, bodies = names.values()
+    contacts = data.get("contacts", ())
+    if arms is not None:
+        example = "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"
+        yield from _entries("grasps", "arm", data.get("grasps"), dict.fromkeys(arms, 1), example)
+    if on is not None:
+        forces = dict(zip(on, map(_forces, contacts), strict=True))
+        example = "[{type: constant, value: 0 N}]"
+        yield from _entries("force", "contact", data.get("force", {}), forces, example)
+    if bodies is not None and isinstance(contacts, list | tuple):
+        on_body = [_value(contact, "body") for contact in contacts]
+        for index, name in enumerate(bodies):
+            if name not in on_body:
+                text = (
+                    f"no contact is on the body {name!r}; give one its name as body, or remove it"
+                )
+                yield ("environment", index), text
+        for index, body in enumerate(on_body):
+            if isinstance(body, str) and body not in bodies:
+                text = f"no body of environment has this name; {did_you_mean(body, bodies)}"
+                yield ("contacts", index, "body"), text
+    try:
+        control = ControlSpec.model_validate(data.get("control"))
+        plant = PlantSpec.model_validate(data.get("plant"))
+    except ValidationError:
+        return
+    yield from _plant_problems(control, plant)
+
+
+def _value(item: Any, key: str) -> Any:
+    return item.get(key) if isinstance(item, dict) else getattr(item, key, None)
+
+
+def _names(items: Any) -> list[str] | None:
+    """Of the items of a list; None: they are not all sound."""
+    if not isinstance(items, list | tuple):
+        return None
+    found = [_value(item, "name") for item in items]
+    return found if all(isinstance(name, str) and name for name in found) else None
+
+
+def _forces(contact: Any) -> Any:
+    """r of a contact; None: its type is not sound."""
+    kind = contact
+    if not isinstance(contact, ContactSpec):
+        kind = contact_types().get(str(_value(contact, "type")))
+    return kind and kind.forces
+
+
+def _entries(
+    key: str, kind: str, given: Any, forces: Mapping[str, int], example: str
+) -> Iterator[Problem]:
+    """Each arm has a grasp, and each force of a contact its signals.
+
+    Args:
+        key: of the group. kind: of what it has entries for. given: the group.
+        forces: how many entries each one has, by its name. example: of an entry.
+    """
+    if not isinstance(given, Mapping) or None in forces.values():
+        return
+    expected = magnitude_names(forces)
+    for name in given:
+        if name not in expected:
+            text = f"no {kind} has this name; {did_you_mean(name, expected)}"
+            if forces.get(name, 1) > 1:
+                text = (
+                    f"this contact has {forces[name]} forces; give each its own entry, {name}.1 to "
+                    f"{name}.{forces[name]}"
+                )
+            yield (key, name), text
+    for name in expected:
+        if name not in given:
+            yield (key,), f"the {kind} {name!r} has no entry; add {name}: {example}"
+
+
+def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]:
+    """The plant has the drives required, and periods are whole multiples (within 1e-9)."""
+    steps = 1.0 / (control.rate * plant.step)
+    if not _is_whole(steps):
+        right = 1.0 / (control.rate * max(1, round(steps)))
+        text = (
+            f"the control period is {steps:.9g} plant steps (control.rate {control.rate:g} Hz, "
+            f"plant.step {plant.step:g} s); it must be a whole number of them, e.g. a step of "
+            f"{right * 1e3:.9g} ms"
+        )
+        yield ("plant", "step"), text
+    if loop := control.joint_torque:
+        key = ("control", "joint_torque")
+        if plant.flexible_joints is None:
+            text = (
+                "a joint torque loop acts on springs, and the joints are stiff; add "
+                "plant.flexible_joints, or leave it out"
+            )
+            yield key, text
+        calls = loop.rate / control.rate
+        steps = 1.0 / (loop.rate * plant.step)
+        if not (_is_whole(calls) and _is_whole(steps)):
+            text = (
+                f"the loop runs {calls:.9g} times in a control period and {steps:.9g} plant steps "
+                f"pass in its period (control.rate {control.rate:g} Hz, plant.step "
+                f"{plant.step:g} s); both must be whole numbers"
+            )
+            yield (*key, "rate"), text
+    for drive in ("flexible_joints", "motors", "joint_friction", "pushes") if plant.exact else ():
+        if getattr(plant, drive):
+            text = (
+                "an exact plant has ideal joints and contacts that do not open; leave it out, or "
+                "take plant.type mujoco"
+            )
+            yield ("plant", drive), text
+
+
+def _is_whole(number: float) -> bool:
+    return round(number) >= 1 and abs(number - round(number)) <= 1e-9

@@ -1,0 +1,209 @@
+"""What makes a rig real: the plant, flexible joints, imperfect motors, sensors and their errors."""
+
+import math
+from typing import Annotated, Generic, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from osc_contact.settings.quantities import (
+    Angle,
+    Force,
+    ForceVec3,
+    Frequency,
+    Length,
+    NotEmpty,
+    NotNegative,
+    NotNegativeNumber,
+    Number,
+    OfQuantity,
+    Positive,
+    PositiveNumber,
+    Q,
+    Spec,
+    Time,
+    Torque,
+    one_of,
+    refuse,
+)
+
+#: What `plant.type` may be, and whether that plant is exact: ideal joints, contacts that neither
+#: open nor end. `lab.rig.rig.register_plant` adds to it.
+PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
+
+Fraction = Annotated[Number, Field(gt=0, lt=1)]
+Probability = Annotated[Number, Field(ge=0, lt=1)]
+PerMotor = NotEmpty[PositiveNumber]
+
+
+class FlexibleJointsSpec(Spec):
+    """Springs between motors and links, by the rig's first mode or by number."""
+
+    frequency: Positive[Frequency] | None = None
+    """first mode of the rig out of contact, motors held, loops closed, such as 5 Hz; springs are
+    proportional to the joints' inertias"""
+    stiffness: Annotated[dict[str, PerMotor], "N m/rad, N/m"] | None = None
+    """instead: by arm name, one number for each motor"""
+    damping_ratio: NotNegativeNumber = 0.02
+    """of motor against link"""
+    motor_inertia: Annotated[PositiveNumber | dict[str, PerMotor], "–, kg m², kg"] = 0.5
+    """a share of each joint's own inertia, or by arm name one number for each motor"""
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Self:
+        if (self.frequency is None) == (self.stiffness is None):
+            raise refuse(
+                "expected either frequency, such as 5 Hz, or stiffness, by arm and motor; "
+                + ("got neither" if self.frequency is None else "got both")
+            )
+        return self
+
+
+class MotorsSpec(Spec):
+    """Errors of the motors as shares of each one's limit; signs and phases are drawn."""
+
+    bias: NotNegativeNumber = 0.0
+    """share of each motor's limit"""
+    ripple: NotNegativeNumber = 0.0
+    """amplitude, share of each motor's limit: a sine of motor travel, 24 per rad or one in 10 mm"""
+
+
+class Push(Spec):
+    """A half sine of force from outside on an arm, where its wrist sensor is fastened.
+
+    The force comes from the arm's side: the sensor feels what it does, not the force itself.
+    """
+
+    arm: str
+    """the name of an arm with a wrist sensor, which does not feel the force"""
+    force: ForceVec3
+    """its peak [x, y, z] in world"""
+    start: NotNegative[Time] = 0.0
+    """when it first acts"""
+    duration: Positive[Time]
+    """how long it acts, such as 20 ms"""
+    every: NotNegative[Time] = 0.0
+    """after which it comes again, longer than `duration`; 0: never"""
+
+    @model_validator(mode="after")
+    def _ends_before_the_next(self) -> Self:
+        if 0.0 < self.every <= self.duration:
+            raise refuse(
+                f"duration = {self.duration:g} s, every = {self.every:g} s; give every longer than "
+                "the duration, or 0"
+            )
+        return self
+
+    def at(self, t: float) -> npt.NDArray[np.float64]:
+        """(3,) the force at time t (s)."""
+        since = t - self.start
+        if self.every > 0.0 and since >= 0.0:
+            since %= self.every
+        acts = 0.0 <= since < self.duration
+        return np.array(self.force) * (math.sin(math.pi * since / self.duration) if acts else 0.0)
+
+
+class PlantSpec(Spec):
+    """The simulated workcell: step (s) and the contact parameters of the MuJoCo plant."""
+
+    type: Annotated[str, one_of(PLANT_TYPES)] = "mujoco"
+    """`mujoco` or `rigid`, or the name of a plant that a program has registered"""
+    step: Positive[Time]
+    """the simulation step, such as 0.25 ms; the control period is a whole multiple"""
+    solref: Annotated[tuple[PositiveNumber, PositiveNumber], "s, –"] = (0.01, 1.0)
+    """MuJoCo: time constant and damping ratio of the faces"""
+    solimp: Annotated[tuple[Fraction, Fraction, PositiveNumber], "–, –, m"] = (0.2, 0.9, 0.0005)
+    """MuJoCo: impedance at zero depth, at width, width"""
+    friction: NotNegativeNumber = 0.0
+    """MuJoCo: Coulomb coefficient of the faces"""
+    flexible_joints: FlexibleJointsSpec | None = None
+    """MuJoCo: a spring between each motor and its link"""
+    motors: MotorsSpec | None = None
+    """MuJoCo: what the motors add to the torque commanded"""
+    joint_friction: NotNegativeNumber = 0.0
+    """MuJoCo: Coulomb friction at each motor, share of its limit, that the controller does not know
+    of"""
+    pushes: tuple[Push, ...] = ()
+    """MuJoCo: half sines of force from outside on the wrists of arms"""
+
+    @property
+    def exact(self) -> bool:
+        """Whether joints are ideal and contacts bilateral, without ends: see `PLANT_TYPES`."""
+        return PLANT_TYPES[self.type]
+
+
+class Clock(Spec):
+    """When a sensor samples and how its readings arrive."""
+
+    rate: Positive[Frequency]
+    """samples per second, such as 1 kHz"""
+    delay: NotNegative[Time] = 0.0
+    """until a sample arrives"""
+    dropout: Probability = 0.0
+    """probability that a sample is lost"""
+
+
+class Errors(OfQuantity, Generic[Q]):
+    """Errors of a measured quantity."""
+
+    noise: NotNegative[Q] = 0.0  # type: ignore[assignment]
+    """standard deviation of a sample"""
+    bias: NotNegative[Q] = 0.0  # type: ignore[assignment]
+    """constant over the run, drawn uniform within ± the number given"""
+    resolution: NotNegative[Q] = 0.0  # type: ignore[assignment]
+    """step of the reading"""
+
+
+class EncoderSpec(Clock):
+    """Joint positions; an encoder gives no velocity."""
+
+    angle: Errors[Angle] = Errors[Angle]()
+    """errors of turning joints"""
+    length: Errors[Length] = Errors[Length]()
+    """errors of sliding joints"""
+
+
+class TorqueSensorSpec(Clock, Errors[Number]):
+    """Joint torques; errors are shares of each motor's limit."""
+
+
+class WristSpec(Clock):
+    """Wrist forces and torques."""
+
+    force: Errors[Force] = Errors[Force]()
+    """errors of each component of the force"""
+    torque: Errors[Torque] = Errors[Torque]()
+    """errors of each component of the torque"""
+
+
+class VisionSpec(Clock):
+    """Overhead vision: poses of faces, object and arms, in the camera's frame."""
+
+    position: Errors[Length] = Errors[Length]()
+    """errors of each coordinate of a pose"""
+    orientation: Errors[Angle] = Errors[Angle]()
+    """errors of the rotation of a pose, about each axis"""
+    frame_position: NotNegative[Length] = 0.0
+    """± displacement of the camera's frame against the robots', drawn once; found from the pictures
+    of object and arms"""
+    frame_orientation: NotNegative[Angle] = 0.0
+    """± rotation of the camera's frame, likewise"""
+
+
+class SensorsSpec(Spec):
+    """The sensors; one that is left out is ideal. Biases are drawn once, uniform within ±bias."""
+
+    encoder: EncoderSpec | None = None
+    """joint positions; velocities are then estimated"""
+    joint_torque: TorqueSensorSpec | None = None
+    """joint torques; errors are shares of each motor's limit"""
+    wrist: WristSpec | None = None
+    """wrist wrenches"""
+    vision: VisionSpec | None = None
+    """poses of object, arms and the faces that move; twists are then estimated"""
+
+    @property
+    def ideal(self) -> bool:
+        """Whether every sensor reads what is."""
+        return all(value is None for _, value in self)

@@ -1,0 +1,147 @@
+"""YAML file → scenario; every complaint carries file, line, key and cure, all at once.
+
+The text is composed to nodes (never constructed to objects), read as plain data with the
+line of every key, changed by overrides, and only then validated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from osc_contact.errors import ScenarioError, did_you_mean
+from osc_contact.lab.scenarios.document import Problems, ScenarioDocument, complaints
+from osc_contact.lab.scenarios.schema import Scenario
+
+LARGEST = 1_000_000  #: bytes of a scenario file; the packaged ones have a few thousand
+FILES = Path(__file__).parent / "files"
+Overrides = Mapping[str, str] | Sequence[str]
+
+
+def load_scenario(name_or_path: str | Path, overrides: Overrides = ()) -> Scenario:
+    """Load a packaged scenario by name or a YAML file by path, changed by overrides.
+
+    Args:
+        name_or_path: "two_contact_rod" or a path such as "my/scenario.yaml".
+        overrides: {"path.to.key": "value"} or ["path.to.key=value"]; list items by index or
+            name, as in contacts.left_end.radius=5 mm.
+
+    Raises:
+        ScenarioError: no such scenario, or the file or an override is wrong (all complaints)."""
+    return Template.open(name_or_path).make(overrides)
+
+
+def list_scenarios() -> dict[str, str]:
+    """Return name → description of the packaged scenarios, sorted by name."""
+    return {path.stem: load_scenario(path).description for path in sorted(FILES.glob("*.yaml"))}
+
+
+def parse_scenario(
+    text: str, source: str | Path | None = None, overrides: Overrides = ()
+) -> Scenario:
+    """Parse YAML text; `source` names it in complaints and anchors relative URDF paths.
+
+    Args:
+        text: YAML. source: file it is from. overrides: KEY=VALUE, or a mapping.
+
+    Raises:
+        ScenarioError: one line per complaint, `file:line: key.path: what is wrong`."""
+    return Template(text, source).make(overrides)
+
+
+class Template:
+    """A scenario's text, read once: scenarios with other values are made of it.
+
+    Attributes:
+        source: its file, or None.
+    """
+
+    def __init__(self, text: str, source: str | Path | None = None) -> None:
+        """Read YAML text; `source` names it in complaints and anchors relative URDF paths.
+
+        Raises:
+            ScenarioError: one line per complaint."""
+        self.source = None if source is None else Path(source)
+        problems = Problems(str(self.source or "scenario"))
+        if len(text) > LARGEST:
+            raise ScenarioError(f"{len(text)} characters; scenarios are read up to {LARGEST}")
+        self._document = ScenarioDocument(text, problems)
+        if not isinstance(self._document.data, dict):
+            problems.at_line(1, "expected keys such as name, arms, object; got no group of keys")
+            problems.raise_any()
+
+    @classmethod
+    def open(cls, name_or_path: str | Path) -> Template:
+        """Read a packaged scenario by name or a YAML file by path.
+
+        Raises:
+            ScenarioError: no such scenario, or its text cannot be read."""
+        return cls(*read_text(name_or_path))
+
+    def value(self, path: str, overrides: Overrides = ()) -> Any:
+        """The text of a key as written, after overrides; None: nothing.
+
+        Raises:
+            ScenarioError: no such path, or an override is wrong."""
+        document = self._changed(overrides)
+        document.problems.raise_any()
+        return document.value(path)
+
+    def _changed(self, overrides: Overrides) -> ScenarioDocument:
+        """The document after overrides."""
+        document = deepcopy(self._document)
+        if isinstance(overrides, Mapping):
+            overrides = [f"{path}={value}" for path, value in overrides.items()]
+        for item in (overrides,) if isinstance(overrides, str) else overrides:
+            path, equals, value = item.partition("=")
+            if equals:
+                document.override(path.strip(), value)
+            else:
+                document.problems.at_override(item, "expected path.to.key=value")
+        return document
+
+    def make(self, overrides: Overrides = ()) -> Scenario:
+        """A scenario, changed by overrides, see `load_scenario`.
+
+        Raises:
+            ScenarioError: what is wrong with the file or with an override (all complaints)."""
+        document = self._changed(overrides)
+        try:
+            folder = self.source and self.source.parent
+            scenario = Scenario.model_validate(document.data, context={"folder": folder})
+        except ValidationError as error:
+            for place, complaint in complaints(error, document.data, Scenario):
+                document.report(place, complaint)
+            document.problems.raise_any()
+            raise
+        document.problems.raise_any()
+        return scenario.with_source(self.source)
+
+
+def read_text(name_or_path: str | Path) -> tuple[str, Path]:
+    """The text of a packaged scenario or of a YAML file, and its file.
+
+    Raises:
+        ScenarioError: no such scenario, or it cannot be read."""
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1 and not path.is_file():
+        known = sorted(file.stem for file in FILES.glob("*.yaml"))
+        if str(name_or_path) not in known:
+            raise ScenarioError(
+                f"no packaged scenario {str(name_or_path)!r}; {did_you_mean(path.name, known)}; "
+                "or give the path of a YAML file"
+            )
+        path = FILES / f"{path.name}.yaml"
+    try:
+        size = path.stat().st_size
+        if size > LARGEST:
+            raise ScenarioError(
+                f"{path} has {size / 1e6:.1f} MB; scenarios are read up to {LARGEST / 1e6:g} MB"
+            )
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"cannot read the scenario file {path}: {error}") from error
+    return text, path

@@ -1,0 +1,328 @@
+"""The scenario: frozen models whose attribute names are the keys of the YAML file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainValidator,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails
+
+from osc_contact.errors import ScenarioError
+from osc_contact.lab.scenarios.bodies import ArmSpec, BodySpec, GraspSpec, Name, ObjectSpec
+from osc_contact.lab.scenarios.checks import problems_across
+from osc_contact.lab.scenarios.contact_keys import AnyContact
+from osc_contact.lab.scenarios.hardware import PlantSpec, SensorsSpec
+from osc_contact.lab.scenarios.signals import (
+    AngleSignal,
+    ForceSignal,
+    JerkLimited,
+    LengthSignal,
+    total,
+)
+from osc_contact.settings.control import (
+    ControlSpec,
+    Gains,
+    ModelErrorSpec,
+    TareSpec,
+    VerdictSpec,
+)
+from osc_contact.settings.quantities import (
+    Acceleration,
+    Force,
+    Jerk,
+    Length,
+    NotEmpty,
+    NotNegative,
+    Positive,
+    Spec,
+    Time,
+    UnitVec3,
+    Vec3,
+    Velocity,
+    refuse,
+)
+
+_UNIT_VECTOR: TypeAdapter[tuple[float, float, float]] = TypeAdapter(UnitVec3)
+
+
+def _direction(value: Any) -> Any:
+    if value == "common_tangent":
+        return value
+    if isinstance(value, str):
+        raise refuse(f"expected a direction [x, y, z] or common_tangent; got {value!r}")
+    return _UNIT_VECTOR.validate_python(value)
+
+
+def _no_common_tangent(value: Any) -> Any:
+    if value == "common_tangent":
+        raise refuse(
+            "common_tangent is a direction of linear moves only; give the axis of an angular move "
+            "as [x, y, z]"
+        )
+    return value
+
+
+def _take_laws(value: Any) -> Any:
+    if value is None or callable(value) or hasattr(value, "structure"):
+        return value
+    raise refuse(f"expected osc.Laws, or a function that makes them; got {value!r}; no file can")
+
+
+def _plain(value: Any) -> Any:
+    """Lists for arrays and tuples, all the way down."""
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+class LinearMove(Spec):
+    """A translation along a fixed world direction; signals in metres, summed."""
+
+    kind: Literal["linear"] = "linear"
+    direction: Annotated[Any, PlainValidator(_direction)]
+    """a world direction [x, y, z] or common_tangent"""
+    signals: NotEmpty[LengthSignal]
+    """a list of signals in lengths"""
+
+
+class AngularMove(Spec):
+    """A rotation about a fixed world direction; signals in radians, summed.
+
+    About the object's origin, or about a point that linear moves carry along."""
+
+    kind: Literal["angular"] = "angular"
+    direction: Annotated[UnitVec3, BeforeValidator(_no_common_tangent)]
+    """a world axis [x, y, z]"""
+    through: Vec3 | None = None
+    """point of the axis, world, which linear moves carry along; null: the object's origin"""
+    signals: NotEmpty[AngleSignal]
+    """a list of signals in angles"""
+
+
+class SurfaceMove(Spec):
+    """A path on the curved surface of a contact, the tool turned as the normal turns.
+
+    The path is drawn in the plane that touches the surface at the start, and projected onto it.
+    With `points` or a `raster` it goes from one point to the next and rests at each; `signals` give
+    the way along `direction` instead; the displacements of several such moves are summed."""
+
+    kind: Literal["surface"] = "surface"
+    contact: Name
+    """the name of the contact, a `sphere_on_surface`"""
+    direction: UnitVec3
+    """roughly the first axis of that plane [x, y, z] in world; the second is normal × first"""
+    signals: tuple[LengthSignal, ...] = ()
+    """the way along the first axis over time, a list of signals in lengths"""
+    points: Annotated[tuple[tuple[Length, Length], ...], Field(max_length=500)] = ()
+    """places [along the first axis, along the second], from the start, which is [0, 0]"""
+    raster: tuple[Length, Length, Annotated[int, Field(ge=1, le=200)]] | None = None
+    """[length, width, lines]: lines to and fro along the first axis, the start in the middle"""
+    feed: Positive[Velocity] = 0.05
+    """greatest speed between points"""
+    acceleration: Positive[Acceleration] = 0.5
+    """greatest acceleration between points"""
+    jerk: Positive[Jerk] = 10.0
+    """greatest jerk between points"""
+    dwell: NotNegative[Time] = 0.0
+    """rest at each point"""
+    start: NotNegative[Time] = 0.0
+    """when the first point is left for"""
+
+    @property
+    def duration(self) -> float:
+        """When the last point is reached (s)."""
+        return self._legs()[1]
+
+    def over(self, t: Any) -> Any:
+        """(3, 2, k) displacement along the two axes, velocity and acceleration at times t (k,)."""
+        u = np.zeros((3, 2, len(t)))
+        u[:, 0] = total(self.signals, t)
+        for way, signal in self._legs()[0]:
+            u += np.array(signal.at(t))[:, None] * way[:, None]
+        return u
+
+    def _legs(self) -> tuple[list[tuple[Any, Any]], float]:
+        """Unit vector (2,) and signal of each leg; when the last ends."""
+        now = self.start
+        here = np.zeros(2)
+        legs = []
+        for point in (*self._lines(), *np.reshape(self.points, (-1, 2))):
+            length = float(np.linalg.norm(point - here))
+            if length > 0.0:
+                leg = _Leg(
+                    value=length,
+                    start=now,
+                    velocity=self.feed,
+                    acceleration=self.acceleration,
+                    jerk=self.jerk,
+                )
+                legs.append(((point - here) / length, leg))
+                now += leg.duration + self.dwell
+            here = point
+        return legs, now
+
+    def _lines(self) -> Any:
+        """(k, 2) the ends of a raster's lines."""
+        if self.raster is None:
+            return np.zeros((0, 2))
+        length, width, count = self.raster
+        x = np.tile([-0.5, 0.5, 0.5, -0.5], count)[: 2 * count] * length
+        y = np.repeat(np.linspace(-0.5, 0.5, count) if count > 1 else np.zeros(1), 2) * width
+        return np.column_stack((x, y))
+
+
+_Leg = JerkLimited[Length, Velocity, Acceleration, Jerk]
+MotionSpec = Annotated[LinearMove | AngularMove | SurfaceMove, Field(discriminator="kind")]
+
+
+class Scenario(Spec):
+    """One experiment: arms, object, contacts, commands, gains, plant and duration (s).
+
+    Example:
+        >>> scenario = osc.load_scenario("two_contact_rod", ["squeeze=5 N"])
+        >>> print(scenario.squeeze, scenario.replaced(duration=2.0).duration)
+        5.0 2.0
+    """
+
+    name: Name
+    """a name of letters, digits, _ and -"""
+    description: str = ""
+    """free text"""
+    arms: Annotated[tuple[ArmSpec, ...], Field(min_length=1, max_length=8)]
+    """a list of 1 to 8 arms"""
+    object: ObjectSpec
+    """the held object: urdf and pose"""
+    grasps: dict[str, GraspSpec]
+    """by arm name, the pose of the object in the tip frame"""
+    environment: tuple[BodySpec, ...] = ()
+    """bodies that contacts are on, any number of contacts each"""
+    contacts: tuple[AnyContact, ...] = ()
+    """the [contact pairs](contacts.md#pairs)"""
+    force: dict[str, NotEmpty[ForceSignal]] = Field(default_factory=dict)
+    """by contact name, a list of signals that are summed; a contact with several forces has an
+    entry for each: `pad.1`, `pad.2`, …"""
+    motion: tuple[MotionSpec, ...] = ()
+    """moves away from the start pose"""
+    squeeze: Force = 0.0
+    """internal force along the line between two grasps, > 0 compresses; with three arms or more
+    along every such line, 0 for [least effort](theory.md#torques)"""
+    gains: Gains = Gains()
+    """the gains of the motion and the force loop"""
+    control: ControlSpec
+    """the tick rate and the metric"""
+    model_error: ModelErrorSpec = ModelErrorSpec()
+    """what the controller's model has wrong"""
+    tare: TareSpec | None = None
+    """start off the faces, zero the wrist sensors, approach, engage"""
+    sensors: SensorsSpec = SensorsSpec()
+    """the sensors of the rig; one that is left out is ideal"""
+    plant: PlantSpec
+    """the plant: type and step"""
+    duration: Annotated[Time, Field(gt=0, le=1e6)]
+    """the simulated time, such as 10 s"""
+    verdict: VerdictSpec = VerdictSpec()
+    """[limits of the verdict](scenario.md#limits-of-the-verdict)"""
+    laws: Annotated[Any, PlainValidator(_take_laws), Field(exclude=True)] = None
+    """custom laws, in [scenarios made in Python](extend.md#a-scenario-made-in-python) only"""
+
+    _source: Path | None = None
+
+    @property
+    def source(self) -> Path | None:
+        """The file this scenario came from; relative URDF paths begin in its folder."""
+        return self._source
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder of that file, beside which URDFs are looked for."""
+        return None if self._source is None else self._source.parent
+
+    @property
+    def file_stem(self) -> str:
+        """What results are filed under: the name of its file, or its own if it has none."""
+        return self.name if self._source is None else self._source.stem
+
+    def with_source(self, source: Path | None) -> Scenario:
+        """Return the same scenario with another source file."""
+        copy = self.model_copy()
+        copy._source = source
+        return copy
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: Path | None = None) -> Scenario:
+        """Make a scenario in Python.
+
+        Args:
+            data: keys as in a file, SI or text with units; arrays may stand for lists. What no file
+                can hold: `{"pair": object, "body": name}` among contacts, a motion with a `rail`,
+                and `laws`.
+            source: a file beside which URDFs are looked for.
+
+        Raises:
+            ScenarioError: all complaints at once.
+        """
+        plain = _plain(data)
+        try:
+            folder = source and source.parent
+            return cls.model_validate(plain, context={"folder": folder}).with_source(source)
+        except ValidationError as error:
+            from osc_contact.lab.scenarios.document import complaints
+
+            found = complaints(error, plain, cls)
+            lines = dict.fromkeys(f"{'.'.join(map(str, key))}: {text}" for key, text in found)
+            raise ScenarioError("\n".join(f"scenario: {line}" for line in lines)) from error
+
+    def replaced(self, **parts: Any) -> Scenario:
+        """The same scenario with some of its keys replaced, checked anew.
+
+        Args:
+            parts: values of keys, as for `from_dict` or parts of another scenario.
+
+        Raises:
+            ScenarioError: the parts do not fit together.
+        """
+        return self.from_dict({**dict(self), **parts}, self.source)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain JSON-able data (SI) that loads back to an equal scenario."""
+        return self.model_dump(mode="json")
+
+    def __eq__(self, other: Any) -> bool:
+        """Compare contents of files, not their places."""
+        return isinstance(other, Scenario) and self.__dict__ == other.__dict__
+
+    @model_validator(mode="before")
+    @classmethod
+    def _let_a_tare_engage(cls, data: Any) -> Any:
+        """Without keys of phases, where contacts begin open, all of them close at once.
+
+        The tare's own approach is slow in time; phases would land at a set speed, which stiff
+        faces, masses and late wrists turn into overshoot.
+        """
+        if isinstance(data, dict) and data.get("tare") is not None:
+            control = data.get("control")
+            if isinstance(control, dict) and "life" not in control:
+                return {**data, "control": {**control, "life": None}}
+        return data
+
+    @model_validator(mode="after")
+    def _check_across(self) -> Scenario:
+        found = [
+            InitErrorDetails(type=refuse(text), loc=key, input=None)
+            for key, text in problems_across(dict(self))
+        ]
+        if found:
+            raise ValidationError.from_exception_data("Scenario", found)
+        return self

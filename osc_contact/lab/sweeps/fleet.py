@@ -1,0 +1,141 @@
+"""Many plants and their controllers, tick by tick together: rows of two batches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from osc_contact.control.batch import BatchController
+from osc_contact.control.controller import Controller
+from osc_contact.errors import InvalidInputError, PlantError
+from osc_contact.lab.checks.preflight import require_ready
+from osc_contact.lab.plants.mujoco import MujocoPlant
+from osc_contact.lab.rig.rig import Rig
+from osc_contact.lab.runs.run import start
+from osc_contact.spatial import Array
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a row begins: plant and controller of a rig, at rest in contact.
+
+    Attributes:
+        rig: of it. model, state: MuJoCo's. controller: not touched by the rows that begin with it.
+    """
+
+    rig: Rig
+    plant: MujocoPlant
+    state: Array
+    controller: Controller
+
+    @classmethod
+    def of(cls, rig: Rig) -> Start:
+        """The start of a rig, see `lab.runs.run.start`.
+
+        Raises:
+            ScenarioError: it cannot run.
+            InvalidInputError: something in its ticks is Python.
+        """
+        import mujoco
+
+        require_ready(rig)
+        plant, controller = start(rig)
+        scenario = rig.scenario
+        obstacles = {
+            "plant.type is not mujoco, or sensors have errors": type(plant) is not MujocoPlant,
+            "faces move, motors have errors, or arms are pushed": (
+                isinstance(plant, MujocoPlant) and not plant.steps_alone
+            ),
+            "a tare": scenario.tare is not None,
+            "a joint torque loop": scenario.control.joint_torque is not None,
+            "pairs, bodies or laws written in Python": controller._custom.needed,
+        }
+        why = [words for words, so in obstacles.items() if so]
+        if why:
+            raise InvalidInputError(
+                f"plants that advance together are plain ones, and {scenario.name} has: "
+                f"{'; '.join(why)}. Change that with overrides, or run it by itself with osc.run"
+            )
+        assert isinstance(plant, MujocoPlant)
+        kind = mujoco.mjtState.mjSTATE_INTEGRATION
+        state = np.zeros(mujoco.mj_stateSize(plant.model, kind))
+        mujoco.mj_getState(plant.model, plant.data, state, kind)
+        return cls(rig, plant, state, controller)
+
+
+class Fleet:
+    """B plants of one structure and their controllers; each row is the single run of its rig.
+
+    Attributes:
+        rows: B. dt: control period (s). control: the controllers.
+    """
+
+    def __init__(self, starts: Sequence[Start], threads: int = 1) -> None:
+        """Begin.
+
+        Args:
+            starts: of each row (the same one again is shared). threads: of plants and control.
+
+        Raises:
+            InvalidInputError: other structures.
+            PlantError: this MuJoCo has no batches.
+        """
+        try:
+            from mujoco.batch import Batch
+        except ImportError as error:
+            raise PlantError(
+                "plants advance together with mujoco.batch, of MuJoCo 4: pip install 'mujoco>=4'"
+            ) from error
+        first = starts[0]
+        self.rows = len(starts)
+        self.dt = first.controller.dt
+        self._plant = first.plant
+        self._steps = first.plant.steps_in(self.dt)
+        self.control = BatchController([one.controller for one in starts], threads)
+        self._models = [one.plant.model for one in starts]
+        self._plants: Any = Batch(first.plant.model, self.rows, nthread=threads)
+        names = ("qpos", "qvel", "sensordata", "ctrl", "xpos", "xmat")
+        *self._sensed, self._ctrl, self._xpos, self._xmat = map(self._plants.bind, names)
+        self.begin(dict(enumerate(starts)))
+
+    def begin(self, starts: dict[int, Start]) -> None:
+        """Rows that begin anew, each at its start."""
+        rows = np.array(sorted(starts))
+        for row, one in starts.items():
+            self.control.replace(row, one.controller)
+            self._plants.state[row] = one.state
+            self._models[row] = one.plant.model
+        self._plants.warning[rows] = 0
+        self._plants.set_models(self._models)
+        self._plants.forward(rows)
+
+    def measure(self) -> tuple[Array, Array, Array]:
+        """q, v (B, n) and wrist wrenches (B, arms, 6), as `MujocoPlant.measure` gives them."""
+        return self._plant.readings(*self._sensed)
+
+    def tick(
+        self, X_WD: Array, V_D: Array, A_D: Array, alpha_d: Array, squeeze_d: Array | None = None
+    ) -> Array:
+        """One control period; torques (B, n_a). Arguments as of `BatchController.tick`.
+
+        Args:
+            X_WD, V_D, A_D, alpha_d, squeeze_d: as of `BatchController.tick`.
+        """
+        tau = self.control.tick(
+            *self.measure(), X_WD, V_D=V_D, A_D=A_D, alpha_d=alpha_d, squeeze_d=squeeze_d
+        )
+        self._ctrl[:] = tau
+        self._plants.step(nstep=self._steps)
+        return tau
+
+    def objects(self) -> tuple[Array, Array]:
+        """Positions (B, 3) and rotations (B, 3, 3) of the objects, a plant step ago."""
+        body = self._plant.object_body
+        return (self._xpos[:, body], self._xmat[:, body].reshape(-1, 3, 3))
+
+    def diverged(self) -> Array:
+        """(B,) whether MuJoCo has warned since the row began."""
+        return np.any(np.reshape(self._plants.warning, (self.rows, -1)), axis=1)

@@ -1,0 +1,249 @@
+"""The report of a sweep: one page and its figures, beside the table.
+
+It answers how many runs succeed, how large errors get, and what they depend on.
+"""
+
+import base64
+import json
+from collections import Counter
+from collections.abc import Iterator
+from html import escape
+from importlib.util import find_spec
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from osc_contact import __version__
+from osc_contact.files import Json, write_whole
+from osc_contact.lab.sweeps.study import SweepStudy
+from osc_contact.lab.visual.page import POLICY, asset, filled
+from osc_contact.spatial import Array
+
+REPORT = "report.html"
+SUMMARY = "summary.json"
+_SHOWN = 4  #: errors that are drawn; as many causes of each
+_WORST = 5  #: runs that are named
+
+
+def write_report(table: Any, study: SweepStudy, folder: Path) -> Json:
+    """Write summary, figures (with the extra `plot`) and page; returns the summary.
+
+    Args:
+        table: of `sweep`. study: of it. folder: for the files.
+    """
+    summary = summarise(table, study)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(json.dumps(summary, indent=2, allow_nan=False), folder / SUMMARY)
+    pictures = _draw(table, study, summary, folder) if find_spec("matplotlib") else ()
+    parts = {
+        "policy": POLICY,
+        "style": asset("report.css"),
+        "title": escape(Path(study.name or study.template.make().name).stem),
+        "about": escape(f"{study.design}, seed {study.seed}; osc_contact {__version__}"),
+        "changes": escape("\n".join((*study.vary, *study.overrides))),
+        "text": escape(_printed(summary)),
+        "pictures": "".join(map(_picture, pictures)),
+    }
+    write_whole(filled("sweep.html", parts), folder / REPORT)
+    return summary
+
+
+def in_words(summary: Json) -> Iterator[str | Table]:
+    """What became of the runs, errors and what they depend on, the worst; to be printed."""
+    words = ", ".join(f"{count} {word}" for word, count in summary["words"].items())
+    yield f"{summary['rows']} runs, {summary['success_rate']:.1%} without a failed task: {words}"
+    table = Table(
+        "error", "median", "90 %", "99 %", "largest", "depends most on (rank correlation)"
+    )
+    for name, values in summary["quantiles"].items():
+        known = {k: v for k, v in summary["sensitivities"][name].items() if v is not None}
+        most = sorted(known, key=lambda key: -abs(known[key]))[:2]
+        causes = ", ".join(f"{key} {known[key]:+.2f}" for key in most)
+        shares = sorted(summary["variances"][name].items(), key=lambda one: -one[1]["total"])[:2]
+        causes += "".join(
+            f"\n{key}: {share['total']:.0%} of its variance, {share['first']:.0%} alone"
+            for key, share in shares
+        )
+        table.add_row(name, *(f"{value:.3g}" for value in values.values()), causes)
+    if summary["quantiles"]:
+        yield table
+    for one in summary["worst"][:3]:
+        value = "" if one["value"] is None else f", {one['column']} {one['value']:.3g}"
+        command = f"\n  {one['command']}" * bool(one["command"])
+        yield f"row {one['row']}: {one['word']}{value}{command}"
+
+
+def _printed(summary: Json) -> str:
+    """The same as text."""
+    console = Console(file=StringIO(), width=160)
+    for one in in_words(summary):
+        console.print(one, highlight=False, markup=False, soft_wrap=isinstance(one, str))
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+def _picture(path: Path) -> str:
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return (
+        f'<figure><div class="wide"><img src="data:image/png;base64,{data}" '
+        f'alt="{escape(path.stem)}"></div></figure>'
+    )
+
+
+def _draw(table: Any, study: SweepStudy, summary: Json, folder: Path) -> list[Path]:
+    """How errors are distributed, and over what they depend on; PNG and SVG."""
+    from matplotlib.figure import Figure
+
+    from osc_contact.lab.visual.plots import save, style
+
+    shown = list(summary["quantiles"])[:_SHOWN]
+    if not shown:
+        return []
+    with style():
+        spread = Figure(figsize=(8.0, 3.4))
+        ax = spread.subplots()
+        for name in shown:
+            x = numbers(table, name)
+            ax.ecdf(x[np.isfinite(x)], label=name)
+        if all(summary["quantiles"][name]["50 %"] > 0.0 for name in shown):
+            ax.set_xscale("log")
+        ax.set(title="Share of runs below an error", xlabel="error", ylabel="share of runs")
+        ax.legend()
+        written = [save(spread, folder / "errors")[0]]
+        causes = [n for n in study.sample(0).shown if _varies(table, n)][:_SHOWN]
+        if causes:
+            over = Figure(figsize=(8.0, 1.9 * len(shown) + 0.4))
+            axes = over.subplots(len(shown), len(causes), squeeze=False, sharex="col", sharey="row")
+            for row, error in zip(axes, shown, strict=True):
+                for ax, cause in zip(row, causes, strict=True):
+                    ax.plot(numbers(table, cause), numbers(table, error), ".", markersize=3)
+                row[0].set_ylabel(error, fontsize=7)
+            for ax, cause in zip(axes[-1], causes, strict=True):
+                ax.set_xlabel(cause, fontsize=7)
+            written.append(save(over, folder / "causes")[0])
+    return written
+
+
+# --- What the table contains --------------------------------------------------------------------
+
+QUANTILES = (0.5, 0.9, 0.99, 1.0)
+#: Ends of the columns in which errors stand, the most important first.
+_ERRORS = (
+    ".rms_error_rel",
+    "overshoot_rel",
+    "motion.rms_error_m",
+    "motion.rms_error_rad",
+    "power.ratio",
+)
+
+
+def summarise(table: Any, study: SweepStudy) -> Json:
+    """Success rate, quantiles, sensitivities and the worst runs.
+
+    Args:
+        table: of `sweep`. study: of it.
+
+    Returns:
+        rows, success_rate, words {word: runs}, quantiles {column: {"50 %": …}}, sensitivities
+        {column: {what varied: ρ}}, variances {column: {key: {first, total}}} of the design
+        "saltelli", worst [{row, word, why, column, value, command}].
+    """
+    words = Counter(table.column("word").to_pylist())
+    failed = table.column("failed").to_pylist()
+    columns = judged_columns(table)
+    quantiles = {}
+    for name in columns:
+        x = numbers(table, name)
+        if np.isfinite(x).any():
+            found = np.nanquantile(x, QUANTILES).tolist()
+            quantiles[name] = {f"{100 * q:g} %": v for q, v in zip(QUANTILES, found, strict=True)}
+    return {
+        "rows": table.num_rows,
+        "success_rate": 1.0 - sum(failed) / max(1, len(failed)),
+        "words": dict(words.most_common()),
+        "quantiles": quantiles,
+        "sensitivities": {name: sensitivities(table, study, name) for name in columns},
+        "variances": {name: variances(table, study, name) for name in columns},
+        "worst": worst_rows(table, study),
+    }
+
+
+def numbers(table: Any, name: str) -> Array:
+    """(rows,) a column as numbers, NaN where there is none."""
+    return np.array([np.nan if x is None else x for x in table.column(name).to_pylist()], float)
+
+
+def judged_columns(table: Any) -> list[str]:
+    """Names of the columns in which errors stand."""
+    return [name for end in _ERRORS for name in table.column_names if name.endswith(end)]
+
+
+def sensitivities(table: Any, study: SweepStudy, name: str) -> dict[str, float | None]:
+    """Spearman's rank correlation of an error with everything that varied; None: not a number.
+
+    Args:
+        table: of the study, one row a run.
+        study: names what varied.
+        name: the column of the error.
+    """
+    from scipy.stats import spearmanr
+
+    found: dict[str, float | None] = dict.fromkeys(study.sample(0).shown)
+    error = numbers(table, name)
+    for column in filter(lambda column: _varies(table, column), found):
+        both = np.array([numbers(table, column), error])
+        both = both[:, np.isfinite(both).all(axis=0)]
+        if both.shape[1] > 2 and np.ptp(both, axis=1).all():
+            found[column] = float(spearmanr(*both).statistic)
+    return found
+
+
+def variances(table: Any, study: SweepStudy, name: str) -> dict[str, dict[str, float]]:
+    """Sobol's indices: which share of an error's variance each key makes, alone and with others.
+
+    Args:
+        table: of the design "saltelli". study: of it. name: column of the error.
+
+    Returns:
+        {key: {"first": alone, "total": with all that it works together with}}; empty with other
+        designs, and where some row has no error.
+    """
+    f = numbers(table, name)
+    if study.design != "saltelli" or len(f) != study.rows or not np.isfinite(f).all():
+        return {}
+    from scipy.stats import sobol_indices
+
+    A, B, *AB = f.reshape(study.samples, -1).T
+    parts = {"f_A": A[None], "f_B": B[None], "f_AB": np.array(AB)[:, None]}
+    found = sobol_indices(func=parts, n=study.samples)
+    first, total = (np.ravel(x).tolist() for x in (found.first_order, found.total_order))
+    return {
+        path: {"first": first[k], "total": total[k]} for k, (path, _) in enumerate(study.variations)
+    }
+
+
+def worst_rows(table: Any, study: SweepStudy) -> list[Json]:
+    """Runs that failed first, then those of the largest force errors, each with its command.
+
+    Args:
+        table: of the study, one row a run.
+        study: gives the command that repeats a run.
+    """
+    judged = [name for name in judged_columns(table) if name.endswith(".rms_error_rel")]
+    found = []
+    for row in table.to_pylist():
+        errors = {name: row[name] or 0.0 for name in judged}
+        name = max(judged, key=errors.__getitem__, default=None)
+        about = {key: row[key] for key in ("row", "word", "why")}
+        about |= {"column": name, "value": name and row[name]}
+        found.append((row["failed"], max(errors.values(), default=0.0), about))
+    found.sort(key=lambda one: one[:2], reverse=True)
+    return [one | {"command": study.command(one["row"])} for *_, one in found[:_WORST]]
+
+
+def _varies(table: Any, name: str) -> bool:
+    values = table.column(name).to_pylist()
+    return all(isinstance(x, int | float) for x in values) and len(set(values)) > 1

@@ -1,0 +1,456 @@
+"""A study: one scenario, what varies in it, and which numbers each of its runs has.
+
+A key of the scenario may be a distribution, in words such as `uniform(5 mm, 10 mm)`. Every word
+maps numbers between 0 and 1 to values, so that grids, random and quasi-random points are all the
+same to it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass
+from functools import cached_property
+from hashlib import sha256
+from math import prod
+from pathlib import Path
+from statistics import NormalDist
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from osc_contact.errors import InvalidInputError, ScenarioError
+from osc_contact.lab.scenarios.loader import Template, read_text
+from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.spatial import Array, norm
+
+# --- What a key may be --------------------------------------------------------------------------
+
+_CALL = re.compile(r"\s*([a-z]+)\s*\((.*)\)\s*")
+_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+
+Drawn = tuple[str, dict[str, Any]]  #: the text of an override; what stands in the table, by suffix
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """Values of one key.
+
+    Attributes:
+        dims: how many numbers between 0 and 1 make a value.
+        draw: (numbers (dims,), the scenario's own value of the key where that counts) → value.
+        levels: how many different values there are; 0: any number.
+        ends: whether a grid takes both ends of it; else it takes the middles of equal parts.
+        relative: whether the scenario's own value counts.
+    """
+
+    dims: int
+    draw: Callable[[Array, Any], Drawn]
+    levels: int = 0
+    ends: bool = False
+    relative: bool = False
+
+
+Make = Callable[[Sequence[str]], Distribution]  #: from what stands between the commas
+
+
+def parse_distribution(text: str) -> Distribution:
+    """A distribution from its words, see `WORDS`.
+
+    Raises:
+        InvalidInputError: unknown words, or numbers that do not fit them.
+    """
+    match = _CALL.fullmatch(text)
+    if match is None or match[1] not in WORDS:
+        raise InvalidInputError(
+            f"{text!r} is no distribution; write one of {', '.join(WORDS)} with its values, such "
+            "as uniform(5 mm, 10 mm) or choice(filter, least_squares)"
+        )
+    make, written = WORDS[match[1]]
+    try:
+        return make(_split(match[2]))
+    except (ValueError, IndexError) as error:
+        raise InvalidInputError(f"{text!r}: {error}; it is written {written}") from error
+
+
+def _split(text: str) -> list[str]:
+    """Parts between the commas that stand outside of brackets."""
+    parts = [""]
+    depth = 0
+    for letter in text:
+        depth += (letter in "[{(") - (letter in "]})")
+        if letter == "," and not depth:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return [part.strip() for part in parts]
+
+
+def _quantities(parts: Sequence[str], count: int) -> tuple[list[float], str]:
+    """So many numbers with one unit."""
+    if len(parts) != count:
+        raise ValueError(f"{len(parts)} values given, {count} needed")
+    values = []
+    units = set()
+    for part in parts:
+        match = _NUMBER.fullmatch(part)
+        if match is None:
+            raise ValueError(f"{part!r} is no number with or without a unit")
+        values.append(float(match[1]))
+        units.add(match[2])
+    if len(units) > 1:
+        raise ValueError(f"the units {sorted(units)} differ")
+    return (values, units.pop())
+
+
+def _scalar(at: Callable[[float, float, float], float]) -> Make:
+    """Words with two numbers in one unit.
+
+    Args:
+        at: (u, first, second) → value.
+    """
+
+    def make(parts: Sequence[str]) -> Distribution:
+        (first, second), unit = _quantities(parts, 2)
+        at(0.5, first, second)  # refuses what makes no sense
+
+        def draw(u: Array, _: Any) -> Drawn:
+            x = at(float(u[0]), first, second)
+            return (f"{x!r} {unit}".strip(), {f" [{unit}]" if unit else "": x})
+
+        return Distribution(1, draw, ends=at is not _normal)
+
+    return make
+
+
+def _uniform(u: float, low: float, high: float) -> float:
+    if low >= high:
+        raise ValueError("the first number must be below the second")
+    return low + u * (high - low)
+
+
+def _loguniform(u: float, low: float, high: float) -> float:
+    if not 0.0 < low < high:
+        raise ValueError("both ends must be positive, the lower one first")
+    return low * (high / low) ** u
+
+
+def _normal(u: float, mean: float, spread: float) -> float:
+    if spread <= 0.0:
+        raise ValueError("the standard deviation must be positive")
+    return NormalDist(mean, spread).inv_cdf(min(max(u, 1e-9), 1 - 1e-9))
+
+
+def _factor(parts: Sequence[str]) -> Distribution:
+    uniform = _scalar(_uniform)(parts)
+    if _quantities(parts, 2)[1]:
+        raise ValueError("give two factors without a unit")
+
+    def draw(u: Array, value: Any) -> Drawn:
+        x = float(uniform.draw(u, None)[0])
+        return (_times(value, x), {" [factor]": x})
+
+    return Distribution(1, draw, ends=True, relative=True)
+
+
+def _choice(parts: Sequence[str], values: Sequence[Any] = ()) -> Distribution:
+    """One of the texts; the table shows the values, by default numbers if all texts are."""
+    if not all(parts):
+        raise ValueError("a value is missing")
+    try:
+        values = values or [float(part) for part in parts]
+    except ValueError:
+        values = parts
+
+    def draw(u: Array, _: Any) -> Drawn:
+        i = min(int(u[0] * len(parts)), len(parts) - 1)
+        return (parts[i], {"": values[i]})
+
+    return Distribution(1, draw, len(parts))
+
+
+def _integers(parts: Sequence[str]) -> Distribution:
+    low, high = map(int, parts)
+    if low > high:
+        raise ValueError(f"{low} is above {high}")
+    values = range(low, high + 1)
+    return _choice([str(value) for value in values], values)
+
+
+def _times(value: Any, factor: float) -> str:
+    """The text of a number, a quantity or a list of them, times a factor."""
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_times(one, factor) for one in value) + "]"
+    match = None if isinstance(value, bool) else _NUMBER.fullmatch(str(value))
+    if match is None:
+        raise InvalidInputError(f"factor(…) multiplies a number; the scenario has {value!r}")
+    return f"{float(match[1]) * factor!r} {match[2]}".strip()
+
+
+def _tilt(parts: Sequence[str]) -> Distribution:
+    (most,), unit = _quantities(parts, 1)
+    most = np.deg2rad(most) if unit == "deg" else most
+    if unit not in ("deg", "rad", "") or not 0.0 < most <= np.pi:
+        raise ValueError("give the largest angle in deg or rad, at most 180 deg")
+
+    def draw(u: Array, value: Any) -> Drawn:
+        n = np.array(value, dtype=float)
+        n /= norm(n)
+        angle = float(np.arccos(1.0 - u[0] * (1.0 - np.cos(most))))
+        heading = 2.0 * np.pi * float(u[1])
+        a = np.cross(np.eye(3)[np.abs(n).argmin()], n)
+        a /= norm(a)
+        side = np.cos(heading) * a + np.sin(heading) * np.cross(n, a)
+        tilted = np.cos(angle) * n + np.sin(angle) * side
+        return (str(tilted.tolist()), {".tilt [rad]": angle, ".heading [rad]": heading})
+
+    return Distribution(2, draw, relative=True)
+
+
+#: Words, what makes distributions of them, and how they are written.
+WORDS: dict[str, tuple[Make, str]] = {
+    "uniform": (_scalar(_uniform), "uniform(LOW, HIGH), in one unit"),
+    "loguniform": (_scalar(_loguniform), "loguniform(LOW, HIGH), both positive, in one unit"),
+    "normal": (_scalar(_normal), "normal(MEAN, STANDARD DEVIATION), in one unit"),
+    "factor": (_factor, "factor(LOW, HIGH) of the scenario's value, without a unit"),
+    "tilt": (_tilt, "tilt(ANGLE): a direction of the scenario turned by at most so much"),
+    "choice": (_choice, "choice(A, B, …), any values"),
+    "integers": (_integers, "integers(LOW, HIGH), both included"),
+}
+
+
+# --- Which numbers each run has -----------------------------------------------------------------
+
+Design = Literal["halton", "sobol", "random", "grid", "saltelli"]
+SEED = "seed"  #: a path that is no key of the scenario: the seed of a run
+_BLOCK = 1024  #: points that are made at once
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The numbers of one run.
+
+    Attributes:
+        number: of the row. seed: of everything random. overrides: {path: value} of the scenario.
+        shown: what varies, as the table shows it.
+    """
+
+    number: int
+    seed: int
+    overrides: dict[str, str]
+    shown: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class SweepStudy:
+    """What a sweep runs; row i depends on nothing but this and i.
+
+    Attributes:
+        text, source: of the scenario. overrides: (path=value, …) of all runs.
+        name: what `osc-contact run` calls the scenario; None: it was made in Python.
+        vary: (path=distribution, …). samples: how many points; on a grid, how many values of each
+            key that can have any; "saltelli" has two more runs of each than keys.
+        design: how the points are placed. seed: of the points, and of the runs if it does not vary.
+    """
+
+    text: str
+    source: str | None
+    vary: tuple[str, ...]
+    samples: int
+    design: Design = "halton"
+    seed: int = 0
+    overrides: tuple[str, ...] = ()
+    name: str | None = None
+
+    @classmethod
+    def of(
+        cls,
+        scenario: str | Path | Scenario,
+        vary: Mapping[str, str] | Sequence[str],
+        samples: int,
+        design: Design = "halton",
+        seed: int = 0,
+        overrides: Sequence[str] = (),
+    ) -> SweepStudy:
+        """A study of a packaged scenario, a file, or a scenario made in Python.
+
+        Args:
+            scenario: name, path, or a scenario made in Python.
+            vary: "path.to.key=DISTRIBUTION", or a mapping of the same.
+            samples: how many points; on a grid: values of each key that can have any.
+            design: how the points are placed.
+            seed: of the points and of the runs.
+            overrides: "path.to.key=value" of all runs.
+
+        Raises:
+            ScenarioError: it cannot be read; a path that cannot be set.
+            InvalidInputError: no distribution, or one that is not understood.
+        """
+        if isinstance(scenario, Scenario):
+            if scenario.laws is not None or any(
+                getattr(one, "pair", None) is not None for one in scenario.contacts
+            ):
+                raise InvalidInputError(
+                    "laws and pairs written in Python cannot be handed to other processes; run "
+                    "such a scenario with osc.run, one by one"
+                )
+            text = json.dumps(scenario.as_dict(), indent=1)
+            path = scenario.source
+            name = None
+        else:
+            text, path = read_text(scenario)
+            name = str(scenario)
+        source = None if path is None else str(path.resolve())
+        pairs = texts(vary) if isinstance(vary, Mapping) else vary
+        study = cls(text, source, tuple(pairs), samples, design, seed, tuple(overrides), name)
+        study.require_sound()
+        return study
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """With its points: workers need no scipy.stats, which takes them a second to import."""
+        return (type(self), astuple(self), {"_points": self._points})
+
+    def require_sound(self) -> None:
+        """Whether all of it can be understood, as far as the first row shows.
+
+        Raises:
+            InvalidInputError, ScenarioError: with what is wrong.
+        """
+        if not self.vary or self.samples < 1:
+            raise InvalidInputError(
+                f"{len(self.vary)} keys vary, {self.samples} samples: give at least one of both"
+            )
+        if self.design not in get_args(Design):
+            raise InvalidInputError(f"design {self.design!r}; give one of {get_args(Design)}")
+        if self.design == "saltelli" and self.samples & (self.samples - 1):
+            raise InvalidInputError(
+                f"{self.samples} samples: the design saltelli needs a power of two, such as "
+                f"{1 << self.samples.bit_length()}"
+            )
+        paths = [path for path, _ in self.variations]
+        if len(set(paths)) < len(paths):
+            raise InvalidInputError(f"a key varies twice: {paths}")
+        sample = self.sample(0)
+        try:
+            self.scenario(sample)
+        except ScenarioError as error:
+            raise ScenarioError(f"the first of the runs cannot be made:\n{error}") from error
+
+    @cached_property
+    def variations(self) -> tuple[tuple[str, Distribution], ...]:
+        """(path, distribution) of each key that varies."""
+        found = [text.partition("=") for text in self.vary]
+        for path, equals, _ in found:
+            if not equals:
+                raise InvalidInputError(f"{path!r}: write path.to.key=distribution")
+        return tuple((path.strip(), parse_distribution(words)) for path, _, words in found)
+
+    @cached_property
+    def template(self) -> Template:
+        """The scenario's text, read."""
+        return Template(self.text, self.source)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Identifies this study; how many samples it has does not matter."""
+        content = asdict(self) | {"samples": self.samples if self.design == "grid" else None}
+        del content["name"]
+        return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+    @cached_property
+    def rows(self) -> int:
+        """How many runs there are."""
+        if self.design == "saltelli":
+            return self.samples * (len(self.variations) + 2)
+        return prod(self._levels) if self.design == "grid" else self.samples
+
+    @cached_property
+    def _levels(self) -> list[int]:
+        return [d.levels or self.samples for _, d in self.variations for _ in range(d.dims)]
+
+    @cached_property
+    def _points(self) -> dict[int, Array]:
+        return {}
+
+    def sample(self, number: int) -> Sample:
+        """The numbers of one run."""
+        overrides, shown = self.at(self._point(number))
+        seed = int(overrides.pop(SEED, self.seed))
+        return Sample(number, seed, overrides, shown)
+
+    def at(self, u: Array) -> tuple[dict[str, str], dict[str, Any]]:
+        """Overrides and what the table shows at a point: numbers (dims,) between 0 and 1."""
+        overrides = {}
+        shown: dict[str, Any] = {}
+        for path, distribution in self.variations:
+            own, u = np.split(u, [distribution.dims])
+            overrides[path], values = distribution.draw(own, self._stated.get(path))
+            shown |= {path + suffix: value for suffix, value in values.items()}
+        return (overrides, shown)
+
+    def scenario(self, sample: Sample) -> Scenario:
+        """The scenario of one run."""
+        return self.template.make([*self.overrides, *texts(sample.overrides)])
+
+    def command(self, number: int) -> str | None:
+        """The line of a shell that runs one sample by itself; None: it was made in Python."""
+        if self.name is None:
+            return None
+        sample = self.sample(number)
+        words = ["osc-contact", "run", self.name]
+        for change in (*self.overrides, *texts(sample.overrides)):
+            words += ["--set", change]
+        return shlex.join([*words, "--seed", str(sample.seed)])
+
+    @cached_property
+    def _stated(self) -> dict[str, Any]:
+        """The scenario's own values of keys that vary relative to them."""
+        return {
+            path: self.template.value(path, self.overrides)
+            for path, distribution in self.variations
+            if path != SEED and distribution.relative
+        }
+
+    def _point(self, number: int) -> Array:
+        """(dims,) numbers between 0 and 1; "saltelli": A, B, and A with a key of B, one by one."""
+        dims = [distribution.dims for _, distribution in self.variations]
+        if self.design == "grid":
+            count = np.array(self._levels)
+            place = np.array(np.unravel_index(number, count))
+            ends = np.repeat([distribution.ends for _, distribution in self.variations], dims)
+            middle = (place + 0.5) / count
+            return np.where(ends & (count > 1), place / np.maximum(count - 1, 1), middle)
+        if self.design == "saltelli":
+            number, turn = divmod(number, len(self.variations) + 2)
+            A, B = np.split(self._in_block(number), 2)
+            if turn < 2:
+                return B if turn else A
+            return np.where(np.repeat(range(len(dims)), dims) == turn - 2, B, A)
+        return self._in_block(number)
+
+    def _in_block(self, number: int) -> Array:
+        block, place = divmod(number, _BLOCK)
+        if block not in self._points:
+            self._points[block] = self._block(block)
+        return self._points[block][place]
+
+    def _block(self, block: int) -> Array:
+        dims = len(self._levels)
+        if not dims or self.design == "random":
+            return np.random.default_rng([self.seed, block]).random((_BLOCK, dims))
+        from scipy.stats import qmc
+
+        if self.design == "saltelli":
+            dims *= 2
+        kind = qmc.Halton if self.design == "halton" else qmc.Sobol
+        points = kind(dims, scramble=True, rng=self.seed)
+        if block:
+            points.fast_forward(block * _BLOCK)
+        return points.random(_BLOCK)
+
+
+def texts(overrides: Mapping[str, str]) -> list[str]:
+    """Overrides as path=value."""
+    return [f"{path}={value}" for path, value in overrides.items()]

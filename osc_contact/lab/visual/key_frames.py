@@ -1,0 +1,92 @@
+"""Key frames of a page that plays by itself, as one drawing command.
+
+Most of a page's numbers are key frames. They go from arrays into the bytes of MessagePack, which
+meshcat's viewer reads, without an object of Python for each of them.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from osc_contact.lab.visual.messages import packed, packed_list, packed_map
+
+
+class Animation:
+    """The key frames of all nodes.
+
+    Args:
+        fps: frames per second.
+    """
+
+    def __init__(self, fps: float) -> None:
+        self.fps = fps
+        self._clips: dict[str, list[bytes]] = {}
+
+    def track(self, path: str, name: str, kind: str, values: NDArray[Any]) -> None:
+        """Key frames of one property; keys inside a stretch of equal values are left out.
+
+        The last frame always has its key: tracks of unequal length would drift apart when repeated.
+
+        Args:
+            path: of the node that moves.
+            name: the property, such as `position`.
+            kind: its type in three.js, such as `vector3`.
+            values: (frames, …) one value a frame.
+        """
+        changed = np.any(values[1:] != values[:-1], axis=tuple(range(1, values.ndim)))
+        if not changed.any():
+            return
+        frames = np.flatnonzero(np.append(True, changed) | np.append(changed, True))
+        track = {
+            "name": packed(f".{name}"),
+            "type": packed(kind),
+            "keys": packed_keys(frames, values[frames]),
+        }
+        self._clips.setdefault(path, []).append(packed_map(track))
+
+    def message(self) -> bytes:
+        """The command that plays it again and again, packed."""
+        return packed_map(
+            {
+                "type": packed("set_animation"),
+                "animations": packed_list(
+                    [self._clip(path, tracks) for path, tracks in self._clips.items()]
+                ),
+                "options": packed({"play": True, "repetitions": float("inf")}),
+                "path": packed(""),
+            }
+        )
+
+    def _clip(self, path: str, tracks: Sequence[bytes]) -> bytes:
+        """What moves at a node."""
+        clip = {"fps": packed(self.fps), "name": packed("default"), "tracks": packed_list(tracks)}
+        return packed_map({"path": packed(path), "clip": packed_map(clip)})
+
+
+def packed_keys(frames: NDArray[np.integer], values: NDArray[Any]) -> bytes:
+    """[{"time": frame, "value": value}, …] packed; numbers in single precision.
+
+    Args:
+        frames: (k,) their numbers. values: (k,) booleans, or (k, n) numbers, n < 16.
+    """
+    if values.dtype == np.bool_:
+        value = np.dtype([("mark", "u1")])
+    else:
+        number = np.dtype([("mark", "u1"), ("number", ">f4")])
+        value = np.dtype([("count", "u1"), ("numbers", number, values.shape[1:])])
+    keys = np.empty(
+        len(frames),
+        [("head", "S7"), ("time", ">u4"), ("name", "S6"), ("value", value)],
+    )
+    keys["head"] = b"\x82\xa4time\xce"  # a map of two, a text of four, 32 bits
+    keys["time"] = frames
+    keys["name"] = b"\xa5value"
+    if values.dtype == np.bool_:
+        keys["value"]["mark"] = np.where(values, 0xC3, 0xC2)
+    else:
+        keys["value"]["count"] = 0x90 + values.shape[1]
+        keys["value"]["numbers"]["mark"] = 0xCA
+        keys["value"]["numbers"]["number"] = values
+    return packed_list([keys.tobytes()], len(keys))

@@ -1,0 +1,203 @@
+"""A live view of a run that cannot disturb it.
+
+Drawing and serving happen in a separate process. The control loop's side is one call that
+copies the newest numbers into a socket to that process, without waiting: what the other side has
+no room for is dropped, so a slow, stopped, flooded or ended viewer costs the loop microseconds. The
+viewer's thread of control being another process, it does not compete for the interpreter lock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import pickle
+import select
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from osc_contact.errors import InvalidInputError, ViewerError
+
+LOG = logging.getLogger("osc_contact.viewer")
+CHANNELS: dict[str, tuple[int | str, ...]] = {
+    "t": (),
+    "q": ("joints",),
+    "pose": (7,),
+    "face_pose": ("contacts", 7),
+    "N": (6, "forces"),
+    "contact_point": ("contacts", 3),
+    "contact_direction": ("contacts", 3),
+    "closed": ("contacts",),
+    "alpha_cmd": ("forces",),
+    "alpha_meas": ("forces",),
+    "alpha_true": ("forces",),
+    "power_total": (),
+    "power_projected": (),
+}
+"""What a scene draws from, and its shape at one tick; all else stays in the loop's process."""
+START_S = 30.0
+STALLED_S = 1.0  #: after which it is logged that the viewer's process takes nothing
+RETRY_S = 0.25  #: from then on it is offered a tick so often
+ROOM = 1 << 15
+
+
+class Viewer:
+    """A live page at `url`, served on 127.0.0.1 only, by a process that ends with this one.
+
+    Args:
+        about: what it is handed, as pickle understands it: the scene.
+        rate: pictures per second at most, 1 … 60.
+
+    Attributes:
+        url: address of the page; any number of browsers may open it, none needs to.
+        error: why the view has ended, once it has; the run continues.
+        stalled: whether its process has taken nothing for a second, as on a loaded machine; ticks
+            are dropped until it does.
+
+    Raises:
+        ViewerError: the process does not start.
+
+    Example:
+        >>> viewer = osc.open_viewer(osc.load_scenario("two_contact_rod"))
+        >>> print(viewer.url.startswith("http://127.0.0.1"))
+        True
+        >>> viewer.close()
+    """
+
+    def __init__(self, about: object, rate: float = 30.0) -> None:
+        if not 1.0 <= rate <= 60.0:
+            raise InvalidInputError(f"rate = {rate}; give 1 to 60 pictures per second")
+        self.error: ViewerError | None = None
+        self.browsers = 0
+        self._reason = ""
+        self._period = 1.0 / rate
+        self._due = 0.0
+        self._stalled_since = float("inf")
+        self.stalled = False
+        self._link, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with tempfile.TemporaryFile() as complaints:
+            with other:  # closed here, so that the end of the process closes the link
+                self._process = _started(other, complaints)
+            try:
+                with self._process.stdin as scene:  # type: ignore[union-attr]
+                    pickle.dump(about, scene)
+                self.url = self._answer()
+            except (OSError, ValueError, KeyError) as error:
+                self.close()
+                complaints.seek(0)
+                lines = complaints.read().decode(errors="replace").strip().splitlines()
+                raise ViewerError(
+                    f"the live view does not start: {lines[-1] if lines else error}"
+                ) from error
+        self._link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ROOM)
+        self._link.setblocking(False)
+
+    def _answer(self) -> str:
+        ready, _, _ = select.select([self._link], [], [], START_S)
+        if not ready:
+            raise OSError(f"no answer within {START_S:g} s")
+        return json.loads(self._link.recv(4096))["url"]
+
+    def show(self, tick: Mapping[str, Any]) -> None:
+        """Hand over the channels of one control tick; returns at once and never raises.
+
+        Most calls only look at the clock: at most `rate` ticks per second are sent.
+        """
+        now = monotonic()
+        if now < self._due or self.error is not None:
+            return
+        self._due = now + self._period
+        try:
+            sample = {name: np.array(tick[name], dtype=float) for name in CHANNELS if name in tick}
+            self._link.send(pickle.dumps(sample))
+            self._taken()
+        except BlockingIOError:
+            self._wait(now)
+        except OSError:
+            self._read_news()
+            why = f": {self._reason}" if self._reason else ""
+            self._fail(f"its process has ended (exit code {self._process.poll()}){why}")
+        except (TypeError, ValueError) as error:
+            self._fail(f"a tick does not hold numbers: {error!r}")
+
+    def _taken(self) -> None:
+        """A tick was taken."""
+        self._stalled_since = float("inf")
+        if self.stalled:
+            self.stalled = False
+            LOG.info("the live view continues")
+
+    def _wait(self, now: float) -> None:
+        """No tick is taken; reported once, then offered more seldom.
+
+        Args:
+            now: s, by the clock of `monotonic`.
+        """
+        self._stalled_since = min(self._stalled_since, now)
+        if now - self._stalled_since <= STALLED_S:
+            return
+        self._due = now + RETRY_S
+        if not self.stalled:
+            self.stalled = True
+            LOG.warning(
+                "the live view waits: its process has taken nothing for %g s (a loaded machine?); "
+                "the run continues, and the view as soon as it can",
+                STALLED_S,
+            )
+
+    def _fail(self, reason: str) -> None:
+        """Report once; the loop continues."""
+        self.error = ViewerError(f"the live view has ended: {reason}; the run continues without it")
+        LOG.error("%s", self.error)
+
+    def count_browsers(self) -> int:
+        """How many browsers show the page now; does not wait."""
+        self._read_news()
+        return self.browsers
+
+    def _read_news(self) -> None:
+        """Read what the other process has sent: how many browsers there are, why it ends."""
+        with contextlib.suppress(OSError, ValueError):  # nothing more to read, or half a message
+            while news := self._link.recv(4096):
+                message = json.loads(news)
+                self.browsers = int(message.get("browsers", self.browsers))
+                self._reason = str(message.get("error", self._reason))
+
+    def close(self) -> None:
+        """End the process and free its port; may be called again."""
+        self._link.close()
+        try:
+            self._process.wait(2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self.error = self.error or ViewerError("the live view was closed")
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _started(link: socket.socket, complaints: Any) -> subprocess.Popen[bytes]:
+    """A process that inherits one descriptor and does not get the Ctrl-C of this terminal."""
+    paths = [str(Path(__file__).parents[3]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.Popen(
+        [sys.executable, "-m", "osc_contact.lab.visual.server", str(link.fileno())],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=complaints,
+        pass_fds=[link.fileno()],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        start_new_session=True,
+    )

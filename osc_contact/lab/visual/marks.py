@@ -1,0 +1,344 @@
+"""What a scene marks at contacts: forces and their lines, motions permitted, trails.
+
+Arrows are 10 mm per newton (100 mm per N m for a couple), their tip at the contact, pointing the
+way the object pushes into the environment. The true force lies on its line; the commanded one is a
+wide, pale arrow around it; the measured one, thin and black, stands beside it so that it is seen
+where the two agree. A contact that is lost turns grey.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from osc_contact.lab.visual import contact_colour
+from osc_contact.lab.visual.parts import Frames, LegendEntry, Part, Samples, States, held
+from osc_contact.lab.visual.screws import helix, tangents, twist_screw, wrench_screw
+from osc_contact.lab.visual.shapes import along, at, cylinder, material, plain, tube
+from osc_contact.spatial import Array, norm
+
+if TYPE_CHECKING:
+    from meshcat import Visualizer
+
+
+LOST = "#8E939A"
+BLACK = "#15181C"
+LINE_LENGTH = 0.7
+LINE = (-0.5 * LINE_LENGTH, 0.5 * LINE_LENGTH)
+
+# --- Forces and their lines ---------------------------------------------------------------------
+
+METRES_PER_NEWTON = 0.01
+METRES_PER_NEWTON_METRE = 0.1
+BESIDE = 0.017
+HEAD_LENGTH = 0.035
+"""Length of an arrow's head in m; shorter arrows are all head, shrunk."""
+SHORTEST = 1e-6
+SHOWN_FROM = 1e-3  # N
+WRENCH_HELIX = (0.03, 0.24)
+"""Radius and length (m) of the path that shows the pitch of a line of force."""
+LEAST_PITCH = 0.005
+
+
+class _Arrow(NamedTuple):
+    """How one of the three forces of a contact is drawn."""
+
+    name: str
+    channel: str
+    words: str
+    look: str
+    radius: float
+    opacity: float = 1.0
+
+
+ARROWS = (
+    _Arrow("true", "alpha_true", "force, true", "solid", 0.006),
+    _Arrow("commanded", "alpha_cmd", "commanded", "pale", 0.012, 0.32),
+    _Arrow("measured", "alpha_meas", "measured", "thin", 0.0028),
+)
+
+
+def arrow_states(path: str, lengths: Array) -> Frames:
+    """States of an arrow with its tip at its origin, along the y-axis.
+
+    The head keeps its size; an arrow shorter than its head is a smaller head without shaft.
+
+    Args:
+        path: of its node. lengths: (F,) m.
+    """
+    lengths = np.maximum(np.where(np.isfinite(lengths), lengths, 0.0), SHORTEST)
+    head = np.minimum(1.0, lengths / HEAD_LENGTH)
+    shaft = np.maximum(lengths - HEAD_LENGTH, SHORTEST)
+    return {
+        f"{path}/shaft": States(on_y_axis(-HEAD_LENGTH * head), np.array([head, shaft, head]).T),
+        f"{path}/head": States(scale=np.array([head, head, head]).T),
+    }
+
+
+def on_y_axis(y: Array) -> Array:
+    """(F, 7) poses on the y-axis, not turned; y (F,) m."""
+    poses = np.zeros((len(y), 7))
+    poses[:, 1] = y
+    poses[:, 6] = 1.0
+    return poses
+
+
+def poses_along(points: Array, directions: Array) -> Array:
+    """(F, 7) poses with origins at the points and y-axes in the directions, both (F, 3)."""
+    poses = map(along, points, directions)
+    return np.reshape([pin.SE3ToXYZQUAT(pose) for pose in poses], (-1, 7))
+
+
+class ContactForce(Part):
+    """One column of N: the force (or couple) that one contact transmits.
+
+    Args:
+        name: of the node, unique.
+        column: which column of N it is.
+        contact: which contact it belongs to; gives the colour.
+        first: one tick, at which the pitch of the line is drawn.
+    """
+
+    def __init__(self, name: str, column: int, contact: int, first: Samples) -> None:
+        self.path = f"contacts/{name}"
+        self.words = name.replace("_", " ")
+        self.column = column
+        self.contact = contact
+        self.colour = contact_colour(contact)
+        self.arrows = [arrow for arrow in ARROWS if arrow.channel in first]
+        self.last = pin.SE3ToXYZQUAT(pin.SE3.Identity())
+        _, pitches = self._place(first)
+        pitch = float(pitches[0]) if len(pitches) else 0.0
+        self.couple = np.isinf(pitch)
+        self.pitch = pitch if abs(pitch) > LEAST_PITCH else 0.0
+
+    def draw(self, scene: Visualizer) -> None:
+        """Make the nodes."""
+        from meshcat.geometry import Cylinder, Sphere
+
+        node = scene[self.path]
+        for state, colour, opacity in (("closed", self.colour, 1.0), ("lost", LOST, 0.7)):
+            paint = plain(colour, opacity)
+            node[f"{state}/point"].set_object(Sphere(0.0065), paint)
+            node[f"{state}/patch"].set_object(Cylinder(0.005, 0.024), plain(colour, 0.5))
+            cylinder(node[f"{state}/line/rod"], paint, LINE, 0.002)
+            if self.pitch:
+                path = helix(0.0 if self.couple else self.pitch, *WRENCH_HELIX)
+                node[f"{state}/line/pitch"].set_object(tube(path, 0.002), paint)
+        for arrow in self.arrows:
+            measured = arrow.name == "measured"
+            part = node[arrow.name]
+            part.set_transform(at([BESIDE * measured, 0.0, 0.0]).homogeneous)
+            paint = material(BLACK if measured else self.colour, arrow.opacity, glow=0.12)
+            cylinder(part["shaft/rod"], paint, (-1.0, 0.0), arrow.radius)
+            for name, tip in (("cone", 0.0), ("second", -0.025))[: 1 + self.couple]:
+                ends = (tip - HEAD_LENGTH, tip)
+                cylinder(part[f"head/{name}"], paint, ends, 2.4 * arrow.radius, top=0.0)
+
+    def states(self, samples: Samples) -> Frames:
+        """Poses, lengths and visibility."""
+        poses, _ = self._place(samples)
+        known, pressed = (flags[:, self.column] for flags in samples["normals"][1:])
+        frames = {
+            self.path: States(poses),
+            f"{self.path}/closed": States(visible=pressed),
+            f"{self.path}/lost": States(visible=known & ~pressed),
+        }
+        unit = METRES_PER_NEWTON_METRE if self.couple else METRES_PER_NEWTON
+        longest = np.zeros(len(poses))
+        for arrow in self.arrows:
+            alpha = samples[arrow.channel][:, self.column]
+            drawn = pressed if arrow.name == "true" else known
+            path = f"{self.path}/{arrow.name}"
+            frames[path] = States(visible=drawn & (alpha > SHOWN_FROM))
+            frames |= arrow_states(path, unit * alpha)
+            longest = np.maximum(longest, np.nan_to_num(unit * alpha, posinf=0.0))
+        frames[f"{self.path}/label"] = States(on_y_axis(-longest - 0.045))
+        return frames
+
+    def corners(self, samples: Samples) -> Array:
+        """(k, 3) tips and labels; none where the contact is not known."""
+        frames = self.states(samples)
+        tips, labels = (frames[path].poses for path in (self.path, f"{self.path}/label"))
+        assert tips is not None and labels is not None
+        known = samples["normals"].known[:, self.column]
+        ends = []
+        for tip, label in zip(tips[known], labels[known], strict=True):
+            X = pin.XYZQUATToSE3(tip)
+            ends += [X.translation, X * label[:3]]
+        return np.reshape(ends, (-1, 3))
+
+    def _place(self, samples: Samples) -> tuple[Array, Array]:
+        """(F, 7) poses with the y-axis on the line of force, near the contact point.
+
+        Where the contact is not known the last pose stays. Also the pitches (m) where it is known.
+        """
+        N, known, _ = samples["normals"]
+        here = known[:, self.column]
+        points = samples["contact_point"][here, self.contact]
+        foot, directions, pitches = wrench_screw(N[here, :, self.column], samples["pose"][here, :3])
+        on_line = foot + np.vecdot(points - foot, directions)[:, None] * directions
+        points = np.where(np.isinf(pitches)[:, None], points, on_line)
+        poses = held(here, poses_along(points, directions), self.last)
+        self.last = poses[-1]
+        return (poses, pitches)
+
+
+def legend(forces: Sequence[ContactForce]) -> list[LegendEntry]:
+    """Colours of the contacts, and the check boxes that all contacts share."""
+    if not forces:
+        return []
+    rows = [
+        (one.words, one.look, f"{one.name}/shaft", f"{one.name}/head") for one in forces[0].arrows
+    ]
+    rows.append(("N: lines of force (grey: contact lost)", "line", "closed/line", "lost/line"))
+    entries = [LegendEntry(force.colour, force.words) for force in forces]
+    for words, look, *names in rows:
+        paths = tuple(f"{force.path}/{name}" for force in forces for name in names)
+        entries.append(LegendEntry(BLACK, words, look, paths))
+    return entries
+
+
+# --- Motions permitted --------------------------------------------------------------------------
+
+T_COLOUR = "#7A3E9D"
+AXIS_LENGTH = 0.44
+SLIDE_LENGTH = 0.26
+TWIST_HELIX = (0.035, 0.19)
+"""Radius and length (m) of the path of a point beside a twist axis."""
+LEAST_TWIST_PITCH = 0.02
+TALLEST = 0.5
+TWIST_NODES = (
+    "label",
+    "turn/axis",
+    "turn/path/tube",
+    "turn/end/head",
+    "slide/axis",
+    "slide/up",
+    "slide/down",
+)
+
+
+class TwistAxes(Part):
+    """A basis of T: turns about axes, drawn with the path of a point beside them, and slides.
+
+    The path around an axis is a circle's arc for a pure turn and the steeper the further one turn
+    advances; the height of a path is drawn up to 0.5 m.
+    """
+
+    def __init__(self, first: Samples) -> None:
+        """Pitches of the paths that are drawn: those at the first tick."""
+        _, (pitches,), _ = _screws(first)
+        steep = (np.abs(pitches) > LEAST_TWIST_PITCH) & np.isfinite(pitches)
+        self.pitches = np.where(steep, pitches, LEAST_TWIST_PITCH).tolist()
+
+    def draw(self, scene: Visualizer) -> None:
+        """Make the nodes of all six axes that T can have."""
+        paint = plain(T_COLOUR)
+        half = 0.5 * SLIDE_LENGTH
+        for i, pitch in enumerate(self.pitches):
+            node = scene[f"twists/{i}"]
+            node["turn/path/tube"].set_object(tube(helix(pitch, *TWIST_HELIX), 0.0019), paint)
+            cylinder(node["turn/axis/rod"], paint, (-0.5 * AXIS_LENGTH, 0.5 * AXIS_LENGTH), 0.0013)
+            cylinder(node["turn/end/head"], paint, (-0.002, 0.018), 0.006, top=0.0)
+            cylinder(node["slide/axis/rod"], paint, (-half, half), 0.0019)
+            cylinder(node["slide/up"], paint, (half - 0.008, half + 0.02), 0.007, top=0.0)
+            cylinder(node["slide/down"], paint, (-half - 0.02, 0.008 - half), 0.0, top=0.007)
+
+    def states(self, samples: Samples) -> Frames:
+        """Where the axes are; those that T does not have are hidden."""
+        poses, pitches, there = _screws(samples)
+        frames: Frames = {}
+        for i, reference in enumerate(self.pitches):
+            path = f"twists/{i}"
+            turns = np.isfinite(pitches[:, i])
+            curve = helix(reference, *TWIST_HELIX)
+            most = TALLEST / np.ptp(curve[:, 1])
+            stretch = np.clip(np.where(turns, pitches[:, i], 0.0) / reference, -most, most)
+            stretch[np.abs(stretch) < 1e-6] = 1e-6
+            scale = np.insert(np.ones((len(stretch), 2)), 1, stretch, axis=1)
+            end = 0.53 * np.where(turns, AXIS_LENGTH, SLIDE_LENGTH + 0.06)
+            frames |= {
+                path: States(poses[:, i], visible=there[:, i]),
+                f"{path}/turn": States(visible=turns),
+                f"{path}/slide": States(visible=~turns),
+                f"{path}/turn/path": States(scale=scale),
+                f"{path}/label": States(on_y_axis(end)),
+                f"{path}/turn/end": States(
+                    poses_along(scale * curve[-1], scale * (curve[-1] - curve[-2]))
+                ),
+            }
+        return frames
+
+    def legend(self) -> LegendEntry:
+        """Its line of the legend."""
+        paths = tuple(f"twists/{i}/{node}" for i in range(6) for node in TWIST_NODES)
+        return LegendEntry(T_COLOUR, "T: a basis of the motions permitted", "turn", paths)
+
+
+def _screws(samples: Samples) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Poses, whose y-axes are the axes, and pitches of the motions that closed contacts permit.
+
+    Returns:
+        (F, 6, 7), (F, 6), and (F, 6) which of the six there are; of the others the pitch is zero.
+    """
+    N, _, pressed = samples["normals"]
+    bases = [tangents(one[:, held_by]).T for one, held_by in zip(N, pressed, strict=True)]
+    counts = np.array([len(basis) for basis in bases])
+    there = np.arange(6) < counts[:, None]
+    origins = np.repeat(samples["pose"][:, :3], counts, axis=0)
+    point, direction, pitch = twist_screw(np.vstack(bases), origins)
+    poses = np.zeros((*there.shape, 7))
+    poses[..., 6] = 1.0
+    poses[there] = poses_along(point, direction)
+    pitches = np.zeros(there.shape)
+    pitches[there] = pitch
+    return (poses, pitches, there)
+
+
+# --- Trails -------------------------------------------------------------------------------------
+
+TRAIL_COLOUR = "#5A6270"
+LONGEST = 240
+STEP = 5e-4
+
+
+class Trails:
+    """Paths of the object's origin and of the contact points.
+
+    They grow tick by tick; a path longer than 240 points is thinned to every other one.
+    """
+
+    def __init__(self, contacts: Sequence[str]) -> None:
+        self.colours = {"object": TRAIL_COLOUR}
+        self.colours |= {name: contact_colour(i) for i, name in enumerate(contacts)}
+        self.points: dict[str, list[Array]] = {name: [] for name in self.colours}
+        self.drawn: dict[str, int] = {}
+
+    def extend(self, samples: Samples) -> None:
+        """Take ticks in; steps of less than 0.5 mm are left out."""
+        contacts = np.moveaxis(samples.get("contact_point", np.zeros((0, 0, 3))), 1, 0)
+        objects = [samples["pose"][:, :3]] if "pose" in samples else [np.zeros((0, 3))]
+        for path, points in zip(self.points.values(), [*objects, *contacts], strict=False):
+            for point in points[np.isfinite(points).all(axis=1)]:
+                if not path or norm(point - path[-1]) >= STEP:
+                    path.append(point)
+                    if len(path) > LONGEST:
+                        path[:-1] = path[:-1:2]
+
+    def draw(self, scene: Visualizer) -> None:
+        """(Re)draw what has grown since the last call."""
+        for name, path in self.points.items():
+            if len(path) > 1 and self.drawn.get(name) != len(path):
+                paint = plain(self.colours[name], 0.9)
+                scene[f"trails/{name}"].set_object(tube(path, 0.004, sides=5), paint)
+                self.drawn[name] = len(path)
+
+    def legend(self) -> LegendEntry:
+        """Its line of the legend."""
+        paths = tuple(f"trails/{name}" for name in self.colours)
+        return LegendEntry(TRAIL_COLOUR, "trails of object and contacts", "trail", paths)

@@ -1,0 +1,164 @@
+"""Self-contained meshcat pages: drawing commands in, one HTML file out; no server, no socket.
+
+meshcat's own ``static_html()`` requests the page from a server process. Here the `CommandSink`
+stands in for the viewer window and keeps the commands itself, and `write_page` puts them, in the
+order in which they were given, beside meshcat's JavaScript into one file. The page's content
+security policy forbids every network address, so a page that opens offline opens the same online.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+import warnings
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from osc_contact.errors import InvalidInputError
+from osc_contact.files import write_whole
+from osc_contact.lab.visual.messages import packed
+
+if TYPE_CHECKING:
+    from meshcat import Visualizer
+
+
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; worker-src blob:; connect-src data: blob:"
+)
+
+_SLOT = re.compile(r"\{\{(\w+)\}\}")
+_COLOUR = re.compile(r"^#[0-9A-Fa-f]{6}$")
+
+EMPTY: dict[str, Any] = {
+    "live": False,
+    "legend": [],
+    "labels": [],
+    "panels": [],
+    "curves": {"t": [], "y": []},
+    "begin": 0.0,
+    "length": 0.0,
+    "window": 0.0,
+    "still": None,
+    "aspect": 1.5,
+    "cameras": [],
+}
+"""Configuration of a page without legend, labels and plots; aspect: width over height that the
+camera was placed for, a narrower window shows everything smaller."""
+
+
+class CommandSink:
+    """Stands in for meshcat's ``ViewerWindow``: keeps the lowered commands in order.
+
+    Attributes:
+        commands: what was sent, as the plain dictionaries that meshcat's viewer understands.
+        animation: what plays once all of it is drawn (`Animation.message`); empty: nothing.
+    """
+
+    def __init__(self) -> None:
+        self.commands: list[dict[str, Any]] = []
+        self.animation = b""
+
+    def send(self, command: Any) -> None:
+        """Lower one meshcat command and keep it."""
+        self.commands.append(command.lower())
+
+    def visualizer(self) -> Visualizer:
+        """A ``meshcat.Visualizer`` that draws into this sink."""
+        return _meshcat().Visualizer(window=self)
+
+
+def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
+    """The page that draws the sink's commands, with everything it needs inside.
+
+    Args:
+        sink: the drawing commands.
+        title: heading of the page.
+        config: what the page's scripts need (see `Scene.config`); JSON-able.
+
+    Raises:
+        InvalidInputError: a colour is not of the form ``#RRGGBB``.
+    """
+    for entry in (*config["legend"], *config["labels"]):
+        if not _COLOUR.match(entry["colour"]):
+            raise InvalidInputError(
+                f"{entry['text']!r} has the colour {entry['colour']!r}: write it as #RRGGBB"
+            )
+    viewer = Path(_meshcat().viewer_assets_path()) / "dist" / "main.min.js"
+    scripts = ("plot.js", "flat.js", "player.js", *(("live.js",) if config["live"] else ()))
+    messages = [*map(packed, sink.commands), sink.animation]
+    commands = b"".join(len(one).to_bytes(4, "little") + one for one in messages if one)
+    parts = {
+        "policy": POLICY + (" 'self'" if config["live"] else ""),
+        "title": html.escape(title),
+        "style": asset("page.css"),
+        "viewer": viewer.read_text(encoding="utf-8"),
+        "config": json.dumps(config, allow_nan=False).replace("<", "\\u003c"),
+        "scripts": "\n".join(asset(name).replace('"use strict";\n', "", 1) for name in scripts),
+        "commands": base64.b64encode(zlib.compress(commands, 9)).decode("ascii"),
+    }
+    return filled("page.html", parts)
+
+
+def write_page(
+    sink: CommandSink, path: str | Path, title: str, config: dict[str, Any] = EMPTY
+) -> Path:
+    """Write `page_text` to a file, which appears complete or not at all; returns its path.
+
+    Args:
+        sink: what has been drawn.
+        path: to write.
+        title: of the page.
+        config: what the page's scripts need.
+
+    Raises:
+        InvalidInputError: as `page_text`.
+    """
+    return write_whole(page_text(sink, title, config), path)
+
+
+def filled(template: str, parts: Mapping[str, str]) -> str:
+    """A template of the package's assets with its slots ``{{name}}`` filled."""
+    return _SLOT.sub(lambda slot: parts[slot[1]], asset(template))
+
+
+def asset(name: str) -> str:
+    """Text of one of the package's page parts."""
+    return (Path(__file__).parent / "assets" / name).read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """What a notebook shows for a page; the page travels with the notebook."""
+
+    page: str = field(repr=False)
+    height: int
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe srcdoc="{html.escape(self.page)}" loading="lazy" '
+            f'style="width: 100%; height: {self.height}px; border: 0"></iframe>'
+        )
+
+
+def embed(path: str | Path, height: int = 640) -> Embedded:
+    """Show a page of `write_scene` as the value of a notebook's cell.
+
+    Args:
+        path: the page, such as scene.html of a run.
+        height: pixels.
+    """
+    return Embedded(Path(path).read_text(encoding="utf-8"), height)
+
+
+def _meshcat() -> Any:
+    """The meshcat package, without its first import's complaint about its own event loop."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import meshcat
+    return meshcat

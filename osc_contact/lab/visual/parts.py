@@ -1,0 +1,304 @@
+"""What a scene is made of: parts that are drawn once and then only move, grow, appear, vanish.
+
+A part gives the states of its nodes at recorded ticks. The same states become key frames of a page
+that plays by itself, and drawing commands of a live view. Arms, the held object and faces are
+the parts drawn from URDFs; those that mark contacts are in `lab.visual.marks`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from osc_contact.errors import InvalidInputError
+from osc_contact.lab.visual.key_frames import Animation
+from osc_contact.lab.visual.shapes import urdf_geometry
+from osc_contact.robots import is_mjcf, load_geometry
+from osc_contact.robots.model import joint_names
+from osc_contact.robots.pictures import mjcf_geometry, read_picture
+from osc_contact.spatial import Array
+
+if TYPE_CHECKING:
+    from meshcat import Visualizer
+
+
+Samples = Mapping[str, Any]
+"""The channels of a recording at F ticks, (F, …) each; for marks at contacts also `normals`."""
+
+
+class States(NamedTuple):
+    """States of a node in its parent at F ticks.
+
+    None leaves a property at what it was drawn with.
+
+    Attributes:
+        poses: (F, 7) in the parent node, x y z (m) and quaternion x y z w.
+        scale: (F, 3) along the node's own axes.
+        visible: (F,) with everything below it.
+    """
+
+    poses: Array | None = None
+    scale: Array | None = None
+    visible: NDArray[np.bool_] | None = None
+
+    def matrix(self, tick: int = 0) -> Array | None:
+        """(4, 4) scaled, then placed; None where neither is given."""
+        if self.poses is None and self.scale is None:
+            return None
+        placed = np.eye(4) if self.poses is None else pin.XYZQUATToSE3(self.poses[tick]).homogeneous
+        return placed if self.scale is None else placed * [*self.scale[tick], 1.0]
+
+
+Frames = dict[str, States]
+"""States of every moving node by its path below the scene's root; always the same nodes."""
+
+
+def held(known: NDArray[np.bool_], values: Array, before: Array) -> Array:
+    """(F, n) the newest value at each of F ticks.
+
+    Args:
+        known: (F,) at which ticks there is a new value. values: (k, n) those, in their order.
+        before: (n,) the value before the first of them.
+    """
+    return np.vstack([before, values])[np.cumsum(known)]
+
+
+class LegendEntry(NamedTuple):
+    """A line of the page's legend.
+
+    Attributes:
+        colour: ``#RRGGBB``.
+        text: what is meant.
+        look: how the sample is drawn: solid, pale, thin, grey or turn.
+        paths: nodes that its check box shows and hides; none: no check box.
+    """
+
+    colour: str
+    text: str
+    look: str = "solid"
+    paths: tuple[str, ...] = ()
+
+
+class Part(Protocol):
+    """One part of a scene."""
+
+    def draw(self, scene: Visualizer) -> None:
+        """Make the nodes."""
+
+    def states(self, samples: Samples) -> Frames:
+        """States of the nodes."""
+
+
+# --- From states to pages -----------------------------------------------------------------------
+
+
+def animate(scene: Visualizer, animation: Animation, frames: Frames) -> None:
+    """Start at the first frame and animate through all of them; what never changes is set once.
+
+    Args:
+        scene: of the page.
+        animation: that takes the key frames.
+        frames: where everything is.
+    """
+    for path, states in frames.items():
+        node = scene[path]
+        place = node.path.lower()
+        if states.poses is not None:
+            node.set_transform(pin.XYZQUATToSE3(states.poses[0]).homogeneous)
+            animation.track(place, "position", "vector3", states.poses[:, :3])
+            animation.track(place, "quaternion", "quaternion", states.poses[:, 3:])
+        if states.scale is not None:
+            node.set_property("scale", states.scale[0].tolist())
+            animation.track(place, "scale", "vector3", states.scale)
+        if states.visible is not None:
+            node.set_property("visible", bool(states.visible[0]))
+            animation.track(place, "visible", "boolean", states.visible)
+
+
+def changes(scene: Visualizer, before: Frames, after: Frames) -> None:
+    """Send what differs from the frame before (an empty one: everything).
+
+    Args:
+        scene: of the page.
+        before, after: one tick each, of the same parts.
+    """
+    for path, states in after.items():
+        old = before.get(path, States())
+        matrix, old_matrix = states.matrix(), old.matrix()
+        if matrix is not None and (old_matrix is None or not np.array_equal(matrix, old_matrix)):
+            scene[path].set_transform(matrix)
+        if states.visible is not None and (old.visible is None or states.visible != old.visible):
+            scene[path].set_property("visible", bool(states.visible[0]))
+
+
+# --- Arms, object and faces ---------------------------------------------------------------------
+
+
+class Visual(NamedTuple):
+    """An arm or a body to draw.
+
+    Attributes:
+        name: of its nodes.
+        urdf, package_dirs: URDF, MJCF or picture (`robots.pictures`) and the folders of its meshes.
+        base: where it stands (X_WB); None: it moves with the object.
+        q_slice: where its joints are in q.
+        locked: positions (m, rad) of joints that q does not have.
+        tip: whose tree of an MJCF file is drawn.
+        face: the contact that it is the face of; it moves by the channel ``face_pose`` (pose of its
+            URDF's frame in the world) if the recording has one, and stays at the base otherwise.
+    """
+
+    name: str
+    urdf: str | Path | Mapping[str, Any]
+    package_dirs: Sequence[str | Path]
+    base: pin.SE3 | None
+    q_slice: slice = slice(0)
+    locked: Mapping[str, float] = {}
+    tip: str | None = None
+    face: int | None = None
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a scene shows.
+
+    Attributes:
+        title: heading.
+        arms: moved by the channel ``q``.
+        bodies: faces, and the object (base None), moved by ``pose``.
+        contacts: names of the contacts.
+        columns: which contact each column of N belongs to; empty: one column per contact.
+        joints: how many q has.
+    """
+
+    title: str
+    arms: Sequence[Visual]
+    bodies: Sequence[Visual] = ()
+    contacts: Sequence[str] = ()
+    columns: Sequence[int] = ()
+    joints: int = 0
+
+
+class Moving(Part):
+    """An arm that moves by its joint positions; the held object; a face at rest or in motion.
+
+    Args:
+        what: to draw. folder: node above that of its name. Joints with shapes have a node each.
+    """
+
+    def __init__(self, what: Visual, folder: str) -> None:
+        self.what = what
+        self.model, geometry = _shapes(what)
+        self.data = self.model.createData()
+        names = joint_names(self.model)
+        nodes = [f"{folder}/{what.name}/{name}" for name in ("base", *names)]
+        self.shapes = list(geometry.geometryObjects)
+        self.paths = {shape.parentJoint: nodes[shape.parentJoint] for shape in self.shapes}
+        self.base = pin.SE3ToXYZQUAT(what.base or pin.SE3.Identity())
+        self.q = np.array([what.locked.get(name, 0.0) for name in names])
+        self.moving = [j for j, name in enumerate(names) if name not in what.locked]
+
+    def draw(self, scene: Visualizer) -> None:
+        """Make the nodes."""
+        for number, shape in enumerate(self.shapes):
+            node = scene[self.paths[shape.parentJoint]]
+            urdf_geometry(node[f"{number}_{shape.name}"], shape)
+
+    def states(self, samples: Samples) -> Frames:
+        """Placements of every moving node; where q or pose is not known (NaN) it stays.
+
+        Raises:
+            InvalidInputError: a channel is not recorded, or the slice of q does not fit the URDF.
+        """
+        poses: dict[int, list[Array]] = {joint: [] for joint in self.paths}
+        for placed in self._placements(samples):
+            for joint, found in poses.items():
+                found.append(pin.SE3ToXYZQUAT(placed[joint]))
+        return {path: States(np.array(poses[joint])) for joint, path in self.paths.items()}
+
+    def corners(self, samples: Samples) -> Array:
+        """(k, 3) origins, corners of the bounding boxes, or points of meshes."""
+        corners = [(shape.parentJoint, _corners(shape)) for shape in self.shapes]
+        points = []
+        for placed in self._placements(samples):
+            points.append(placed[0].translation[None])
+            for joint, own in corners:
+                points.append(own @ placed[joint].rotation.T + placed[joint].translation)
+        return np.vstack(points)
+
+    def _placements(self, samples: Samples) -> Iterator[dict[int, pin.SE3]]:
+        """Placements in the world of the base (0) and of all joints with shapes, tick by tick."""
+        ticks = len(next(iter(samples.values())))
+        joints = {0, *self.paths}
+        for q, base in zip(
+            self._positions(samples, ticks), self._bases(samples, ticks), strict=True
+        ):
+            pin.forwardKinematics(self.model, self.data, q)
+            X = pin.XYZQUATToSE3(base)
+            yield {joint: X * self.data.oMi[joint] for joint in joints}
+
+    def _positions(self, samples: Samples, ticks: int) -> Array:
+        """(F, nq) joint positions."""
+        what = self.what
+        q = self._channel(samples, "q")[:, what.q_slice] if self.moving else np.zeros((ticks, 0))
+        if q.shape[1] != len(self.moving):
+            raise InvalidInputError(
+                f"{what.name!r}: {what.q_slice} takes {q.shape[1]} numbers of q, "
+                f"but its model has nq = {self.model.nq}, {len(what.locked)} locked"
+            )
+        known = np.asarray(np.isfinite(q).all(axis=1))
+        positions = np.tile(self.q, (ticks, 1))
+        positions[:, self.moving] = held(known, q[known], self.q[self.moving])
+        self.q = positions[-1]
+        return positions
+
+    def _bases(self, samples: Samples, ticks: int) -> Array:
+        """(F, 7) poses of the base."""
+        poses = np.full((ticks, 7), np.nan)
+        if self.what.face is not None and "face_pose" in samples:
+            poses = samples["face_pose"][:, self.what.face]
+        elif self.what.base is None:
+            poses = self._channel(samples, "pose")
+        known = np.asarray(np.isfinite(poses).all(axis=1))
+        bases = held(known, poses[known], self.base)
+        self.base = bases[-1]
+        return bases
+
+    def _channel(self, samples: Samples, key: str) -> Array:
+        if key not in samples:
+            raise InvalidInputError(
+                f"{self.what.name!r} moves with the channel {key!r}: it is not recorded"
+            )
+        return samples[key]
+
+
+def _shapes(what: Visual) -> tuple[pin.Model, pin.GeometryModel]:
+    """Kinematics and shapes of a file."""
+    if isinstance(what.urdf, Mapping):
+        return read_picture(what.urdf)
+    if is_mjcf(what.urdf):
+        return mjcf_geometry(what.urdf, what.tip)
+    return load_geometry(what.urdf, pin.GeometryType.VISUAL, what.package_dirs)[:2]
+
+
+def _corners(shape: Any) -> Array:
+    """(k, 3) corners of the shape's bounding box, or points of its mesh, in its parent joint."""
+    import coal
+
+    if isinstance(shape.geometry, coal.BVHModelBase):
+        vertices = np.asarray(shape.geometry.vertices(), dtype=float).reshape(-1, 3)
+        points = vertices[:: len(vertices) // 50 + 1]
+    else:
+        shape.geometry.computeLocalAABB()
+        box = shape.geometry.aabb_local
+        points = np.array(
+            [np.where(pick, box.max_, box.min_) for pick in product((0, 1), repeat=3)]
+        )
+    return points @ shape.placement.rotation.T + shape.placement.translation

@@ -1,0 +1,395 @@
+"""The three-dimensional picture of a recording: what is in it, and the page that plays it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from osc_contact.errors import InvalidInputError
+from osc_contact.lab.visual import OKABE_ITO, contact_colour, marks
+from osc_contact.lab.visual.key_frames import Animation
+from osc_contact.lab.visual.page import EMPTY, CommandSink, write_page
+from osc_contact.lab.visual.parts import Content, Frames, Moving, Part, Samples, animate
+from osc_contact.lab.visual.screws import contact_normals
+from osc_contact.lab.visual.shapes import at, plain, rgb
+from osc_contact.recorder import Recording, column_names
+from osc_contact.spatial import Array, norm
+
+if TYPE_CHECKING:
+    from meshcat import Visualizer
+
+
+MOST_FRAMES = 360
+"""Key frames of a page; a longer recording gets fewer per second, and motion in between."""
+
+
+class Scene:
+    """The parts of a picture: drawn once, then moved at each tick.
+
+    Args:
+        content: what to show.
+        first: the first tick; what is missing there is not drawn.
+    """
+
+    def __init__(self, content: Content, first: Samples) -> None:
+        located = {"contact_point", "contact_direction", "pose"} <= first.keys()
+        contacts = content.contacts if located else ()
+        self.owners = list(content.columns or range(len(contacts))) if contacts else []
+        first = self._with_normals(first)
+        names = column_names(contacts, self.owners)
+        columns = enumerate(zip(names, self.owners, strict=True))
+        self.arms = [Moving(arm, "arms") for arm in content.arms]
+        self.bodies = [Moving(body, "bodies") for body in content.bodies]
+        self.forces = [marks.ContactForce(name, i, owner, first) for i, (name, owner) in columns]
+        self.parts: list[Part] = [*self.arms, *self.bodies, *self.forces]
+        self.trails = marks.Trails(contacts)
+        self.legend = marks.legend(self.forces)
+        if contacts:
+            axes = marks.TwistAxes(first)
+            self.parts.append(axes)
+            self.legend.append(axes.legend())
+        self.legend.append(self.trails.legend())
+        self.panels = panels_of(first, names, self.owners)
+        self.lines = [line for panel in self.panels for line in panel["lines"]]
+
+    def _with_normals(self, samples: Samples) -> Samples:
+        if not self.owners:
+            return samples
+        return {**samples, "normals": contact_normals(samples, self.owners)}
+
+    def draw(self, scene: Visualizer) -> None:
+        """Make all nodes."""
+        for part in self.parts:
+            part.draw(scene)
+
+    def states(self, samples: Samples) -> Frames:
+        """Where everything is."""
+        samples = self._with_normals(samples)
+        return {path: one for part in self.parts for path, one in part.states(samples).items()}
+
+    def look(self, scene: Visualizer, samples: Samples) -> list[dict[str, Any]]:
+        """Floor, background, and cameras that see what the samples show.
+
+        Args:
+            scene: where to draw.
+            samples: some ticks of the recording, the first one first.
+
+        Returns:
+            The cameras that the page offers, the first of which is set: name, where it looks and
+            from where, seen from there (m, world).
+        """
+        nothing = np.zeros((0, 3))
+        first = samples_at(samples, slice(1))
+        samples = self._with_normals(samples)
+        small: Sequence[Moving | marks.ContactForce] = (*self.bodies, *self.forces)
+        near = np.vstack([nothing, *(part.corners(samples) for part in small)])
+        points = np.vstack([near, *(arm.corners(first) for arm in self.arms)])
+        bases = np.vstack([nothing, *(arm.base[:3] for arm in self.arms)])
+        directions = first.get("contact_direction", nothing)
+        floor = np.min(bases[:, 2], initial=0.0)
+        lowest = points[:, 2].min()
+        if lowest <= floor - 0.05:
+            floor = lowest - 0.1
+        front, side = _headings(points, bases, np.nan_to_num(directions.reshape(-1, 3)))
+        if not len(near):
+            near = points
+        views = {
+            "whole": (points, eye(side)),
+            "contacts": (near, eye(side)),
+            "from above": (near, eye(front, np.deg2rad(85.0))),
+            "other side": (points, eye(side + np.pi)),
+        }
+        set_stage(scene, points, views["whole"][1], floor=floor)
+        cameras = []
+        for name, (seen, view) in views.items():
+            target, offset = fitted(seen, view)
+            cameras.append({"name": name, "target": target.tolist(), "offset": offset.tolist()})
+        return cameras
+
+    def config(self, **more: Any) -> dict[str, Any]:
+        """What the page's scripts need: legend, labels and plots."""
+        numbers = {(line["key"], line["index"]): k for k, line in enumerate(self.lines)}
+        labels = [
+            label(
+                f"{force.path}/label",
+                force.words,
+                force.colour,
+                line=numbers.get(("alpha_true", force.column)),
+                unit="N m" if force.couple else "N",
+                lost=f"{force.path}/lost",
+            )
+            for force in self.forces
+        ]
+        if self.forces:
+            for i, name in enumerate(("t₁", "t₂", "t₃", "t₄", "t₅", "t₆")):
+                labels.append(label(f"twists/{i}/label", name, marks.T_COLOUR))
+        legend = [entry._asdict() for entry in self.legend]
+        return EMPTY | {"legend": legend, "labels": labels, "panels": self.panels} | more
+
+
+def label(path: str, text: str, colour: str, **more: Any) -> dict[str, Any]:
+    """A label for the page's scripts.
+
+    Args:
+        path: of the node that it stands at.
+        text: of the label.
+        colour: ``#RRGGBB``.
+        more: the plotted line (its number) and the unit of the value beside it; the node that is
+            visible while the contact is lost.
+    """
+    empty = {"line": None, "unit": "", "lost": None}
+    return {"path": path, "text": text, "colour": colour} | empty | more
+
+
+def write_scene(
+    recording: Recording,
+    content: Content,
+    path: str | Path,
+    fps: float = 30.0,
+    still: float | None = None,
+) -> Path:
+    """Write the recording as an HTML page that plays by itself, with a time slider and plots.
+
+    Args:
+        recording: needs ``t``; draws from ``q``, ``pose``, ``face_pose`` and the contact channels
+            what is there.
+        content: what to show.
+        path: the page to write.
+        fps: key frames per second, fewer if they would be more than 360.
+        still: s; the page opens standing still at that time instead of playing.
+
+    Returns:
+        The path written.
+
+    Raises:
+        InvalidInputError: no ticks, fps < 1, a channel that a body needs is missing, or an arm's
+            slice of q does not fit its URDF.
+    """
+    t = np.asarray(recording.channels["t"], dtype=float)
+    if t.size == 0 or fps < 1:
+        raise InvalidInputError(f"{t.size} ticks at {fps} frames/s make no picture: both need >= 1")
+    length = float(t[-1] - t[0])
+    fps = float(min(fps, MOST_FRAMES / length)) if length else float(fps)
+    times = np.arange(int(length * fps + 1e-9) + 1) / fps
+    ticks = np.minimum(np.searchsorted(t - t[0], times - 1e-9), t.size - 1)
+    samples = samples_at(recording.channels, ticks)
+    picture = Scene(content, samples_at(samples, slice(1)))
+    sink = CommandSink()
+    scene = sink.visualizer()
+    animation = Animation(fps)
+    picture.draw(scene)
+    picture.trails.extend(samples)
+    frames = picture.states(samples)
+    picture.trails.draw(scene)
+    animate(scene, animation, frames)
+    cameras = picture.look(scene, samples_at(samples, slice(None, None, max(len(ticks) // 20, 1))))
+    sink.animation = animation.message()
+    config = picture.config(
+        curves=thinned(picture.lines, recording.channels),
+        begin=float(t[0]),
+        length=float(times[-1]),
+        still=still,
+        cameras=cameras,
+    )
+    return write_page(sink, path, content.title, config)
+
+
+def samples_at(
+    channels: Mapping[str, Any], ticks: int | slice | NDArray[np.intp] | None
+) -> dict[str, Any]:
+    """The channels at some ticks.
+
+    Args:
+        channels: of a recording.
+        ticks: which; None: the channels are those of one tick, without an axis of ticks.
+    """
+    return {key: np.asarray(value[ticks], dtype=float) for key, value in channels.items()}
+
+
+# --- The stage: floor, background, and a camera that sees the forces from the side --------------
+
+BACKGROUND = [0.93, 0.945, 0.96]
+FLOOR_COLOUR = "#E3E7EC"
+GRID_COLOUR = "#C9D0D9"
+FLOOR_SIDE = 16.0
+GRID_STEP = 0.25
+GRID_LINES = 16
+FIELD_OF_VIEW_DEG = 30.0
+ELEVATION = np.deg2rad(28.0)
+ASPECT = float(EMPTY["aspect"])
+"""Width / height that the scene is fitted to; a wider window shows more floor."""
+FILLED = 0.9
+
+
+def set_stage(
+    scene: Visualizer, points: Array, view: Array, aspect: float = ASPECT, floor: float = 0.0
+) -> None:
+    """Floor with lines every 0.25 m, background, and a camera that sees the points.
+
+    meshcat 0.3.2 has no camera methods and its orbit controls always turn about the viewer's
+    origin: the whole scene is moved so that the target is there, and the camera sits at the
+    offset in three.js axes (y up).
+
+    Args:
+        scene: where to draw. points: (k, 3) what fills the picture (m).
+        view: (3,) unit, from what is looked at to the eye. aspect: width / height of the picture.
+        floor: its height (m).
+    """
+    from meshcat.geometry import Box, LineBasicMaterial, LineSegments, PointsGeometry
+
+    ground = scene["floor"]
+    ground.set_transform(at([*centre(points)[:2], floor - 0.0025]).homogeneous)
+    ground["plane"].set_object(Box([FLOOR_SIDE, FLOOR_SIDE, 0.01]), plain(FLOOR_COLOUR))
+    ground["plane"].set_transform(at([0.0, 0.0, -0.007]).homogeneous)
+    steps = np.arange(-GRID_LINES, GRID_LINES + 1) * GRID_STEP
+    end = steps[-1]
+    lines = [[(s, -end, 0.0), (s, end, 0.0), (-end, s, 0.0), (end, s, 0.0)] for s in steps]
+    ends = np.array(lines, dtype=np.float32).reshape(-1, 3).T
+    ground["grid"].set_object(
+        LineSegments(PointsGeometry(ends), LineBasicMaterial(color=rgb(GRID_COLOUR)))
+    )
+    target, offset = fitted(points, view, aspect)
+    scene.set_transform(at(-target).homogeneous)
+    x, y, z = offset.tolist()
+    camera = scene["/Cameras/default/rotated/<object>"]
+    camera.set_property("position", [x, z, -y])
+    camera.set_property("fov", FIELD_OF_VIEW_DEG)
+    for place in ("top_color", "bottom_color"):
+        scene["/Background"].set_property(place, BACKGROUND)
+    for helper in ("/Grid", "/Axes"):
+        scene[helper].set_property("visible", False)
+
+
+def _headings(points: Array, bases: Array, pushes: Array) -> tuple[float, float]:
+    """Headings (rad) of the object's side, and near it of where forces are seen from the side."""
+    middle = centre(points)[:2]
+    away = middle - bases[:, :2].mean(axis=0) if len(bases) else middle
+    front = np.arctan2(away[1], away[0]) if norm(away) > 0.02 else -np.pi / 3
+    turns = np.deg2rad([0, 15, -15, 30, -30, 45, -45, 60, -60])
+    along = [np.abs(pushes @ eye(front + turn)).max(initial=0.0) for turn in turns]
+    return (front, front + turns[np.argmin(np.round(along, 1))])
+
+
+def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, Array]:
+    """Where to look and, from there, where the eye is (m), so that the points fill the picture.
+
+    Args:
+        points: (k, 3) m.
+        view: (3,) unit, from what is looked at to the eye.
+        aspect: width / height of the picture.
+    """
+    axes = np.vstack((picture_axes(view), view))
+    half = np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW_DEG)) * np.array([aspect, 1.0]) * FILLED
+    target = axes.T @ centre(points @ axes.T)
+    for _ in range(20):  # perspective: centre the picture at the distance that just fits
+        seen = (points - target) @ axes.T
+        distance = (np.abs(seen[:, :2]) / half + seen[:, 2:]).max() + 0.05
+        image = seen[:, :2] / (distance - seen[:, 2:])
+        target = target + axes[:2].T @ (centre(image) * distance)
+    return (target, max(distance, 0.3) * view)
+
+
+def centre(points: Array) -> Array:
+    """(n,) of the box around points (k, n)."""
+    return 0.5 * (points.min(axis=0) + points.max(axis=0))
+
+
+def picture_axes(view: Array) -> Array:
+    """(2, 3) right and up of a picture that is looked at against the view."""
+    right = np.cross([0.0, 0.0, 1.0], view)
+    right /= norm(right)
+    return np.array([right, np.cross(view, right)])
+
+
+def eye(heading: float, elevation: float = ELEVATION) -> Array:
+    """Unit vector (3,) from what is looked at to the eye; heading from x about z (rad)."""
+    flat = np.array([np.cos(heading), np.sin(heading), 0.0])
+    return np.cos(elevation) * flat + [0.0, 0.0, np.sin(elevation)]
+
+
+# --- Plots below the scene: contact forces and power over time ----------------------------------
+
+_FORCES = (("alpha_cmd", "pale"), ("alpha_true", "solid"), ("alpha_meas", "dashed"))
+_POWERS = (
+    ("power_total", "#8A919C", "total"),
+    ("power_projected", OKABE_ITO["purple"], "projected by Ω_f"),
+)
+
+
+def panels_of(
+    samples: Samples, names: Sequence[str] = (), owners: Sequence[int] = ()
+) -> list[dict[str, Any]]:
+    """The panels and their lines, for what was recorded; JSON-able.
+
+    Args:
+        samples: the channels; what is missing has no panel.
+        names: of the contact forces.
+        owners: the contact of each force.
+    """
+    forces = [
+        {
+            "key": key,
+            "index": i,
+            "look": look,
+            "colour": contact_colour(owners[i]) if look != "dashed" else marks.BLACK,
+            "name": name.replace("_", " ") if look == "solid" else "",
+        }
+        for key, look in _FORCES
+        if key in samples
+        for i, name in enumerate(names[: samples[key].shape[1]])
+    ]
+    powers = [
+        {"key": key, "index": -1, "look": "solid", "colour": colour, "name": name}
+        for key, colour, name in _POWERS
+        if key in samples
+    ]
+    looks = "wide: commanded, solid: true, dashed: measured"
+    what = "of the measured wrench, in the motion relative to the faces"
+    panels = [
+        {"title": "contact force", "unit": "N", "lines": forces, "note": looks},
+        {"title": "power", "unit": "W", "lines": powers, "note": what},
+    ]
+    return [panel for panel in panels if panel["lines"]]
+
+
+def values(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> Array:
+    """(lines, T) the numbers of all lines."""
+    found = []
+    for line in lines:
+        channel = channels[line["key"]]
+        found.append(channel if line["index"] < 0 else channel[..., line["index"]])
+    return np.array(found, dtype=float)
+
+
+def rounded(numbers: Array) -> list[float | None]:
+    """Four significant digits; JSON has no NaN."""
+    return [float(f"{x:.4g}") if np.isfinite(x) else None for x in numbers.tolist()]
+
+
+BINS = 450  #: stretches of equally many ticks
+
+
+def thinned(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> dict[str, Any]:
+    """Times and values of all lines: the smallest and largest value of each of `BINS` stretches.
+
+    Short peaks stay visible this way, however long the recording is.
+
+    Args:
+        lines: of the panels.
+        channels: (T, …) of each channel, and the times `t` (T,).
+    """
+    t = np.asarray(channels["t"], dtype=float)
+    rows = list(values(lines, channels))
+    if len(t) > 2 * BINS:
+        stretches = np.array_split(np.arange(len(t)), BINS)
+        t = t[[part[k] for part in stretches for k in (0, -1)]]
+        for number, row in enumerate(np.nan_to_num(rows)):
+            found = [
+                sorted((part[row[part].argmin()], part[row[part].argmax()])) for part in stretches
+            ]
+            rows[number] = row[np.concatenate(found)]
+    return {"t": np.round(t, 4).tolist(), "y": [rounded(row) for row in rows]}

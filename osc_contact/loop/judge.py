@@ -1,0 +1,165 @@
+"""What judges a run, the truth about object and contacts, and what every plant offers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Robot
+from osc_contact.spatial import Array, Poses
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Values of the plant alone; for judging, never for the controller.
+
+    Attributes:
+        alpha: (r,) contact force magnitudes, contact after contact (N).
+        closed: (contacts,) whether each contact touches; of several points, all of them.
+        X_WO: pose of the object. V_O: (6,) its twist at its origin, world axes.
+        X_WE: pose of the frame in which each contact's face is described; None: faces at rest.
+    """
+
+    alpha: Array
+    closed: Array
+    X_WO: pin.SE3
+    V_O: Array
+    X_WE: tuple[pin.SE3, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Truths:
+    """`Truth` at k instants.
+
+    Attributes:
+        alpha: (k, r). closed: (k, contacts). X_WO: k poses. V_O: (k, 6).
+        X_WE: of each contact k poses, or None: its face rests.
+        N: of each contact its lines of force (6, r_i, k) at O, world axes.
+    """
+
+    alpha: Array
+    closed: Array
+    X_WO: Poses
+    V_O: Array
+    X_WE: tuple[Poses | None, ...]
+    N: tuple[Array, ...]
+
+    def __getitem__(self, i: int) -> Truth:
+        faces = None
+        if any(X is not None for X in self.X_WE):
+            faces = tuple(pin.SE3.Identity() if X is None else X[i] for X in self.X_WE)
+        return Truth(self.alpha[i], self.closed[i], self.X_WO[i], self.V_O[i], faces)
+
+
+class TruthLog(Protocol):
+    """Notes the state of a plant; the truth is computed from the notes of many instants."""
+
+    def note(self) -> None:
+        """Keep this instant."""
+
+    def noted(self, start: int = 0) -> Array:
+        """(k, m) numbers of the instants since `clear`, from one of them on; m is constant."""
+
+    def clear(self) -> None:
+        """Forget the instants noted so far."""
+
+    def truths(self, noted: Array) -> Truths:
+        """The truth at k instants, from what was `noted` (k, m)."""
+
+
+class Watched:
+    """The log of a judge whose `truth` costs little beside a tick."""
+
+    def __init__(self, judge: Judge, contacts: Sequence[ContactPair]) -> None:
+        """Watch a judge of these contacts."""
+        self._judge = judge
+        self._contacts = contacts
+        self._noted: list[Array] = []
+
+    def note(self) -> None:
+        """Keep the truth of this instant."""
+        truth = self._judge.truth()
+        faces = truth.X_WE or (pin.SE3.Identity(),) * len(self._contacts)
+        poses = [X.homogeneous[:3] for X in (truth.X_WO, *faces)]
+        numbers = (truth.V_O, truth.X_WE is not None, truth.closed, truth.alpha)
+        self._noted.append(np.concatenate((*poses, *numbers), axis=None))
+
+    def noted(self, start: int = 0) -> Array:
+        """(k, m): X_WO and X_WE, V_O, 1 if faces move, closed, alpha."""
+        return np.array(self._noted[start:])
+
+    def clear(self) -> None:
+        """Forget the instants noted so far."""
+        self._noted.clear()
+
+    def truths(self, noted: Array) -> Truths:
+        """See `TruthLog.truths`."""
+        c = len(self._contacts)
+        poses, V_O, moving, closed, alpha = np.split(
+            noted, np.cumsum([12 * (1 + c), 6, 1, c]), axis=1
+        )
+        X = poses.reshape(-1, 1 + c, 3, 4).transpose(1, 2, 3, 0).copy()
+        X_WO, *faces = (Poses(x[:, :3], x[:, 3]) for x in X)
+        X_WE = tuple(faces) if moving.any() else (None,) * c
+        N = tuple(normals_over(p, X_WO, E) for p, E in zip(self._contacts, X_WE, strict=True))
+        return Truths(alpha, closed > 0.0, X_WO, V_O, X_WE, N)
+
+
+class Judge(Protocol):
+    """A source of the truth about object and contacts; the controller never gets it.
+
+    Example:
+        >>> judge: osc.Judge = osc.build_rig(osc.load_scenario("two_contact_rod")).plant()
+        >>> print(judge.truth().alpha.shape)
+        (2,)
+    """
+
+    def truth(self) -> Truth:
+        """The truth now."""
+
+    def poses(self) -> Array:
+        """(1 + arms, 4, 4) of the object and of the arms' tips, as they really are."""
+
+    def log(self) -> TruthLog:
+        """A log of the truth, nothing noted yet."""
+
+
+@runtime_checkable
+class Pictured(Protocol):
+    """A judge that can draw its bodies; a recording carries them, where no scenario does."""
+
+    def picture(self) -> dict[str, Any]:
+        """Bodies and their shapes as plain data, see `robots.pictures`."""
+
+
+def require_duration(duration: float) -> None:
+    """Refuse a step that takes no time, or no number.
+
+    Raises:
+        InvalidInputError: with what was given.
+    """
+    if not 0.0 < duration < inf:
+        raise InvalidInputError(f"duration = {duration} s; a step takes a positive, finite time")
+
+
+class Plant(Robot, Judge, Protocol):
+    """A simulated robot that is its own judge, and starts at a given state."""
+
+    time: float  #: s since the last reset
+
+    def reset(self, q: Array) -> None:
+        """Start again at rest at joint positions q (n,)."""
+
+    def hold(self, tau: Array) -> None:
+        """Apply torques (n_a,) from now on without letting time pass: sensors read under them.
+
+        `command` lets time pass, and raises a `PlantError` where the simulation diverges.
+        """

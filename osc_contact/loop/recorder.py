@@ -1,0 +1,535 @@
+"""What the control loop leaves behind: every tick noted, a recording in the end."""
+
+from __future__ import annotations
+
+import logging
+from collections import UserDict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import cached_property, partial
+from importlib.metadata import version
+from math import inf
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+
+from osc_contact.contacts.feet import feet_over, force_owners
+from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.control.changes import Changes, changed_settings
+from osc_contact.control.controller import Controller
+from osc_contact.control.monitor import ContactMonitor, watch_series
+from osc_contact.control.signals import TickResult, internal_forces
+from osc_contact.control.status import Phase, SafetyState, Status
+from osc_contact.errors import InvalidInputError, RecordingError
+from osc_contact.interface import Measurement, Reference
+from osc_contact.law import records as at
+from osc_contact.law.library import law_hash
+from osc_contact.loop.judge import Judge, Pictured, TruthLog, Truths
+from osc_contact.loop.loop import at_once
+from osc_contact.recorder import Recording
+from osc_contact.recorder.events import EventLog, events_beside
+from osc_contact.recorder.journal import Journal, JournalFile
+from osc_contact.recorder.recording import gather
+from osc_contact.robots.summary import joint_losses
+from osc_contact.spatial import Array, Poses
+
+_TOGETHER = 1000  #: rows whose channels are worked out together
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is recorded.
+
+    Attributes:
+        controller: whose ticks are noted.
+        pairs: the true contacts. placements: (contacts, 4, 4) X_WB of the body of each at the
+            start.
+        owners: (r,) the contact of each force magnitude.
+    """
+
+    controller: Controller
+    pairs: tuple[ContactPair, ...]
+    placements: Array
+    owners: Array
+
+
+def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict[str, Array]:
+    """The channels of some ticks, but for what the contact monitor remembers.
+
+    Args:
+        of: what was recorded. log: of the judge, which evaluates its notes; None: no judge.
+        first: number of the first tick. rows: (k,) as the run's log noted them.
+    """
+    k = len(rows)
+    controller = of.controller
+    alpha = rows["alpha"]
+    squeeze = rows["squeeze_d"]
+    phase = _phases(of, rows)
+    truth = _measured_truths(of, rows, phase) if log is None else log.truths(rows["truth"])
+    N = np.concatenate((np.zeros((6, 0, k)), *truth.N), axis=1)
+    points, directions = _feet(of, truth, k)
+    wrench = rows["f_meas"] - rows["bias_out"]
+    projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, whatever the faces do
+    total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
+    made = {
+        "t": np.arange(first, first + k) * controller.dt,
+        **{name: rows[name] for name in ("q", "v", "tau")},
+        "tick_s": rows["tick_s"][:, 0],
+        "pose": truth.X_WO.coordinates(k),
+        "twist": truth.V_O,
+        "alpha_cmd": rows["alpha_d"],
+        "alpha_meas": alpha,
+        "alpha_true": truth.alpha,
+        "closed": truth.closed,
+        "N": N.transpose(2, 0, 1),
+        "contact_point": points,
+        "contact_direction": directions,
+        "face_pose": _face_poses(of, truth, k),
+        "wrench_meas": wrench,
+        "power_total": total,
+        "power_projected": projected,
+        "motion_error": rows["free_error"],
+        "squeeze_cmd": squeeze[:, 0] if np.isnan(squeeze[:, 1:]).all() else squeeze,
+        "squeeze": rows["squeeze"][:, 0] if len(controller.chain.arms) < 3 else rows["squeeze"],
+        "alpha_given_up": rows["given_up"],
+        "friction": rows["friction"],
+        "normal_std": np.where(rows["normal_std"] > 0.0, rows["normal_std"], np.nan),
+        "status": rows["status"][:, 0].astype(np.int64),
+        "contact_phase": phase,
+    }
+    if log is None:
+        del made["alpha_true"]
+    return {name: np.ascontiguousarray(values) for name, values in made.items()}
+
+
+def work_out(
+    of: Subject, log: TruthLog | None, parts: Iterable[tuple[int, Array]]
+) -> Iterator[dict[str, Array]]:
+    """All channels of a journal's rows, block after block.
+
+    The blocks are the same however the rows came, and so is every bit of the channels. Contacts
+    made and collisions are found from projected force and power; where a magnitude may have either
+    sign its size counts.
+
+    Args:
+        of: what was run. log: the judge's; None: there is none.
+        parts: of the journal: index of the first row, and (rows, columns) numbers.
+    """
+    pushing = np.array([pushes_only(of.pairs[i]) for i in of.owners], dtype=bool)
+    monitor = ContactMonitor(len(of.owners), of.controller.dt)
+    for first, rows in _blocks(parts):
+        if of.controller.life is not None:  # the controller had a monitor
+            closed = (rows["closed"] > 0.0) | ~pushing  # what can pull stays in contact
+            collision = (rows["collision"] > 0.0) & pushing
+        else:
+            alpha = np.where(pushing, rows["alpha"], np.abs(rows["alpha"]))
+            closed, collision = watch_series(monitor, alpha, rows["speed"])
+        seen = {"contact_seen": closed, "collision_seen": collision}
+        yield channels(of, log, first, rows) | seen
+
+
+def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
+    """Rows of a journal cut at every 1,000 ticks, wherever its chunks end.
+
+    Args:
+        parts: number of the first row, rows; in order.
+    """
+    begin = 0
+    waiting: list[Array] = []
+    for first, rows in parts:
+        while len(rows):
+            count = sum(map(len, waiting))
+            if count and (first != begin + count or first % _TOGETHER == 0):
+                yield begin, np.concatenate(waiting)
+                waiting = []
+            if not waiting:
+                begin = first
+            cut = _TOGETHER - first % _TOGETHER
+            waiting.append(rows[:cut])
+            first = first + len(waiting[-1])
+            rows = rows[cut:]
+    if waiting:
+        yield begin, np.concatenate(waiting)
+
+
+class Tick(UserDict[str, Any]):
+    """The channels of one tick, worked out when they are read."""
+
+    def __init__(self, made: Callable[[], dict[str, Array]]) -> None:
+        """`made` gives channels of one row each."""
+        self._made = made
+
+    @cached_property
+    def data(self) -> dict[str, Any]:  # type: ignore[override]
+        """Of the only row."""
+        return {name: rows[0] for name, rows in self._made().items()}
+
+
+def _phases(of: Subject, rows: Array) -> Array:
+    """(k, contacts)"""
+    if of.controller.life is not None:
+        phase = rows["phase"] * rows["active"]  # OPEN is 0
+    else:  # all of them at once
+        phase = np.repeat(rows["engaged"] * Phase.CLOSED, len(of.pairs), axis=1)
+    return phase.astype(np.int64)
+
+
+def _measured_truths(of: Subject, rows: Array, phase: Array) -> Truths:
+    """The controller's estimate of the truth, where there is no judge."""
+    pairs = of.pairs
+    k = len(rows)
+    X_WO = _poses(rows["X_WO"].reshape(k, 4, 4))
+    X_WE = rows["X_WE"].reshape(k, len(pairs), 4, 4)
+    faces = tuple(_poses(X_WE[:, i]) for i in range(len(pairs)))
+    N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(pairs, faces, strict=True))
+    return Truths(rows["alpha"], phase == Phase.CLOSED, X_WO, rows["V_O"], faces, N)
+
+
+def _poses(X: Array) -> Poses:
+    """Of k homogeneous matrices (k, 4, 4)."""
+    return Poses(X[:, :3, :3].transpose(1, 2, 0), X[:, :3, 3].T)
+
+
+def _feet(of: Subject, truth: Truths, k: int) -> Array:
+    """(2, k, contacts, 3) where each contact's lines of force meet the surface, their mean, and the
+    direction of the first."""
+    feet = []
+    for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
+        p, n = feet_over(pair, own, truth.X_WO, X_WE)
+        feet.append((p.mean(axis=1).T, n[:, 0].T))
+    return np.reshape(feet, (-1, 2, k, 3)).transpose(1, 2, 0, 3)
+
+
+def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
+    out = np.zeros((k, len(of.pairs), 7))
+    for i, (X_WB, X_WE) in enumerate(zip(of.placements, truth.X_WE, strict=True)):
+        R = X_WB[:3, :3, None]
+        p = X_WB[:3, 3:]
+        if X_WE is not None:
+            R = X_WE.rotate(R)
+            p = X_WE.act(p)
+        out[:, i] = Poses(R, p).coordinates(k)
+    return out
+
+
+_logger = logging.getLogger("osc_contact.recorder")
+_BLOCK = 500  #: rows that the journal is handed at once, at most
+_EVERY = 0.08  #: s; the journal is not left behind any longer
+#: What of `TickResult` is kept, and how many numbers that is.
+_FOUND = {"f_meas": 6, "bias_out": 6, "V_O": 6, "X_WO": 16, "f_c": 6, "error": 6, "free_error": 6}
+
+
+class Recorder:
+    """Notes the ticks of `run_loop`; `recording` works their channels out, all at once.
+
+    A tick is one row of raw numbers, written by one copy. Rows go to a file while the loop runs, so
+    memory does not grow. To a named file they go at least ten times per second, and whatever ends
+    the process leaves them there, see `recover`; a temporary file is filled block by block, but in
+    real time. Where they cannot be written the loop continues; that is logged at once and stated in
+    the recording.
+
+    With a judge, such as a plant, the recording holds the truth. Without one, as on hardware, pose,
+    twist, N and whether contacts are closed are what the controller takes them for, and
+    `alpha_true` is missing.
+
+    Attributes:
+        of: what is recorded. count: ticks noted.
+        truth: the judge's own log of the same ticks; None: there is no judge.
+        journal: where the rows go.
+
+    Example:
+        >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
+        >>> robot, controller = rig.plant(), rig.controller()
+        >>> recorder = osc.Recorder(controller, robot)
+        >>> references = [rig.references.at(0.0)] * 5
+        >>> report = osc.run_loop(robot, controller, references, recorder=recorder)
+        >>> print(recorder.recording()["alpha_true"].shape)
+        (5, 2)
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        judge: Judge | None = None,
+        *,
+        subject: Subject | None = None,
+        journal: Path | None = None,
+        meta: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Begin.
+
+        Args:
+            controller: that the loop ticks.
+            judge: the source of the truth, if there is one.
+            subject: the true contacts, where they are not the controller's.
+            journal: the file of the rows, such as unfinished.mcap; None: a temporary one, which
+                goes with the process.
+            meta: more meta data beside names, rate and times.
+
+        Raises:
+            RecordingError: there can be no such file.
+        """
+        self._began = perf_counter(), process_time()
+        self.of = of = _subject(controller) if subject is None else subject
+        self._meta = {**describe_subject(of), **(meta or {})}
+        self._meta["date"] = datetime.now(UTC).isoformat(timespec="seconds")
+        if isinstance(judge, Pictured):
+            self._meta["picture"] = judge.picture()
+        self.journal = JournalFile(journal, self._meta)
+        self._events = EventLog(None if journal is None else events_beside(journal))
+        self._changes = Changes(controller)
+        self.truth = None if judge is None else judge.log()
+        self.count = 0
+        self._first_reason = ""  #: why the first tick that failed could not be computed
+        self._logged = False
+        self._k = 0  #: rows that are not in the journal yet
+        self._named = journal is not None
+        self._flushed = perf_counter()
+        self._last: TickResult | None = None
+        #: writes rows; `run_loop(…, realtime=True)` has another thread do it
+        self.hand_over: Callable[[Callable[[], object]], None] = at_once
+        self._lay_out(of)
+        about = {key: self._meta[key] for key in ("version", "law_hash")}
+        self.log("start", state=controller.state.name, **about)
+
+    def _lay_out(self, of: Subject) -> None:
+        """Name the numbers of a row: what is NaN where a tick has no result, and the others."""
+        chain = of.controller.chain
+        contacts = len(of.pairs)
+        r = len(of.owners)
+        squeezes = internal_forces(len(chain.arms))
+        found = {**_FOUND, "squeeze": squeezes, "friction": chain.nq}
+        unknown = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **found}
+        if self.truth is None:
+            unknown["X_WE"] = 16 * contacts
+        numbers = {"tick_s": 1, "status": 1, "squeeze_d": squeezes, "given_up": r}
+        whole = {"engaged": 1}
+        if of.controller.life is not None:
+            whole |= {"phase": contacts, "active": contacts, "closed": r, "collision": r}
+        sizes = {**unknown, "tau": chain.n_a, **numbers, "normal_std": r, **whole}
+        self._names = tuple(found)
+        self._fields = [(name, "<f8", (size,)) for name, size in sizes.items()]
+        self._rows = np.zeros((_BLOCK, sum(sizes.values())))
+        self._still = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
+        self._unknown = np.full(sum(unknown.values()), np.nan)
+        self._numbers = np.zeros(sum(numbers.values()))
+        self._squeezes, self._given_up = np.split(self._numbers[2:], [squeezes])
+        self._squeeze: float | None = None  #: of the last tick, if its numbers are as noted
+        # read off the controller's records
+        self._read = np.zeros(2 * r + sum(found.values()) + r)
+        self._found, self._normal_std = np.split(self._read, [len(self._read) - r])
+        self._whole = np.zeros(sum(whole.values()), np.int64)
+
+    @property
+    def _patience(self) -> float:
+        """Longest time from one flush to the next (s); real-time loops hand over little at once."""
+        return _EVERY if self._named or self.hand_over is not at_once else inf
+
+    @property
+    def error(self) -> RecordingError | None:
+        """Why no more ticks are recorded, or None."""
+        return self.journal.error
+
+    def append(
+        self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
+    ) -> None:
+        """Note a tick before its torques act.
+
+        Args:
+            measurement, reference: that went into it.
+            tau: (n_a,) that came out. seconds: that it took.
+        """
+        if self._k == _BLOCK or perf_counter() - self._flushed > self._patience:
+            self.flush()
+        row = self._rows[self._k]
+        status = self.of.controller.status
+        numbers = self._numbers
+        numbers[0] = seconds
+        numbers[1] = status
+        squeeze = reference.squeeze_d
+        if status is not Status.OK or squeeze is not self._squeeze:
+            self._squeeze = squeeze if status is Status.OK and type(squeeze) is float else None
+            self._squeezes[:] = np.nan  # after a single one; that distinguishes it from several
+            with suppress(TypeError, ValueError):  # the tick was held
+                self._squeezes[: np.size(squeeze)] = squeeze
+            cost = self.of.controller.given_up if status is Status.SATURATED else None
+            self._given_up[:] = 0.0
+            if cost is not None and len(cost.force) == len(self._given_up):
+                self._given_up[:] = cost.force
+        known = (tau, numbers, self._normal_std, self._whole)
+        try:
+            self._read_records()
+            parts: tuple[np.ndarray[Any, Any], ...]
+            parts = (measurement.q, measurement.v, reference.alpha_d, self._found)
+            if self.truth is None:
+                touched = measurement.touched
+                parts += (self._still if touched is None else np.ravel(touched.X_WE),)
+            np.concatenate(parts + known, out=row)
+        except (InvalidInputError, TypeError, ValueError):  # held: no result, or misshapen
+            np.concatenate((self._unknown, *known), out=row)
+        if self.truth is not None:
+            self.truth.note()
+        stopped = self.of.controller.state is SafetyState.SAFE_STOP
+        if (stopped or status is Status.HELD) and not self._first_reason:
+            at = self.count * self.of.controller.dt
+            self._first_reason = f"at {at:.3f} s: {self.of.controller.reason}"
+        for event, facts in self._changes.look():
+            self.log(event, **facts)
+        self._k += 1
+        self.count += 1
+
+    def log(self, event: str, **facts: Any) -> None:
+        """Note an event with the wall-clock time, in the recording and beside its rows.
+
+        Args:
+            event: its kind, such as "stop". facts: JSON-able, what belongs to it.
+        """
+        self._events.note(self.count * self.of.controller.dt, event, facts, self.hand_over)
+
+    def switch(self, controller: Controller) -> None:
+        """Note another controller's ticks from now on, and which settings it has otherwise.
+
+        Args:
+            controller: that continues, such as that of `with_gains` or `with_safety`.
+        """
+        changed = changed_settings(self.of.controller.settings, controller.settings)
+        self.of = replace(self.of, controller=controller)
+        self._changes = Changes(controller)
+        self.log("settings", changed=changed)
+
+    def _read_records(self) -> None:
+        """Copy what the last tick left in the controller's records.
+
+        Raises:
+            InvalidInputError: there was no tick yet.
+        """
+        result = self.of.controller.result()
+        if result is not self._last:
+            self._last = result
+            self._locate(result)
+        self._words.view(np.float64).take(self._read_at, out=self._read, mode="clip")
+        self._words.take(self._whole_at, out=self._whole, mode="clip")
+
+    def _locate(self, result: TickResult) -> None:
+        """Find where in the records each number stands."""
+        records = result.records
+        columns = records.memory.columns
+        contacts = records.memory.contacts
+        found = [columns.alpha, columns.speed, *(getattr(result, name) for name in self._names)]
+        head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
+        whole = [head["engaged"]]
+        if self.of.controller.life is not None:
+            whole += [contacts.phase, contacts.active, columns.closed, columns.collision]
+        self._words = records.rows.raw.view(np.int64)
+        self._read_at = records.places(*found, columns.normal_std)
+        self._whole_at = records.places(*whole)
+
+    def flush(self) -> None:
+        """Append to the journal what was noted since the last time."""
+        if self._k:
+            rows = self._noted(0).copy()
+            self.hand_over(partial(self.journal.append, self.count - self._k, rows))
+            self._k = 0
+            if self.truth is not None:
+                self.truth.clear()
+        if self.error is not None and not self._logged:
+            self._logged = True
+            _logger.error("%s; the loop continues", self.error)
+        self._flushed = perf_counter()
+
+    def _noted(self, start: int) -> Array:
+        """Rows with names, and with what the judge noted beside them."""
+        rows = self._rows[start : self._k]
+        fields = self._fields
+        if self.truth is not None:
+            truth = self.truth.noted(start)
+            rows = np.concatenate((rows, truth), axis=1)
+            fields = [*fields, ("truth", "<f8", (truth.shape[1],))]
+        return np.ndarray(len(rows), np.dtype(fields), np.ascontiguousarray(rows))
+
+    def latest(self) -> Mapping[str, Any]:
+        """The channels of the last tick, worked out when they are read."""
+        row = self._noted(self._k - 1).copy()
+        return Tick(partial(channels, self.of, self.truth, self.count - 1, row))
+
+    def note(self, meta: Mapping[str, Any]) -> None:
+        """Add to the meta data of the recording."""
+        self._meta |= meta
+
+    def recording(self, meta: Mapping[str, Any] | None = None) -> Recording:
+        """All ticks so far; a long recording stays on disk.
+
+        Args:
+            meta: more meta data.
+
+        Raises:
+            RecordingError: there is no room for its channels.
+        """
+        self.flush()
+        self.journal.close()
+        about = {**self._meta, **(meta or {})}
+        recording = recording_of(self.of, self.truth, self.journal.read(), about)
+        if self.error is not None:
+            recording.meta["missing"] = [str(self.error)]
+        controller = self.of.controller
+        learns = getattr(controller.settings.joint_friction, "learning", False)
+        self.log("end", state=controller.state.name, reason=controller.reason)
+        recording.events = list(self._events.events)
+        recording.meta |= {
+            "end_state": controller.state.name,
+            "end_reason": controller.reason,
+            "first_reason": self._first_reason,
+            "joint_friction": controller.joint_friction.tolist() if learns else [],
+            "missing_inertia": controller.missing_inertia.tolist(),
+            "normal_std": [std or None for std in controller.normal_std.tolist()],
+            "wall_s": perf_counter() - self._began[0],
+            "cpu_s": process_time() - self._began[1],
+        }
+        return recording
+
+
+def recording_of(
+    of: Subject, log: TruthLog | None, journal: Journal, meta: Mapping[str, Any]
+) -> Recording:
+    """The recording of a journal's rows.
+
+    Args:
+        of, log: what was recorded and the judge's log, see `channels`.
+        journal: read from its beginning. meta: of the recording.
+    """
+    ticks = sum(len(rows) for _, rows in journal.rows())
+    return Recording(meta, gather(ticks, work_out(of, log, journal.rows())))
+
+
+def _subject(controller: Controller) -> Subject:
+    """What a controller by itself has of its contacts."""
+    pairs = tuple(controller.contacts)
+    world = np.tile(np.eye(4), (len(pairs), 1, 1))
+    return Subject(controller, pairs, world, force_owners(pairs))
+
+
+def describe_subject(of: Subject) -> dict[str, Any]:
+    """Meta data on what is recorded."""
+    chain = of.controller.chain
+    limits = [limit if limit < np.inf else None for limit in chain.tau_max.tolist()]
+    motors = [chain.joint_names[j] for j in chain.actuated]
+    return {
+        "version": version("osc-contact"),
+        "law_hash": law_hash(),
+        "arm_names": [arm.name for arm in chain.arms],
+        "joint_names": chain.joint_names,
+        "effort_limits": dict(zip(motors, limits, strict=True)),
+        "joint_losses": [
+            one for arm in chain.arms for one in joint_losses(arm.model, f"{arm.name}/")
+        ],
+        "contact_names": [pair.name for pair in of.pairs],
+        "columns": of.owners.tolist(),
+        "control_rate_hz": 1.0 / of.controller.dt,
+        "force_steps_s": [],
+        "force_rise_s": of.controller.gains.force.rise,
+    }

@@ -1,0 +1,155 @@
+"""Rules on a controller and the scene of its robot: places, normals, sizes and masses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from osc_contact.contacts.feet import feet
+from osc_contact.contacts.pairs.pair import ContactPair, has_place, pushes_only
+from osc_contact.errors import PlantError
+from osc_contact.interface import Scene
+from osc_contact.loop.rules import Task, Values, rounded, rule
+from osc_contact.spatial import Array, norm
+
+NEAR_M = 0.02  #: contacts that begin further away are not compared with the scene
+SCENE_PROBE_M = 1e-3  #: how far before and behind a face geometry of a scene is looked for
+PLACE_DOUBTFUL, PLACE_REFUSED = 0.002, 0.005  #: m; of contacts, tool and geometry of a scene
+
+
+def _scene_of(task: Task) -> Scene:
+    """The scene of a task that has one: rules of this module are for these alone."""
+    assert task.scene is not None
+    return task.scene
+
+
+def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]:
+    """Each point of contact near the tool: pair, place, outward normal, distance to which geom."""
+    X = task.state.X_WO
+    for pair in task.pairs if _scene_of(task).tool_touches else ():
+        if has_place(pair) and pushes_only(pair) and np.abs(pair.gaps(X)).max() < NEAR_M:
+            for point, inward in zip(*feet(pair, X), strict=True):
+                yield pair, point, -inward, *_scene_of(task).distance(point)
+
+
+@rule("{why}")
+def period(task: Task) -> Values:
+    """A control period that is no whole number of the scene's steps."""
+    try:
+        _scene_of(task).require_period(task.dt)
+    except PlantError as error:
+        yield 1.0, {"why": error}
+
+
+@rule(
+    "there are contacts, and no geom of the tool can touch the scene: give both contype and "
+    "conaffinity, and take the body of the sensor, or of the tip, for the tool"
+)
+def touchable(task: Task) -> Values:
+    """Whether the tool is a ghost."""
+    if task.pairs and not _scene_of(task).tool_touches:
+        yield 1.0, {}
+
+
+@rule(
+    "{what} weighs {modelled:.4g} kg in the controller's model, {true:.4g} kg in the scene; give "
+    "the controller robot.chain, or correct masses (kg) and payload",
+    0.1,
+    0.7,
+)
+def masses(task: Task) -> Values:
+    """Logarithm of the ratio of masses."""
+    chain = task.chain
+    kinds = {
+        "all that moves": (chain.moved_mass, _scene_of(task).moved_mass),
+        "what the wrist carries": (chain.outboard_mass, _scene_of(task).carried_mass),
+    }
+    for what, (modelled, true) in kinds.items():
+        if true > 0.0 and modelled > 0.0:
+            ratio = abs(np.log(modelled / true))
+            yield ratio, {"what": what, "modelled": modelled, "true": true}
+
+
+@rule(
+    "joint '{joint}' moves {mass:.3g} kg beyond the tip, {value:.0%} of what the arm moves, and "
+    "no motor of the controller and no servo of the scene holds it: is the tip on an inner body? "
+    "Take the outermost body or a site on it for the tip, or give the joint a position servo",
+    0.01,
+    0.1,
+)
+def loose(task: Task) -> Values:
+    """Mass beyond joints that nothing holds, over all that moves."""
+    for joint, mass in _scene_of(task).loose.items():
+        yield mass / max(_scene_of(task).moved_mass, 1e-12), {"joint": joint, "mass": mass}
+
+
+@rule(
+    "contact '{name}' is modelled to touch at {point} m, and that is {mm:.3g} mm {side} the "
+    "nearest geom, '{geom}'; move the contact's face to the scene's, or the scene's geom",
+    PLACE_DOUBTFUL,
+    PLACE_REFUSED,
+)
+def place(task: Task) -> Values:
+    """Distance of a face from the geometry of the scene (m)."""
+    for pair, point, _, away, geom in _faces(task):
+        side = "before" if away > 0.0 else "inside"
+        words = {"name": pair.name, "point": rounded(point), "side": side, "geom": geom}
+        yield abs(away), words
+
+
+@rule(
+    "the normal of contact '{name}', {normal} out of the face, is {value:.3g} deg away from that "
+    "of '{geom}', {own}; it points out of the body, towards the tool: turn it",
+    3.0,
+    30.0,
+)
+def turn(task: Task) -> Values:
+    """Angle (deg) between the modelled normal and the direction in which the scene recedes."""
+    for pair, point, normal, away, geom in _faces(task):
+        if abs(away) > PLACE_REFUSED:
+            continue
+        distance = _scene_of(task).distance
+        steps = SCENE_PROBE_M * np.eye(3)
+        rise = np.array([distance(point + e)[0] - distance(point - e)[0] for e in steps])
+        own = rise / max(norm(rise), 1e-12)
+        plane = getattr(pair, "normal", None)
+        # at edges and corners geometry recedes in many directions
+        if (plane is not None and np.allclose(plane, normal)) or normal @ own <= 0.0:
+            angle = float(np.degrees(np.arccos(np.clip(normal @ own, -1.0, 1.0))))
+            words = {"normal": rounded(normal, 3), "own": rounded(own, 3), "geom": geom}
+            yield angle, {"name": pair.name, **words}
+
+
+@rule(
+    "the tool starts {value:.3g} m inside '{geom}'; begin further away, or correct the tool's "
+    "geometry and the contact's radius",
+    PLACE_DOUBTFUL,
+    PLACE_REFUSED,
+)
+def penetration(task: Task) -> Values:
+    """Depth of the tool in the scene (m)."""
+    if _scene_of(task).tool_touches:
+        away, geom = _scene_of(task).clearance()
+        yield -away, {"geom": geom}
+
+
+@rule(
+    "the tool is {away:.3g} mm away from '{geom}', and by the contacts {gap:.3g} mm; correct the "
+    "contact's vertex and radius, or the tip",
+    PLACE_DOUBTFUL,
+    PLACE_REFUSED,
+)
+def tool(task: Task) -> Values:
+    """Distance of the tool, less the least gap that the contacts name (m)."""
+    faces = list(_faces(task))
+    if faces and max(abs(away) for *_, away, _ in faces) <= PLACE_DOUBTFUL:
+        X = task.state.X_WO
+        gap = min(np.min(pair.gaps(X)) for pair in task.pairs if pushes_only(pair))
+        away, geom = _scene_of(task).clearance()
+        words = {"geom": geom, "gap": round(1e3 * gap, 3) + 0.0, "away": 1e3 * away}
+        yield abs(away - gap), words
+
+
+#: A new rule on a robot's scene is entered here.
+SCENE_RULES = (period, touchable, loose, masses, place, turn, penetration, tool)

@@ -1,0 +1,317 @@
+"""What a robot's driver has to do, checked on the robot itself: units, signs, gravity, time.
+
+`check_robot` needs no controller. It moves each joint by some milliradians; see the page
+"Your own driver" of the documentation for the contract that it checks.
+"""
+
+from collections.abc import Callable, Iterator
+from itertools import combinations
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from osc_contact.control.inputs import Freshness
+from osc_contact.control.start_check import judge_load, require_start
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.errors import InvalidInputError, PlantError
+from osc_contact.interface import Measurement, Robot
+from osc_contact.law.records import OUTDATED
+from osc_contact.settings.control import SafetySettings
+from osc_contact.spatial import Array, as_array, norm
+
+HOLD = 50  #: ticks under the model's own weight
+PULSE = 30  #: ticks of a torque, and as many of its opposite
+SHARES = (0.02, 0.05, 0.1, 0.2, 0.35)  #: of a motor's limit, tried until the joint moves
+SPEED = 0.3  #: rad/s (m/s) that a pulse adds at most, as the model predicts
+MOVED = 0.01  #: rad/s (m/s) that count as motion
+ALONE = 0.3  #: of what the fastest joint gains; less is no motion of the joint with the torque
+FALLING = 0.3  #: share of the weight's acceleration that counts as none or twice the weight
+FAR = 0.3  #: rad (m) from the start, and 2 rad/s: the check ends at once
+MEAN = 20  #: ticks of a mean wrench
+MOST_REPEATED = 5  #: ticks in a row with the same stamps
+
+
+def check_robot(
+    robot: Robot,
+    chain: ClosedChain | None = None,
+    *,
+    dt: float = 1e-3,
+    nudge: ArrayLike | None = None,
+    patience: float = 10.0,
+) -> list[str]:
+    """Whether a driver keeps the contract of `Robot`; it ends with `Robot.stop`.
+
+    The arm must be at rest in free space, with room of 0.1 rad about each joint, and somebody at
+    the stop button. It is held by the model's weight for 50 ms, then each joint gets a torque of
+    rising size, for 30 ms to either side.
+
+    Args:
+        robot: to be checked. chain: its model, all joints with motors; None: `robot.chain`.
+        dt: s, its control period.
+        nudge: (3,) direction in world axes in which somebody pushes the tip while the check waits
+            for it; None: nobody does, and the sign of the wrench is that of the weight.
+        patience: s to wait for it.
+
+    Returns:
+        Sentences on what could not be checked.
+
+    Raises:
+        PlantError: what is wrong, in one sentence: readings of other sizes, degrees in place of
+            radians, stamps that do not advance, torques to which the weight is missing or added,
+            joints in another order or reversed, wrenches that are reversed, without gravity or of
+            another frame, a `stop` that fails.
+        InvalidInputError: no model is known, or it has joints without motors.
+    """
+    chain = getattr(robot, "chain", None) if chain is None else chain
+    if chain is None:
+        raise InvalidInputError(
+            f"{type(robot).__name__} has no attribute `chain`, and the check needs a model of the "
+            'robot: check_robot(robot, osc.ClosedChain([osc.Arm.from_urdf("arm.urdf", name="arm", '
+            'tip="…", wrist_sensor="…")]))'
+        )
+    if chain.n_a != chain.nq:
+        motorless = sorted(set(chain.joint_names) - {chain.joint_names[j] for j in chain.actuated})
+        raise InvalidInputError(
+            f"the check turns every joint by its motor, and {', '.join(motorless)} has none: give "
+            "a chain of the arm alone, without what it holds"
+        )
+    check = _Check(robot, chain, dt)
+    try:
+        return list(check.run(nudge, patience))
+    finally:
+        check.stop()
+
+
+class _Check:
+    """The course of one check."""
+
+    def __init__(self, robot: Robot, chain: ClosedChain, dt: float) -> None:
+        self.robot = robot
+        self.chain = chain
+        self.dt = dt
+        self.model = chain.model
+        self.data = chain.model.createData()
+        self.names = chain.joint_names
+        self.fresh = Freshness()
+        self.now = self.rest = self.read()
+
+    def run(self, nudge: ArrayLike | None, patience: float) -> Iterator[str]:
+        """Sentences on what is not checked."""
+        self.require_range()
+        self.hold()
+        yield from self.weigh()
+        for joint in range(self.chain.nq):
+            self.pulse(joint)
+        if nudge is not None:
+            require_nudge(self.outside, as_array("nudge", nudge, (3,)), patience, self.dt)
+
+    # --- one tick --------------------------------------------------------------------------------
+
+    def read(self) -> Measurement:
+        """The next measurement, of the right sizes."""
+        m = self.robot.measure()
+        n = self.chain.nq
+        arms = len(self.chain.arms)
+        for name, shape in (("q", (n,)), ("v", (n,)), ("wrenches", (arms, 6))):
+            given = np.asarray(getattr(m, name))
+            if given.shape != shape or not np.isfinite(given).all():
+                raise PlantError(f"measure(): {name} is {given.tolist()}; give {shape} numbers")
+        if self.fresh.look(m) & OUTDATED or self.fresh.repeated > MOST_REPEATED:
+            raise PlantError(
+                f"measure(): stamps ({m.stamps}) or sequence ({m.sequence}) do not advance; give "
+                "the time of each reading, by the clock of the robot"
+            )
+        return m
+
+    def step(self, tau: Array) -> None:
+        self.robot.command(np.clip(tau, -self.chain.tau_max, self.chain.tau_max), self.dt)
+        self.now = self.read()
+
+    def weight(self, q: Array) -> Array:
+        return pin.computeGeneralizedGravity(self.model, self.data, q).copy()
+
+    def mass(self, q: Array) -> Array:
+        return np.array(pin.crba(self.model, self.data, q))
+
+    def settle(self, ticks: int) -> None:
+        """Brake, and return slowly to where the check began."""
+        for _ in range(ticks):
+            q = self.now.q
+            v = self.now.v
+            desired = -20.0 * v - 25.0 * (q - self.rest.q)
+            self.step(self.weight(q) + self.mass(q) @ desired)
+            away = np.abs(q - self.rest.q)
+            if away.max() > FAR or np.abs(v).max() > 2.0:
+                worst = away.argmax()
+                raise PlantError(
+                    f"joint '{self.names[worst]}' leaves its place though it is braked: "
+                    f"{away[worst]:.3g} rad away at {v[worst]:.3g} rad/s; are speeds or torques "
+                    "reversed, or is the unit of one another?"
+                )
+
+    # --- what is checked -------------------------------------------------------------------------
+
+    def require_range(self) -> None:
+        """Positions are within the joints' limits."""
+        try:
+            require_start(self.chain, self.now.q)
+        except InvalidInputError as error:
+            raise PlantError(f"{error}; or are joints in another order?") from error
+
+    def hold(self) -> None:
+        """The model's own weight must hold the arm."""
+        q = self.now.q
+        v = self.now.v
+        for _ in range(HOLD):
+            self.step(self.weight(self.now.q))
+        seen = (self.now.v - v) / (HOLD * self.dt)
+        falls = np.linalg.solve(self.mass(q), self.weight(q))
+        if np.abs(seen).max() < max(FALLING * np.abs(falls).max(), 0.2):
+            return
+        missing = "their weight seems to be missing: the robot does not add it, and command() must"
+        twice = "their weight seems to come twice: the robot adds it, and command() must not"
+        causes = {missing: -falls, twice: falls}
+        for i, j in combinations(range(len(q)), 2):
+            order = np.arange(len(q))
+            order[[i, j]] = (j, i)
+            torques = self.weight(q) - self.weight(q[order])
+            cause = f"joints '{self.names[i]}' and '{self.names[j]}' seem to be swapped"
+            causes[cause] = np.linalg.solve(self.mass(q[order]), torques)[order]
+        cause = min(causes, key=lambda cause: norm(causes[cause] - seen))
+        worst = np.abs(seen).argmax()
+        raise PlantError(
+            f"torques that balance the arm's weight speed up joint '{self.names[worst]}' by "
+            f"{seen[worst]:.3g} rad/s²; {cause}"
+        )
+
+    def weigh(self) -> Iterator[str]:
+        """The wrists read what hangs on them."""
+        chain = self.chain
+        if None in chain.sensors:
+            yield "wrenches are not checked: an arm of the model has no wrist sensor"
+            return
+        state = chain.state(self.now.q)
+        settings: Any = SimpleNamespace(chain=chain, safety=SafetySettings())
+        why = judge_load(settings, self.outside() - state.bias_out, state.bias_out, stepped=True)
+        if why:
+            raise PlantError(why)
+        weight = 9.81 * chain.outboard_mass
+        if weight < 2.0 * settings.safety.load_error:
+            yield (
+                f"the sign of the wrench is not checked by {weight:.2g} N, which hang on the "
+                "sensor; push the tip, and give the direction as nudge="
+            )
+
+    def outside(self) -> Array:
+        """See `mean_outside`; the arm is held meanwhile."""
+
+        def read() -> Measurement:
+            self.settle(1)
+            return self.now
+
+        return mean_outside(self.chain, read)
+
+    def pulse(self, joint: int) -> None:
+        """A torque to either side moves this joint, as the model predicts, and no other one."""
+        name = self.names[joint]
+        most = float(self.chain.tau_max[joint])
+        for share in SHARES:
+            M = self.mass(self.now.q)
+            own = M[joint, joint]
+            a = min(share * most / own, SPEED / (PULSE * self.dt))
+            gained = np.zeros(self.chain.nq)
+            turned = 0.0
+            summed = 0.0
+            torque = max(own * a, share * most * (share > SHARES[1]))
+            tau = M[:, joint] * torque / own
+            for sign in (1.0, -1.0):
+                before = self.now
+                for _ in range(PULSE):
+                    self.step(self.weight(self.now.q) + sign * tau)
+                    summed += sign * self.now.v[joint] * self.dt
+                    if abs(self.now.v[joint]) > SPEED:
+                        break
+                gained += 0.5 * sign * (self.now.v - before.v)
+                turned += sign * (self.now.q[joint] - before.q[joint])
+            self.settle(2 * PULSE)
+            if np.abs(gained).max() > MOVED:
+                break
+        other = np.abs(gained).argmax()
+        predicted = torque / own * PULSE * self.dt
+        if np.abs(gained).max() <= MOVED:
+            raise PlantError(
+                f"joint '{name}' does not move with {torque:.3g} N m; are torques in another unit "
+                "or order, or brakes engaged?"
+            )
+        if abs(gained[joint]) < ALONE * abs(gained[other]):
+            raise PlantError(
+                f"the torque of joint '{name}' moves joint '{self.names[other]}'; positions, "
+                "speeds or torques have the joints in another order than the model"
+            )
+        if gained[joint] < 0.0:
+            raise PlantError(f"joint '{name}' moves against its torque; one of them is reversed")
+        if not 0.5 < turned / summed < 2.0:
+            raise PlantError(
+                f"the positions of joint '{name}' change by {turned:.3g} where its speeds add up "
+                f"to {summed:.3g}; give both in rad (m) and seconds, not in degrees"
+            )
+        if gained[joint] > 5.0 * predicted:
+            raise PlantError(
+                f"joint '{name}' gains {gained[joint]:.3g} rad/s where the model predicts "
+                f"{predicted:.3g}; are positions and speeds in degrees, or masses too large?"
+            )
+
+    def stop(self) -> None:
+        """Twice: the second time nothing happens."""
+        for reason in ("the check has ended", ""):
+            self.robot.stop(reason)
+
+
+def mean_outside(chain: ClosedChain, read: Callable[[], Measurement]) -> Array:
+    """(6,) mean of what the wrists read during some ticks, in world axes at the object.
+
+    Args:
+        chain: of the arms. read: gives the next measurement.
+    """
+    sums = []
+    for _ in range(MEAN):
+        m = read()
+        state = chain.state(m.q)
+        origin = pin.SE3(np.eye(3), state.X_WO.translation)
+        felt = np.zeros(6)
+        for X, wrench in zip(state.sensors, m.wrenches, strict=True):
+            if X is not None:
+                felt = felt + origin.actInv(X.act(pin.Force(wrench))).vector
+        sums.append(felt)
+    return np.mean(sums, axis=0)
+
+
+def require_nudge(
+    outside: Callable[[], Array], direction: Array, patience: float, dt: float
+) -> None:
+    """Wait for somebody to push the tip, and judge the direction of the force that is read.
+
+    Args:
+        outside: gives the mean wrench of some ticks, see `mean_outside`.
+        direction: (3,) of the push, in world axes. patience: s. dt: s, period of a tick.
+
+    Raises:
+        PlantError: no push was read, or one in another direction.
+    """
+    at_rest = outside()[:3]
+    direction = direction / norm(direction)
+    for _ in range(round(patience / (MEAN * dt))):
+        felt = at_rest - outside()[:3]
+        if norm(felt) > 2.0 * SafetySettings().load_error:
+            if felt @ direction < 0.7 * norm(felt):
+                raise PlantError(
+                    f"the tip was pushed along {np.round(direction, 2).tolist()}, and the "
+                    f"wrist reads {np.round(-felt, 1).tolist()} N more in world axes; the sign "
+                    "or the axes of the frame are others: give the wrench that the arm exerts "
+                    "on the gripper, in the sensor's axes"
+                )
+            return
+    raise PlantError(f"no push of the tip was felt within {patience:g} s")

@@ -1,0 +1,1 @@
+"""Settings: physical quantities with their units, and the keys of gains, limits and phases."""
