@@ -61,13 +61,14 @@ def test_what_was_pickled_under_an_old_name_is_read():
         assert pickle.loads(old) is Scenario
 
 
+@mark.filterwarnings("ignore:osc_contact.visual is now:FutureWarning")
 def test_other_names_are_left_to_python():
     assert moved.new_name("osc_contact.contacts.contact") is None
     assert moved.new_name("visual.plots") is None
     assert moved.new_name("osc_contact") is None
     with raises(ModuleNotFoundError, match=r"osc_contact\.nothing"):
         importlib.import_module("osc_contact.nothing")
-    with raises(ModuleNotFoundError, match=r"osc_contact\.lab\.visual\.nothing"), warns():
+    with raises(ModuleNotFoundError, match=r"osc_contact\.lab\.visual\.nothing"):
         importlib.import_module("osc_contact.visual.nothing")
 
 
