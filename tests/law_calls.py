@@ -4,7 +4,7 @@
 is whatever it calls. Tests pass records made by hand, so that each part is judged alone.
 """
 
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 
 import numpy as np
@@ -12,7 +12,13 @@ import numpy as np
 from osc_contact.law.jit import as_python
 from osc_contact.law.records import Rows, new_model, views
 
-plain = cache(as_python)
+
+def unwritten(*shape):
+    """A local array in which NaN stands where nothing was written."""
+    return np.full(shape, np.nan)
+
+
+plain = cache(partial(as_python, local=unwritten))
 
 
 def records(arms=0, joints=0, contacts=0, columns=0, **settings):
@@ -44,7 +50,7 @@ class Parts:
 
     def altered(self, name, **instead):
         """A function in which other global names stand for something else."""
-        return as_python(getattr(self._module, name), **instead)
+        return as_python(getattr(self._module, name), local=unwritten, **instead)
 
 
 @cache

@@ -140,7 +140,7 @@ def test_a_tip_turns_about_the_centre_too():
     own = arms.t.work.arms[1]
     arms.t.model.arms[1].tip[9:] = (0.0, 0.3, 0.0)
     arms.t.work.joints[1].p[:] = (0.0, 0.1, 0.0)
-    arms.t.work.C[:] = (0.0, -0.1, 0.0)
+    arms.t.work.p_C[:] = (0.0, -0.1, 0.0)
     for turn, ticks in ((0.99, 0), (1.01, 21)):
 
         def tick(turn=turn):

@@ -217,7 +217,7 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
         implied = share @ n_gamma
         summands = abs(implied) + np.abs(share * n_gamma).sum()
         t = records(columns=8)
-        write(t.work, where=-1, amount=0.0, count=3, rank=2, chosen=[4, 2, 7], kept=[4, 2])
+        write(t.work, where=-1, reason_amount=0.0, count=3, rank=2, chosen=[4, 2, 7], kept=[4, 2])
         rows = t.work.columns
         rows.extent = 1.0
         rows.n_gamma[[4, 2, 7]] = (*n_gamma, implied)
@@ -229,7 +229,7 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
             if abs(off * most) > 2e-9 or fine:  # what is next to nothing may differ
                 assert columns_of_N._consistent(t) == fine
         if size == 1.0:
-            assert (t.work.where, t.work.amount) == (7, approx(implied))
+            assert (t.work.where, t.work.reason_amount) == (7, approx(implied))
 
 
 @parametrize("i", [0, 4, 8])

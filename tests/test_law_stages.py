@@ -30,12 +30,13 @@ from osc_contact.law.tick import BAD_INPUT, MOVING
 # --- forces ---------------------------------------------------------------------------------------
 
 
-def command_force(alpha_d, felt, speed, w, least=-inf):
+def command_force(alpha_d, felt, speed, integral, least=-inf):
     """α_u and the integral of the second of two columns; the first and what is beyond differ."""
     t = records(integral_force=5.0)
-    columns = {"alpha_d": alpha_d, "felt": felt, "speed": speed, "w": w, "least": least}
+    columns = {"alpha_d": alpha_d, "felt": felt, "speed": speed, "least": least}
     for name, value in (columns | {"gain": 20.0, "damping": 100.0}).items():
         write(t.work, **{name: [1.0, value, 2.0]})
+    write(t.memory, force_sum=[1.0, integral, 2.0], force_rank=2)
     write(t.work, rank=2, dt=1e-3)
     reading.command_force(t)
     assert t.work.force_next[2] == t.work.alpha_u[2] == 0.0 and t.work.force_next[0] == 1.0
@@ -82,7 +83,7 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
 def test_bodies_do_not_yield_while_their_motion_is_unknown():
     """What an older tick found of it is left out."""
     t = records(contacts=1, columns=1)
-    write(t.work, rank=1, L=np.eye(1), Q=np.ones((1, 6)), out_T=np.eye(6))
+    write(t.work, rank=1, N_factor=np.eye(1), N_basis=np.ones((1, 6)), out_T=np.eye(6))
     pushes = []
     for found in (0.0, 1.0):
         t.work.yields[:] = found
@@ -204,7 +205,7 @@ def judged(N, Lambda, held, m=0):
     """The reason of `require_reachable`, which column, and what is left."""
     t = records(held=held)
     Lambda_S = Lambda + held * np.eye(6)
-    write(t.work, rank=len(N), locked=m, N_t=7.0, Lambda=Lambda_S, where=-1, amount=-1.0)
+    write(t.work, rank=len(N), locked=m, N_t=7.0, Lambda=Lambda_S, where=-1, reason_amount=-1.0)
     t.work.N_t[: len(N)] = N
     return (command.require_reachable(t), t.work, t)
 
@@ -222,13 +223,13 @@ def test_columns_on_which_the_arms_can_push(held):
         L = cholesky((Lambda + held * np.eye(6))[m:, m:])
         seen = solve(L, N[:, m:].T)
         pivots = np.abs(np.diag(qr(seen)[1]))
-        assert_near(work.amount, min(pivots / norm(seen, axis=0)), rtol=1e-7)
+        assert_near(work.reason_amount, min(pivots / norm(seen, axis=0)), rtol=1e-7)
         for a in range(len(N) if m else 0):
             hidden = N.copy()
             hidden[a, m:] = L @ np.full(6 - m, 0.5e-5)  # seen with 0.25e-10 (6 − m) of its square
             reason, work, _ = judged(hidden, Lambda, held, m)
             assert (reason, work.where) == (command.UNREACHABLE, a)
-            assert_near(work.amount, (6 - m) * 0.25e-10 / (hidden[a] @ hidden[a]), rtol=1e-6)
+            assert_near(work.reason_amount, (6 - m) * 0.25e-10 / (hidden[a] @ hidden[a]), rtol=1e-6)
     assert judged(N, Lambda, held, 6)[0] == command.UNREACHABLE
     # 1/Λ along the column, beside 1: on either side of 1e-9
     for mobility, expected in ((0.5e-9, command.UNREACHABLE), (2e-9, NO_REASON)):

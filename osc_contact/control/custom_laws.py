@@ -212,7 +212,7 @@ class CustomParts:
         return evaluated
 
     def _answer(self, records: TickRecords, touched: Touched) -> None:
-        O = records.work.O.copy()  # noqa: E741
+        O = records.work.p_O.copy()  # noqa: E741
         for c, body in self._bodies:
             e = body.environment(SE3(touched.X_WE[c]), touched.V_E[c], touched.A_E[c], O)
             records.work.bodies.answer[c] = *e.Phi_e.flat, *e.b_e, *e.V_e
@@ -248,7 +248,7 @@ class CustomParts:
         eta, f_S = _require("structure", structure(signals), (2, state.d), words)
         turn = records.reflection()
         back = records.motions()
-        records.work.x[:] = turn @ np.linalg.solve(back, state.S @ eta + state.sigma)
+        records.work.acceleration_t[:] = turn @ np.linalg.solve(back, state.S @ eta + state.sigma)
         weighed = state.metric @ state.S
         wrench = weighed @ np.linalg.solve(state.S.T @ weighed, f_S)
         records.work.f_S[:] = turn @ (back.T @ wrench)
@@ -370,7 +370,7 @@ class _Structure:
         x[:m] = work.sigma[:m]
         work.f_S[:] = Lambda @ x + work.chain_bias + f
         x[m:] += np.linalg.solve(Lambda[m:, m:], (f - turn @ reading)[m:])
-        work.x[:] = x
+        work.acceleration_t[:] = x
         work.force_next[:] = 0.0  # the integrals of the laws that are replaced rest
         work.motion_next[:] = 0.0
 

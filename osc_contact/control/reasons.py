@@ -54,7 +54,7 @@ class _Facts(dict[str, Any]):
             case "ceiling":
                 return float(rows.memory.ceiling)
             case "amount":
-                return float(rows.work.amount)
+                return float(rows.work.reason_amount)
             case "column":
                 return where
             case "column_contact":

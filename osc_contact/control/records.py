@@ -561,7 +561,7 @@ class TickRecords:
 
     def acceleration(self) -> Array:
         """(6,) of the object at O as commanded, spatial."""
-        return self.motions() @ (self.reflection().T @ self.work.x)
+        return self.motions() @ (self.reflection().T @ self.work.acceleration_t)
 
     def kept(self) -> Array:
         """(r,) which columns of N were kept, of all."""

@@ -698,7 +698,7 @@ def require_pinocchio_agrees(chain: ClosedChain, row: Bytes) -> None:
         work = chain_work(row, q, v, SE3.Identity(), np.zeros(6))
         pin.computeAllTerms(chain.model, data, q, v)
         for name, ours, theirs in (
-            ("J", carry_twist(work.joints.column.T, work.C, np.zeros(3)), columns_of(data.J)),
+            ("J", carry_twist(work.joints.column.T, work.p_C, np.zeros(3)), columns_of(data.J)),
             ("M", mass_matrix(work, chain.slices), data.M),
             ("h", work.joints.h, data.nle),
         ):

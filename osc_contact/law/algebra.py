@@ -1,4 +1,10 @@
-"""Small dense algebra on arrays that the caller gives. What can fail returns False or 0."""
+"""Small dense algebra: verbs for matrices whose sizes are arguments.
+
+Matrices are larger than the part that counts, whose size is given. Vectors of the operational space
+are rows of six: X (n, 6) holds n of them. Results go to an array `out` that the caller makes
+(`jit.local`), which is no operand unless this is stated. Where an operation can fail it returns
+False or 0.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +39,30 @@ def add_scaled(s, a, n, out):
     """
     for i in range(n):
         out[i] += s * a[i]
+
+
+@leaf
+def gram(X, n, Y, m, out):
+    """out ← X Yᵀ, the products of each two rows of six.
+
+    Args:
+        X: (n, 6). n: rows of X. Y: (m, 6). m: rows of Y. out: (n, m).
+    """
+    for i in range(n):
+        for j in range(m):
+            out[i, j] = dot6(X[i], Y[j])
+
+
+@leaf
+def transpose(A, n, m, out):
+    """out ← Aᵀ.
+
+    Args:
+        A: (n, m). n, m: its size. out: (m, n).
+    """
+    for i in range(n):
+        for j in range(m):
+            out[j, i] = A[i, j]
 
 
 @inner
@@ -89,6 +119,32 @@ def forward(L, n, x):
         for k in range(i):
             s -= L[i, k] * x[k]
         x[i] = s * L[i, i]
+
+
+@leaf
+def forward_each(L, n, X, m):
+    """Overwrite each of the rows X[:m, :n] with L⁻¹ times it: X ← X L⁻ᵀ.
+
+    Args:
+        L: (n, n) factor. n: its size. X: (m, n). m: number of rows.
+    """
+    for i in range(m):
+        forward(L, n, X[i])
+
+
+@leaf
+def factor_times(L, n, B, m, out):
+    """out ← L B, L from `cholesky` or `orthonormalise`.
+
+    Args:
+        L: (n, n) factor. n: its size. B, out: (n, m). m: columns of B.
+    """
+    for i in range(n):
+        for j in range(m):
+            s = B[i, j] / L[i, i]
+            for k in range(i):
+                s += L[i, k] * B[k, j]
+            out[i, j] = s
 
 
 @inner
@@ -313,7 +369,8 @@ def project_onto_columns(L, Q, r, x, target):
     """x ← the nearest x (6,) with L Q x = target.
 
     Args:
-        L, Q: from `orthonormalise`. r: how many rows. x: (6,), target: (r,), both overwritten.
+        L, Q: (r, r) and (r, 6) from `orthonormalise`. r: number of rows. x: (6,), target: (r,),
+            both overwritten.
     """
     forward(L, r, target)
     project_onto_constraint(Q, r, x, target)

@@ -433,7 +433,7 @@ def command_object(t):
     """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ(α_u + x) + f_bias): eq. 21, turned."""
     work = t.work
     bias = turned(work, wrench_to_energy(work, t.memory.f_bias))
-    f_S = plus(plus(work.chain_bias, bias), times6(work.Lambda, work.x))
+    f_S = plus(plus(work.chain_bias, bias), times6(work.Lambda, work.acceleration_t))
     for a in range(work.rank):
         f_S = add(f_S, work.alpha_u[a] + work.reaction[a], work.pushed_t[a])
     fill(work.f_S, f_S)
@@ -443,7 +443,7 @@ def command_object(t):
 def predict_joints(t):
     """q̈ = J̄a + offset, and the torque h + Mq̈ that it takes; a is the object's acceleration `x`."""
     joints = t.work.joints
-    a = turned_back(t.work, t.work.x)
+    a = turned_back(t.work, t.work.acceleration_t)
     for k in range(t.model.n_arms):
         lo = t.model.arms[k].first
         hi = t.model.arms[k].end

@@ -161,7 +161,7 @@ def _fastest_tip(t):
     for k in range(t.model.n_arms):
         own = t.model.arms[k]
         tip = place_point(work.joints[own.tip_joint], own.tip[9:])
-        velocity = velocity_at(work.arms[k].V, minus3(tip, work.C))
+        velocity = velocity_at(work.arms[k].V, minus3(tip, work.p_C))
         speed = sqrt(dot3(velocity, velocity))
         if speed > fastest:
             arm = k

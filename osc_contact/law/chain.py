@@ -73,12 +73,12 @@ def solve_chain(t):
         place_arm(t, model.arms[k], t.input.q)
     if model.leader >= 0:
         tip = work.joints[model.arms[model.leader].tip_joint]
-        place_frame(tip, model.X_LO, work.X_WO, work.O)
+        place_frame(tip, model.X_LO, work.X_WO, work.p_O)
         for i in range(3):
-            work.X_WO[i, 3] = work.O[i]
+            work.X_WO[i, 3] = work.p_O[i]
             work.X_WO[3, i] = 0.0
         work.X_WO[3, 3] = 1.0
-        place_frame(tip, model.X_LP, work.R, work.C)
+        place_frame(tip, model.X_LP, work.R, work.p_C)
         set_axes(work.R, model.roots, work.axes)
     else:
         copy_rows(memory.X_WO, work.X_WO)
@@ -89,7 +89,7 @@ def solve_chain(t):
     for k in range(model.n_arms):
         own = work.arms[k]
         fill(own.bias, ZERO)
-        move_arm(t, model.arms[k], t.input.v, work.C, own.V, own.drift, own.bias)
+        move_arm(t, model.arms[k], t.input.v, work.p_C, own.V, own.drift, own.bias)
     given = memory.given >= GIVEN_TWIST
     if model.slipping:
         if not find_twist(t, given):
@@ -97,8 +97,8 @@ def solve_chain(t):
     else:
         fill(work.V_C, work.arms[0].V)
     if given:
-        fill(work.V_C, carry_motion(memory.V_O, work.O, work.C))
-    fill(work.V_O, carry_motion(work.V_C, work.C, work.O))
+        fill(work.V_C, carry_motion(memory.V_O, work.p_O, work.p_C))
+    fill(work.V_O, carry_motion(work.V_C, work.p_C, work.p_O))
     fill(work.bias_links, ZERO)
     fill(work.bias_e, ZERO)
     fill(work.chain_bias, ZERO)
@@ -156,7 +156,7 @@ def _combine_twists(t):
             for j in range(6):
                 accumulate(P[i], -K[i, j], before[j])
     fill(work.V_C, world_motion(work.axes, V))
-    fill(work.V_O, carry_motion(work.V_C, work.C, work.O))
+    fill(work.V_O, carry_motion(work.V_C, work.p_C, work.p_O))
 
 
 @leaf

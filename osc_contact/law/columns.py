@@ -82,9 +82,11 @@ def keep_columns(t):
             fill(work.N[j], column.energy)
             work.kept[j] = work.chosen[j]
     work.rank = count
-    if count > 6 or (
-        count > 1 and not orthonormalise(work.N, count, 0, work.Q, work.L) > 10.0 * DEPENDENT
-    ):
+    dependent = count > 6
+    if 1 < count <= 6:
+        least = orthonormalise(work.N, count, 0, work.N_basis, work.N_factor)
+        dependent = not least > 10.0 * DEPENDENT
+    if dependent:
         reason = _reduce(t)
         if reason != NO_REASON:
             return reason
@@ -93,7 +95,7 @@ def keep_columns(t):
         work.n_gamma[a] = column.n_gamma
         fill(work.N[a], column.energy)
     if work.rank < count or count == 1:
-        orthonormalise(work.N, work.rank, 0, work.Q, work.L)
+        orthonormalise(work.N, work.rank, 0, work.N_basis, work.N_factor)
     return NO_REASON
 
 
@@ -157,12 +159,12 @@ def _express(t):
     for a in range(rank):
         column = columns[work.kept[a]]
         fill(work.A[a], scaled(1.0 / column.extent, column.energy))
-    orthonormalise(work.A, rank, 0, work.Q, work.L)
+    orthonormalise(work.A, rank, 0, work.N_basis, work.N_factor)
     for j in range(work.count):
         column = columns[work.chosen[j]]
         for a in range(rank):
-            column.share[a] = dot6(work.Q[a], column.energy)
-        backward(work.L, rank, column.share)
+            column.share[a] = dot6(work.N_basis[a], column.energy)
+        backward(work.N_factor, rank, column.share)
         for a in range(rank):
             column.share[a] /= columns[work.kept[a]].extent
     for a in range(rank):
@@ -190,7 +192,7 @@ def _consistent(t):
             implied += columns[work.kept[a]].n_gamma * column.share[a]
         if abs(column.n_gamma - implied) > max(_STILL, _CONSISTENT * column.extent * largest):
             work.where = work.chosen[j]
-            work.amount = implied
+            work.reason_amount = implied
             return False
     return True
 
@@ -290,7 +292,7 @@ def answer_bodies(t):
         body = t.model.bodies[c]
         if body.same == c and body.kind != ELSEWHERE:
             answer = t.work.bodies[c].answer
-            _answer(body.kind, body.parameters, t.input.touched[c], t.work.O, answer)
+            _answer(body.kind, body.parameters, t.input.touched[c], t.work.p_O, answer)
 
 
 @inner

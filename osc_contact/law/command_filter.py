@@ -79,14 +79,15 @@ def require_reachable(t):
     """Whether the arms can push on every column (`response.require_reachable`); a reason.
 
     With Λ_S between 1 and its trace, NᵀΦ₀N lies between NᵀN / trace and NᵀN: most
-    contacts are judged on N alone. Fills Q_t, L_t: N_t = L_t Q_t over the elements m … 5.
+    contacts are judged on N alone. Fills `N_factor_t` and `N_basis_t` of `N_t`, over the elements
+    m … 5.
     """
     work = t.work
     r = work.rank
     m = work.locked
     if r == 0:
         return NO_REASON
-    least = orthonormalise(work.N_t, r, m, work.Q_t, work.L_t)
+    least = orthonormalise(work.N_t, r, m, work.N_basis_t, work.N_factor_t)
     trace = 0.0
     for i in range(m, 6):
         trace += work.Lambda[i, i]
@@ -108,7 +109,7 @@ def _judge_reach(t):
     d = 6 - m
     if d == 0:
         work.where = 0
-        work.amount = 0.0
+        work.reason_amount = 0.0
         return UNREACHABLE
     if not cholesky(work.Lambda, m, d, work.B) > 0.0:
         return BAD_METRIC
@@ -116,12 +117,12 @@ def _judge_reach(t):
         N = work.N_t[a]
         fill(work.D[a], N)
         forward(work.B, d, work.D[a, m:])
-        work.amount = dot(work.D[a, m:], work.D[a, m:], d) / dot6(N, N)
-        if not work.amount > _REACH:
+        work.reason_amount = dot(work.D[a, m:], work.D[a, m:], d) / dot6(N, N)
+        if not work.reason_amount > _REACH:
             work.where = a
             return UNREACHABLE
-    work.amount = orthonormalise(work.D, r, m, work.E, work.A)
-    if not work.amount > _APART:
+    work.reason_amount = orthonormalise(work.D, r, m, work.E, work.A)
+    if not work.reason_amount > _APART:
         return INSEPARABLE
     return NO_REASON
 
@@ -139,11 +140,11 @@ def permit_error(t):
     r = work.rank
     fill(work.s, ZERO)
     fill_free(e, work, motion_to_energy(work, work.error))
-    project_onto_constraint(work.Q_t, r, e, work.s)
+    project_onto_constraint(work.N_basis_t, r, e, work.s)
     fill(work.free_error, motion_to_world(work, turned_back(work, e)))
     fill(e, motion_to_energy(work, work.error))
     if t.model.metric == BY_OBJECT:
-        project_onto_constraint(work.Q, r, e, work.s)
+        project_onto_constraint(work.N_basis, r, e, work.s)
     else:
         fill(e, turned(work, e))
         if not _meet_weighed(t, work.B_inv_t, 0, e, work.s):
@@ -196,7 +197,7 @@ def reduce_motion(t):
     row = work.w
     fill(step, ZERO)
     set_identity(H)
-    a = turned_back(work, work.x)
+    a = turned_back(work, work.acceleration_t)
     for k in range(t.model.n_arms):
         own = work.arms[k]
         arm = t.model.arms[k]
@@ -218,7 +219,7 @@ def reduce_motion(t):
     cholesky(H, m, 6 - m, work.B)
     cholesky_solve(work.B, 6 - m, step[m:])
     _meet_weighed(t, H, m, step, work.u)
-    fill(work.x, plus(work.x, step))
+    fill(work.acceleration_t, plus(work.acceleration_t, step))
 
 
 @inner
@@ -253,7 +254,7 @@ def filter_motion(t):
     work = t.work
     r = work.rank
     m = work.locked
-    x = work.x
+    x = work.acceleration_t
     sigma = work.sigma
     fill(x, minus(turned(work, motion_to_energy(work, work.a_u)), sigma))
     for a in range(r):
@@ -267,9 +268,9 @@ def filter_motion(t):
     if weighed and m > 0:  # what contacts see of a motion outside the chain's is not rounded away
         for a in range(r):
             work.s[a] = dot6(work.N_t[a], x)
-        project_onto_columns(work.L_t, work.Q_t, r, x, work.s)
+        project_onto_columns(work.N_factor_t, work.N_basis_t, r, x, work.s)
     if not weighed:
-        project_onto_columns(work.L_t, work.Q_t, r, x, work.rho)
+        project_onto_columns(work.N_factor_t, work.N_basis_t, r, x, work.rho)
     elif r > 0 and not _meet_weighed(t, work.B_inv_t, m, x, work.rho):
         return BAD_METRIC
     for i in range(m):

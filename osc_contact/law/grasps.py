@@ -86,7 +86,7 @@ def find_twist(t, given):
     """
     model = t.model
     work = t.work
-    x = work.x
+    x = work.acceleration_t
     fill(x, ZERO)
     work.A[:] = 0.0
     for k in range(model.n_arms):
@@ -95,7 +95,7 @@ def find_twist(t, given):
         if arm.m == 6:
             continue
         place_frame(work.joints[arm.tip_joint], arm.tip, own.tip, own.tip[3])
-        grasp_rows(arm, own, work.C, work.axes, own.passed)
+        grasp_rows(arm, own, work.p_C, work.axes, own.passed)
         motions = own.passed[arm.m :]
         if not orthonormalise(own.passed, arm.m, 0, own.passed, work.D) > 0.0:
             return False
@@ -320,8 +320,8 @@ def centre_object(t, X):
     """
     model = t.model
     work = t.work
-    fill3(work.O, origin(X))
-    fill3(work.C, transformed(work.O, X, model.X_LP[9:]))
+    fill3(work.p_O, origin(X))
+    fill3(work.p_C, transformed(work.p_O, X, model.X_LP[9:]))
     turn_axes(X, model.X_LP, work.R)
     set_axes(work.R, model.roots, work.axes)
 
@@ -337,7 +337,7 @@ def find_object(t, X):
     """
     arms = t.model.arms
     work = t.work
-    x = work.x
+    x = work.acceleration_t
     r = work.y
     for k in range(t.model.n_arms):
         own = work.arms[k]
@@ -355,7 +355,7 @@ def find_object(t, X):
                 _miss(arm, own.tip, X, r)
             else:
                 _miss_of_group(arm, own.tip, X, work.D, work.z, r)
-            grasp_rows(arm, own, work.C, work.axes, own.passed)
+            grasp_rows(arm, own, work.p_C, work.axes, own.passed)
             if not orthonormalise(own.passed, arm.m, 0, own.passed, work.D) > 0.0:
                 return False
             forward(work.D, arm.m, r)
@@ -364,7 +364,7 @@ def find_object(t, X):
         if not cholesky(work.A, 0, 6, work.B) > KNOWN:
             return False
         cholesky_solve(work.B, 6, x)
-        step = carry_motion(world_motion(work.axes, x), work.C, work.O)
+        step = carry_motion(world_motion(work.axes, x), work.p_C, work.p_O)
         rotate(X, step[3:])
         size = 0.0
         for i in range(6):

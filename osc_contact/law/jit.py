@@ -55,6 +55,7 @@ if COMPILES:
     try:
         from llvmlite import ir
         from numba import carray, config, njit, types  # type: ignore[attr-defined]
+        from numba.core import cgutils
         from numba.extending import intrinsic
     except ImportError as error:
         raise ImportError(f"the law is not compiled here, and {missing(error)}") from error
@@ -159,10 +160,21 @@ def _no_prefetch(raw: Any, start: int, count: int) -> None:
     """Bring bytes near that are read soon: nothing to do in plain Python."""
 
 
-#: What stands in plain Python for the parts that read addresses.
-_IN_PYTHON: dict[str, Any] = {"call_at": call_address, "matrix": _reshape, "prefetch": _no_prefetch}
+def _empty(rows: int, columns: int | None = None) -> Any:
+    """A new array (rows,) or (rows, columns), not initialised."""
+    return np.empty(rows if columns is None else (rows, columns))
+
+
+#: Python functions in place of the compiled ones that work with addresses.
+_IN_PYTHON: dict[str, Any] = {
+    "call_at": call_address,
+    "local": _empty,
+    "matrix": _reshape,
+    "prefetch": _no_prefetch,
+}
 
 if not COMPILES:
+    local: Any = _empty
     call_at: Any = call_address
     matrix: Any = _reshape
     prefetch: Any = _no_prefetch
@@ -170,6 +182,37 @@ if not COMPILES:
     numbers_at: Any = None
     words_at: Any = None
 else:
+
+    @intrinsic(prefer_literal=True)
+    def local(typing: Any, rows: Any, columns: Any = None) -> Any:
+        """A new array (rows,) or (rows, columns) of numbers on the stack, not initialised.
+
+        It lasts until the function that makes it returns; made in a loop, it is the same array each
+        time. Its type is that of a field of a record with the same shape, so that a function which
+        takes both is translated once.
+
+        Args:
+            rows, columns: sizes, whole numbers that are written out or are constants of a module.
+        """
+        shape = tuple(size.literal_value for size in (rows, columns) if size is not None)
+        strides = tuple(8 * int(np.prod(shape[axis + 1 :])) for axis in range(len(shape)))
+        kind = types.NestedArray(types.float64, shape)
+
+        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+            place = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))
+            array = context.make_array(kind)(context, builder)
+            context.populate_array(
+                array,
+                data=builder.bitcast(place, array.data.type),
+                shape=[context.get_constant(types.intp, size) for size in shape],
+                strides=[context.get_constant(types.intp, step) for step in strides],
+                itemsize=context.get_constant(types.intp, 8),
+                meminfo=None,
+            )
+            return array._getvalue()
+
+        return kind(rows, types.Omitted(None) if columns is None else columns), generate
+
     #: A small part that reads bytes at an address.
     VIEW: Any = {**_PLAIN, "forceinline": True, "_nrt": True}
     view = njit(**VIEW)

@@ -121,7 +121,7 @@ def observe_arm(t, arm, own, sound, dt):
     moved = world_wrench(work.axes, moved)
     if arm.outer_joint >= 0 and arm.filtered:
         beyond = world_wrench(work.axes, beyond)
-    wrench = read_wrist(own.reading, joints[arm.sensor_joint], arm.sensor, work.C)
+    wrench = read_wrist(own.reading, joints[arm.sensor_joint], arm.sensor, work.p_C)
     fill(own.net, minus(plus(wrench, beyond), moved))
     for j in range(arm.first, arm.sensor_joint + 1):
         row = known[j]
@@ -412,7 +412,7 @@ def permit_speeds(t):
         if approached and work.damping[a] > 0.0:
             work.s[a] += work.alpha_d[a] / work.damping[a]
     if work.rank > 0:
-        project_onto_columns(work.L_t, work.Q_t, work.rank, x, work.s)
+        project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, work.s)
     fill(x, turned_back(work, x))
     for j in range(t.model.n_joints):
         joint = t.model.joints[j]

@@ -473,8 +473,8 @@ def _arm_at_tip(t, n, q, v, out):
     mu = ZERO
     p = ZERO
     place_arm(t, arm, q)
-    fill3(work.C, place_point(joints[arm.tip_joint], arm.tip[9:]))
-    move_arm(t, arm, v, work.C, own.V, drift, own.bias)
+    fill3(work.p_C, place_point(joints[arm.tip_joint], arm.tip[9:]))
+    move_arm(t, arm, v, work.p_C, own.V, drift, own.bias)
     fill3(drift, plus3(drift, cross(own.V[3:], own.V)))  # the rate of J q̇, no spatial acceleration
     for i in range(6):
         root[i] = model.roots[max(i - 2, 0)]

@@ -9,16 +9,21 @@ from osc_contact.law.algebra import (
     cholesky,
     cholesky_solve,
     dot,
+    factor_times,
     forward,
+    forward_each,
+    gram,
     lu_solve,
     project_onto_columns,
+    transpose,
 )
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.grasps import filter_reading
-from osc_contact.law.jit import inner, leaf
+from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.records import body_of, contact_of
 from osc_contact.law.vectors import (
     ZERO,
+    ZERO_3,
     accumulate,
     add,
     add3,
@@ -33,6 +38,7 @@ from osc_contact.law.vectors import (
     dot6,
     fill,
     fill3,
+    join,
     linear,
     minus,
     minus3,
@@ -57,33 +63,44 @@ _NOTHING = 1e-9  #: Λ_out beside the object's inertia, below which sensors read
 
 @inner
 def add_friction(t):
-    """N_μ = N + D share of the kept columns, _e (`pushed`), D share at O (`friction_wrenches`)."""
+    """The kept columns with friction, N_μ = N + (friction wrenches of all columns) share.
+
+    Reads `N`, and `share` and `friction_wrench` of the columns in force. Fills `friction_wrenches`
+    (at O, in world axes) and `pushed`, N_μ in energy coordinates.
+    """
     work = t.work
     for a in range(work.rank):
         friction = ZERO
-        for j in range(work.count if work.mu else 0):
-            column = work.columns[work.chosen[j]]
-            friction = add(friction, column.share[a], column.friction_wrench)
+        if work.mu != 0.0:
+            for j in range(work.count):
+                column = work.columns[work.chosen[j]]
+                friction = add(friction, column.share[a], column.friction_wrench)
         fill(work.friction_wrenches[a], friction)
         fill(work.pushed[a], plus(work.N[a], wrench_to_energy(work, friction)))
 
 
 @inner
 def read_wrist(reading, joint, sensor, C):
-    """One wrist's reading (6,), rotated to world axes and carried to C, as a tuple.
+    """Wrench that a wrist reads, rotated to world axes and carried to C, as a tuple.
 
     Args:
-        reading: (6,) of the wrist. joint: JOINT_WORK row of the sensor's. sensor: (12,) rotation
-            (row by row) and position of the sensor in it. C: (3,) point (m).
+        reading: (6,) in the axes and at the origin of the sensor (N, N m).
+        joint: JOINT_WORK row of the joint that carries the sensor.
+        sensor: (12,) frame of the sensor in that joint: rotation by rows, then origin (m).
+        C: (3,) point (m).
     """
     force = rotated(joint.R, rotated9(sensor, reading))
     couple = rotated(joint.R, rotated9(sensor, reading[3:]))
-    return carry_wrench(force + couple, place_point(joint, sensor[9:]), C)
+    return carry_wrench(join(force, couple), place_point(joint, sensor[9:]), C)
 
 
 @inner
 def sum_readings(t):
-    """f_meas (6,) = Σ wrist readings less tare, at O; `reading_e`: the same less bias, energy."""
+    """The wrench that all wrists read less tare and bias, f_meas − bias_out.
+
+    Reads `filter` of the arms and `bias_e`. Fills `f_meas` (at O, in world axes) and `reading_e`,
+    f_meas − bias_out in energy coordinates.
+    """
     work = t.work
     total = ZERO
     for k in range(t.model.n_arms):
@@ -91,68 +108,79 @@ def sum_readings(t):
         if arm.sensor_joint < 0:
             continue
         joint = work.joints[arm.sensor_joint]
-        wrench = read_wrist(t.input.wrenches[k], joint, arm.sensor, work.C)
+        wrench = read_wrist(t.input.wrenches[k], joint, arm.sensor, work.p_C)
         if arm.filtered:
             wrench = filter_reading(work.axes, work.arms[k].filter, wrench)
         total = plus(total, wrench)
-    fill(work.f_meas, minus(carry_wrench(total, work.C, work.O), t.memory.f_tare))
+    fill(work.f_meas, minus(carry_wrench(total, work.p_C, work.p_O), t.memory.f_tare))
     fill(work.reading_e, minus(wrench_to_energy(work, work.f_meas), work.bias_e))
 
 
 @inner
 def measure_magnitudes(t):
-    """α (r,) = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N], D = NᵀΛ_out⁻¹N_μ + Φ_μ: the filter Ω_f(Λ_out).
+    """The filter Ω_f(Λ_out): α = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N], D = NᵀΛ_out⁻¹N_μ + Φ_μ.
 
-    f is the reading less bias. Solved in the orthonormal basis Q of the rows of N = L Q, so that
-    nearly dependent columns cost no digits of the force Nα. Where nothing is held see
-    `_measure_at_tip`. False: Λ_out is singular.
+    f is the reading less bias. Reads `N_basis` and `N_factor` of N, `out_T`, `reading_e`, `pushed`,
+    `Phi_mu`, `n_gamma`, `b_N`. Fills `alpha_meas`, `mobility` (D) and `weightless`, whether nothing
+    between sensors and contacts has inertia. Where nothing is held see `_measure_at_tip`.
+
+    Returns:
+        False: Λ_out is singular.
     """
     work = t.work
     r = work.rank
     work.weightless = 0
-    for a in range(r):
-        work.z[a] = 0.0
-        fill(work.solved[a], work.Q[a])
     if not t.model.held:
         return _measure_at_tip(t)
-    copy_rows(work.out_T, work.B)
-    if not lu_solve(work.B, 6, work.solved, r):  # rows: Λ_out⁻ᵀ q
+    out_T = local(6, 6)
+    answer = local(6, 6)
+    copy_rows(work.out_T, out_T)
+    for a in range(r):
+        fill(answer[a], work.N_basis[a])
+    if not lu_solve(out_T, 6, answer, r):
         return False
-    return _solve_magnitudes(t, 1.0)
+    known = local(6)
+    known[:] = 0.0
+    return _solve_magnitudes(t, answer, six(work.reading_e), known, 1.0)
 
 
 @inner
-def _solve_magnitudes(t, inertial):
-    """The rest of it: `solved` holds Λ_out⁻ᵀ q for each row q of Q, `z` qᵀσ.
+def _solve_magnitudes(t, answer, f, known, inertial):
+    """α from the accelerations along an orthonormal basis Q of the contact forces, N = Q L.
 
-    inertial: 1; 0 where nothing between sensor and contact has inertia: then N α = f.
+    Nearly dependent columns so cost no digits of the force N α:
+
+        D_Q = QᵀΛ_out⁻¹N_μ + L⁻¹Φ_μ,   D = L D_Q,
+        (D_Q L⁻ᵀ) Lᵀα = QᵀΛ_out⁻¹f + Qᵀσ − L⁻¹(n_γ + b_N)
+
+    Reads and fills what `measure_magnitudes` states; returns False where D is singular.
+
+    Args:
+        answer: (r, 6) rows of QᵀΛ_out⁻¹. f: wrench, six numbers. known: (r,) Qᵀσ, the acceleration
+            along Q that does not depend on f. All in energy coordinates.
+        inertial: 1; 0 where nothing between sensors and contacts has inertia: then N α = f.
     """
     work = t.work
     r = work.rank
-    D = work.D
-    E = work.E
-    L = work.L
-    f = work.reading_e
+    L = work.N_factor
+    D = local(6, 6)
+    yielding = local(6, 6)
+    required = local(6)
+    alpha = local(1, 6)
+    for a in range(r):
+        required[a] = inertial * (work.n_gamma[a] + work.b_N[a])
+        for b in range(r):
+            yielding[b, a] = inertial * work.Phi_mu[a, b]
+    forward(L, r, required)
+    forward_each(L, r, yielding, r)
+    gram(answer, r, work.pushed, r, D)
     for a in range(r):
         for b in range(r):
-            D[a, b] = dot6(work.solved[a], work.pushed[b])
-            E[b, a] = inertial * work.Phi_mu[a, b]
-        work.w[a] = inertial * (work.n_gamma[a] + work.b_N[a])
-    forward(L, r, work.w)
-    for b in range(r):  # columns of L⁻¹Φ_μ
-        forward(L, r, E[b])
-        for a in range(r):
-            D[a, b] += E[b, a]
+            D[a, b] += yielding[b, a]
+    factor_times(L, r, D, r, work.mobility)
     for a in range(r):
-        for b in range(r):
-            s = D[a, b] / L[a, a]
-            for c in range(a):
-                s += L[a, c] * D[c, b]
-            work.mobility[a, b] = s
-    alpha = work.A
-    for a in range(r):
-        alpha[0, a] = dot6(work.solved[a], f) + work.z[a] - work.w[a]
-        forward(L, r, D[a])  # a row of D L⁻ᵀ
+        alpha[0, a] = dot6(answer[a], f) + known[a] - required[a]
+    forward_each(L, r, D, r)
     if not lu_solve(D, r, alpha, 1):
         return False
     for a in range(r):
@@ -163,58 +191,79 @@ def _solve_magnitudes(t, inertial):
 
 @inner
 def _measure_at_tip(t):
-    """Where nothing is held: sensors see the tip in its own motions S only, or f_c itself.
+    """α where nothing is held: sensors see the tip in its own motions S only, or f_c itself.
 
-    S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹, and a = Sη̇ + σ has a further part.
+    S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹, and f − Λ_outσ that of f, since a = Sη̇ + σ. Reads
+    `sigma` and `locked` beside what `measure_magnitudes` reads; fills the same.
     """
     work = t.work
+    r = work.rank
     d = 6 - work.locked
-    f = work.reading_e
-    S = work.A
+    answer = local(6, 6)
+    known = local(6)
     trace = 0.0
     for i in range(6):
         trace += abs(work.out_T[i, i])
     if trace < _NOTHING:
         work.weightless = 1
-        return _solve_magnitudes(t, 0.0)
+        for a in range(r):
+            known[a] = 0.0
+            fill(answer[a], work.N_basis[a])
+        return _solve_magnitudes(t, answer, six(work.reading_e), known, 0.0)
+    S = local(6, 6)
+    inertia = local(6, 6)
+    along = local(6, 6)
+    axis = local(6)
     sigma = turned_back(work, work.sigma)
-    fill(f, minus(f, _outboard(work, sigma)))
+    f = minus(work.reading_e, outboard_times(work, sigma))
     for i in range(d):
-        fill(work.u, ZERO)
-        work.u[work.locked + i] = 1.0
-        fill(S[i], turned_back(work, work.u))
+        fill(axis, ZERO)
+        axis[work.locked + i] = 1.0
+        fill(S[i], turned_back(work, axis))
     for i in range(d):
-        inertia = _outboard(work, S[i])
+        moved = outboard_times(work, S[i])
         for j in range(d):
-            work.D[i, j] = dot6(inertia, S[j])
-    for a in range(work.rank):
-        work.z[a] = dot6(work.Q[a], sigma)
-        for i in range(d):
-            work.E[a, i] = dot6(work.Q[a], S[i])
-    if not lu_solve(work.D, d, work.E, work.rank):
+            inertia[i, j] = dot6(moved, S[j])
+    gram(work.N_basis, r, S, d, along)
+    if not lu_solve(inertia, d, along, r):
         return False
-    for a in range(work.rank):
-        fill(work.solved[a], combined(work.E[a], S, d))
-    return _solve_magnitudes(t, 1.0)
+    for a in range(r):
+        known[a] = dot6(work.N_basis[a], sigma)
+        fill(answer[a], combined(along[a], S, d))
+    return _solve_magnitudes(t, answer, f, known, 1.0)
 
 
 @leaf
 def integral_room(most, desired):
-    """N; the force integral stays within ± that."""
+    """Bound of the force integral (N).
+
+    Args:
+        most: `integral_force` (N). desired: force (N).
+    """
     return max(_WINDUP * abs(desired), most)
+
+
+@leaf
+def last_integral(t, a):
+    """Force integral of kept column a (N) after the last tick; 0 if the number of columns changed.
+
+    Reads `force_sum` and `force_rank` of MEMORY.
+    """
+    return t.memory.force_sum[a] if t.memory.force_rank == t.work.rank else 0.0
 
 
 @inner
 def command_force(t):
-    """α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ min(α_min, α_d/10); `force_next`.
+    """The force law α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ min(α_min, α_d/10).
 
     The integral stays within `integral_force` (N), or `_WINDUP` times the command where that is
-    more. A force that rises begins with less than its floor.
+    more. A force that rises begins with less than its floor. Reads `alpha_d`, `felt`, `speed`,
+    `gain`, `damping`, `least`. Fills `alpha_u` and `force_next`, the integral after this tick (N).
     """
     work = t.work
     for a in range(work.rank):
         desired = work.alpha_d[a]
-        before = work.w[a]
+        before = last_integral(t, a)
         room = integral_room(t.model.integral_force, desired)
         after = before + work.gain[a] * work.dt * (desired - work.felt[a])
         after = min(max(after, -room), room)
@@ -229,9 +278,10 @@ def command_force(t):
 
 @inner
 def contact_laws(t):
-    """Gain, damping, brake κ and least command (r,) of the kept columns, from their contacts.
+    """Settings of the force law for each kept column, from its contact.
 
-    Where columns depend on one another the most careful of all hold for each of them.
+    Where columns depend on one another each of them takes the most careful of all. Fills `gain`
+    (1/s), `damping` (N s/m), `brake` κ (1/s) and `least`, the least command (N).
     """
     work = t.work
     dependent = work.rank < work.count
@@ -240,11 +290,12 @@ def contact_laws(t):
         gain = law.gain
         damping = law.damping
         brake = law.brake
-        for j in range(work.count if dependent else 0):
-            other = contact_of(t, work.chosen[j])
-            gain = min(gain, other.gain)
-            damping = max(damping, other.damping)
-            brake = max(brake, other.brake)
+        if dependent:
+            for j in range(work.count):
+                other = contact_of(t, work.chosen[j])
+                gain = min(gain, other.gain)
+                damping = max(damping, other.damping)
+                brake = max(brake, other.brake)
         work.gain[a] = gain
         work.damping[a] = damping
         work.brake[a] = brake
@@ -283,80 +334,96 @@ _NOISE = 0.01  #: of a wrist's force (N), in the metric of the object's inertia
 
 @inner
 def weigh_magnitudes(t):
-    """Fill `alpha_meas` (r,) and `reading_e`, R⁻¹(f − N_μα); False where R is not definite."""
+    """Least squares α = (HᵀR⁻¹H)⁻¹HᵀR⁻¹f, H = N_μ and what touched bodies yield to it.
+
+    f is the reading less bias and less Λ_out a. Reads `reading_e`, `pushed`, `Phi_mu`, the columns
+    in force and what `_desired_inertia_force` and `_likely_errors` read. Fills `alpha_meas`,
+    `reading_rest` (R⁻¹(f − Hα)), `weightless` and, with contact phases, `mobility`.
+
+    Returns:
+        False: R is not definite, or columns cannot be told apart.
+    """
     work = t.work
     r = work.rank
-    R = work.B
-    H = work.D
-    f = work.reading_e
-    _subtract_motion(t, f)
-    largest = _weigh_likely(t, R)
+    R = local(6, 6)
+    R_factor = local(6, 6)
+    H = local(6, 6)
+    weighed = local(6, 6)
+    normal = local(6, 6)
+    alpha = local(1, 6)
+    yields = local(6)
+    rest = local(6)
+    fill(rest, minus(work.reading_e, _desired_inertia_force(t)))
+    largest = _likely_errors(t, R)
     for a in range(r):
         h = six(work.pushed[a])
         if work.moving:
             for b in range(r):
-                work.s[b] = work.Phi_mu[b, a]
-            h = _add_yield(work, h)
+                yields[b] = work.Phi_mu[b, a]
+            h = _add_yield(work, h, yields)
         fill(H[a], h)
         add_square(1.0, scaled(largest, h), R)
-    if not cholesky(R, 0, 6, work.A) > 0.0:
+    if not cholesky(R, 0, 6, R_factor) > 0.0:
         return False
-    gram = work.E
-    right = work.K
-    for a in range(r):
-        y = work.solved[a]
-        fill(y, H[a])
-        cholesky_solve(work.A, 6, y)
-        right[0, a] = dot6(y, f)
-        for b in range(r):
-            gram[a, b] = dot6(y, H[b])
+    for a in range(r):  # HᵀR⁻¹
+        fill(weighed[a], H[a])
+        cholesky_solve(R_factor, 6, weighed[a])
+        alpha[0, a] = dot6(weighed[a], rest)
+    gram(weighed, r, H, r, normal)
     work.weightless = 0
     if t.model.phased:
-        _find_mobility(t)
-    if not lu_solve(gram, r, right, 1):
+        _find_mobility(t, weighed, normal)
+    if not lu_solve(normal, r, alpha, 1):
         return False
     for a in range(r):
-        work.alpha_meas[a] = right[0, a]
-        accumulate(f, -right[0, a], H[a])
-    cholesky_solve(work.A, 6, f)
+        work.alpha_meas[a] = alpha[0, a]
+        accumulate(rest, -alpha[0, a], H[a])
+    cholesky_solve(R_factor, 6, rest)
+    fill(work.reading_rest, rest)
     return True
 
 
 @inner
-def _find_mobility(t):
-    """`mobility` (r, r): normal acceleration for each newton that it makes these forces read.
+def _find_mobility(t, weighed, normal):
+    """The normal acceleration for each newton that it makes the least squares read.
 
-    What is in flight accelerates by x = d(NᵀV_rel)/dt beside what contacts permit. That adds
-    Λ_outN⁺x to the reading, N⁺ the motion of least kinetic energy, and (HᵀR⁻¹H)⁻¹HᵀR⁻¹Λ_outN⁺x to
-    α: H and HᵀR⁻¹ are in `solved` and `E`.
+    A body in free flight accelerates by x = d(NᵀV_rel)/dt beside the motions that contacts permit.
+    That adds Λ_outN⁺x to the reading, N⁺ the motion of least kinetic energy, and
+    (HᵀR⁻¹H)⁻¹HᵀR⁻¹Λ_outN⁺x to α. Reads `N_basis`, `N_factor`, `out_T`. Fills `mobility` (r, r), and
+    `weightless` where it does not exist.
+
+    Args:
+        weighed: (r, 6) rows of HᵀR⁻¹. normal: (r, r) HᵀR⁻¹H.
     """
     work = t.work
     r = work.rank
-    A = work.B
+    A = local(6, 6)
+    columns = local(6, 6)
+    along = local(6)
     for b in range(r):
         for a in range(r):
-            work.s[a] = 1.0 if a == b else 0.0
-        seen = _add_yield(work, ZERO)
+            along[a] = 1.0 if a == b else 0.0
+        seen = _add_yield(work, ZERO, along)
         for a in range(r):
-            A[a, b] = dot6(work.solved[a], seen)
-    copy_rows(work.E, work.mobility)  # columns of the Gram matrix, which is symmetric, as rows
-    if not lu_solve(A, r, work.mobility, r):
+            A[a, b] = dot6(weighed[a], seen)
+            columns[b, a] = normal[b, a]
+    if not lu_solve(A, r, columns, r):
         work.weightless = 1
-    for a in range(r):
-        for b in range(a):
-            work.mobility[a, b], work.mobility[b, a] = work.mobility[b, a], work.mobility[a, b]
+    transpose(columns, r, r, work.mobility)
 
 
 @inner
 def learn_friction(t):
-    """Take the coefficient of friction after the tangential forces found along the slip.
+    """The coefficient of friction μ, learned from the tangential forces found along the slip.
 
     dμ/dt = k Σw_j s_jᵀβ_j / Σw_j², β_j = C_jT_jᵀR⁻¹(f − N_μα): where contacts slide, to one that
     explains them best; where they rest, s_j = 0, nothing is learned. At first μ is the mean of all
     readings, k = 1/(T_1 + T) > `learning`, T = ∫Σw_jα_j|s_j|²/Σw_j² dt the time of sliding under
     the desired forces: the first contact is made with friction that it shows itself. Not where
-    normals are estimated, too: a tilted face shows the same at first. R⁻¹(f − N_μα) is what
-    `weigh_magnitudes` left.
+    normals are estimated, too: a tilted face shows the same at first.
+
+    Reads `alpha_meas`, `reading_rest` and `slip`, `prior` of the columns in force. Updates
+    `more_friction` and `slid` (T).
     """
     model = t.model
     work = t.work
@@ -368,10 +435,10 @@ def learn_friction(t):
         chosen = work.chosen[j]
         column = work.columns[chosen]
         s = column.slip
-        w = max(abs(work.goal[chosen]), _LEAST_FORCE)
+        w = _likely_force(work, chosen)
         along = dot3(s, s)
         share = (_ALONG**2 - _ACROSS**2) * along + _ACROSS**2
-        found += w * w * w * share * dot6(_push_on(t, linear(s), chosen), work.reading_e)
+        found += w * w * w * share * dot6(_push_on(t, linear(s), chosen), work.reading_rest)
         pressed = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
         slid += w * pressed * along
         whole += w * w
@@ -384,105 +451,136 @@ def learn_friction(t):
     work.more_friction = min(max(more, -model.mu), _MOST_FRICTION - model.mu)
 
 
+@leaf
+def _likely_force(work, chosen):
+    """w_j (N): the size of the desired force of a column of N, in which its errors are judged."""
+    return max(abs(work.goal[chosen]), _LEAST_FORCE)
+
+
 @inner
 def oppose_friction(t):
-    """`reaction` (r,) = D⁻¹Nᵀ(Φ_0 + Φ_e)f_t, D = Nᵀ(Φ_0 + Φ_e)N_μ: what f_t takes off α.
+    """The part of α that tangential forces f_t cause, D⁻¹Nᵀ(Φ_0 + Φ_e)f_t, D = Nᵀ(Φ_0 + Φ_e)N_μ.
 
     f_t = Σ(1 − |s_j|²) T_jβ_j are the tangential forces of contacts that stick or hardly slide, and
     that μ does not explain: β_j = C_jT_jᵀR⁻¹(f − N_μα) as read up to the last tick, low-passed.
     They themselves are not opposed: that would push on what sticks. At most half of the desired
     force.
+
+    Reads `N_t`, `pushed_t`, `Lambda`, `Phi_mu`, `yields`, `reading_rest`, `alpha_d`, and
+    `tangential` of MEMORY. Fills `reaction` (r,) in N, and `tangential` of the columns for the next
+    tick.
     """
     work = t.work
     m = work.locked
     d = 6 - m
     r = work.rank
-    x = work.K[0]
-    for a in range(r):
-        x[a] = 0.0
+    x = local(1, 6)
+    pushed = local(6)
     total = ZERO
+    for a in range(r):
+        x[0, a] = 0.0
     for j in range(t.model.n_columns):
-        fill3(work.columns[j].tangential, ZERO)
+        fill3(work.columns[j].tangential, ZERO_3)
     for j in range(work.count):
         chosen = work.chosen[j]
         column = work.columns[chosen]
         past = t.memory.columns[chosen].tangential
         resting = scaled3(1.0 - dot3(column.slip, column.slip), past)
-        f = resting + cross(column.point, resting)
+        f = join(resting, cross(column.point, resting))
         total = plus(total, turned(work, wrench_to_energy(work, f)))
-        for a in range(r if work.moving else 0):
-            if body_of(t, work.kept[a]).same == body_of(t, chosen).same:
-                x[a] += dot6(work.yields[a], f)
+        if work.moving:
+            for a in range(r):
+                if body_of(t, work.kept[a]).same == body_of(t, chosen).same:
+                    x[0, a] += dot6(work.yields[a], f)
         _find_tangential(t, column, chosen, past)
-    fill(work.u, total)
-    solvable = d > 0 and cholesky(work.Lambda, m, d, work.B) > 0.0
-    for a in range(r if solvable else 0):
-        fill(work.z, work.N_t[a])
-        cholesky_solve(work.B, d, work.z[m:])
-        x[a] += dot(work.z[m:], work.u[m:], d)
-        for b in range(r):
-            work.D[a, b] = work.Phi_mu[a, b] + dot(work.z[m:], work.pushed_t[b, m:], d)
-    solvable = solvable and lu_solve(work.D, r, work.K, 1)
+    fill(pushed, total)
+    factor = local(6, 6)
+    D = local(6, 6)
+    answer = local(6)
+    solvable = d > 0 and cholesky(work.Lambda, m, d, factor) > 0.0
+    if solvable:
+        for a in range(r):
+            fill(answer, work.N_t[a])
+            cholesky_solve(factor, d, answer[m:])
+            x[0, a] += dot(answer[m:], pushed[m:], d)
+            for b in range(r):
+                D[a, b] = work.Phi_mu[a, b] + dot(answer[m:], work.pushed_t[b, m:], d)
+        solvable = lu_solve(D, r, x, 1)
     for a in range(r):
         most = _REACTION * abs(work.alpha_d[a])
-        work.reaction[a] = min(max(x[a], -most), most) if solvable else 0.0
+        work.reaction[a] = min(max(x[0, a], -most), most) if solvable else 0.0
 
 
 @inner
 def _find_tangential(t, column, chosen, past):
-    """`tangential` of a column: β_j of this tick, low-passed."""
+    """The tangential force β_j of a contact in this tick, low-passed.
+
+    Reads `reading_rest`; fills `tangential` of the column (N).
+
+    Args:
+        column: COLUMN_WORK. chosen: its number. past: (3,) `tangential` of the last tick (N).
+    """
     work = t.work
+    shown = local(3)
     for k in range(3):
-        work.w[k] = dot6(_push_on(t, _across(column.N, k), chosen), work.reading_e)
-    w = max(abs(work.goal[chosen]), _LEAST_FORCE)
-    along = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, work.w)
+        shown[k] = dot6(_push_on(t, _across(column.N, k), chosen), work.reading_rest)
+    w = _likely_force(work, chosen)
+    along = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, shown)
     k = work.dt / (_LAG + work.dt)
     for i in range(3):
-        found = w * w * (_ACROSS**2 * work.w[i] + along * column.slip[i])
+        found = w * w * (_ACROSS**2 * shown[i] + along * column.slip[i])
         column.tangential[i] = past[i] + k * (found - past[i])
 
 
 @inner
-def _outboard(work, x):
-    """Λ_out x, energy coordinates."""
+def outboard_times(work, x):
+    """Λ_out x, six numbers, of a motion x (6,), both in energy coordinates."""
     return combined(x, work.out_T, 6)
 
 
 @inner
-def _subtract_motion(t, f):
-    """f less Λ_out a, a the desired acceleration as far as the contacts permit it."""
+def _desired_inertia_force(t):
+    """Λ_out a, six numbers; a: the desired acceleration, as far as the contacts permit it.
+
+    Reads `A_D`, `V_O`, `n_gamma`, `b_N`, `N_factor`, `N_basis`, `out_T`.
+    """
     work = t.work
-    a = work.y
+    a = local(6)
+    required = local(6)
     V = work.V_O
     fill(a, work.A_D)
     fill3(a, minus3(a, cross(V[3:], V)))
     fill(a, motion_to_energy(work, a))
     for b in range(work.rank):
-        work.s[b] = work.n_gamma[b] + work.b_N[b]
-    project_onto_columns(work.L, work.Q, work.rank, a, work.s)
-    fill(f, minus(f, _outboard(work, a)))
+        required[b] = work.n_gamma[b] + work.b_N[b]
+    project_onto_columns(work.N_factor, work.N_basis, work.rank, a, required)
+    return outboard_times(work, a)
 
 
 @inner
-def _weigh_likely(t, R):
-    """R = σ_a²m Λ_out(1 − QᵀQ)Λ_outᵀ + ΣT_jC_jT_jᵀ and the wrists' noise; the largest w_j.
+def _likely_errors(t, R):
+    """R = σ_a²m Λ_out(1 − QᵀQ)Λ_outᵀ + ΣT_jC_jT_jᵀ and the wrists' noise; the largest w_j (N).
 
     C_j = w_j²(σ_t²(1 − nnᵀ) + (σ_s² − σ_t²) ssᵀ), s the direction of slip, shorter than 1 where
-    the contact hardly slides.
+    the contact hardly slides. Reads `out_T`, `N_basis` (Q), `goal`, and `N`, `slip`, `point` of the
+    columns in force.
+
+    Args:
+        R: (6, 6), filled.
     """
     work = t.work
     mass = t.model.principal[0]
     share = _DEPARTURE * _DEPARTURE * mass
     largest = 0.0
     for i in range(6):
-        fill(R[i], scaled(share, _outboard(work, work.out_T[:, i])))
+        fill(R[i], scaled(share, outboard_times(work, work.out_T[:, i])))
         R[i, i] += _NOISE * _NOISE / mass
     for a in range(work.rank):
-        add_square(-share, _outboard(work, work.Q[a]), R)
+        add_square(-share, outboard_times(work, work.N_basis[a]), R)
     for j in range(work.count):
         chosen = work.chosen[j]
         column = work.columns[chosen]
-        w = max(abs(work.goal[chosen]), _LEAST_FORCE)
+        w = _likely_force(work, chosen)
         largest = max(largest, w)
         for k in range(3):
             across = scaled3(w * _ACROSS, _across(column.N, k))
@@ -501,21 +599,32 @@ def _across(N, k):
 
 @inner
 def _push_on(t, force, chosen):
-    """A force at one contact in energy coordinates, with what its body yields to it."""
+    """Reading (six numbers, energy coordinates) that a force at one contact causes.
+
+    That is the force and, where its body moves, what the reading gains as this body yields.
+
+    Args:
+        force: (3,) at the point of contact, in world axes (N). chosen: column of N of the contact.
+    """
     work = t.work
-    f = force + cross(work.columns[chosen].point, force)
-    g = wrench_to_energy(work, f)
+    f = join(force, cross(work.columns[chosen].point, force))
+    reading = wrench_to_energy(work, f)
     if not work.moving:
-        return g
+        return reading
+    along = local(6)
     body = body_of(t, chosen).same
-    for a in range(work.rank):  # s = NᵀΦ_e f
+    for a in range(work.rank):  # NᵀΦ_e f
         here = body_of(t, work.kept[a]).same == body
-        work.s[a] = dot6(work.yields[a], f) if here else 0.0
-    return _add_yield(work, g)
+        along[a] = dot6(work.yields[a], f) if here else 0.0
+    return _add_yield(work, reading, along)
 
 
 @inner
-def _add_yield(work, f):
-    """f more Λ_out times the least motion with the normal acceleration s (r,): a body yields."""
-    forward(work.L, work.rank, work.s)
-    return plus(f, _outboard(work, combined(work.s, work.Q, work.rank)))
+def _add_yield(work, f, along):
+    """f + Λ_out N⁺ s (six numbers): the inertial force of the least motion with Nᵀa = s, added.
+
+    Args:
+        f: six numbers, energy coordinates. along: (r,) s (m/s²), overwritten.
+    """
+    forward(work.N_factor, work.rank, along)
+    return plus(f, outboard_times(work, combined(along, work.N_basis, work.rank)))

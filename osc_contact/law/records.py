@@ -461,7 +461,7 @@ _WORK = _record(
         "weightless",
     ),
     number=(
-        "amount",
+        "reason_amount",  # the number that the sentence of a reason gives
         "dt",
         "mu",
         "more_friction",
@@ -480,8 +480,8 @@ _WORK = _record(
     f_c=6,
     error=6,
     free_error=6,
-    C=3,
-    O=3,
+    p_C=3,  # centre of mass of the object
+    p_O=3,  # operational point
     R=(3, 3),
     axes=(4, 3, 3),
     X_WD=(4, 4),
@@ -514,11 +514,12 @@ _WORK = _record(
         "brake",
         "least",
         "felt",  # what the force integral compares with alpha_d
-        "reading_e",
+        "reading_e",  # f_meas − bias_out
+        "reading_rest",  # R⁻¹(f − N_μα) of least squares, see `reading.weigh_magnitudes`
         "motion_next",
         "force_next",
         "a_u",
-        "x",  # the object's acceleration, _t
+        "acceleration_t",  # commanded to the object: S η̇_c + σ
         "rho",
         "f_S",
         "u",
@@ -536,10 +537,11 @@ _WORK = _record(
         "pushed",
         "pushed_t",
         "friction_wrenches",
-        "Q",
-        "L",
-        "Q_t",
-        "L_t",
+        # N = N_factor N_basis (rows), the basis orthonormal, see `algebra.orthonormalise`
+        "N_basis",
+        "N_factor",
+        "N_basis_t",
+        "N_factor_t",
         "solved",
         "Phi_mu",
         "mobility",

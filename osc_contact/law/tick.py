@@ -57,6 +57,7 @@ from osc_contact.law.reading import (
     add_friction,
     command_force,
     contact_laws,
+    last_integral,
     learn_friction,
     measure_magnitudes,
     oppose_friction,
@@ -333,7 +334,7 @@ def hand_over(t):
     fill(memory.motion_sum, ZERO)
     for a in range(work.rank):  # what the contacts see of a locked motion is not rounded away
         work.s[a] = dot6(work.N_t[a], x)
-    project_onto_columns(work.L_t, work.Q_t, work.rank, x, work.s)
+    project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, work.s)
     fill(work.z, ZERO)
     for i in range(work.locked, 6):
         for j in range(work.locked, 6):
@@ -357,10 +358,8 @@ def command(t, flags):
     memory = t.memory
     own = flags & OWN_FORCE != 0
     for a in range(work.rank):
-        # another number of columns: start again
-        work.w[a] = memory.force_sum[a] if memory.force_rank == work.rank else 0.0
         if own:
-            work.force_next[a] = work.w[a]
+            work.force_next[a] = last_integral(t, a)
             if work.damping[a] > 0.0:  # approached
                 work.alpha_u[a] = work.alpha_d[a] - work.damping[a] * work.speed[a]
         elif memory.wrench_missing:

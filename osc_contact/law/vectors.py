@@ -16,6 +16,13 @@ from osc_contact.law.jit import inner, leaf
 # 1 − β v vᵀ are rows v with zeros before the diagonal.
 
 ZERO = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+ZERO_3 = (0.0, 0.0, 0.0)
+
+
+@leaf
+def join(a, b):
+    """The elements of two tuples, one behind the other: (*a, *b). Sums have names of their own."""
+    return a + b
 
 
 @leaf
@@ -27,7 +34,7 @@ def clamped(x, most):
 @leaf
 def cross(a, b):
     """a × b of 3-vectors."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @leaf
@@ -43,54 +50,54 @@ def add3(y, s, x):
     Args:
         y, x: (3,). s: factor.
     """
-    return y[0] + s * x[0], y[1] + s * x[1], y[2] + s * x[2]
+    return (y[0] + s * x[0], y[1] + s * x[1], y[2] + s * x[2])
 
 
 @leaf
 def plus3(x, y):
     """x + y of 3-vectors, as a tuple."""
-    return add3(x, 1.0, y)
+    return (x[0] + y[0], x[1] + y[1], x[2] + y[2])
 
 
 @leaf
 def minus3(x, y):
     """x − y of 3-vectors, as a tuple."""
-    return add3(x, -1.0, y)
+    return (x[0] - y[0], x[1] - y[1], x[2] - y[2])
 
 
 @leaf
 def scaled3(s, x):
     """s x of a 3-vector, as a tuple."""
-    return s * x[0], s * x[1], s * x[2]
+    return (s * x[0], s * x[1], s * x[2])
 
 
 @leaf
 def divided3(x, s):
     """x / s of a 3-vector, as a tuple."""
-    return x[0] / s, x[1] / s, x[2] / s
+    return (x[0] / s, x[1] / s, x[2] / s)
 
 
 @leaf
 def linear(x):
     """The first three of six, as a tuple."""
-    return x[0], x[1], x[2]
+    return (x[0], x[1], x[2])
 
 
 @leaf
 def angular(x):
     """The last three of six, as a tuple."""
-    return x[3], x[4], x[5]
+    return (x[3], x[4], x[5])
 
 
 @leaf
 def axis3(k):
     """The unit vector along axis k, as a tuple."""
-    return 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0
+    return (1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0)
 
 
 @leaf
 def fill3(x, t):
-    """x ← t of 3-vectors."""
+    """x ← t, 3-vectors."""
     x[0] = t[0]
     x[1] = t[1]
     x[2] = t[2]
@@ -105,13 +112,15 @@ def dot6(a, b):
 @leaf
 def six(x):
     """A row as a tuple."""
-    return linear(x) + angular(x)
+    return (x[0], x[1], x[2], x[3], x[4], x[5])
 
 
 @leaf
 def fill(x, t):
     """x ← t."""
-    fill3(x, t)
+    x[0] = t[0]
+    x[1] = t[1]
+    x[2] = t[2]
     x[3] = t[3]
     x[4] = t[4]
     x[5] = t[5]
@@ -124,7 +133,7 @@ def add(t, s, x):
     Args:
         t: six numbers. s: factor. x: six numbers.
     """
-    return add3(t, s, x) + add3(angular(t), s, angular(x))
+    return join(add3(t, s, x), add3(angular(t), s, angular(x)))
 
 
 @leaf
@@ -172,25 +181,26 @@ def set_identity(A):
 @leaf
 def plus(x, y):
     """x + y, as a tuple."""
-    return add(x, 1.0, y)
+    return join(plus3(x, y), plus3(angular(x), angular(y)))
 
 
 @leaf
 def minus(x, y):
     """x − y, as a tuple."""
-    return add(x, -1.0, y)
+    return join(minus3(x, y), minus3(angular(x), angular(y)))
 
 
 @leaf
 def scaled(s, x):
     """s x, as a tuple."""
-    return scaled3(s, x) + scaled3(s, angular(x))
+    return join(scaled3(s, x), scaled3(s, angular(x)))
 
 
 @leaf
 def times6(A, x):
     """A x of a (6, 6) matrix, as a tuple."""
-    return dot6(A[0], x), dot6(A[1], x), dot6(A[2], x), dot6(A[3], x), dot6(A[4], x), dot6(A[5], x)
+    upper = (dot6(A[0], x), dot6(A[1], x), dot6(A[2], x))
+    return join(upper, (dot6(A[3], x), dot6(A[4], x), dot6(A[5], x)))
 
 
 @leaf
@@ -201,7 +211,7 @@ def reflector(square, head):
         square: xᵀx > 0. head: the element of x that is left, eᵀx.
     """
     norm = sqrt(square)
-    return -norm if head >= 0.0 else norm, 1.0 / (norm * (norm + abs(head)))
+    return (-norm if head >= 0.0 else norm, 1.0 / (norm * (norm + abs(head))))
 
 
 @leaf
@@ -243,31 +253,31 @@ def reflect_sides(work, A):
 @leaf
 def row3(R, i):
     """The first three of row i, as a tuple."""
-    return R[i, 0], R[i, 1], R[i, 2]
+    return (R[i, 0], R[i, 1], R[i, 2])
 
 
 @leaf
 def column3(R, i):
     """The first three of column i, as a tuple."""
-    return R[0, i], R[1, i], R[2, i]
+    return (R[0, i], R[1, i], R[2, i])
 
 
 @leaf
 def rotated(R, x):
     """R x, as a tuple; the rotation stands in the first rows and columns of R."""
-    return dot3(row3(R, 0), x), dot3(row3(R, 1), x), dot3(row3(R, 2), x)
+    return (dot3(row3(R, 0), x), dot3(row3(R, 1), x), dot3(row3(R, 2), x))
 
 
 @leaf
 def rotated_back(R, x):
     """Rᵀ x, as a tuple."""
-    return dot3(column3(R, 0), x), dot3(column3(R, 1), x), dot3(column3(R, 2), x)
+    return (dot3(column3(R, 0), x), dot3(column3(R, 1), x), dot3(column3(R, 2), x))
 
 
 @leaf
 def rotated9(R, x):
     """R x of a rotation (≥ 9,) by rows, as a tuple."""
-    return dot3(R, x), dot3(R[3:], x), dot3(R[6:], x)
+    return (dot3(R, x), dot3(R[3:], x), dot3(R[6:], x))
 
 
 @leaf
@@ -289,20 +299,20 @@ def transformed(p, R, x):
     Args:
         p, x: (3,). R: (3, 3).
     """
-    x_y = add3(add3(p, x[0], column3(R, 0)), x[1], column3(R, 1))
-    return add3(x_y, x[2], column3(R, 2))
+    sum_xy = add3(add3(p, x[0], column3(R, 0)), x[1], column3(R, 1))
+    return add3(sum_xy, x[2], column3(R, 2))
 
 
 @leaf
 def velocity_at(V, p):
-    """Of a point p of a body with the twist V, from where V is at."""
+    """Velocity of the point p (3,) of a body with twist V (6,), p from the point of V; a tuple."""
     return plus3(V, cross(V[3:], p))
 
 
 @leaf
 def cross_motion(V, x):
     """V × x: the rate of a motion x that a body of twist V carries."""
-    return plus3(cross(V[3:], x), cross(V, x[3:])) + cross(V[3:], x[3:])
+    return join(plus3(cross(V[3:], x), cross(V, x[3:])), cross(V[3:], x[3:]))
 
 
 # --- Energy coordinates of the held object: its inertia is the identity there ---------------------
@@ -331,25 +341,25 @@ def set_axes(R, roots, axes):
 @leaf
 def energy_motion(axes, x):
     """x̃ = Lᵀx of a motion x (6,) at C, as a tuple; `axes` from `set_axes`."""
-    return rotated(axes[0], x) + rotated(axes[1], x[3:])
+    return join(rotated(axes[0], x), rotated(axes[1], x[3:]))
 
 
 @leaf
 def energy_wrench(axes, f):
     """f̃ = L⁻¹f of a wrench f (6,) at C."""
-    return rotated(axes[2], f) + rotated(axes[3], f[3:])
+    return join(rotated(axes[2], f), rotated(axes[3], f[3:]))
 
 
 @leaf
 def world_motion(axes, x):
     """x = L⁻ᵀx̃ at C."""
-    return rotated_back(axes[2], x) + rotated_back(axes[3], x[3:])
+    return join(rotated_back(axes[2], x), rotated_back(axes[3], x[3:]))
 
 
 @leaf
 def world_wrench(axes, f):
     """f = L f̃ at C."""
-    return rotated_back(axes[0], f) + rotated_back(axes[1], f[3:])
+    return join(rotated_back(axes[0], f), rotated_back(axes[1], f[3:]))
 
 
 @leaf
@@ -359,7 +369,7 @@ def carry_motion(V, start, end):
     Args:
         V: (6,) at start. start, end: points (m).
     """
-    return velocity_at(V, minus3(end, start)) + angular(V)
+    return join(velocity_at(V, minus3(end, start)), angular(V))
 
 
 @leaf
@@ -369,31 +379,31 @@ def carry_wrench(f, start, end):
     Args:
         f: (6,) at start. start, end: points (m).
     """
-    return linear(f) + plus3(f[3:], cross(minus3(start, end), f))
+    return join(linear(f), plus3(f[3:], cross(minus3(start, end), f)))
 
 
 @leaf
 def motion_to_energy(work, x):
     """A motion at O in world axes, in energy coordinates."""
-    return energy_motion(work.axes, carry_motion(x, work.O, work.C))
+    return energy_motion(work.axes, carry_motion(x, work.p_O, work.p_C))
 
 
 @leaf
 def wrench_to_energy(work, f):
     """A wrench at O in world axes, in energy coordinates."""
-    return energy_wrench(work.axes, carry_wrench(f, work.O, work.C))
+    return energy_wrench(work.axes, carry_wrench(f, work.p_O, work.p_C))
 
 
 @leaf
 def motion_to_world(work, x):
     """A motion in energy coordinates, at O in world axes."""
-    return carry_motion(world_motion(work.axes, x), work.C, work.O)
+    return carry_motion(world_motion(work.axes, x), work.p_C, work.p_O)
 
 
 @leaf
 def wrench_to_world(work, f):
     """A wrench in energy coordinates, at O in world axes."""
-    return carry_wrench(world_wrench(work.axes, f), work.C, work.O)
+    return carry_wrench(world_wrench(work.axes, f), work.p_C, work.p_O)
 
 
 @leaf
@@ -469,5 +479,5 @@ def reflection(work: Any) -> NDArray[np.float64]:
 
 def _lever(work: Any) -> NDArray[np.float64]:
     """(3, 3) [C − O]×."""
-    x, y, z = (work["C"] - work["O"]).tolist()
+    x, y, z = (work["p_C"] - work["p_O"]).tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
