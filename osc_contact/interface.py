@@ -25,7 +25,7 @@ def _doubles(value: ArrayLike) -> Array:
     The law reads aligned, contiguous, writeable arrays of doubles. Numbers need not be finite.
 
     Raises:
-        Exception: `value` cannot be converted to numbers; its `__array__` may raise any error.
+        Exception: `value` cannot be converted to numbers; its "__array__" may raise any error.
     """
     if value.__class__ is np.ndarray and value.dtype == _DOUBLE and value.flags.carray:
         return value
