@@ -19,8 +19,8 @@ from test_own_driver import HOME, Driver
 
 import osc_contact as osc
 from osc_contact.lab.reports.report import verdict_table
-from osc_contact.loop import loop
-from osc_contact.loop.loop import LoopReport, latency
+from osc_contact.loop import realtime as process
+from osc_contact.loop.realtime import LoopReport, latency
 
 
 def state_of_process():
@@ -43,7 +43,7 @@ class Slow(Controller):
 
 
 def test_the_process_is_made_for_the_loop_and_given_back(caplog, monkeypatch):
-    monkeypatch.setattr(loop, "MOST_MISSED", 10**9)
+    monkeypatch.setattr(process, "MOST_MISSED", 10**9)
     before = state_of_process()
     robot = Paced()
     report = loop_of(robot, 50, realtime=True)
@@ -96,7 +96,7 @@ def keeping_home(robot, ticks):
 
 
 def test_a_disk_that_hangs_and_a_viewer_delay_no_tick(tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(loop, "MOST_MISSED", 10**9)  # other tests run beside it
+    monkeypatch.setattr(process, "MOST_MISSED", 10**9)  # other tests run beside it
     driver = Driver()
     controller, goals = keeping_home(driver, 1100)
     recorder = osc.Recorder(controller, driver.plant, journal=tmp_path / "run.mcap")
@@ -200,7 +200,7 @@ def test_an_error_of_the_thread_beside_the_loop_ends_the_run_after_the_stop(monk
 
     The thread is there before the first tick: none has to wait for it.
     """
-    monkeypatch.setattr(loop, "MOST_MISSED", 10**9)
+    monkeypatch.setattr(process, "MOST_MISSED", 10**9)
     done = []
     threads = []
 

@@ -15,7 +15,8 @@ from osc_contact.errors import OscContactError, PlantError
 from osc_contact.files import write_whole
 from osc_contact.interface import Reference, pose_reference
 from osc_contact.jerk_limits import rise
-from osc_contact.loop.loop import latency, run_loop
+from osc_contact.loop.loop import run_loop
+from osc_contact.loop.realtime import latency
 from osc_contact.loop.recorder import Recorder
 from osc_contact.loop.testing import mean_outside, require_nudge
 from osc_contact.recorder import Recording

@@ -30,7 +30,7 @@ from osc_contact.interface import Measurement, Reference
 from osc_contact.law import records as at
 from osc_contact.law.library import law_hash
 from osc_contact.loop.judge import Judge, Pictured, TruthLog, Truths
-from osc_contact.loop.loop import at_once
+from osc_contact.loop.realtime import at_once
 from osc_contact.recorder import Recording
 from osc_contact.recorder.events import EventLog, events_beside
 from osc_contact.recorder.journal import Journal, JournalFile

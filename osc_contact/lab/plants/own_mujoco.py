@@ -20,7 +20,8 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Rail
 from osc_contact.errors import InvalidInputError, ModelError, PlantError, did_you_mean
 from osc_contact.lab.plants.faces import Faces
-from osc_contact.lab.plants.mujoco import OBJECT, OTHER, MujocoPlant, quieten
+from osc_contact.lab.plants.mujoco import MujocoPlant, quieten
+from osc_contact.lab.plants.mujoco_truth import OBJECT, OTHER
 from osc_contact.robots.mjcf import compile_mjcf, joint_name, motors_of, pose
 from osc_contact.robots.pictures import scene_picture
 from osc_contact.spatial import Array, as_array

@@ -17,7 +17,7 @@ from osc_contact.lab.rig.rig import build_rig
 from osc_contact.lab.runs.verdict import metrics
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.lab.visual.run_figures import RECORDING, FigureProcess, draw_figures
-from osc_contact.loop.loop import latency
+from osc_contact.loop.realtime import latency
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.robots import RobotSummary

@@ -1,0 +1,184 @@
+"""True state of object and contacts in MuJoCo: noted raw at each tick, worked out afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import pushes_only
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.lab.plants.faces import Faces
+from osc_contact.loop.judge import Truths
+from osc_contact.spatial import Array, Poses, cross
+
+OBJECT = -1  #: in `Noted.body_of`: a geom of the object
+OTHER = -2  #: neither of the object nor of the environment
+
+
+class Noted(Protocol):
+    """A plant in MuJoCo, as far as its truth is read from it.
+
+    Attributes:
+        model, data: MuJoCo's. chain: the true arms. contacts: the pairs.
+        faces: bodies of the environment.
+        object_body: the number of the object's body in `model`. place: of the object in it.
+        body_of: (ngeom,) body of the environment by geom; `OBJECT`, or `OTHER`.
+        guided: of the joints of moving bodies the body, and whether it is travel (0) or angle (1).
+        face_q: their places in qpos.
+    """
+
+    model: Any
+    data: Any
+    chain: ClosedChain
+    contacts: tuple[ContactPair, ...]
+    faces: Faces
+    object_body: int
+    place: pin.SE3
+    body_of: Array
+    guided: tuple[Array, ...]
+    face_q: Array
+
+
+#: Of what the body takes. One that only seems to touch gets 1e-17 … 1e-7, by rounding and by the
+#: places of the points; one that does, 1e-3 and more.
+_PRESSES = 1e-5
+
+
+class MujocoTruth:
+    """Pose, twist and contact forces as of the last step's beginning, like the wrench sensors.
+
+    The normal forces of all points where the object touches one body make one wrench, which the
+    columns of the contacts on that body share: exactly, as far as it lies in their range.
+    """
+
+    def __init__(self, plant: Noted) -> None:
+        """Watch a plant; cones are elliptic: a contact's first constraint force is its normal's."""
+        self._plant = plant
+        data = plant.data
+        body = plant.object_body
+        root = plant.model.body_rootid[body]
+        self._parts = (
+            data.xpos[body],
+            data.xmat[body],
+            data.cvel[body],
+            data.subtree_com[root],
+        )
+        inertia = plant.chain.reference_inertia(pin.SE3.Identity())
+        self._root = np.linalg.cholesky(np.linalg.inv(inertia)).T  #: Φ = rootᵀ root
+        self._seen = -1
+        self._states: list[Array] = []
+        self._points: list[Array] = []
+
+    def note(self) -> None:
+        """Keep where the object and bodies on rails are, and each contact with its force."""
+        data = self._plant.data
+        self._states.append(np.concatenate((*self._parts, data.qpos.take(self._plant.face_q))))
+        if data.ncon != self._seen:  # contacts stand at the start of MuJoCo's arena at every step
+            contact = data.contact
+            self._seen = data.ncon
+            self._address = contact.efc_address[:, None]
+            self._contact = contact.geom, self._address, contact.pos, contact.frame[:, :3]
+        force = data.efc_force
+        normal = force.take(self._address) if len(force) else np.zeros((self._seen, 1))
+        self._points.append(np.concatenate((*self._contact, normal), axis=1))
+
+    def noted(self, start: int = 0) -> Array:
+        """(k, m): R, p and twist of the object, where bodies on rails are, and of each body
+
+        the wrench into it at O and whether it is touched.
+        """
+        p, R, velocity, centre, travelled = np.split(
+            np.array(self._states[start:]).T, [3, 12, 18, 21]
+        )
+        R = R.reshape(3, 3, -1)
+        place = self._plant.place
+        p = p + np.einsum("ijk,j->ik", R, place.translation)
+        R = np.einsum("ijk,jl->ilk", R, place.rotation)
+        omega = velocity[:3]
+        v = velocity[3:] + cross(omega, p - centre)
+        parts = (R.reshape(9, -1), p, v, omega, travelled, *self._wrenches(p, start))
+        return np.concatenate(parts).T
+
+    def _wrenches(self, O: Array, start: int) -> tuple[Array, Array]:  # noqa: E741
+        """Into each body: (6 bodies, k) at O (3, k), and whether it is touched (bodies, k)."""
+        k = O.shape[1]
+        bodies = len(self._plant.faces.rails)
+        pushed = np.zeros((bodies, k, 6))
+        touched = np.zeros((bodies, k))
+        counts = [len(one) for one in self._points[start:]]
+        points = np.concatenate(self._points[start:])
+        between = self._plant.body_of[points[:, :2].astype(int)]
+        here = (between.min(axis=1) == OBJECT) & (between.max(axis=1) >= 0)
+        points = points[here]
+        tick = np.repeat(np.arange(k), counts)[here]
+        body = between[here].max(axis=1)
+        presses = points[:, 2] >= 0.0
+        # the normal points from the first geom to the second
+        sign = np.where(between[here, 0] == OBJECT, 1.0, -1.0)
+        f = np.where(presses, sign * points[:, 9], 0.0) * points[:, 6:9].T
+        moment = cross(points[:, 3:6].T - O[:, tick], f)
+        np.add.at(pushed, (body, tick), np.concatenate((f, moment)).T)
+        np.logical_or.at(touched, (body, tick), presses)
+        return pushed.transpose(0, 2, 1).reshape(-1, k), touched
+
+    def clear(self) -> None:
+        """Forget the instants noted so far."""
+        self._states.clear()
+        self._points.clear()
+
+    def truths(self, noted: Array) -> Truths:
+        """See `TruthLog.truths`."""
+        plant = self._plant
+        faces = plant.faces
+        k = len(noted)
+        bodies = len(faces.rails)
+        sizes = [9, 3, 6, len(plant.face_q), 6 * bodies]
+        R, p, V_O, travelled, pushed, touched = np.split(noted.T.copy(), np.cumsum(sizes))
+        X_WO = Poses(R.reshape(3, 3, k), p)
+        X_WE: tuple[Poses | None, ...] = (None,) * len(faces.on)
+        if len(travelled):
+            s = np.zeros((bodies, 2, k))
+            s[plant.guided] = travelled
+            poses = [rail.over(*path) for rail, path in zip(faces.rails, s, strict=True)]
+            X_WE = tuple(poses[body] for body in faces.on)
+        N = tuple(normals_over(q, X_WO, X) for q, X in zip(plant.contacts, X_WE, strict=True))
+        alpha, closed = self._shares(X_WO, N, pushed.reshape(bodies, 6, k), touched > 0.0)
+        return Truths(alpha, closed, X_WO, V_O.T.copy(), X_WE, N)
+
+    def _shares(
+        self, X_WO: Poses, N: Sequence[Array], pushed: Array, touched: Array
+    ) -> tuple[Array, Array]:
+        """Magnitudes (k, r) and whether each contact touches (k, contacts).
+
+        α with NᵀΦN α = NᵀΦf, Φ⁻¹ the inertia of the object: the least-squares solution of what the
+        object alone would feel of the columns and of the wrench f.
+        """
+        on = self._plant.faces.on
+        owner = np.repeat(np.arange(len(N)), [part.shape[1] for part in N])
+        alpha = np.zeros((touched.shape[1], len(owner)))
+        presses = alpha > 0.0
+        for body in sorted(set(on)):
+            rows = touched[body]
+            here = [i for i, other in enumerate(on) if other == body]
+            if not rows.any():
+                continue
+            F = np.concatenate([*(N[i] for i in here), pushed[body][:, None]], axis=1)[:, :, rows]
+            at = Poses(X_WO.R[:, :, rows], X_WO.p[:, rows])
+            F = np.concatenate((at.rotate_back(F[:3]), at.rotate_back(F[3:])))  # object axes
+            F = np.moveaxis(np.tensordot(self._root, F, 1), 2, 0)
+            columns = F[..., :-1]
+            share = np.linalg.solve(columns.mT @ columns, columns.mT @ F[..., -1:])[..., 0]
+            size = np.linalg.norm(F, axis=1)
+            places = np.ix_(rows, np.isin(owner, here))
+            alpha[places] = share
+            presses[places] = share * size[:, :-1] > _PRESSES * size[:, -1:]
+        closed = np.empty((len(alpha), len(N)), dtype=bool)
+        for i, (body, pair) in enumerate(zip(on, self._plant.contacts, strict=True)):
+            all_press = presses[:, owner == i].all(axis=1)
+            closed[:, i] = touched[body] & (all_press if pushes_only(pair) else True)
+        return alpha, closed

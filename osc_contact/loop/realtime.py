@@ -1,0 +1,208 @@
+"""A process made for the control loop: its priority and memory, its deadlines, its side work."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import logging
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from math import inf
+from time import sleep
+from typing import Any
+
+import numpy as np
+
+from osc_contact.errors import PlantError
+from osc_contact.loop.shadow import ShadowReport
+
+_log = logging.getLogger(__name__)
+
+PRIORITY = 80  #: of SCHED_FIFO; network interrupts of real-time kernels have 50
+SWITCH_S = 5e-5  #: after which Python's other threads give way to the loop
+BIN_S = 5e-6  #: width of the histogram's bins; longer times than 2 ms share the last
+BINS = 400
+LATE_SHARE = 0.5  #: of the period from reading to writing; a robot needs the rest
+LATE_CYCLES = 1.5  #: periods from one reading to the next
+MOST_MISSED = 20  #: deadlines in a row
+SLACK_SHARE = 0.1  #: of the period, after the torques are sent, that is left to side work
+_LOCK_ALL = 3  # MCL_CURRENT | MCL_FUTURE
+
+
+@dataclass
+class LoopReport:
+    """How a loop ran.
+
+    A deadline is missed where torques come later than half a period after their measurement, or a
+    measurement later than one and a half periods after the last one.
+
+    Attributes:
+        period: of the loop (s).
+        ticks: computed. missed: deadlines. in_a_row: those missed last.
+        histogram: counts of the time from a measurement to its torques, in bins of 5 µs.
+        largest: of these times (s).
+        notes: what the system did not permit, a sentence each.
+        shadow: what a run with `shadow=True` found; else None.
+    """
+
+    period: float
+    ticks: int = 0
+    missed: int = 0
+    in_a_row: int = 0
+    histogram: list[int] = field(default_factory=lambda: [0] * (BINS + 1), repr=False)
+    largest: float = 0.0
+    notes: list[str] = field(default_factory=list)
+    shadow: ShadowReport | None = None
+    _last: float = inf
+
+    def note(self, read: float, seconds: float) -> None:
+        """One tick.
+
+        Args:
+            read: s, when it was measured. seconds: from then until its torques were sent.
+        """
+        self.histogram[min(int(seconds / BIN_S), BINS)] += 1
+        self.largest = max(self.largest, seconds)
+        late = seconds > LATE_SHARE * self.period or read - self._last > LATE_CYCLES * self.period
+        self._last = read
+        self.ticks += 1
+        self.missed += late
+        self.in_a_row = self.in_a_row + 1 if late else 0
+
+    def require(self) -> None:
+        """Refuse to continue once too many deadlines in a row were missed.
+
+        Raises:
+            PlantError: 20 were.
+        """
+        if self.in_a_row >= MOST_MISSED:
+            raise PlantError(
+                f"{self.in_a_row} deadlines in a row were missed, {self.missed} of {self.ticks} in "
+                f"all: torques took up to {1e3 * self.largest:.3g} ms, a period is "
+                f"{1e3 * self.period:g} ms. Free the machine of other work, permit real-time "
+                "priority, or raise the period"
+            )
+
+    @property
+    def read_to_write_us(self) -> dict[str, float]:
+        """ "p50", "p99", "p99_9", "max" of the time from a measurement to its torques, to 5 µs."""
+        shares = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
+        counts = np.cumsum(self.histogram)
+        bins = {name: np.searchsorted(counts, x * self.ticks) for name, x in shares.items()}
+        times = {name: 1e6 * BIN_S * (int(k) + 1) for name, k in bins.items()}
+        return {**times, "max": 1e6 * self.largest}
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able form, which recordings carry."""
+        names = ("ticks", "missed", "read_to_write_us", "histogram", "notes")
+        return {name: getattr(self, name) for name in names}
+
+
+def latency(loop: Mapping[str, Any]) -> str:
+    """For people: times from a measurement to its torques, and missed deadlines.
+
+    Args:
+        loop: `LoopReport.as_dict`, as recordings carry it.
+    """
+    times = loop["read_to_write_us"]
+    return (
+        f"p50 {times['p50']:.0f} µs, p99.9 {times['p99_9']:.0f} µs, max {times['max']:.0f} µs; "
+        f"{loop['missed']} of {loop['ticks']} deadlines missed"
+    )
+
+
+def at_once(call: Callable[[], object]) -> None:
+    """Do something at once: what a recorder does where no thread does it."""
+    call()
+
+
+@contextmanager
+def realtime_process() -> Iterator[list[str]]:
+    """Real-time priority, locked memory, no garbage collection; what is not permitted, as notes."""
+    notes: list[str] = []
+    before = None
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except (AttributeError, OSError) as error:
+        notes.append(
+            f"no real-time priority ({error}): other processes delay ticks; permit it by "
+            "'rtprio 99' in /etc/security/limits.conf"
+        )
+    system = ctypes.CDLL(None, use_errno=True)
+    if not hasattr(system, "mlockall") or system.mlockall(_LOCK_ALL):
+        notes.append(
+            f"memory is not locked ({os.strerror(ctypes.get_errno())}): a page that is fetched "
+            "delays a tick; permit it by 'memlock unlimited' in /etc/security/limits.conf"
+        )
+    interval = sys.getswitchinterval()
+    collecting = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    sys.setswitchinterval(SWITCH_S)
+    for note in notes:
+        _log.warning(note)
+    try:
+        yield notes
+    finally:
+        sys.setswitchinterval(interval)
+        gc.unfreeze()
+        if collecting:
+            gc.enable()
+        if hasattr(system, "munlockall"):
+            system.munlockall()
+        if before is not None:
+            os.sched_setscheduler(0, *before)
+
+
+class SideWork:
+    """A thread for what may take long: files, viewers.
+
+    It runs while the loop waits, one priority below it, and gives way within 50 µs.
+
+    Attributes:
+        failure: the first error of a call; the calls after it are made all the same.
+    """
+
+    def __init__(self, period: float) -> None:
+        """Begin; the loop leaves a tenth of its period (s) to it where there is work."""
+        self._slack = SLACK_SHARE * period
+        self._thread = ThreadPoolExecutor(1, "side work", _lower_priority)
+        self.failure: Exception | None = None
+        self._last: Future[None] = self._thread.submit(self._make, int)  # begins the thread now
+        self._last.result()
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is left to do."""
+        return self._last.done()
+
+    def submit(self, call: Callable[[], object]) -> None:
+        """Have something done soon; an error of it is logged, and kept as `failure`."""
+        self._last = self._thread.submit(self._make, call)
+
+    def give_way(self) -> None:
+        """Called by the loop when its torques are sent."""
+        if not self.idle:
+            sleep(self._slack)
+
+    def close(self) -> None:
+        """Wait until everything is done."""
+        self._thread.shutdown()
+
+    def _make(self, call: Callable[[], object]) -> None:
+        try:
+            call()
+        except Exception as error:
+            _log.exception("side work of the control loop failed")
+            self.failure = self.failure or error
+
+
+def _lower_priority() -> None:
+    if hasattr(os, "SCHED_FIFO") and os.sched_getscheduler(0) == os.SCHED_FIFO:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY - 1))
