@@ -70,7 +70,8 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.lab.rig.contacts import OwnMotion
     from osc_contact.lab.rig.references import surface_references
     from osc_contact.lab.rig.rig import Rig, build_rig, register_plant
-    from osc_contact.lab.runs.run import recover, run
+    from osc_contact.lab.runs.recovery import recover
+    from osc_contact.lab.runs.run import run
     from osc_contact.lab.runs.verdict import metrics
     from osc_contact.lab.scenarios.loader import list_scenarios, load_scenario
     from osc_contact.lab.scenarios.schema import Scenario

@@ -18,6 +18,8 @@ from samples import first, module_fixture, parametrize
 from scenario_runs import run_of
 
 import osc_contact as osc
+from osc_contact.lab.rig import rig
+from osc_contact.lab.scenarios.hardware import PLANT_TYPES
 from osc_contact.loop import recorder as rows_of_runs
 
 RUN = [sys.executable, str(Path(__file__).with_name("recorded_run.py"))]
@@ -167,3 +169,26 @@ def test_exports_say_the_same(tmp_path, whole):
         assert messages[700][1][name] == whole[name][700].tolist()
     with recording_error(r"run\.hdf5: give a name that ends in"):
         whole.export(tmp_path / "run.hdf5")
+
+
+@parametrize("plant", ["mujoco", "rigid"])
+def test_a_journal_is_read_without_arms_controller_and_plant(plant, monkeypatch, tmp_path):
+    scenario = osc.load_scenario("moving_face", [f"plant.type={plant}", "model_error={}"])
+    whole = run_of(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap")
+
+    def no_more(*_, **__):
+        raise AssertionError("this is made for runs only")
+
+    for name in ("ClosedChain", "Controller", "MujocoPlant", "RigidPlant", "Arm"):
+        monkeypatch.setattr(f"osc_contact.lab.rig.rig.{name}", no_more)
+    recovered = osc.recover(tmp_path / "unfinished.mcap")
+    assert recovered.meta["missing"] == []
+    same(recovered, whole)
+
+
+def test_a_plant_without_readable_notes_is_made_to_recover(monkeypatch, tmp_path):
+    monkeypatch.setitem(rig.PLANTS, "halved", rig.PLANTS["rigid"])
+    monkeypatch.setitem(PLANT_TYPES, "halved", True)
+    scenario = osc.load_scenario("two_contact_rod", ["plant.type=halved", "plant.step=1 ms"])
+    whole = run_of(scenario, duration=0.03, journal=tmp_path / "unfinished.mcap")
+    same(osc.recover(tmp_path / "unfinished.mcap"), whole)

@@ -59,7 +59,18 @@ class Truths:
         return Truth(self.alpha[i], self.closed[i], self.X_WO[i], self.V_O[i], faces)
 
 
-class TruthLog(Protocol):
+class ReadsTruth(Protocol):
+    """Computes the truth from notes of many instants."""
+
+    def truths(self, noted: Array) -> Truths:
+        """The truth at k instants.
+
+        Args:
+            noted: (k, m) numbers of `TruthLog.noted`.
+        """
+
+
+class TruthLog(ReadsTruth, Protocol):
     """Notes the state of a plant; the truth is computed from the notes of many instants."""
 
     def note(self) -> None:
@@ -71,17 +82,34 @@ class TruthLog(Protocol):
     def clear(self) -> None:
         """Forget the instants noted so far."""
 
+
+class NotedTruths:
+    """The truth from the notes of `Watched`."""
+
+    def __init__(self, contacts: Sequence[ContactPair]) -> None:
+        """Read notes of these contacts."""
+        self._contacts = contacts
+
     def truths(self, noted: Array) -> Truths:
-        """The truth at k instants, from what was `noted` (k, m)."""
+        """See `ReadsTruth.truths`."""
+        c = len(self._contacts)
+        poses, V_O, moving, closed, alpha = np.split(
+            noted, np.cumsum([12 * (1 + c), 6, 1, c]), axis=1
+        )
+        X = poses.reshape(-1, 1 + c, 3, 4).transpose(1, 2, 3, 0).copy()
+        X_WO, *faces = (Poses(x[:, :3], x[:, 3]) for x in X)
+        X_WE = tuple(faces) if moving.any() else (None,) * c
+        N = tuple(normals_over(p, X_WO, E) for p, E in zip(self._contacts, X_WE, strict=True))
+        return Truths(alpha, closed > 0.0, X_WO, V_O, X_WE, N)
 
 
-class Watched:
+class Watched(NotedTruths):
     """The log of a judge whose `truth` costs little beside a tick."""
 
     def __init__(self, judge: Judge, contacts: Sequence[ContactPair]) -> None:
         """Watch a judge of these contacts."""
+        super().__init__(contacts)
         self._judge = judge
-        self._contacts = contacts
         self._noted: list[Array] = []
 
     def note(self) -> None:
@@ -99,18 +127,6 @@ class Watched:
     def clear(self) -> None:
         """Forget the instants noted so far."""
         self._noted.clear()
-
-    def truths(self, noted: Array) -> Truths:
-        """See `TruthLog.truths`."""
-        c = len(self._contacts)
-        poses, V_O, moving, closed, alpha = np.split(
-            noted, np.cumsum([12 * (1 + c), 6, 1, c]), axis=1
-        )
-        X = poses.reshape(-1, 1 + c, 3, 4).transpose(1, 2, 3, 0).copy()
-        X_WO, *faces = (Poses(x[:, :3], x[:, 3]) for x in X)
-        X_WE = tuple(faces) if moving.any() else (None,) * c
-        N = tuple(normals_over(p, X_WO, E) for p, E in zip(self._contacts, X_WE, strict=True))
-        return Truths(alpha, closed > 0.0, X_WO, V_O, X_WE, N)
 
 
 class Judge(Protocol):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections import UserDict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property, partial
 from importlib.metadata import version
@@ -17,144 +17,24 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.contacts.feet import feet_over, force_owners
-from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.contacts.feet import force_owners
+from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.changes import Changes, changed_settings
 from osc_contact.control.controller import Controller
-from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.control.signals import TickResult, internal_forces
-from osc_contact.control.status import Phase, SafetyState, Status
+from osc_contact.control.status import SafetyState, Status
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import records as at
 from osc_contact.law.library import law_hash
-from osc_contact.loop.judge import Judge, Pictured, TruthLog, Truths
+from osc_contact.loop.channels import Subject, channels, recording_of
+from osc_contact.loop.judge import Judge, Pictured
 from osc_contact.loop.realtime import at_once
 from osc_contact.recorder import Recording
 from osc_contact.recorder.events import EventLog, events_beside
-from osc_contact.recorder.journal import Journal, JournalFile
-from osc_contact.recorder.recording import gather
+from osc_contact.recorder.journal import JournalFile
 from osc_contact.robots.summary import joint_losses
-from osc_contact.spatial import Array, Poses
-
-_TOGETHER = 1000  #: rows whose channels are worked out together
-
-
-@dataclass(frozen=True)
-class Subject:
-    """What is recorded.
-
-    Attributes:
-        controller: whose ticks are noted.
-        pairs: the true contacts. placements: (contacts, 4, 4) X_WB of the body of each at the
-            start.
-        owners: (r,) the contact of each force magnitude.
-    """
-
-    controller: Controller
-    pairs: tuple[ContactPair, ...]
-    placements: Array
-    owners: Array
-
-
-def channels(of: Subject, log: TruthLog | None, first: int, rows: Array) -> dict[str, Array]:
-    """The channels of some ticks, but for what the contact monitor remembers.
-
-    Args:
-        of: what was recorded. log: of the judge, which evaluates its notes; None: no judge.
-        first: number of the first tick. rows: (k,) as the run's log noted them.
-    """
-    k = len(rows)
-    controller = of.controller
-    alpha = rows["alpha"]
-    squeeze = rows["squeeze_d"]
-    phase = _phases(of, rows)
-    truth = _measured_truths(of, rows, phase) if log is None else log.truths(rows["truth"])
-    N = np.concatenate((np.zeros((6, 0, k)), *truth.N), axis=1)
-    points, directions = _feet(of, truth, k)
-    wrench = rows["f_meas"] - rows["bias_out"]
-    projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, whatever the faces do
-    total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
-    made = {
-        "t": np.arange(first, first + k) * controller.dt,
-        **{name: rows[name] for name in ("q", "v", "tau")},
-        "tick_s": rows["tick_s"][:, 0],
-        "pose": truth.X_WO.coordinates(k),
-        "twist": truth.V_O,
-        "alpha_cmd": rows["alpha_d"],
-        "alpha_meas": alpha,
-        "alpha_true": truth.alpha,
-        "closed": truth.closed,
-        "N": N.transpose(2, 0, 1),
-        "contact_point": points,
-        "contact_direction": directions,
-        "face_pose": _face_poses(of, truth, k),
-        "wrench_meas": wrench,
-        "power_total": total,
-        "power_projected": projected,
-        "motion_error": rows["free_error"],
-        "squeeze_cmd": squeeze[:, 0] if np.isnan(squeeze[:, 1:]).all() else squeeze,
-        "squeeze": rows["squeeze"][:, 0] if len(controller.chain.arms) < 3 else rows["squeeze"],
-        "alpha_given_up": rows["given_up"],
-        "friction": rows["friction"],
-        "normal_std": np.where(rows["normal_std"] > 0.0, rows["normal_std"], np.nan),
-        "status": rows["status"][:, 0].astype(np.int64),
-        "contact_phase": phase,
-    }
-    if log is None:
-        del made["alpha_true"]
-    return {name: np.ascontiguousarray(values) for name, values in made.items()}
-
-
-def work_out(
-    of: Subject, log: TruthLog | None, parts: Iterable[tuple[int, Array]]
-) -> Iterator[dict[str, Array]]:
-    """All channels of a journal's rows, block after block.
-
-    The blocks are the same however the rows came, and so is every bit of the channels. Contacts
-    made and collisions are found from projected force and power; where a magnitude may have either
-    sign its size counts.
-
-    Args:
-        of: what was run. log: the judge's; None: there is none.
-        parts: of the journal: index of the first row, and (rows, columns) numbers.
-    """
-    pushing = np.array([pushes_only(of.pairs[i]) for i in of.owners], dtype=bool)
-    monitor = ContactMonitor(len(of.owners), of.controller.dt)
-    for first, rows in _blocks(parts):
-        if of.controller.life is not None:  # the controller had a monitor
-            closed = (rows["closed"] > 0.0) | ~pushing  # what can pull stays in contact
-            collision = (rows["collision"] > 0.0) & pushing
-        else:
-            alpha = np.where(pushing, rows["alpha"], np.abs(rows["alpha"]))
-            closed, collision = watch_series(monitor, alpha, rows["speed"])
-        seen = {"contact_seen": closed, "collision_seen": collision}
-        yield channels(of, log, first, rows) | seen
-
-
-def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
-    """Rows of a journal cut at every 1,000 ticks, wherever its chunks end.
-
-    Args:
-        parts: number of the first row, rows; in order.
-    """
-    begin = 0
-    waiting: list[Array] = []
-    for first, rows in parts:
-        while len(rows):
-            count = sum(map(len, waiting))
-            if count and (first != begin + count or first % _TOGETHER == 0):
-                yield begin, np.concatenate(waiting)
-                waiting = []
-            if not waiting:
-                begin = first
-            cut = _TOGETHER - first % _TOGETHER
-            waiting.append(rows[:cut])
-            first = first + len(waiting[-1])
-            rows = rows[cut:]
-    if waiting:
-        yield begin, np.concatenate(waiting)
+from osc_contact.spatial import Array
 
 
 class Tick(UserDict[str, Any]):
@@ -168,53 +48,6 @@ class Tick(UserDict[str, Any]):
     def data(self) -> dict[str, Any]:  # type: ignore[override]
         """Of the only row."""
         return {name: rows[0] for name, rows in self._made().items()}
-
-
-def _phases(of: Subject, rows: Array) -> Array:
-    """(k, contacts)"""
-    if of.controller.life is not None:
-        phase = rows["phase"] * rows["active"]  # OPEN is 0
-    else:  # all of them at once
-        phase = np.repeat(rows["engaged"] * Phase.CLOSED, len(of.pairs), axis=1)
-    return phase.astype(np.int64)
-
-
-def _measured_truths(of: Subject, rows: Array, phase: Array) -> Truths:
-    """The controller's estimate of the truth, where there is no judge."""
-    pairs = of.pairs
-    k = len(rows)
-    X_WO = _poses(rows["X_WO"].reshape(k, 4, 4))
-    X_WE = rows["X_WE"].reshape(k, len(pairs), 4, 4)
-    faces = tuple(_poses(X_WE[:, i]) for i in range(len(pairs)))
-    N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(pairs, faces, strict=True))
-    return Truths(rows["alpha"], phase == Phase.CLOSED, X_WO, rows["V_O"], faces, N)
-
-
-def _poses(X: Array) -> Poses:
-    """Of k homogeneous matrices (k, 4, 4)."""
-    return Poses(X[:, :3, :3].transpose(1, 2, 0), X[:, :3, 3].T)
-
-
-def _feet(of: Subject, truth: Truths, k: int) -> Array:
-    """(2, k, contacts, 3) where each contact's lines of force meet the surface, their mean, and the
-    direction of the first."""
-    feet = []
-    for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
-        p, n = feet_over(pair, own, truth.X_WO, X_WE)
-        feet.append((p.mean(axis=1).T, n[:, 0].T))
-    return np.reshape(feet, (-1, 2, k, 3)).transpose(1, 2, 0, 3)
-
-
-def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
-    out = np.zeros((k, len(of.pairs), 7))
-    for i, (X_WB, X_WE) in enumerate(zip(of.placements, truth.X_WE, strict=True)):
-        R = X_WB[:3, :3, None]
-        p = X_WB[:3, 3:]
-        if X_WE is not None:
-            R = X_WE.rotate(R)
-            p = X_WE.act(p)
-        out[:, i] = Poses(R, p).coordinates(k)
-    return out
 
 
 _logger = logging.getLogger("osc_contact.recorder")
@@ -275,8 +108,9 @@ class Recorder:
             RecordingError: there can be no such file.
         """
         self._began = perf_counter(), process_time()
-        self.of = of = _subject(controller) if subject is None else subject
-        self._meta = {**describe_subject(of), **(meta or {})}
+        self._controller = controller
+        self.of = of = own_subject(controller) if subject is None else subject
+        self._meta = {**describe_subject(of, controller), **(meta or {})}
         self._meta["date"] = datetime.now(UTC).isoformat(timespec="seconds")
         if isinstance(judge, Pictured):
             self._meta["picture"] = judge.picture()
@@ -299,7 +133,7 @@ class Recorder:
 
     def _lay_out(self, of: Subject) -> None:
         """Name the numbers of a row: what is NaN where a tick has no result, and the others."""
-        chain = of.controller.chain
+        chain = self._controller.chain
         contacts = len(of.pairs)
         r = len(of.owners)
         squeezes = internal_forces(len(chain.arms))
@@ -309,7 +143,7 @@ class Recorder:
             unknown["X_WE"] = 16 * contacts
         numbers = {"tick_s": 1, "status": 1, "squeeze_d": squeezes, "given_up": r}
         whole = {"engaged": 1}
-        if of.controller.life is not None:
+        if of.phased:
             whole |= {"phase": contacts, "active": contacts, "closed": r, "collision": r}
         sizes = {**unknown, "tau": chain.n_a, **numbers, "normal_std": r, **whole}
         self._names = tuple(found)
@@ -347,7 +181,7 @@ class Recorder:
         if self._k == _BLOCK or perf_counter() - self._flushed > self._patience:
             self.flush()
         row = self._rows[self._k]
-        status = self.of.controller.status
+        status = self._controller.status
         numbers = self._numbers
         numbers[0] = seconds
         numbers[1] = status
@@ -357,7 +191,7 @@ class Recorder:
             self._squeezes[:] = np.nan  # after a single one; that distinguishes it from several
             with suppress(TypeError, ValueError):  # the tick was held
                 self._squeezes[: np.size(squeeze)] = squeeze
-            cost = self.of.controller.given_up if status is Status.SATURATED else None
+            cost = self._controller.given_up if status is Status.SATURATED else None
             self._given_up[:] = 0.0
             if cost is not None and len(cost.force) == len(self._given_up):
                 self._given_up[:] = cost.force
@@ -374,10 +208,10 @@ class Recorder:
             np.concatenate((self._unknown, *known), out=row)
         if self.truth is not None:
             self.truth.note()
-        stopped = self.of.controller.state is SafetyState.SAFE_STOP
+        stopped = self._controller.state is SafetyState.SAFE_STOP
         if (stopped or status is Status.HELD) and not self._first_reason:
-            at = self.count * self.of.controller.dt
-            self._first_reason = f"at {at:.3f} s: {self.of.controller.reason}"
+            at = self.count * self._controller.dt
+            self._first_reason = f"at {at:.3f} s: {self._controller.reason}"
         for event, facts in self._changes.look():
             self.log(event, **facts)
         self._k += 1
@@ -389,7 +223,7 @@ class Recorder:
         Args:
             event: its kind, such as "stop". facts: JSON-able, what belongs to it.
         """
-        self._events.note(self.count * self.of.controller.dt, event, facts, self.hand_over)
+        self._events.note(self.count * self._controller.dt, event, facts, self.hand_over)
 
     def switch(self, controller: Controller) -> None:
         """Note another controller's ticks from now on, and which settings it has otherwise.
@@ -397,8 +231,9 @@ class Recorder:
         Args:
             controller: that continues, such as that of `with_gains` or `with_safety`.
         """
-        changed = changed_settings(self.of.controller.settings, controller.settings)
-        self.of = replace(self.of, controller=controller)
+        changed = changed_settings(self._controller.settings, controller.settings)
+        self._controller = controller
+        self.of = replace(self.of, dt=controller.dt, phased=controller.life is not None)
         self._changes = Changes(controller)
         self.log("settings", changed=changed)
 
@@ -408,7 +243,7 @@ class Recorder:
         Raises:
             InvalidInputError: there was no tick yet.
         """
-        result = self.of.controller.result()
+        result = self._controller.result()
         if result is not self._last:
             self._last = result
             self._locate(result)
@@ -423,7 +258,7 @@ class Recorder:
         found = [columns.alpha, columns.speed, *(getattr(result, name) for name in self._names)]
         head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
         whole = [head["engaged"]]
-        if self.of.controller.life is not None:
+        if self.of.phased:
             whole += [contacts.phase, contacts.active, columns.closed, columns.collision]
         self._words = records.rows.raw.view(np.int64)
         self._read_at = records.places(*found, columns.normal_std)
@@ -476,7 +311,7 @@ class Recorder:
         recording = recording_of(self.of, self.truth, self.journal.read(), about)
         if self.error is not None:
             recording.meta["missing"] = [str(self.error)]
-        controller = self.of.controller
+        controller = self._controller
         learns = getattr(controller.settings.joint_friction, "learning", False)
         self.log("end", state=controller.state.name, reason=controller.reason)
         recording.events = list(self._events.events)
@@ -493,29 +328,34 @@ class Recorder:
         return recording
 
 
-def recording_of(
-    of: Subject, log: TruthLog | None, journal: Journal, meta: Mapping[str, Any]
-) -> Recording:
-    """The recording of a journal's rows.
+def subject_of(
+    controller: Controller, pairs: Sequence[ContactPair], placements: Array, owners: Array
+) -> Subject:
+    """What a controller's ticks are of.
 
     Args:
-        of, log: what was recorded and the judge's log, see `channels`.
-        journal: read from its beginning. meta: of the recording.
+        controller: that is ticked. pairs, placements, owners: of the true contacts, see `Subject`.
     """
-    ticks = sum(len(rows) for _, rows in journal.rows())
-    return Recording(meta, gather(ticks, work_out(of, log, journal.rows())))
+    return Subject(
+        pairs=tuple(pairs),
+        placements=placements,
+        owners=owners,
+        dt=controller.dt,
+        arms=len(controller.chain.arms),
+        phased=controller.life is not None,
+    )
 
 
-def _subject(controller: Controller) -> Subject:
+def own_subject(controller: Controller) -> Subject:
     """What a controller by itself has of its contacts."""
     pairs = tuple(controller.contacts)
     world = np.tile(np.eye(4), (len(pairs), 1, 1))
-    return Subject(controller, pairs, world, force_owners(pairs))
+    return subject_of(controller, pairs, world, force_owners(pairs))
 
 
-def describe_subject(of: Subject) -> dict[str, Any]:
+def describe_subject(of: Subject, controller: Controller) -> dict[str, Any]:
     """Meta data on what is recorded."""
-    chain = of.controller.chain
+    chain = controller.chain
     limits = [limit if limit < np.inf else None for limit in chain.tau_max.tolist()]
     motors = [chain.joint_names[j] for j in chain.actuated]
     return {
@@ -529,7 +369,7 @@ def describe_subject(of: Subject) -> dict[str, Any]:
         ],
         "contact_names": [pair.name for pair in of.pairs],
         "columns": of.owners.tolist(),
-        "control_rate_hz": 1.0 / of.controller.dt,
+        "control_rate_hz": 1.0 / controller.dt,
         "force_steps_s": [],
-        "force_rise_s": of.controller.gains.force.rise,
+        "force_rise_s": controller.gains.force.rise,
     }

@@ -25,7 +25,8 @@ from typer import Argument, Exit, Option
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError, missing
 from osc_contact.files import sole_user
 from osc_contact.lab.reports import report, viewing
-from osc_contact.lab.runs.run import recover, run
+from osc_contact.lab.runs.recovery import recover
+from osc_contact.lab.runs.run import run
 from osc_contact.lab.scenarios.loader import load_scenario
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.lab.visual.parts import Content

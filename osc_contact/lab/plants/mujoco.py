@@ -24,7 +24,7 @@ from osc_contact.interface import Measurement
 from osc_contact.lab.plants.faces import Faces
 from osc_contact.lab.plants.joint_drives import SPRING, JointDrives, add_drives
 from osc_contact.lab.plants.mujoco_scene import DRIVE_MASS, GRASP_JOINT, GUIDES, scene
-from osc_contact.lab.plants.mujoco_truth import OBJECT, MujocoTruth
+from osc_contact.lab.plants.mujoco_truth import OBJECT, MujocoTruth, guided_joints
 from osc_contact.lab.scenarios.hardware import PlantSpec, Push
 from osc_contact.loop.judge import Truth, require_duration
 from osc_contact.robots.mjcf import placed
@@ -115,9 +115,9 @@ class MujocoPlant:
         self.body_of = np.full(model.ngeom, OBJECT)
         for i in range(len(bodies)):
             self.body_of[self._geoms_of(model.body(f"face{i}/root").id)] = i
-        guides = [(i, k) for i, rail in enumerate(faces.rails) for k in rail.joints]
-        self.guided = tuple(np.array(guides, dtype=int).reshape(-1, 2).T)
-        self.face_q, self._face_v = self._places([f"face{i}/{GUIDES[k]}" for i, k in guides])
+        self.guided = guided_joints(faces.rails)
+        guides = [f"face{i}/{GUIDES[k]}" for i, k in zip(*self.guided, strict=True)]
+        self.face_q, self._face_v = self._places(guides)
         by_drive = np.isin(self.guided[0], list(faces.driven))
         self._driven = tuple(x[by_drive] for x in self.guided)
         self._driven_q = self.face_q[by_drive]

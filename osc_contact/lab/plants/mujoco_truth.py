@@ -12,6 +12,7 @@ from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.contacts.pairs.pair import pushes_only
 from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.environment import Rail
 from osc_contact.lab.plants.faces import Faces
 from osc_contact.loop.judge import Truths
 from osc_contact.spatial import Array, Poses, cross
@@ -28,8 +29,7 @@ class Noted(Protocol):
         faces: bodies of the environment.
         object_body: the number of the object's body in `model`. place: of the object in it.
         body_of: (ngeom,) body of the environment by geom; `OBJECT`, or `OTHER`.
-        guided: of the joints of moving bodies the body, and whether it is travel (0) or angle (1).
-        face_q: their places in qpos.
+        face_q: places in qpos of the joints of moving bodies, see `guided_joints`.
     """
 
     model: Any
@@ -40,7 +40,6 @@ class Noted(Protocol):
     object_body: int
     place: pin.SE3
     body_of: Array
-    guided: tuple[Array, ...]
     face_q: Array
 
 
@@ -49,15 +48,95 @@ class Noted(Protocol):
 _PRESSES = 1e-5
 
 
-class MujocoTruth:
-    """Pose, twist and contact forces as of the last step's beginning, like the wrench sensors.
+def guided_joints(rails: Sequence[Rail]) -> tuple[Array, Array]:
+    """Of each joint of the bodies that move: its body, and 0 of a travel, 1 of a turn.
+
+    Args:
+        rails: of the bodies of the environment.
+    """
+    guides = [(i, k) for i, rail in enumerate(rails) for k in rail.joints]
+    bodies, kinds = np.array(guides, dtype=int).reshape(-1, 2).T
+    return bodies, kinds
+
+
+class MujocoNotes:
+    """The truth from what `MujocoTruth` noted.
 
     The normal forces of all points where the object touches one body make one wrench, which the
     columns of the contacts on that body share: exactly, as far as it lies in their range.
     """
 
+    def __init__(self, contacts: Sequence[ContactPair], faces: Faces, inertia: Array) -> None:
+        """Read notes of a plant with these contacts.
+
+        Args:
+            contacts: the pairs. faces: bodies of the environment.
+            inertia: (6, 6) of the object at its origin, in its axes.
+        """
+        self._contacts = contacts
+        self._faces = faces
+        self._guided = guided_joints(faces.rails)
+        self._root = np.linalg.cholesky(np.linalg.inv(inertia)).T  #: Φ = rootᵀ root
+
+    def truths(self, noted: Array) -> Truths:
+        """See `ReadsTruth.truths`."""
+        faces = self._faces
+        k = len(noted)
+        bodies = len(faces.rails)
+        sizes = [9, 3, 6, len(self._guided[0]), 6 * bodies]
+        R, p, V_O, travelled, pushed, touched = np.split(noted.T.copy(), np.cumsum(sizes))
+        X_WO = Poses(R.reshape(3, 3, k), p)
+        X_WE: tuple[Poses | None, ...] = (None,) * len(faces.on)
+        if len(travelled):
+            s = np.zeros((bodies, 2, k))
+            s[self._guided] = travelled
+            poses = [rail.over(*path) for rail, path in zip(faces.rails, s, strict=True)]
+            X_WE = tuple(poses[body] for body in faces.on)
+        N = tuple(normals_over(q, X_WO, X) for q, X in zip(self._contacts, X_WE, strict=True))
+        alpha, closed = self._shares(X_WO, N, pushed.reshape(bodies, 6, k), touched > 0.0)
+        return Truths(alpha, closed, X_WO, V_O.T.copy(), X_WE, N)
+
+    def _shares(
+        self, X_WO: Poses, N: Sequence[Array], pushed: Array, touched: Array
+    ) -> tuple[Array, Array]:
+        """Magnitudes (k, r) and whether each contact touches (k, contacts).
+
+        α with NᵀΦN α = NᵀΦf, Φ⁻¹ the inertia of the object: the least-squares solution of what the
+        object alone would feel of the columns and of the wrench f.
+        """
+        on = self._faces.on
+        owner = np.repeat(np.arange(len(N)), [part.shape[1] for part in N])
+        alpha = np.zeros((touched.shape[1], len(owner)))
+        presses = alpha > 0.0
+        for body in sorted(set(on)):
+            rows = touched[body]
+            here = [i for i, other in enumerate(on) if other == body]
+            if not rows.any():
+                continue
+            F = np.concatenate([*(N[i] for i in here), pushed[body][:, None]], axis=1)[:, :, rows]
+            at = Poses(X_WO.R[:, :, rows], X_WO.p[:, rows])
+            F = np.concatenate((at.rotate_back(F[:3]), at.rotate_back(F[3:])))  # object axes
+            F = np.moveaxis(np.tensordot(self._root, F, 1), 2, 0)
+            columns = F[..., :-1]
+            share = np.linalg.solve(columns.mT @ columns, columns.mT @ F[..., -1:])[..., 0]
+            size = np.linalg.norm(F, axis=1)
+            places = np.ix_(rows, np.isin(owner, here))
+            alpha[places] = share
+            presses[places] = share * size[:, :-1] > _PRESSES * size[:, -1:]
+        closed = np.empty((len(alpha), len(N)), dtype=bool)
+        for i, (body, pair) in enumerate(zip(on, self._contacts, strict=True)):
+            all_press = presses[:, owner == i].all(axis=1)
+            closed[:, i] = touched[body] & (all_press if pushes_only(pair) else True)
+        return alpha, closed
+
+
+class MujocoTruth(MujocoNotes):
+    """Pose, twist and contact forces as of the last step's beginning, like the wrench sensors."""
+
     def __init__(self, plant: Noted) -> None:
         """Watch a plant; cones are elliptic: a contact's first constraint force is its normal's."""
+        inertia = plant.chain.reference_inertia(pin.SE3.Identity())
+        super().__init__(plant.contacts, plant.faces, inertia)
         self._plant = plant
         data = plant.data
         body = plant.object_body
@@ -68,8 +147,6 @@ class MujocoTruth:
             data.cvel[body],
             data.subtree_com[root],
         )
-        inertia = plant.chain.reference_inertia(pin.SE3.Identity())
-        self._root = np.linalg.cholesky(np.linalg.inv(inertia)).T  #: Φ = rootᵀ root
         self._seen = -1
         self._states: list[Array] = []
         self._points: list[Array] = []
@@ -130,55 +207,3 @@ class MujocoTruth:
         """Forget the instants noted so far."""
         self._states.clear()
         self._points.clear()
-
-    def truths(self, noted: Array) -> Truths:
-        """See `TruthLog.truths`."""
-        plant = self._plant
-        faces = plant.faces
-        k = len(noted)
-        bodies = len(faces.rails)
-        sizes = [9, 3, 6, len(plant.face_q), 6 * bodies]
-        R, p, V_O, travelled, pushed, touched = np.split(noted.T.copy(), np.cumsum(sizes))
-        X_WO = Poses(R.reshape(3, 3, k), p)
-        X_WE: tuple[Poses | None, ...] = (None,) * len(faces.on)
-        if len(travelled):
-            s = np.zeros((bodies, 2, k))
-            s[plant.guided] = travelled
-            poses = [rail.over(*path) for rail, path in zip(faces.rails, s, strict=True)]
-            X_WE = tuple(poses[body] for body in faces.on)
-        N = tuple(normals_over(q, X_WO, X) for q, X in zip(plant.contacts, X_WE, strict=True))
-        alpha, closed = self._shares(X_WO, N, pushed.reshape(bodies, 6, k), touched > 0.0)
-        return Truths(alpha, closed, X_WO, V_O.T.copy(), X_WE, N)
-
-    def _shares(
-        self, X_WO: Poses, N: Sequence[Array], pushed: Array, touched: Array
-    ) -> tuple[Array, Array]:
-        """Magnitudes (k, r) and whether each contact touches (k, contacts).
-
-        α with NᵀΦN α = NᵀΦf, Φ⁻¹ the inertia of the object: the least-squares solution of what the
-        object alone would feel of the columns and of the wrench f.
-        """
-        on = self._plant.faces.on
-        owner = np.repeat(np.arange(len(N)), [part.shape[1] for part in N])
-        alpha = np.zeros((touched.shape[1], len(owner)))
-        presses = alpha > 0.0
-        for body in sorted(set(on)):
-            rows = touched[body]
-            here = [i for i, other in enumerate(on) if other == body]
-            if not rows.any():
-                continue
-            F = np.concatenate([*(N[i] for i in here), pushed[body][:, None]], axis=1)[:, :, rows]
-            at = Poses(X_WO.R[:, :, rows], X_WO.p[:, rows])
-            F = np.concatenate((at.rotate_back(F[:3]), at.rotate_back(F[3:])))  # object axes
-            F = np.moveaxis(np.tensordot(self._root, F, 1), 2, 0)
-            columns = F[..., :-1]
-            share = np.linalg.solve(columns.mT @ columns, columns.mT @ F[..., -1:])[..., 0]
-            size = np.linalg.norm(F, axis=1)
-            places = np.ix_(rows, np.isin(owner, here))
-            alpha[places] = share
-            presses[places] = share * size[:, :-1] > _PRESSES * size[:, -1:]
-        closed = np.empty((len(alpha), len(N)), dtype=bool)
-        for i, (body, pair) in enumerate(zip(on, self._plant.contacts, strict=True)):
-            all_press = presses[:, owner == i].all(axis=1)
-            closed[:, i] = touched[body] & (all_press if pushes_only(pair) else True)
-        return alpha, closed

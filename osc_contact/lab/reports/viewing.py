@@ -16,7 +16,7 @@ from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.files import StrPath
 from osc_contact.lab.plants.own_mujoco import MujocoRobot
 from osc_contact.lab.rig.rig import Rig, build_rig
-from osc_contact.lab.runs.run import scenario_of
+from osc_contact.lab.runs.recovery import scenario_of
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.lab.visual.browser import write_png
 from osc_contact.lab.visual.live import CHANNELS, Viewer

@@ -185,6 +185,25 @@ def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:
     )
 
 
+def touched_bodies(bodies: Sequence[EnvironmentBody], count: int) -> tuple[int, ...]:
+    """The body of each contact, a number of `bodies`.
+
+    Args:
+        bodies: of the environment. count: number of contacts.
+    """
+    of = {i: k for k, body in enumerate(bodies) for i in body.contacts}
+    return tuple(of[i] for i in range(count))
+
+
+def placements_of(bodies: Sequence[EnvironmentBody], on: Sequence[int]) -> Array:
+    """(contacts, 4, 4) X_WB at the start, of the body of each contact.
+
+    Args:
+        bodies: of the environment. on: the body of each contact.
+    """
+    return np.reshape([bodies[i].placement.homogeneous for i in on], (-1, 4, 4))
+
+
 @dataclass(frozen=True)
 class OwnMotion:
     """How a body of the environment moves, given as objects: `motion` in a scenario made in Python.

@@ -26,6 +26,7 @@ from osc_contact.interface import Measurement, Robot
 from osc_contact.lab.plants.faces import Faces
 from osc_contact.lab.plants.joint_drives import FlexibleJoints
 from osc_contact.lab.plants.mujoco import MujocoPlant
+from osc_contact.lab.plants.mujoco_truth import MujocoNotes
 from osc_contact.lab.plants.rigid import RigidPlant
 from osc_contact.lab.plants.sensors import SensedPlant
 from osc_contact.lab.rig import hardware
@@ -35,9 +36,11 @@ from osc_contact.lab.rig.contacts import (
     environment_bodies,
     known_bodies,
     misplaced,
+    placements_of,
     pose_of,
     rails,
     require_own_pairs,
+    touched_bodies,
     tracked,
     urdf_of,
 )
@@ -45,8 +48,9 @@ from osc_contact.lab.rig.references import References, force_names, least_motion
 from osc_contact.lab.scenarios.bodies import CartSpec, GraspSpec
 from osc_contact.lab.scenarios.hardware import PLANT_TYPES
 from osc_contact.lab.scenarios.schema import Scenario
-from osc_contact.loop.judge import Plant
-from osc_contact.loop.recorder import Subject
+from osc_contact.loop.channels import Subject
+from osc_contact.loop.judge import NotedTruths, Plant, ReadsTruth
+from osc_contact.loop.recorder import subject_of
 from osc_contact.response import require_reachable
 from osc_contact.settings.control import (
     Gains,
@@ -232,7 +236,7 @@ class Rig:
 
     def subject(self, controller: Controller) -> Subject:
         """What a recording of this rig is of."""
-        return Subject(controller, self.pairs, self.placements, self.owners)
+        return subject_of(controller, self.pairs, self.placements, self.owners)
 
     @property
     def gains(self) -> Gains:
@@ -288,7 +292,7 @@ class Rig:
     @property
     def life(self) -> PhaseSettings | None:
         """How contacts are made and kept; None: they do not open, or cannot on an exact plant."""
-        return None if self.scenario.plant.exact else self.scenario.control.life
+        return life_of(self.scenario)
 
     def controlled_pairs(self) -> tuple[ContactPair, ...]:
         """The controller's contacts: as declared, or read off the geometry while it moves."""
@@ -299,13 +303,12 @@ class Rig:
     @cached_property
     def on(self) -> tuple[int, ...]:
         """The body of each contact, a number of `bodies`."""
-        of = {i: k for k, body in enumerate(self.bodies) for i in body.contacts}
-        return tuple(of[i] for i in range(len(self.pairs)))
+        return touched_bodies(self.bodies, len(self.pairs))
 
     @cached_property
     def placements(self) -> Array:
         """(contacts, 4, 4) X_WB at the start, of the body of each contact."""
-        return np.reshape([self.bodies[i].placement.homogeneous for i in self.on], (-1, 4, 4))
+        return placements_of(self.bodies, self.on)
 
     @cached_property
     def owners(self) -> Array:
@@ -323,12 +326,23 @@ class Rig:
         return contact_at(self.pairs, self.state.X_WO)
 
 
+def life_of(scenario: Scenario) -> PhaseSettings | None:
+    """How the contacts of a scenario are made and kept, see `Rig.life`."""
+    return None if scenario.plant.exact else scenario.control.life
+
+
 MakesPlant = Callable[[Rig, int], Plant]
+#: Makes what reads the notes of a plant's log, of a scenario and its contact pairs.
+MakesTruths = Callable[[Scenario, Sequence[ContactPair]], ReadsTruth]
 #: Every registered plant by its name in scenarios: makes it of a rig and a seed.
 PLANTS: dict[str, MakesPlant] = {}
+#: Of registered plants whose notes are read without them.
+TRUTHS: dict[str, MakesTruths] = {}
 
 
-def register_plant(name: str, *, exact: bool = False) -> Callable[[MakesPlant], MakesPlant]:
+def register_plant(
+    name: str, *, exact: bool = False, truths: MakesTruths | None = None
+) -> Callable[[MakesPlant], MakesPlant]:
     """Function decorator: enter a plant in the register, for `plant.type` of scenarios.
 
     The function makes it of a `Rig` and the seed of everything random.
@@ -337,22 +351,38 @@ def register_plant(name: str, *, exact: bool = False) -> Callable[[MakesPlant], 
         name: in scenarios.
         exact: its joints are ideal and its contacts neither open nor end: then no tare, motor
             error, push or edge of a face.
+        truths: makes what reads the notes of the plant's log, of a scenario and its pairs; None:
+            `recover` makes the plant for it.
     """
 
     def enter(make: MakesPlant) -> MakesPlant:
         PLANTS[name] = make
+        if truths is not None:
+            TRUTHS[name] = truths
         PLANT_TYPES[name] = exact
         return make
 
     return enter
 
 
-@register_plant("rigid", exact=True)
+def _watched(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTruth:
+    return NotedTruths(pairs)
+
+
+@register_plant("rigid", exact=True, truths=_watched)
 def _rigid(rig: Rig, seed: int) -> Plant:
     return RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step, rails(rig.bodies), rig.on)
 
 
-@register_plant("mujoco")
+def _noted_by_mujoco(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTruth:
+    bodies = environment_bodies(scenario)
+    faces = Faces(rails(bodies), touched_bodies(bodies, len(pairs)), len(pairs))
+    held = held_object(scenario, _true(scenario.model_error))
+    inertia = held.terms(pin.SE3.Identity(), np.zeros(6), np.zeros(3)).Lambda
+    return MujocoNotes(pairs, faces, inertia)
+
+
+@register_plant("mujoco", truths=_noted_by_mujoco)
 def _mujoco(rig: Rig, seed: int) -> Plant:
     scenario = rig.scenario
     return MujocoPlant(
@@ -449,14 +479,25 @@ def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> Clos
     for arm in arms:
         arm.model.armature = error.armature * arm.model.armature
         arm.model.rotorInertia = error.armature * arm.model.rotorInertia
-    body = RigidObject(robots.load_body(urdf_of(scenario, scenario.object)))
     grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
-    held = body.scaled(error.object_mass)
-    if error.hidden_mass > 0.0:  # a point
-        at_grasp = grasps[0].X_TO.inverse().translation
+    return ClosedChain(arms, grasps, held_object(scenario, error))
+
+
+def held_object(scenario: Scenario, error: ModelErrorSpec) -> RigidObject:
+    """The object of a scenario; its mass times the factor of an error, and with its hidden mass.
+
+    Args:
+        scenario: with arms, grasps and object. error: with the factor and the hidden mass, a point
+            where the first arm grasps the object.
+    """
+    held = RigidObject(robots.load_body(urdf_of(scenario, scenario.object)))
+    held = held.scaled(error.object_mass)
+    if error.hidden_mass > 0.0:
+        X_TO = pose_of(scenario.grasps[scenario.arms[0].name])
+        at_grasp = X_TO.inverse().translation
         point = pin.Inertia(error.hidden_mass, at_grasp, np.zeros((3, 3)))
         held = RigidObject(held.inertia + point)
-    return ClosedChain(arms, grasps, held)
+    return held
 
 
 def _per_joint(given: Sequence[float] | None) -> float | Sequence[float] | None:

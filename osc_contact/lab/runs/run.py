@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from copy import copy
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -11,24 +10,17 @@ from osc_contact.control.controller import Controller
 from osc_contact.errors import (
     Interrupted,
     InvalidInputError,
-    ModelError,
     PlantError,
-    RecordingError,
-    ScenarioError,
 )
-from osc_contact.files import StrPath
 from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.checks.preflight import require_ready
-from osc_contact.lab.rig.contacts import environment_bodies
 from osc_contact.lab.rig.references import force_steps, known_to
 from osc_contact.lab.rig.rig import Rig, build_rig
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.loop.judge import Plant
 from osc_contact.loop.loop import Shows, run_loop
-from osc_contact.loop.recorder import Recorder, recording_of
+from osc_contact.loop.recorder import Recorder
 from osc_contact.recorder import Recording
-from osc_contact.recorder.journal import Journal
-from osc_contact.robots import resolve_urdf
 from osc_contact.spatial import Array
 
 Progress = Callable[[float], None]
@@ -180,66 +172,3 @@ class Taring:
         if t >= self.engage_at:
             self.controller.engage()
         return tau
-
-
-def recover(path: StrPath, folder: StrPath | None = None) -> Recording:
-    """The recording of a journal that a run left: all its chunks but those that are damaged.
-
-    `meta["missing"]` has a sentence for each missing part.
-
-    Args:
-        path: such as unfinished.mcap.
-        folder: of a custom scenario, see `scenario_of`.
-
-    Raises:
-        RecordingError: no such file, nothing in it, or not the journal of a scenario's run.
-    """
-    source = Path(path)
-    journal = Journal(source)
-    rig = build_rig(scenario_of(journal.about, source, folder))
-    plant = rig.plant(int(journal.about.get("seed", 0)))
-    controller = rig.controller()
-    recording = recording_of(rig.subject(controller), plant.log(), journal, journal.about)
-    ticks = round(rig.scenario.duration * rig.scenario.control.rate)
-    missing = list(journal.missing)
-    if len(recording) < ticks:
-        missing.append(f"{len(recording)} of {ticks} ticks are here")
-    recording.meta["missing"] = missing
-    return recording
-
-
-def scenario_of(meta: dict[str, Any], path: Path, folder: StrPath | None = None) -> Scenario:
-    """The scenario that a recording was made of.
-
-    A recording holds no folders (SECURITY.md): URDFs that its scenario gives by path are looked for
-    in `folder`, then beside the recording, then in the working folder.
-
-    Args:
-        meta: of the recording. path: of its file. folder: in which the scenario's file stands.
-
-    Raises:
-        RecordingError: it does not hold a scenario that this version understands, or its URDFs are
-            in none of these places.
-    """
-    try:
-        scenario = Scenario.model_validate(meta.get("scenario"))
-    except (ScenarioError, ValueError) as error:
-        raise RecordingError(f"{path} does not hold the scenario that was run: {error}") from error
-    given = [] if folder is None else [Path(folder).resolve()]
-    places = dict.fromkeys([*given, path.resolve().parent, Path.cwd()])
-    missing = ModelError()
-    for place in places:
-        placed = scenario.with_source(place / str(meta.get("source")))
-        try:
-            for urdf in (*(arm.urdf for arm in placed.arms), placed.object.urdf):
-                resolve_urdf(urdf, place)
-            environment_bodies(placed)
-        except ModelError as error:
-            missing = error
-        else:
-            return placed
-    raise RecordingError(
-        f"{path} needs files of its scenario, which are not in {', '.join(map(str, places))}. Give "
-        "the scenario's folder (--folder, or folder= in Python), or start there, or copy them "
-        f"beside the recording. ({missing})"
-    )

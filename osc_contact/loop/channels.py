@@ -1,0 +1,200 @@
+"""Channels of a recording: time series worked out from the rows of all ticks at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from osc_contact.contacts.feet import feet_over
+from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.control.monitor import ContactMonitor, watch_series
+from osc_contact.control.status import Phase
+from osc_contact.loop.judge import ReadsTruth, Truths
+from osc_contact.recorder import Recording
+from osc_contact.recorder.journal import Journal
+from osc_contact.recorder.recording import gather
+from osc_contact.spatial import Array, Poses
+
+_TOGETHER = 1000  #: rows whose channels are worked out together
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """What the rows of ticks are of, as far as their channels are worked out from it.
+
+    Attributes:
+        pairs: the true contacts. placements: (contacts, 4, 4) X_WB of the body of each at the
+            start.
+        owners: (r,) the contact of each force magnitude.
+        dt: the control period (s). arms: number of arms.
+        phased: whether contacts are made and opened one by one; else all are engaged at once.
+    """
+
+    pairs: tuple[ContactPair, ...]
+    placements: Array
+    owners: Array
+    dt: float
+    arms: int
+    phased: bool
+
+
+def channels(of: Subject, truths: ReadsTruth | None, first: int, rows: Array) -> dict[str, Array]:
+    """The channels of some ticks, but for what the contact monitor remembers.
+
+    Args:
+        of: what was recorded. truths: evaluates what the judge noted; None: there was no judge.
+        first: number of the first tick. rows: (k,) as the run's log noted them.
+    """
+    k = len(rows)
+    alpha = rows["alpha"]
+    squeeze = rows["squeeze_d"]
+    phase = _phases(of, rows)
+    truth = _measured_truths(of, rows, phase) if truths is None else truths.truths(rows["truth"])
+    N = np.concatenate((np.zeros((6, 0, k)), *truth.N), axis=1)
+    points, directions = _feet(of, truth, k)
+    wrench = rows["f_meas"] - rows["bias_out"]
+    projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, whatever the faces do
+    total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
+    made = {
+        "t": np.arange(first, first + k) * of.dt,
+        **{name: rows[name] for name in ("q", "v", "tau")},
+        "tick_s": rows["tick_s"][:, 0],
+        "pose": truth.X_WO.coordinates(k),
+        "twist": truth.V_O,
+        "alpha_cmd": rows["alpha_d"],
+        "alpha_meas": alpha,
+        "alpha_true": truth.alpha,
+        "closed": truth.closed,
+        "N": N.transpose(2, 0, 1),
+        "contact_point": points,
+        "contact_direction": directions,
+        "face_pose": _face_poses(of, truth, k),
+        "wrench_meas": wrench,
+        "power_total": total,
+        "power_projected": projected,
+        "motion_error": rows["free_error"],
+        "squeeze_cmd": squeeze[:, 0] if np.isnan(squeeze[:, 1:]).all() else squeeze,
+        "squeeze": rows["squeeze"][:, 0] if of.arms < 3 else rows["squeeze"],
+        "alpha_given_up": rows["given_up"],
+        "friction": rows["friction"],
+        "normal_std": np.where(rows["normal_std"] > 0.0, rows["normal_std"], np.nan),
+        "status": rows["status"][:, 0].astype(np.int64),
+        "contact_phase": phase,
+    }
+    if truths is None:
+        del made["alpha_true"]
+    return {name: np.ascontiguousarray(values) for name, values in made.items()}
+
+
+def work_out(
+    of: Subject, truths: ReadsTruth | None, parts: Iterable[tuple[int, Array]]
+) -> Iterator[dict[str, Array]]:
+    """All channels of a journal's rows, block after block.
+
+    The blocks are the same however the rows came, and so is every bit of the channels. Contacts
+    made and collisions are found from projected force and power; where a magnitude may have either
+    sign its size counts.
+
+    Args:
+        of: what was run. truths: see `channels`.
+        parts: of the journal: index of the first row, and (rows, columns) numbers.
+    """
+    pushing = np.array([pushes_only(of.pairs[i]) for i in of.owners], dtype=bool)
+    monitor = ContactMonitor(len(of.owners), of.dt)
+    for first, rows in _blocks(parts):
+        if of.phased:  # the controller had a monitor
+            closed = (rows["closed"] > 0.0) | ~pushing  # what can pull stays in contact
+            collision = (rows["collision"] > 0.0) & pushing
+        else:
+            alpha = np.where(pushing, rows["alpha"], np.abs(rows["alpha"]))
+            closed, collision = watch_series(monitor, alpha, rows["speed"])
+        seen = {"contact_seen": closed, "collision_seen": collision}
+        yield channels(of, truths, first, rows) | seen
+
+
+def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
+    """Rows of a journal cut at every 1,000 ticks, wherever its chunks end.
+
+    Args:
+        parts: number of the first row, rows; in order.
+    """
+    begin = 0
+    waiting: list[Array] = []
+    for first, rows in parts:
+        while len(rows):
+            count = sum(map(len, waiting))
+            if count and (first != begin + count or first % _TOGETHER == 0):
+                yield begin, np.concatenate(waiting)
+                waiting = []
+            if not waiting:
+                begin = first
+            cut = _TOGETHER - first % _TOGETHER
+            waiting.append(rows[:cut])
+            first = first + len(waiting[-1])
+            rows = rows[cut:]
+    if waiting:
+        yield begin, np.concatenate(waiting)
+
+
+def _phases(of: Subject, rows: Array) -> Array:
+    """(k, contacts)"""
+    if of.phased:
+        phase = rows["phase"] * rows["active"]  # OPEN is 0
+    else:  # all of them at once
+        phase = np.repeat(rows["engaged"] * Phase.CLOSED, len(of.pairs), axis=1)
+    return phase.astype(np.int64)
+
+
+def _measured_truths(of: Subject, rows: Array, phase: Array) -> Truths:
+    """The controller's estimate of the truth, where there is no judge."""
+    pairs = of.pairs
+    k = len(rows)
+    X_WO = _poses(rows["X_WO"].reshape(k, 4, 4))
+    X_WE = rows["X_WE"].reshape(k, len(pairs), 4, 4)
+    faces = tuple(_poses(X_WE[:, i]) for i in range(len(pairs)))
+    N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(pairs, faces, strict=True))
+    return Truths(rows["alpha"], phase == Phase.CLOSED, X_WO, rows["V_O"], faces, N)
+
+
+def _poses(X: Array) -> Poses:
+    """Of k homogeneous matrices (k, 4, 4)."""
+    return Poses(X[:, :3, :3].transpose(1, 2, 0), X[:, :3, 3].T)
+
+
+def _feet(of: Subject, truth: Truths, k: int) -> Array:
+    """(2, k, contacts, 3) where each contact's lines of force meet the surface, their mean, and the
+    direction of the first."""
+    feet = []
+    for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
+        p, n = feet_over(pair, own, truth.X_WO, X_WE)
+        feet.append((p.mean(axis=1).T, n[:, 0].T))
+    return np.reshape(feet, (-1, 2, k, 3)).transpose(1, 2, 0, 3)
+
+
+def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
+    out = np.zeros((k, len(of.pairs), 7))
+    for i, (X_WB, X_WE) in enumerate(zip(of.placements, truth.X_WE, strict=True)):
+        R = X_WB[:3, :3, None]
+        p = X_WB[:3, 3:]
+        if X_WE is not None:
+            R = X_WE.rotate(R)
+            p = X_WE.act(p)
+        out[:, i] = Poses(R, p).coordinates(k)
+    return out
+
+
+def recording_of(
+    of: Subject, truths: ReadsTruth | None, journal: Journal, meta: Mapping[str, Any]
+) -> Recording:
+    """The recording of a journal's rows.
+
+    Args:
+        of, truths: see `channels`.
+        journal: read from its beginning. meta: of the recording.
+    """
+    ticks = sum(len(rows) for _, rows in journal.rows())
+    return Recording(meta, gather(ticks, work_out(of, truths, journal.rows())))
