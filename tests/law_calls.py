@@ -22,9 +22,9 @@ plain = cache(partial(as_python, local=unwritten))
 
 
 def records(arms=0, joints=0, contacts=0, columns=0, **settings):
-    """The records of a tick, as the law has them: these settings, and numbers in the scratch."""
+    """The records of a tick, as the law has them, with these settings."""
     t = views(Rows(new_model(arms, joints, joints, contacts, contacts, columns)))
-    write(t.work, **dict.fromkeys("ABDEuwyz", 7.0), solved=7.0, mobility=7.0)
+    write(t.work, mobility=7.0)
     return write(t.model, **settings) and t
 
 

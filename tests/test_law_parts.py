@@ -178,7 +178,7 @@ def test_the_permitted_part_of_a_miss_is_taken_off(name):
         )
         frame = np.vstack((tip.rotation, tip.translation))
         out = np.full(6, 7.0)
-        grasps._miss_of_group(arm, frame, X.homogeneous, np.zeros((6, 6)), out * 0.0, out)
+        grasps._miss_of_group(arm, frame, X.homogeneous, out)
         assert_near(out[: len(N)], n, atol=1e-9)
 
 

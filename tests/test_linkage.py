@@ -152,7 +152,8 @@ def answer(state, chain):
     write(work, points=state.grasp_points, carried=carried, owners=owners, locked=len(beta))
     write(work, reflectors=reflectors, beta=beta)
     work.axes[0] = L[:3, :3].T
-    for out in (work.levers, work.basis, work.scratch):
+    tables = (work.bar_inverse, work.bar_effects, work.bar_torques, work.moving_torques)
+    for out in (work.levers, work.basis, *tables):
         out[:] = np.nan
     s = allocation.settable_bars(t, len(locked))
     basis = work.basis[:, :s]

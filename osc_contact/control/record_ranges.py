@@ -181,8 +181,8 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             "size_6k == 6 * n_arms",
             "size_6e == 6 + n_extra",
             *_SQUEEZES,
-            "size_scratch == 9 * n_bars * n_arms + 2 * n_bars * n_joints + 2 * n_bars * n_bars"
-            " + 6 * n_joints",
+            "size_bar_row == 3 * n_arms + n_bars",
+            "size_effect_row == 6 * n_arms + n_joints + n_bars",
         ),
         "arms": (*_each(_SIX, "n_locked", "n_kept", "n_lost"), *_flags("wide")),
         "columns": _flags("shaped"),

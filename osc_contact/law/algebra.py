@@ -133,6 +133,20 @@ def forward_each(L, n, X, m):
 
 
 @leaf
+def transposed_factor_times(L, n, x):
+    """Overwrite x[:n] with Lᵀx.
+
+    Args:
+        L: (n, n) factor from `cholesky`. n: its size. x: operand, then product.
+    """
+    for i in range(n):
+        s = x[i] / L[i, i]
+        for k in range(i + 1, n):
+            s += L[k, i] * x[k]
+        x[i] = s
+
+
+@leaf
 def factor_times(L, n, B, m, out):
     """out ← L B, L from `cholesky` or `orthonormalise`.
 

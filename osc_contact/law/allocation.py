@@ -15,9 +15,10 @@ from osc_contact.law.algebra import (
 )
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.chain import UNACTUATED
-from osc_contact.law.jit import inner, leaf, matrix
+from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.operational import null_motions, retreat
 from osc_contact.law.reasons import NO_REASON
+from osc_contact.law.records import MAX_JOINTS
 from osc_contact.law.vectors import (
     ZERO,
     add,
@@ -59,9 +60,13 @@ def settable_bars(t, n_locked):
 
     Left out are dependent bars, forces that the arms' structure carries whatever the motors do, and
     forces that no torques in null(G) make: what hinges and balls do not pass on, or passive joints
-    do not resist. Fills `levers`: E⁺J̄ᵀ, force in the bars by 1 N m (or N) of joint torques that
-    accelerate nothing; and `basis`: orthonormal columns, never more than 3k − 6, the identity if
-    these are all bars.
+    do not resist. Reads `points`, `carried` and `owners`, J̄ of the joints. Fills `levers`: E⁺J̄ᵀ,
+    force in the bars by 1 N m (or N) of joint torques that accelerate nothing; and `basis`:
+    orthonormal columns, never more than 3k − 6, the identity if these are all bars.
+
+    The tables below have the sizes of the model and stand in WORK, where no other function reads
+    them: `bar_inverse` (E⁺ by rows), `bar_effects` (forces in the bars by locked wrenches and by
+    joints), `bar_torques` (torques that the bars feel), `moving_torques` (that move the object).
 
     `angle_tolerance` is what counts as zero: singular values of E relative to the largest, those of
     the locked forces in the bars, and cosines between torques and null(G).
@@ -80,11 +85,10 @@ def settable_bars(t, n_locked):
     basis = work.basis
     bars = k * (k - 1) // 2
     behind = n_locked + n
-    scratch = work.scratch
-    X, at = _table(scratch, 0, bars, 3 * k + bars)
-    Y, at = _table(scratch, at, bars, behind + bars)
-    Z, at = _table(scratch, at, bars, n)
-    Q, at = _table(scratch, at, 6, n)
+    X = work.bar_inverse
+    Y = work.bar_effects
+    Z = work.bar_torques
+    Q = work.moving_torques
     _place_bars(k, bars, work.points, X)
     one_sided_jacobi(X, bars, 3 * k, bars)
     rank = _invert(X, bars, 3 * k, bars, tolerance)
@@ -134,15 +138,12 @@ def settable_bars(t, n_locked):
 
 
 @inner
-def _table(scratch, at, rows, columns):
-    """(rows, columns) of the scratch from `at`, and what comes after."""
-    after = at + rows * columns
-    return matrix(scratch, at, rows, columns), after
-
-
-@inner
 def _place_bars(k, bars, points, X):
-    """X (bars, 3k + bars): rows of Eᵀ, then the identity."""
+    """X (bars, 3k + bars) ← Eᵀ, behind it the identity.
+
+    Args:
+        k: number of arms. bars: of bars. points: (k, 3) grasp points (m). X: filled.
+    """
     X[:] = 0.0
     bar = 0
     for i in range(k):
@@ -159,7 +160,12 @@ def _place_bars(k, bars, points, X):
 
 @inner
 def _invert(X, count, length, carried, tolerance):
-    """From rows (σy, u) with UΣYᵀ = Eᵀ, those of E⁺ = UΣ⁻¹Yᵀ: (y/σ, u); how many."""
+    """Turn rows (σy, u), UΣYᵀ = Eᵀ, into those of E⁺ = UΣ⁻¹Yᵀ, (y/σ, u); returns how many are kept.
+
+    Args:
+        X: rows, overwritten. count: number of rows. length: of y. carried: length of u.
+        tolerance: least σ, of the largest.
+    """
     largest = 0.0
     for row in range(count):
         largest = max(largest, dot(X[row], X[row], length))
@@ -173,7 +179,11 @@ def _invert(X, count, length, carried, tolerance):
 
 @inner
 def _dot_forces(t, rank, X, n_locked, Y):
-    """Y[:rank]: rows X[:rank, :3k] times each locked force, then times that of each joint."""
+    """Y[:rank] ← products of the rows X[:rank, :3k] with each locked force, then with each joint's.
+
+    Args:
+        rank: number of rows. X: `bar_inverse`. n_locked: rows of `carried`. Y: `bar_effects`.
+    """
     work = t.work
     for row in range(rank):
         for c in range(n_locked):
@@ -196,7 +206,7 @@ def _make_forces(s, count, bars, n, Z, Y, X):
 
 @inner
 def _keep(X, count, length, width, above, most):
-    """Move rows X[:count, :width] with above < |X[row, :length]|² ≤ most to the front; how many."""
+    """Move rows X[:count, :width] with above < |X[row, :length]|² ≤ most to the front: how many."""
     kept = 0
     for row in range(count):
         if above < dot(X[row], X[row], length) <= most:
@@ -208,14 +218,14 @@ def _keep(X, count, length, width, above, most):
 
 @inner
 def _take_out(Q, count, length, x):
-    """Take the directions of the orthonormal rows Q[:count] out of a row x."""
+    """Remove the directions of the orthonormal rows Q[:count] from a row x (length,)."""
     for c in range(count):
         add_scaled(-dot(Q[c], x, length), Q[c], length, x)
 
 
 @inner
 def _orthonormalise(X, count, length, tolerance):
-    """Make orthonormal rows that span the rows X[:count, :length], the longest first; how many.
+    """Make orthonormal rows that span the rows X[:count, :length], the longest first: how many.
 
     By Gram and Schmidt; what is left of a row is cleared once more when its turn comes. Where no
     more than tolerance · the longest is left, the remaining rows depend on those before.
@@ -248,10 +258,14 @@ def _orthonormalise(X, count, length, tolerance):
 
 @inner
 def internal_rows(t, d):
-    """Rows of the settable bar forces, and what they are to be; returns their number.
+    """Rows E of the settable bar forces and their goals; returns the number of rows.
+
+    Reads `commanded`, R and p of the joints, `resisted` of the arms, `inertial` and `rest` of the
+    joints, `goal` of the internal forces. Fills `points`, `carried`, `owners`, and rows of `extra`
+    (E) and `sides` (E τ less what τ_0 makes).
 
     Args:
-        d: rows before these.
+        d: rows of `sides` before these.
     """
     model = t.model
     work = t.work
@@ -286,17 +300,20 @@ def internal_rows(t, d):
 
 @inner
 def internal_forces(t):
-    """Forces (bars,) between each two grasps that the joints' torques make."""
+    """Forces `bars` between each two grasps (N) by the joints' torques.
+
+    Reads `levers`, and `tau`, `friction` and `inertial` of the joints; 0 if none is commanded.
+    """
     joints = t.work.joints
     out = t.work.bars
     n = t.model.n_joints
     bars = t.model.n_bars
     for c in range(bars):
         out[c] = 0.0
-        for j in range(n if t.work.commanded else 0):
-            out[c] += t.work.levers[c, j] * (
-                joints[j].tau - joints[j].friction - joints[j].inertial
-            )
+        if t.work.commanded:
+            for j in range(n):
+                beyond = joints[j].tau - joints[j].friction - joints[j].inertial
+                out[c] += t.work.levers[c, j] * beyond
 
 
 # --- Rows of the allocation: Z = A R⁻¹Aᵀ of A = [G; E], its factor, row by row of E ---------------
@@ -313,7 +330,7 @@ _DOUBTFUL = 1e-6  #: pivots of less share than this are computed twice
 
 @inner
 def factor_effort(t):
-    """Factor of the block G R⁻¹Gᵀ, into Z; False: motors do not drive all motions."""
+    """Factor of the block G R⁻¹Gᵀ of Z, `effort` to `factor`; False: motors miss some motion."""
     work = t.work
     Z = t.work.factor
     d = 6 - work.locked
@@ -325,10 +342,12 @@ def factor_effort(t):
 
 @inner
 def add_row(t, e):
-    """Factor of Z with one row more; False: the rows before it decide what E[e]τ is.
+    """Factor of Z with one row more; False: the rows before it determine E[e]τ.
+
+    Reads `extra` (E). Fills row e of `weighed` and the row of `factor` that belongs to it.
 
     Args:
-        e: the row of E.
+        e: row of E.
     """
     work = t.work
     a = work.extra[e]
@@ -349,55 +368,68 @@ def add_row(t, e):
 
 @inner
 def _multiply(t, weighed, e, out):
-    """out = A R⁻¹a, the products of a weighed row with G and with E[:e]."""
+    """out ← A R⁻¹a, the products of a weighed row with G and with E[:e].
+
+    Args:
+        weighed: (n,) R⁻¹a. e: number of rows of E. out: (d + e,), filled.
+    """
     work = t.work
     m = work.locked
     x = ZERO
     for j in range(t.model.n_joints):
         x = add(x, weighed[j], work.joints[j].J_bar)
-    fill(work.u, turned(work, x))
+    driven = local(6)
+    fill(driven, turned(work, x))
     for i in range(6 - m):
-        out[i] = work.u[m + i]
+        out[i] = driven[m + i]
     for c in range(e):
         out[6 - m + c] = dot(weighed, work.extra[c], t.model.n_joints)
 
 
 @inner
 def _project_again(t, e):
-    """The pivot of row e, from what is left of it in the joints; mends its row of the factor."""
+    """Pivot of row e of E, from its rest in the joints; the row of `factor` is corrected.
+
+    Args:
+        e: row of E, of which `factor` has a row already.
+    """
     work = t.work
     Z = work.factor
     n = t.model.n_joints
     m = work.locked
     size = 6 - m + e
-    left = work.left
-    x = work.products
+    rest = work.rest
+    x = work.multipliers
     for i in range(size):
         x[i] = Z[size, i]
-    backward(Z, size, x)  # multipliers of the rows before
+    backward(Z, size, x)
     y = _from_free(work, x)
     for j in range(n):
-        left[j] = work.extra[e, j] - dot6(work.joints[j].J_bar, y)
+        rest[j] = work.extra[e, j] - dot6(work.joints[j].J_bar, y)
     for c in range(e):
-        add_scaled(-x[6 - m + c], work.extra[c], n, left)
-    _weigh(t, left, work.left_weighed)
-    _multiply(t, work.left_weighed, e, x)
+        add_scaled(-x[6 - m + c], work.extra[c], n, rest)
+    _weigh(t, rest, work.rest_weighed)
+    _multiply(t, work.rest_weighed, e, x)
     forward(Z, size, x)
     add_scaled(1.0, x, size, Z[size])
-    return dot(work.left_weighed, left, n) - dot(x, x, size)
+    return dot(work.rest_weighed, rest, n) - dot(x, x, size)
 
 
 @leaf
 def _from_free(work, x):
-    """A vector (6,) in energy coordinates, from its part (d,) along the free axes."""
+    """A vector in energy coordinates, six numbers, from its part x (d,) along the free axes."""
+    whole = local(6)
     for i in range(6):
-        work.u[i] = x[i - work.locked] if i >= work.locked else 0.0
-    return turned_back(work, work.u)
+        whole[i] = x[i - work.locked] if i >= work.locked else 0.0
+    return turned_back(work, whole)
 
 
 @inner
 def _weigh(t, row, out):
-    """out = R⁻¹ row."""
+    """out ← R⁻¹ row, both (n,) over all joints.
+
+    Reads `wide` and `effort` of the arms, J of the joints.
+    """
     joints = t.work.joints
     for k in range(t.model.n_arms):
         own = t.work.arms[k]
@@ -430,7 +462,11 @@ def _weigh(t, row, out):
 
 @inner
 def command_object(t):
-    """f_S (6,) = Λ_S η̇_c + b_S + Sᵀ(N_μ(α_u + x) + f_bias): eq. 21, turned."""
+    """Control structure f_S = Λ_S η̇_c + b_S + Sᵀ(N_μ(α_u + α_f) + f_bias) (21), turned.
+
+    α_f is `reaction`, which tangential forces take off the contact forces. Reads `Lambda`,
+    `acceleration_t`, `chain_bias`, `pushed_t`, `alpha_u`; fills `f_S` (6,).
+    """
     work = t.work
     bias = turned(work, wrench_to_energy(work, t.memory.f_bias))
     f_S = plus(plus(work.chain_bias, bias), times6(work.Lambda, work.acceleration_t))
@@ -441,7 +477,11 @@ def command_object(t):
 
 @leaf
 def predict_joints(t):
-    """q̈ = J̄a + offset, and the torque h + Mq̈ that it takes; a is the object's acceleration `x`."""
+    """Joint accelerations q̈ = J̄a + offset and their torques h + Mq̈, a the object's acceleration.
+
+    Reads `acceleration_t`, and J̄, `offset`, `h`, M of the joints; fills `acceleration` and
+    `inertial` of the joints.
+    """
     joints = t.work.joints
     a = turned_back(t.work, t.work.acceleration_t)
     for k in range(t.model.n_arms):
@@ -458,7 +498,11 @@ def predict_joints(t):
 
 @inner
 def allocate_torques(t):
-    """Torques of all joints (`tau`), not yet limited; returns a reason."""
+    """Least torques τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0) of all joints, not yet limited; returns a reason.
+
+    Reads `f_S`, `effort`, `locked`, and the arms' and joints' terms. Fills `rest` (τ_0) and `tau`
+    of the joints, `n_internal`, `extra`, `weighed`, `factor`, `sides`, and calls `internal_rows`.
+    """
     model = t.model
     arms = model.arms
     work = t.work
@@ -513,7 +557,12 @@ def allocate_torques(t):
 @leaf
 def push_from_limits(joint, q):
     """Acceleration away from joint limits, see `control.records.joint_limit_margins`."""
-    depth, sign = (joint.low - q, 1.0) if q < joint.low else (q - joint.high, -1.0)
+    if q < joint.low:
+        depth = joint.low - q
+        sign = 1.0
+    else:
+        depth = q - joint.high
+        sign = -1.0
     if not depth > 0.0:
         return 0.0
     s = min(depth / joint.width, 1.0)
@@ -522,7 +571,11 @@ def push_from_limits(joint, q):
 
 @leaf
 def _hold_posture(t, arm, own):
-    """rest = (1 − JᵀJ̄ᵀ)τ₀, τ₀ = h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q), of a wide arm."""
+    """Posture torques (1 − JᵀJ̄ᵀ)τ₀ of a wide arm, τ₀ = h + M(k_p(q₀ − q) − k_d q̇) + diag(M) a_l.
+
+    a_l drives joints away from their limits, see `push_from_limits`. Reads h, M, J, J̄ of the
+    joints; fills their `rest` (N m, N), and `tau` with τ₀ itself.
+    """
     model = t.model
     joints = t.work.joints
     lo = arm.first
@@ -531,7 +584,7 @@ def _hold_posture(t, arm, own):
         push = push_from_limits(model.joints[j], t.input.q[j])
         s = joints[j].h + joints[j].M[j - lo] * push + retreat(t, arm, j, model.posture_damping)
         joints[j].rest = s
-        joints[j].tau = s  # τ₀ itself
+        joints[j].tau = s
         moved = add(moved, s, joints[j].J_bar)
     for j in range(lo, arm.end):
         joints[j].rest -= dot6(joints[j].J, moved)
@@ -541,7 +594,11 @@ def _hold_posture(t, arm, own):
 
 @inner
 def _retreat_from_lost(t, arm, own):
-    """Joint motions that a singular posture takes from the task follow the posture law."""
+    """Add the posture law of joint motions that a singular posture takes from the task to `rest`.
+
+    Reads `mode`, `gone` and `share` of the arm; h, M and `tau` (τ₀, see `_hold_posture`) of its
+    joints.
+    """
     joints = t.work.joints
     lo = arm.first
     hi = arm.end
@@ -561,11 +618,15 @@ def _retreat_from_lost(t, arm, own):
 
 @inner
 def _own_motions(t, d, first):
-    """Rows E[first:] that keep the posture in motions of narrow arms alone; how many.
+    """Rows E[first:] that keep the posture in motions of narrow arms alone; returns how many.
 
     Such an arm can move without the object where its grasp leaves it idle motions (a SCARA on a
     slide, four joints in a plane) or in a singular posture: νᵀτ = νᵀ(h + M q̈_posture) for every
-    joint motion ν with U J ν = 0. Takes from b what τ_0 of the others does to the object.
+    joint motion ν with U J ν = 0. Fills rows of `extra` and `sides`, and subtracts from the first d
+    of `sides` the force on the object by τ_0 of the other arms.
+
+    Args:
+        d: rows of `sides` before those of E. first: row of E.
     """
     model = t.model
     work = t.work
@@ -578,32 +639,39 @@ def _own_motions(t, d, first):
         n = arm.end - lo
         if own.wide or own.n_kept >= n:
             continue
+        J = local(MAX_JOINTS, 6)
+        motions = local(MAX_JOINTS, MAX_JOINTS)
         for j in range(n):
-            fill(work.Z[j], joints[lo + j].J)
-        null_motions(work, own, n)
+            fill(J[j], joints[lo + j].J)
+        null_motions(own, J, n, motions)
         for a in range(own.n_kept, n):
             side = 0.0
             for j in range(model.n_joints):
                 work.extra[count, j] = 0.0
             for i in range(n):
                 back = retreat(t, arm, lo + i, model.retreat_damping)
-                side += work.Z[a, i] * (joints[lo + i].h + back)
-                work.extra[count, lo + i] = work.Z[a, i]
+                side += motions[a, i] * (joints[lo + i].h + back)
+                work.extra[count, lo + i] = motions[a, i]
             work.sides[d + count] = side
             count += 1
     if count > first or work.n_lost > 0:
         x = ZERO
         for j in range(model.n_joints):
             x = add(x, joints[j].rest, joints[j].J_bar)
-        fill(work.u, turned(work, x))
+        driven = local(6)
+        fill(driven, turned(work, x))
         for i in range(d):
-            work.sides[i] -= work.u[work.locked + i]
+            work.sides[i] -= driven[work.locked + i]
     return count - first
 
 
 @leaf
 def _add_torques(t, arm, own, y):
-    """τ = τ_0 + R⁻¹J̄ y, y (6,) multipliers of f_S in energy coordinates."""
+    """Torques of an arm for the object force, `tau` = τ_0 + R⁻¹J̄ y.
+
+    Args:
+        arm: ARM row. own: its ARM_WORK. y: six multipliers of f_S in energy coordinates.
+    """
     joints = t.work.joints
     if own.wide == 0:
         for j in range(arm.first, arm.end):
@@ -616,7 +684,10 @@ def _add_torques(t, arm, own, y):
 
 @leaf
 def limit_torques(t):
-    """Motor torques to `tau`; whether one exceeds its limit, and whether all are finite."""
+    """Motor torques `tau`; returns whether one exceeds its limit, and whether all are finite.
+
+    Where one exceeds its limit or is not finite `tau` stays as it is.
+    """
     table = t.model.joints
     joints = t.work.joints
     excess = False
@@ -627,7 +698,8 @@ def limit_torques(t):
             excess = excess or abs(joints[j].tau) > table[j].tau_max
     if not isfinite(total):
         return False, False
-    for j in range(0 if excess else t.model.n_joints):
-        if table[j].motor >= 0:
-            t.work.tau[table[j].motor] = joints[j].tau
+    if not excess:
+        for j in range(t.model.n_joints):
+            if table[j].motor >= 0:
+                t.work.tau[table[j].motor] = joints[j].tau
     return excess, True

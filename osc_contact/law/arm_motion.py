@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from math import cos, sin
 
-from osc_contact.law.jit import inner, leaf
+from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.vectors import (
     ZERO,
+    ZERO_3,
     add3,
     angular,
     cross,
@@ -19,6 +20,7 @@ from osc_contact.law.vectors import (
     dot6,
     fill,
     fill3,
+    join,
     linear,
     minus3,
     plus,
@@ -41,10 +43,11 @@ def place_point(joint, x):
 
 @inner
 def place_frame(joint, X, R, p):
-    """A frame given in a joint, X (12,): rotation by rows, then point; in the world: R, p.
+    """A frame of a joint in the world.
 
     Args:
-        joint: JOINT_WORK row. X: (12,) frame in the joint. R, p: (3, 3), (3,) for it in the world.
+        joint: JOINT_WORK row. X: (12,) frame in the joint: rotation by rows, then origin (m).
+        R: (3, 3), filled: its axes in the world. p: (3,), filled: its origin (m).
     """
     turn_axes(joint.R, X, R)
     fill3(p, place_point(joint, X[9:]))
@@ -52,19 +55,19 @@ def place_frame(joint, X, R, p):
 
 @leaf
 def turn_axes(R, own, out):
-    """out (3, 3) = R times a rotation given by rows.
+    """out ← R times a rotation given by rows.
 
     Args:
         R: rotation or pose. own: (≥ 9,). out: (≥ 3, ≥ 3).
     """
-    turn = six(own) + linear(own[6:])
+    turn = join(six(own), linear(own[6:]))
     for i in range(3):
         fill3(out[i], rotated9_back(turn, (R[i, 0], R[i, 1], R[i, 2])))
 
 
 @leaf
 def place_arm(t, arm, q):
-    """Rotation R and point p of every joint of an arm at q (n,), in the world.
+    """Axes R and origin p of every joint of an arm in the world.
 
     Args:
         arm: ARM row. q: (n,) positions (m, rad).
@@ -111,23 +114,35 @@ def _place_body(w, C, link, body):
 
 @leaf
 def _times(b, x):
-    """Inertia b times a motion: momentum, or force for an acceleration."""
+    """Inertia times motion, six numbers: the momentum of a twist, or the force of an acceleration.
+
+    Args:
+        b: (13,) mass, mass × centre, inertia about C by rows. x: (6,) motion at C.
+    """
     force = plus3(scaled3(b[0], x), cross(x[3:], b[1:]))
-    return force + plus3(rotated9(b[4:], x[3:]), cross(b[1:], x))
+    return join(force, plus3(rotated9(b[4:], x[3:]), cross(b[1:], x)))
 
 
 @leaf
 def _force_on(b, V, a, gravity):
-    """I(a − g) + V ×* IV, what moves body b with twist V and spatial acceleration a."""
-    f = _times(b, minus3(a, gravity) + angular(a))
+    """Wrench I(a − g) + V ×* IV that moves a body, six numbers at C.
+
+    Args:
+        b: (13,) inertia, see `_times`. V: (6,) twist. a: (6,) spatial acceleration.
+        gravity: (3,) g (m/s²).
+    """
+    f = _times(b, join(minus3(a, gravity), angular(a)))
     p = _times(b, V)
     force = plus3(f, cross(V[3:], p))
-    return force + plus3(plus3(f[3:], cross(V[3:], p[3:])), cross(V, p))
+    return join(force, plus3(plus3(f[3:], cross(V[3:], p[3:])), cross(V, p)))
 
 
 @leaf
 def move_arm(t, arm, v, C, V, gamma, bias_out):
-    """Columns of J at C, drift γ, h = C v + g, M, and what is beyond the wrist sensor.
+    """J at C, drift γ, h = C v + g and M of one arm, and the wrenches of its outboard bodies.
+
+    Reads R and p of the joints. Fills of each joint `column` (of J), `h`, `M` and `outboard`, the
+    wrench at C of the bodies beyond the wrist sensor per unit of its acceleration.
 
     Args:
         arm: ARM row. v: (n,) velocities. C: (3,) common point. V, gamma: (6,) filled: twist and
@@ -137,13 +152,14 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
     joints = t.model.joints
     gravity = t.model.gravity
     work = t.work.joints
-    outer = t.work.s
+    outer = local(13)
     fill(V, ZERO)
     fill(gamma, ZERO)
     for j in range(arm.first, arm.end):
         w = work[j]
         axis = (w.R[0, 2], w.R[1, 2], w.R[2, 2])
-        column = axis + (0.0, 0.0, 0.0) if joints[j].slides else cross(minus3(w.p, C), axis) + axis
+        turning = join(cross(minus3(w.p, C), axis), axis)
+        column = join(axis, ZERO_3) if joints[j].slides else turning
         fill(w.column, column)
         motion = scaled(v[j], column)
         fill(gamma, plus(gamma, cross_motion(V, motion)))
@@ -183,4 +199,4 @@ def weight_on_joint(w, gravity):
     Args:
         w: JOINT_WORK row. gravity: (3,) m/s².
     """
-    return dot6(w.column, _times(w.body, scaled3(-1.0, gravity) + (0.0, 0.0, 0.0)))
+    return dot6(w.column, _times(w.body, join(scaled3(-1.0, gravity), ZERO_3)))

@@ -7,7 +7,7 @@ from math import sqrt
 from osc_contact.law.algebra import cholesky, cholesky_solve, dot, one_sided_jacobi, qr_rows
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame
 from osc_contact.law.grasps import add_slip, centre_object, filter_outboard, find_object, find_twist
-from osc_contact.law.jit import inner, leaf
+from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.joint_friction import SLIDES, believed_friction
 from osc_contact.law.operational import arm_terms, effort_metric, find_lost, may_be_singular
 from osc_contact.law.reasons import NO_REASON, declare_reason
@@ -27,6 +27,7 @@ from osc_contact.law.vectors import (
     energy_motion,
     energy_wrench,
     fill,
+    join,
     minus,
     minus3,
     plus,
@@ -65,7 +66,14 @@ _GEOMETRY = 0.1  #: errors of a twist by the arms' geometry, per joint speeds' s
 
 @inner
 def solve_chain(t):
-    """The closed chain at (q, v), as `dynamics.closed_chain.ClosedChain.state`; a reason."""
+    """The closed chain of object and arms at (q, v); returns a reason.
+
+    Reads q and v of INPUT; where no arm holds the object rigidly, its last pose in MEMORY too.
+    Fills of the object `X_WO`, `p_O`, `p_C`, `axes`, `V_C`, `V_O`; of object and arms, in energy
+    coordinates that are turned if `locked` > 0, `Lambda`, `effort`, `chain_bias`, `sigma`,
+    `reflectors`, `beta`, `locked`; of everything beyond the wrist sensors `out_T`, `bias_e`,
+    `bias_out`; `n_lost`; and ARM_WORK and JOINT_WORK of all arms.
+    """
     model = t.model
     memory = t.memory
     work = t.work
@@ -78,8 +86,9 @@ def solve_chain(t):
             work.X_WO[i, 3] = work.p_O[i]
             work.X_WO[3, i] = 0.0
         work.X_WO[3, 3] = 1.0
-        place_frame(tip, model.X_LP, work.R, work.p_C)
-        set_axes(work.R, model.roots, work.axes)
+        R = local(3, 3)
+        place_frame(tip, model.X_LP, R, work.p_C)
+        set_axes(R, model.roots, work.axes)
     else:
         copy_rows(memory.X_WO, work.X_WO)
         if memory.given >= GIVEN_POSE:
@@ -126,19 +135,21 @@ def solve_chain(t):
 
 @inner
 def _combine_twists(t):
-    """V_O of firm grasps from the joint speeds of all arms, whose errors are alike.
+    """The object's twist by the joint speeds of all arms, whose errors are alike; firm grasps only.
 
     Let these have the variance 1, so that V_i = J_i q̇_i + ε has the covariance
     G_i = J_i J_iᵀ + ρ_i 1: with exact Jacobians, no twist would satisfy two arms whose locked
     directions differ. With P the covariance of what is known from the arms before,
 
         K = P (P + G_i)⁻¹,   V ← V + K (V_i − V),   P ← P − K P
+
+    Reads `axes`, V of the arms and J of the joints. Updates `V_C` and `V_O`.
     """
     work = t.work
-    P = work.A
-    S = work.B
-    before = work.D
-    K = work.E
+    P = local(6, 6)
+    S = local(6, 6)
+    before = local(6, 6)
+    K = local(6, 6)
     P[:] = 0.0
     _add_covariance(t, 0, P)
     V = energy_motion(work.axes, work.V_C)
@@ -177,7 +188,15 @@ def _add_covariance(t, k, G):
 
 @inner
 def _add_arm(t, arm, own, row):
-    """One arm's share in everything that is summed over the arms; a reason and what it locks."""
+    """The part of one arm in all sums over the arms; returns a reason and how much the arm locks.
+
+    Reads `axes` and `V_C`. Fills ARM_WORK, J, J̄, `offset` and `h` of its joints, and `locked_rows`.
+    Adds to `Lambda`, `effort`, `chain_bias`, and by the bodies beyond its wrist sensor to `out_T`,
+    `bias_e` and `bias_links`.
+
+    Args:
+        arm: ARM row. own: its ARM_WORK. row: of `locked_rows`, the first one that is free.
+    """
     model = t.model
     work = t.work
     joints = work.joints
@@ -224,7 +243,11 @@ def _add_arm(t, arm, own, row):
 
 @leaf
 def _add_outboard(t, arm, own):
-    """Λ_out += I J J̄ (transposed), bias −= I J J̄ γ of the bodies beyond the wrist sensor."""
+    """The bodies beyond the wrist sensor of an arm: Λ_out += I J J̄, bias −= I J J̄ γ.
+
+    Reads `bias` and `gamma` of the arm, J̄ and `outboard` (I J) of its joints, which goes to energy
+    coordinates. Adds to `out_T` (Λ_out transposed), `bias_links` and `bias_e`.
+    """
     work = t.work
     fill(work.bias_links, plus(work.bias_links, own.bias))
     for j in range(arm.first, arm.end):
@@ -238,16 +261,20 @@ def _add_outboard(t, arm, own):
 
 @inner
 def _add_object(t):
-    """The object: Λ_o = 1; in its principal axes μ_o + p_o = [√m (ω × v − g); (ω × Iω)/√I]."""
+    """The object: Λ_o = 1; in its principal axes μ_o + p_o = [√m (ω × v − g); (ω × Iω)/√I].
+
+    Reads `axes`, `V_C`, `bias_links`. Adds to `Lambda`, `chain_bias`, `out_T`, `bias_e`; fills
+    `bias_out`.
+    """
     model = t.model
     work = t.work
     roots = model.roots
     V = energy_motion(work.axes, work.V_C)  # √m v, √I ω
     w = (V[3] / roots[1], V[4] / roots[2], V[5] / roots[3])
     Iw = (model.principal[1] * w[0], model.principal[2] * w[1], model.principal[3] * w[2])
-    x, y, z = cross(w, Iw)
+    (x, y, z) = cross(w, Iw)
     weight = rotated(work.axes[0], model.gravity)
-    force = minus3(cross(w, V), weight) + (x / roots[1], y / roots[2], z / roots[3])
+    force = join(minus3(cross(w, V), weight), (x / roots[1], y / roots[2], z / roots[3]))
     held = 1.0 if model.held else 0.0
     links = energy_wrench(work.axes, work.bias_links)
     accumulate(work.chain_bias, held, force)
@@ -260,10 +287,13 @@ def _add_object(t):
 
 @inner
 def _intersect(t, count):
-    """`reflectors` whose first m axes (`locked`) span what the arms lock together, σ along them.
+    """The wrenches that the arms lock together, as reflections that turn them to the first axes.
+
+    Reads `locked_rows`, which are made orthogonal. Fills `locked` (m), `reflectors` and `beta`, and
+    `sigma`, the acceleration along the locked axes at η̇ = 0 (energy coordinates, not yet turned).
 
     Args:
-        count: number of rows.
+        count: rows of `locked_rows` that are filled.
     """
     locked = t.work.locked_rows
     work = t.work
@@ -279,7 +309,8 @@ def _intersect(t, count):
                 work.sigma[i] += locked[k, i] * locked[k, 6] / square
             fill(work.reflectors[work.locked], locked[k])
             work.locked += 1
-    qr_rows(work.reflectors, work.locked, 6, work.s, work.beta)
+    diagonal = local(6)
+    qr_rows(work.reflectors, work.locked, 6, diagonal, work.beta)
     for k in range(work.locked):
         for i in range(k):
             work.reflectors[k, i] = 0.0

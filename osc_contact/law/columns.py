@@ -5,11 +5,12 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.algebra import backward, dot, lu_solve, orthonormalise
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, local
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import CART, CONVEYOR, ELSEWHERE, body_of, contact_of
 from osc_contact.law.vectors import (
     ZERO,
+    ZERO_3,
     accumulate,
     add,
     carry_motion,
@@ -18,6 +19,7 @@ from osc_contact.law.vectors import (
     dot6,
     fill,
     fill3,
+    join,
     linear,
     minus3,
     plus,
@@ -52,7 +54,10 @@ _STILL = 1e-9  # rounding error of n_γ when the bodies hardly move (m/s², rad/
 
 @inner
 def choose_columns(t):
-    """List the columns of N whose contacts are in force in `chosen`, their number in `count`."""
+    """The columns of N whose contacts are in force.
+
+    Fills `chosen` (numbers of these columns), `count` (how many) and `here` (1 for each, else 0).
+    """
     work = t.work
     work.count = 0
     for j in range(t.model.n_columns):
@@ -65,9 +70,10 @@ def choose_columns(t):
 
 @inner
 def keep_columns(t):
-    """N (r, 6) of the independent columns in energy coordinates, N_μ, n_γ; returns a reason.
+    """N (r, 6) of the independent columns as rows, and n_γ of these; returns a reason.
 
-    Fills rank, kept, N, n_gamma; `share` of each column in force.
+    Reads `chosen`, `count` and N, n_γ of the columns in force. Fills `rank`, `kept`, `n_gamma`, in
+    energy coordinates `N`, `N_factor`, `N_basis`; `energy`, `extent`, `share` of the columns.
     """
     work = t.work
     columns = work.columns
@@ -79,12 +85,12 @@ def keep_columns(t):
         column.extent = sqrt(dot6(column.energy, column.energy))
         if j < 6:
             column.share[j] = 1.0
-            fill(work.N[j], column.energy)
+            fill(work.N_e[j], column.energy)
             work.kept[j] = work.chosen[j]
     work.rank = count
     dependent = count > 6
     if 1 < count <= 6:
-        least = orthonormalise(work.N, count, 0, work.N_basis, work.N_factor)
+        least = orthonormalise(work.N_e, count, 0, work.N_basis, work.N_factor)
         dependent = not least > 10.0 * DEPENDENT
     if dependent:
         reason = _reduce(t)
@@ -93,15 +99,20 @@ def keep_columns(t):
     for a in range(work.rank):
         column = columns[work.kept[a]]
         work.n_gamma[a] = column.n_gamma
-        fill(work.N[a], column.energy)
+        fill(work.N_e[a], column.energy)
     if work.rank < count or count == 1:
-        orthonormalise(work.N, work.rank, 0, work.N_basis, work.N_factor)
+        orthonormalise(work.N_e, work.rank, 0, work.N_basis, work.N_factor)
     return NO_REASON
 
 
 @inner
 def _reduce(t):
-    """Keep a well-conditioned subset: the first column whose rest is not much below the largest."""
+    """A well-conditioned subset of the columns in force; returns a reason.
+
+    Kept is, again and again, the first column of which not much less lies outside the kept ones
+    than of any other. Reads `energy` and `extent` of the columns. Fills `rank`, `kept`, and `rest`
+    and `share` of the columns.
+    """
     work = t.work
     columns = work.columns
     rank = 0
@@ -138,33 +149,40 @@ def _reduce(t):
 
 @inner
 def _remove(t, first):
-    """Take the direction of column `first` out of every rest, twice."""
+    """Remove the direction of column `first` from `rest` of every column, twice."""
     columns = t.work.columns
     q = columns[first].rest
     length = sqrt(dot6(q, q))
     for i in range(t.work.count):
         j = t.work.chosen[i]
         x = columns[j].rest
-        for _ in range(2 if j != first else 0):
-            accumulate(x, -(dot6(q, x) / (length * length)), q)
+        if j != first:
+            for _ in range(2):
+                accumulate(x, -(dot6(q, x) / (length * length)), q)
     fill(q, ZERO)
 
 
 @inner
 def _express(t):
-    """share (rank,) of every column in force: N_all = N share."""
+    """Each column in force as a combination of the kept ones, N_all = N share.
+
+    Reads `rank`, `kept`, and `energy` and `extent` of the columns; fills `share` (rank,) of each.
+    """
     work = t.work
     columns = work.columns
     rank = work.rank
+    unit = local(6, 6)
+    factor = local(6, 6)
+    basis = local(6, 6)
     for a in range(rank):
         column = columns[work.kept[a]]
-        fill(work.A[a], scaled(1.0 / column.extent, column.energy))
-    orthonormalise(work.A, rank, 0, work.N_basis, work.N_factor)
+        fill(unit[a], scaled(1.0 / column.extent, column.energy))
+    orthonormalise(unit, rank, 0, basis, factor)
     for j in range(work.count):
         column = columns[work.chosen[j]]
         for a in range(rank):
-            column.share[a] = dot6(work.N_basis[a], column.energy)
-        backward(work.N_factor, rank, column.share)
+            column.share[a] = dot6(basis[a], column.energy)
+        backward(factor, rank, column.share)
         for a in range(rank):
             column.share[a] /= columns[work.kept[a]].extent
     for a in range(rank):
@@ -175,7 +193,11 @@ def _express(t):
 
 @inner
 def _consistent(t):
-    """n_γ of every column follows from the kept ones as the column does, but for rounding."""
+    """Whether n_γ of every column in force follows from the kept ones, but for rounding.
+
+    Reads `n_gamma`, `share`, `extent` of the columns. Where it does not, fills `where` (the column)
+    and `reason_amount` (its n_γ as the others imply it).
+    """
     work = t.work
     columns = work.columns
     largest = 0.0
@@ -199,12 +221,17 @@ def _consistent(t):
 
 @inner
 def _same_body(t):
-    """Dependent columns must be on one body, or on bodies that move as one and do not yield."""
+    """Reason unless all columns in force are on one body, or on bodies that move as one.
+
+    The latter must not yield. Reads `answer` of the bodies.
+    """
     work = t.work
     first = body_of(t, work.chosen[0]).same
     for j in range(1, work.count):
         other = body_of(t, work.chosen[j]).same
-        for i in range(48 if other != first else 0):
+        if other == first:
+            continue
+        for i in range(48):
             a = work.bodies[first].answer[i]
             b = work.bodies[other].answer[i]
             if a != b or (i < 36 and a != 0.0):
@@ -214,20 +241,22 @@ def _same_body(t):
 
 @inner
 def spread_magnitudes(t):
-    """`alpha` and `speeds` of all columns (N, m/s), 0 out of N, from those of the kept ones.
+    """Magnitudes and speeds of all columns, from those of the kept ones; 0 of columns not in force.
 
     Where columns depend on others that is the split with the least sum of squares:
-    α_all = Rᵀ(RRᵀ)⁻¹α, and Rᵀ speed, R the shares.
+    α_all = Rᵀ(RRᵀ)⁻¹α, and Rᵀ speed, R the shares. Reads `alpha_meas`, `speed` and `share`; fills
+    `alpha` (N) and `speeds` (m/s).
     """
     work = t.work
     r = work.rank
-    x = work.E
+    RR = local(6, 6)
+    x = local(1, 6)
     work.alpha[:] = 0.0
     work.speeds[:] = 0.0
-    square_shares(work, work.D)
+    square_shares(work, RR)
     for a in range(r):
         x[0, a] = work.alpha_meas[a]
-    lu_solve(work.D, r, x, 1)
+    lu_solve(RR, r, x, 1)
     for i in range(work.count):
         j = work.chosen[i]
         share = work.columns[j].share
@@ -237,10 +266,10 @@ def spread_magnitudes(t):
 
 @inner
 def square_shares(work, out):
-    """RRᵀ (r, r) of the shares R that columns in force have in the kept ones.
+    """out ← RRᵀ (r, r), R (r, count) the shares of the columns in force.
 
     Args:
-        out: (6, 6) to be filled.
+        work: WORK, of which `share` is read. out: (6, 6).
     """
     out[:] = 0.0
     for j in range(work.count):
@@ -255,9 +284,12 @@ def square_shares(work, out):
 
 @inner
 def _answer(kind, parameters, E, O, answer):
-    """answer (48,) = Φ_e (36), b_e and V_e (6) of one body at O.
+    """Inverse inertia Φ_e, bias b_e and twist V_e of one body at O, in world axes.
 
-    `parameters` of a cart: direction (0:3), mass, stiffness, damping, preload, u·g (7).
+    Args:
+        kind: of the body. parameters: (8,) of a cart: direction u (0:3), mass, stiffness, damping,
+            preload, u·g. E: (28,) its pose by rows, twist and acceleration. O: (3,) point (m).
+        answer: (48,), filled: Φ_e by rows (36), b_e (6), V_e (6).
     """
     Phi = answer[:36]
     b = answer[36:42]
@@ -273,8 +305,8 @@ def _answer(kind, parameters, E, O, answer):
         for i in range(3):
             for j in range(3):
                 Phi[6 * i + j] = parameters[i] * parameters[j] / mass
-        fill(b, scaled3(rate, u) + (0.0, 0.0, 0.0))
-        fill(V, scaled3(speed, u) + (0.0, 0.0, 0.0))
+        fill(b, join(scaled3(rate, u), ZERO_3))
+        fill(V, join(scaled3(speed, u), ZERO_3))
         return
     fill(V, E[16:])
     fill(b, ZERO)
@@ -287,7 +319,10 @@ def _answer(kind, parameters, E, O, answer):
 
 @inner
 def answer_bodies(t):
-    """Φ_e, b_e and V_e at O (3,) of every touched body."""
+    """Φ_e, b_e and V_e at O of every touched body, from its measured motion.
+
+    Reads `p_O` and `touched` of INPUT; fills `answer` of the bodies.
+    """
     for c in range(t.model.n_contacts):
         body = t.model.bodies[c]
         if body.same == c and body.kind != ELSEWHERE:
@@ -297,12 +332,18 @@ def answer_bodies(t):
 
 @inner
 def project_bodies(t):
-    """Fill Φ_μ (r, r), b_N and V_N (r,) for the kept columns: zero where bodies rest."""
+    """The touched bodies along the kept columns; all zero where bodies rest.
+
+    Reads `answer` of the bodies and `friction_wrenches`. Fills `Phi_mu` = NᵀΦ_eN_μ (r, r), `b_N` =
+    Nᵀb_e (r,), `V_N` = NᵀV_e (r,) and `yields` = NᵀΦ_e (r, 6) at O.
+    """
     work = t.work
     work.b_N[:] = 0.0
     work.V_N[:] = 0.0
     work.Phi_mu[:] = 0.0
-    for a in range(work.rank if work.moving else 0):
+    if not work.moving:
+        return
+    for a in range(work.rank):
         N = work.columns[work.kept[a]].N
         body = body_of(t, work.kept[a]).same
         answer = work.bodies[body].answer

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import atan2, copysign, sqrt
 
 from osc_contact.law.contact import learn_normal
-from osc_contact.law.jit import inner, leaf
+from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.phases import APPROACHING, predict_force
 from osc_contact.law.records import SATURATED, YIELDING, body_of, contact_of
 from osc_contact.law.vectors import (
@@ -18,6 +18,7 @@ from osc_contact.law.vectors import (
     dot3,
     fill,
     fill3,
+    join,
     linear,
     minus,
     minus3,
@@ -51,15 +52,16 @@ def rotation_vector(R):
 
 
 @inner
-def pose_error(X_WD, X_WO, R):
-    """[p_D − p_O; log₃(R_D R_Oᵀ)] of two (4, 4) poses (m, rad), as a tuple.
+def pose_error(X_WD, X_WO):
+    """Pose error [p_D − p_O; log₃(R_D R_Oᵀ)] (m, rad), six numbers.
 
     Args:
-        X_WD, X_WO: (4, 4) desired and actual pose. R: (≥ 3, ≥ 3) scratch.
+        X_WD, X_WO: (4, 4) desired and actual pose.
     """
+    R = local(3, 3)
     for i in range(3):
         fill3(R[i], rotated(X_WO, X_WD[i]))
-    return minus3(origin(X_WD), origin(X_WO)) + rotation_vector(R)
+    return join(minus3(origin(X_WD), origin(X_WO)), rotation_vector(R))
 
 
 @inner
@@ -69,7 +71,7 @@ def command_motion(t):
     a = add(t.input.A_D, t.model.damping, minus(t.input.V_D, V_O))
     a = add(a, t.model.stiffness, t.work.error)
     a = add(a, t.model.integral, t.work.motion_next)
-    fill(t.work.a_u, minus3(a, cross(V_O[3:], V_O)) + angular(a))
+    fill(t.work.a_u, join(minus3(a, cross(V_O[3:], V_O)), angular(a)))
 
 
 # --- Steps of desired forces, and the brake on a contact that swings ------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import namedtuple
 from math import copysign, floor, sqrt
 
-from osc_contact.law.jit import call_at, inner, leaf
+from osc_contact.law.jit import call_at, inner, leaf, local
 from osc_contact.law.records import (
     COUPLE,
     EDGES,
@@ -21,6 +21,7 @@ from osc_contact.law.records import (
 )
 from osc_contact.law.vectors import (
     ZERO,
+    ZERO_3,
     add,
     add3,
     carry_motion,
@@ -32,6 +33,7 @@ from osc_contact.law.vectors import (
     fill,
     fill3,
     finiteness,
+    join,
     linear,
     minus,
     minus3,
@@ -230,7 +232,7 @@ Motion = namedtuple("Motion", "X_WO V_O R_E V_E V_rel moving")
 @leaf
 def _line(N, p, n):
     """N = W(n, p) = [n; p × n], the line of force along n through p."""
-    fill(N, n + cross(p, n))
+    fill(N, join(n, cross(p, n)))
 
 
 @inner
@@ -248,9 +250,12 @@ def place_contacts(t):
     V_O = t.work.V_O
     moving = t.work.moving
     work = t.work
-    R_E = work.X_WE
-    V_E = work.u
-    V_rel = work.w
+    R_E = local(4, 4)
+    V_E = local(6)
+    V_rel = local(6)
+    V = local(6)
+    evaluated = local(6, 11)  # N, n_γ, gap and point of each column of a FUNCTION pair
+    evaluated[:] = 0.0
     set_identity(R_E)
     fill(V_E, ZERO)
     fill(V_rel, V_O)
@@ -267,8 +272,8 @@ def place_contacts(t):
         given = pair.kind == GIVEN or pair.kind == FUNCTION
         if pair.kind == FUNCTION:
             row = shapes[pair.shape_at].row
-            call_at(pair.address, X_WO, V_O, R_E, V_E, row, work.evaluated)
-            if not _take_evaluated(columns, pair.first, pair.count, work.evaluated):
+            call_at(pair.address, X_WO, V_O, R_E, V_E, row, evaluated)
+            if not _take_evaluated(columns, pair.first, pair.count, evaluated):
                 return False
         if not given:
             motion = Motion(X_WO, V_O, R_E, V_E, V_rel, moving)
@@ -277,16 +282,16 @@ def place_contacts(t):
         elif alone:
             _turn_given(columns[pair.first], R_E)
         if alone and model.tilt > 0.0:
-            fill(work.z, minus(work.V_D, V_E))
-            follow_face(t, pair, X_WO, R_E, V_rel, work.z)
+            fill(V, minus(work.V_D, V_E))
+            follow_face(t, pair, X_WO, R_E, V_rel, V)
         if pair.has_friction and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
-            fill(work.z, add(V_rel, AHEAD * model.period, work.A_D))
+            fill(V, add(V_rel, AHEAD * model.period, work.A_D))
             for j in range(pair.count):
                 column = columns[pair.first + j]
                 if not given:
                     row = shapes[pair.shape_at + j].row
                     fill3(column.point, point_of_contact(pair.kind, row, X_WO, R_E, column.N))
-                _slide(work.z, work.mu, model.slip, column)
+                _slide(V, work.mu, model.slip, column)
     return True
 
 
@@ -345,10 +350,10 @@ def _point_on_plane(row, motion, column):
 @inner
 def _carried(p, n, motion):
     """−ṄᵀV_rel where A carries p and E carries n, both in world axes, p from O."""
-    _, V_O, _, V_E, V_rel, moving = motion
-    s = -dot3(n, cross(V_rel[3:], velocity_at(V_O, p)))
-    if moving:
-        s -= dot3(cross(V_E[3:], n), velocity_at(V_rel, p))
+    V_rel = motion.V_rel
+    s = -dot3(n, cross(V_rel[3:], velocity_at(motion.V_O, p)))
+    if motion.moving:
+        s -= dot3(cross(motion.V_E[3:], n), velocity_at(V_rel, p))
     return s
 
 
@@ -385,7 +390,7 @@ def _slide(V_rel, mu, slip, column):
 @inner
 def _rate(p, n, p_dot, n_dot):
     """Ẇ(n, p) = [ṅ; ṗ × n + p × ṅ]."""
-    return n_dot + plus3(cross(p_dot, n), cross(p, n_dot))
+    return join(n_dot, plus3(cross(p_dot, n), cross(p, n_dot)))
 
 
 @inner
@@ -489,12 +494,12 @@ def permitted_motion(row, X_WO, R_E):
         X_WO: pose of the object. R_E: axes of the body.
     """
     if row[6] == SLIDE:
-        return rotated(R_E, row[3:]) + (0.0, 0.0, 0.0)
+        return join(rotated(R_E, row[3:]), ZERO_3)
     w = rotated(X_WO, row[3:])
     v = cross(rotated(X_WO, row), w)
     if row[6] == SCREW:
         v = add3(v, row[10], rotated(R_E, row[7:]))
-    return v + w
+    return join(v, w)
 
 
 @inner
@@ -523,12 +528,12 @@ def _tangents(pair, shapes, motion, columns):
         p = rotated(X_WO, row)
         d = rotated(R_E, row[3:])
         if row[6] == COUPLE:
-            fill(N, (0.0, 0.0, 0.0) + cross(p, d))
+            fill(N, join(ZERO_3, cross(p, d)))
         else:
             _line(N, p, d)
         if row[6] == THREAD:
             f = row[10] / dot3(d, rotated(X_WO, row[7:]))
-            fill(N, linear(N) + add3(N[3:], -f, d))
+            fill(N, join(linear(N), add3(N[3:], -f, d)))
         column.n_gamma = dot6(N, Tdot_beta)
 
 

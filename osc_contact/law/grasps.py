@@ -14,8 +14,8 @@ from osc_contact.law.algebra import (
 )
 from osc_contact.law.arm_motion import place_frame, turn_axes
 from osc_contact.law.commands import rotation_vector
-from osc_contact.law.jit import inner, leaf
-from osc_contact.law.records import BALL, HINGE
+from osc_contact.law.jit import inner, leaf, local
+from osc_contact.law.records import BALL, HINGE, JOINTS_AND_SIX, MAX_JOINTS
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,
@@ -34,6 +34,7 @@ from osc_contact.law.vectors import (
     energy_wrench,
     fill,
     fill3,
+    join,
     minus,
     minus3,
     origin,
@@ -58,16 +59,16 @@ _MOVES = 1e-7  #: of the outboard links' wrench, below which their own motion is
 
 @inner
 def grasp_rows(arm, work, C, axes, out):
-    """N and T of a grasp in energy coordinates, the rows of out (6, 6); the tip stands in `tip`.
+    """N and T of a grasp in energy coordinates.
 
     Args:
-        arm: ARM row. work: its ARM_WORK. C: (3,) centre of mass (m). axes: from `set_axes`.
-        out: (6, 6), the rows of N first.
+        arm: ARM row. work: its ARM_WORK, of which `tip` is read: axes and point of the tip.
+        C: (3,) centre of mass (m). axes: from `set_axes`. out: (6, 6), filled: rows of N, then T.
     """
     tip = work.tip
     for a in range(6):
         row = arm.grasp[a]
-        x = rotated(tip, row) + rotated(tip, row[3:])
+        x = join(rotated(tip, row), rotated(tip, row[3:]))
         if a < arm.m:
             fill(out[a], energy_wrench(axes, carry_wrench(x, tip[3], C)))
         else:
@@ -76,19 +77,22 @@ def grasp_rows(arm, work, C, axes, out):
 
 @inner
 def find_twist(t, given):
-    """N and T of every grasp, orthonormal, and the object's twist at C (V_C); False: not fixed.
+    """N and T of every grasp, orthonormal, and the object's twist at C; False: it is not fixed.
 
-    With a leader the object moves with its tip; with none it is what all the grasps leave. Where it
-    is given V_C stays as it is.
+    With a leader the object moves with its tip; with none, as all the grasps permit. Reads `axes`,
+    `p_C`, R and p of the joints, V of the arms. Fills `tip` and `passed` of each arm whose grasp
+    permits motions, and `V_C` unless it is given.
 
     Args:
         given: whether the twist is given.
     """
     model = t.model
     work = t.work
-    x = work.acceleration_t
+    factor = local(6, 6)
+    A = local(6, 6)  # normal equations A y = x; x becomes their solution
+    x = local(6)
     fill(x, ZERO)
-    work.A[:] = 0.0
+    A[:] = 0.0
     for k in range(model.n_arms):
         arm = model.arms[k]
         own = work.arms[k]
@@ -97,29 +101,29 @@ def find_twist(t, given):
         place_frame(work.joints[arm.tip_joint], arm.tip, own.tip, own.tip[3])
         grasp_rows(arm, own, work.p_C, work.axes, own.passed)
         motions = own.passed[arm.m :]
-        if not orthonormalise(own.passed, arm.m, 0, own.passed, work.D) > 0.0:
+        if not orthonormalise(own.passed, arm.m, 0, own.passed, factor) > 0.0:
             return False
-        if not orthonormalise(motions, 6 - arm.m, 0, motions, work.D) > 0.0:
+        if not orthonormalise(motions, 6 - arm.m, 0, motions, factor) > 0.0:
             return False
         if model.leader < 0 and not given:
             twist = energy_motion(work.axes, own.V)
             for a in range(arm.m):
-                _add_condition(own.passed[a], dot6(own.passed[a], twist), work.A, x)
+                _add_condition(own.passed[a], dot6(own.passed[a], twist), A, x)
     if given:
         return True
     if model.leader >= 0:
         fill(work.V_C, work.arms[model.leader].V)
         return True
-    if not cholesky(work.A, 0, 6, work.B) > KNOWN:
+    if not cholesky(A, 0, 6, factor) > KNOWN:
         return False
-    cholesky_solve(work.B, 6, x)
+    cholesky_solve(factor, 6, x)
     fill(work.V_C, world_motion(work.axes, x))
     return True
 
 
 @leaf
 def _add_condition(row, s, A, x):
-    """Normal equations A y = x with row·y = s beside those before."""
+    """Add the condition row · y = s to the normal equations A y = x."""
     add_square(1.0, row, A)
     accumulate(x, s, row)
 
@@ -132,28 +136,30 @@ def add_slip(V, V_C, gamma):
         V: (6,) twist of the tip. V_C: (6,) of the object. gamma: (6,) drift, overwritten.
     """
     linear = plus3(plus3(gamma, cross(V[3:], V_C)), cross(V, V_C[3:]))
-    fill(gamma, linear + plus3(gamma[3:], cross(V[3:], V_C[3:])))
+    fill(gamma, join(linear, plus3(gamma[3:], cross(V[3:], V_C[3:]))))
 
 
 @inner
 def filter_outboard(t, arm, own, bias):
     """Λ_out (transposed) and bias of a gripper that can move without the object.
 
-    F = 1 − E(T E)⁺T, E = P(1 − J̄J) what the joints' motion without the object puts into the
-    reading, takes that out of it.
+    The joints' motion without the object adds E = P(1 − J̄J) to the reading, P the wrenches of the
+    outboard bodies by the joints; F = 1 − E(T E)⁺T removes it. Reads `passed` and `gamma` of the
+    arm, J, J̄ and `outboard` (P) of its joints, which goes to energy coordinates. Fills `filter` (F)
+    of the arm; adds to `out_T` and `bias_e`.
 
     Args:
-        arm, own: its records; filter (6, 6) of `own` is filled. bias: (6,) wrench of the outboard
-            bodies at q̈ = 0, at C.
+        arm: ARM row. own: its ARM_WORK. bias: (6,) wrench of the outboard bodies at q̈ = 0, at C,
+            overwritten.
     """
     work = t.work
-    H = work.A
     F = own.filter
     T = own.passed[arm.m :]
     n = arm.end - arm.first
     count = 6 - arm.m
-    X = work.X
-    G = work.Z
+    H = local(6, 6)  # P J̄
+    G = local(MAX_JOINTS, 6)  # rows: the columns of E
+    X = local(6, JOINTS_AND_SIX)  # T E, behind it the identity
     H[:] = 0.0
     fill(bias, energy_wrench(work.axes, bias))
     for j in range(arm.first, arm.end):
@@ -237,7 +243,7 @@ def _square_up(X):
 
 @inner
 def _miss(arm, tip, X, out):
-    """How far the object at X (4, 4) is from where a hinge or a ball holds it, along N's rows."""
+    """Distance of the object at X (4, 4) from where a hinge or a ball holds it, along N's rows."""
     fill3(out, rotated_back(tip, transformed(minus3(origin(X), tip[3]), X, arm.point)))
     if arm.kind == BALL:
         return
@@ -252,15 +258,20 @@ def _miss(arm, tip, X, out):
 
 
 @inner
-def _miss_of_group(arm, tip, X, R, p, out):
-    """The same for any other group of motions T: the permitted part is taken off step by step.
+def _miss_of_group(arm, tip, X, out):
+    """Distance of the object at X from where a grasp with motions T holds it.
+
+    The permitted part is removed step by step.
 
     `arm.grasp[m:]` are T's rows, orthonormal in the tip's own units, which only say what is tried
     first: where the grasp fits, nothing is left whatever the units.
 
     Args:
-        R: (≥ 3, ≥ 3), p: (≥ 3,) scratch. out: (6,) filled along N's rows.
+        arm: ARM row. tip: (4, 3) axes and point of the tip. X: (4, 4) pose of the object.
+        out: (6,), filled along the rows of N.
     """
+    R = local(3, 3)
+    p = local(3)
     for j in range(3):  # the object's grasp frame in the tip: R rotation, p point
         row = rotated_back(tip, rotated(X, arm.X_TO[3 * j :]))  # R X_TOᵀ
         for i in range(3):
@@ -291,7 +302,7 @@ def _remaining(p, R):
         angle = sqrt(square)
         c = (1.0 - 0.5 * angle * sin(angle) / (1.0 - cos(angle))) / square
     x = cross(w, p)
-    return add3(add3(p, -0.5, x), c, cross(w, x)) + w
+    return join(add3(add3(p, -0.5, x), c, cross(w, x)), w)
 
 
 @inner
@@ -313,7 +324,7 @@ def _take_off(R, p, twist):
 
 @inner
 def centre_object(t, X):
-    """Centre of mass C, principal axes and energy coordinates of the object at X.
+    """The object's places at a pose; fills `p_O`, `p_C` and `axes`.
 
     Args:
         X: (4, 4) pose of the object.
@@ -322,23 +333,27 @@ def centre_object(t, X):
     work = t.work
     fill3(work.p_O, origin(X))
     fill3(work.p_C, transformed(work.p_O, X, model.X_LP[9:]))
-    turn_axes(X, model.X_LP, work.R)
-    set_axes(work.R, model.roots, work.axes)
+    R = local(3, 3)
+    turn_axes(X, model.X_LP, R)
+    set_axes(R, model.roots, work.axes)
 
 
 @inner
 def find_object(t, X):
     """X (4, 4) at which all grasps fit the tips, from where it was: Gauss–Newton in the energy.
 
-    Returns False where the grasps do not fix it.
+    Reads R and p of the joints. Fills `p_O`, `p_C`, `axes`, and `tip` of the arms; `passed` of the
+    arms is of the last step. Returns False where the grasps do not fix it.
 
     Args:
         X: (4, 4) pose of the object, overwritten.
     """
     arms = t.model.arms
     work = t.work
-    x = work.acceleration_t
-    r = work.y
+    factor = local(6, 6)
+    A = local(6, 6)  # normal equations A y = x; x becomes their solution
+    x = local(6)
+    r = local(6)
     for k in range(t.model.n_arms):
         own = work.arms[k]
         place_frame(work.joints[arms[k].tip_joint], arms[k].tip, own.tip, own.tip[3])
@@ -347,23 +362,23 @@ def find_object(t, X):
     for _ in range(50):
         centre_object(t, X)
         fill(x, ZERO)
-        work.A[:] = 0.0
+        A[:] = 0.0
         for k in range(t.model.n_arms):
             arm = arms[k]
             own = work.arms[k]
             if arm.kind == BALL or arm.kind == HINGE:
                 _miss(arm, own.tip, X, r)
             else:
-                _miss_of_group(arm, own.tip, X, work.D, work.z, r)
+                _miss_of_group(arm, own.tip, X, r)
             grasp_rows(arm, own, work.p_C, work.axes, own.passed)
-            if not orthonormalise(own.passed, arm.m, 0, own.passed, work.D) > 0.0:
+            if not orthonormalise(own.passed, arm.m, 0, own.passed, factor) > 0.0:
                 return False
-            forward(work.D, arm.m, r)
+            forward(factor, arm.m, r)
             for a in range(arm.m):
-                _add_condition(own.passed[a], -r[a], work.A, x)
-        if not cholesky(work.A, 0, 6, work.B) > KNOWN:
+                _add_condition(own.passed[a], -r[a], A, x)
+        if not cholesky(A, 0, 6, factor) > KNOWN:
             return False
-        cholesky_solve(work.B, 6, x)
+        cholesky_solve(factor, 6, x)
         step = carry_motion(world_motion(work.axes, x), work.p_C, work.p_O)
         rotate(X, step[3:])
         size = 0.0

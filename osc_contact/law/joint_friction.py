@@ -37,7 +37,7 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.algebra import add_scaled, dot, project_onto_columns
-from osc_contact.law.jit import inner, leaf
+from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.phases import APPROACHING
 from osc_contact.law.reading import read_wrist
 from osc_contact.law.records import HISTORY, contact_of
@@ -47,6 +47,7 @@ from osc_contact.law.vectors import (
     dot6,
     fill,
     fill_free,
+    join,
     minus,
     motion_to_energy,
     plus,
@@ -164,7 +165,7 @@ def _align(t, row, now, ticks):
             row.history[at, kind] = now[kind]
     kept = min(memory.balanced - 1, memory.instant - memory.stamped, HISTORY - 1)
     x = row.history[(memory.instant - min(memory.late, kept)) % HISTORY]
-    return six(x) + (x[RATE], x[INERTIAL])
+    return join(six(x), (x[RATE], x[INERTIAL]))
 
 
 @leaf
@@ -286,26 +287,29 @@ def _estimate(t, j, moves, k, dt):
     if sticks:  # F is at least this, and as uncertain as before
         likely[0] += min(excess, max(prior.high[0] - likely[0], 0.0))
     elif moves:
-        _regress(prior, learned, phi, t.work.t, smooth[TORQUE], k, dt)
-    _keep_bounds(prior, learned, t.work.Z)
+        _regress(prior, learned, phi, smooth[TORQUE], k, dt)
+    C = local(_SIZE, _SIZE)
+    _keep_bounds(prior, learned, C)
     if known[j] == SUSPECTED and (
-        sticks or holds or _shows_friction(prior, t.model.joints[j].theta, learned, phi, t.work.Z)
+        sticks or holds or _shows_friction(prior, t.model.joints[j].theta, learned, phi, C)
     ):
         known[j] = LEARNED
-        _keep_bounds(prior, learned, t.work.Z)
+        _keep_bounds(prior, learned, C)
 
 
 @leaf
-def _regress(prior, learned, phi, gain, r, k, dt):
+def _regress(prior, learned, phi, r, k, dt):
     """θ ← θ + k(r − φᵀθ), k = Pφ/(R + φᵀPφ), P ← (1 − kφᵀ)P.
 
     R follows the square of what θ does not explain; it is larger where that is more than three
     standard deviations. Old residuals are forgotten, as far as P stays below its bound.
 
     Args:
-        prior: PRIOR of a joint. learned: its FRICTION. phi: (≥ 5,). gain: (≥ 10,) scratch.
-        r: residual (N m, N). k: share of one tick in r. dt: s.
+        prior: PRIOR of a joint. learned: its FRICTION. phi: (5,). r: residual (N m, N).
+        k: share of one tick in r. dt: s.
     """
+    gain = local(_SIZE)
+    growth = local(_SIZE)
     estimate = learned.estimate
     P = learned.P
     miss = r - dot(estimate, phi, _SIZE)
@@ -325,10 +329,10 @@ def _regress(prior, learned, phi, gain, r, k, dt):
         grown = 1.0 + 0.5 * dt / _FORGET
         deviation = grown * sqrt(max(P[i, i] - gain[i] * gain[i] / whole, 0.0))
         shows = abs(phi[i]) * prior.spread[i] > _SEEN * noise
-        gain[_SIZE + i] = grown if shows and deviation < prior.spread[i] else 1.0
+        growth[i] = grown if shows and deviation < prior.spread[i] else 1.0
     for i in range(_SIZE):
         for j in range(i + 1):
-            P[i, j] = gain[_SIZE + i] * gain[_SIZE + j] * (P[i, j] - gain[i] * gain[j] / whole)
+            P[i, j] = growth[i] * growth[j] * (P[i, j] - gain[i] * gain[j] / whole)
             P[j, i] = P[i, j]
 
 
@@ -339,7 +343,7 @@ def _keep_bounds(prior, learned, C):
     The estimate stays as it is, or it would drift.
 
     Args:
-        prior: PRIOR of a joint. learned: its FRICTION. C: (≥ 5, ≥ 5) scratch.
+        prior: PRIOR of a joint. learned: its FRICTION. C: (5, 5), filled: covariance of θ.
     """
     theta = learned.theta
     for i in range(_SIZE):
@@ -363,7 +367,7 @@ def _shows_friction(prior, known, learned, phi, C):
 
     Args:
         prior: PRIOR of a joint. known: (5,) θ of its model. learned: its FRICTION, θ of it with
-            the covariance C (≥ 5, ≥ 5). phi: (≥ 5,).
+            the covariance C (5, 5), overwritten. phi: (5,).
     """
     theta = learned.theta
     torque = 0.0
@@ -384,7 +388,7 @@ def _condition(theta, C, i, value):
     """Mean and covariance of a Gaussian given θ_i: θ − C_i (θ_i − value)/C_ii, C − C_i C_iᵀ/C_ii.
 
     Args:
-        theta: (5,). C: (≥ 5, ≥ 5). i: which. value: θ_i.
+        theta: (5,). C: (5, 5). i: which. value: θ_i.
     """
     beyond = (theta[i] - value) / C[i, i]
     add_scaled(-beyond, C[i], _SIZE, theta)
@@ -398,21 +402,25 @@ def _condition(theta, C, i, value):
 
 @inner
 def permit_speeds(t):
-    """`speed` (n,) = J̄ P V_D, its rate `turn` since the last tick, and the mean of its sign.
+    """Permitted speeds of the joints, J̄ P V_D.
+
+    Reads `V_D`, `V_N`, `alpha_d`, `damping`, the factors of `N_t`, and J̄ of the joints. Fills in
+    MEMORY of each joint `speed`, its rate `turn` since the last tick, and `sign`, its mean sign.
 
     A_D is left out: a step of it would press on contacts at once. Faces move: NᵀV = v̄_n, and
     contacts that are approached at the speed of the approach.
     """
     work = t.work
-    x = work.y
+    x = local(6)
+    normal = local(6)  # NᵀV
     fill_free(x, work, motion_to_energy(work, work.V_D))
     for a in range(work.rank):
-        work.s[a] = work.V_N[a]
+        normal[a] = work.V_N[a]
         approached = contact_of(t, work.kept[a]).phase == APPROACHING
         if approached and work.damping[a] > 0.0:
-            work.s[a] += work.alpha_d[a] / work.damping[a]
+            normal[a] += work.alpha_d[a] / work.damping[a]
     if work.rank > 0:
-        project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, work.s)
+        project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, normal)
     fill(x, turned_back(work, x))
     for j in range(t.model.n_joints):
         joint = t.model.joints[j]

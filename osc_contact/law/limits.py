@@ -21,25 +21,24 @@ from osc_contact.law.algebra import (
     reflect,
 )
 from osc_contact.law.columns import square_shares
-from osc_contact.law.jit import entry, inner, matrix
+from osc_contact.law.jit import entry, inner, local, matrix
 from osc_contact.law.nested import Bytes, Nested
 from osc_contact.law.operational import null_motions, weigh_joints
 from osc_contact.law.phases import limit_changes
-from osc_contact.law.records import body_of, row_of
+from osc_contact.law.records import MAX_JOINTS, body_of, row_of
 from osc_contact.law.safety import count_computed
 from osc_contact.law.vectors import ZERO, add, copy_rows, fill, six, turned
 
 _FLOAT = np.float64
-#: The quadratic program: what it is given, what it answers, its scratch. Sizes: a motors,
-#: k contacts that must not pull, s squeeze rows, p joint motions of redundant arms, v and w of the
-#: program's root.
+#: The quadratic program: its operands, its solution, and tables whose sizes are those of the
+#: model. Sizes: a motors, k contacts that must not pull, s squeeze rows, p joint motions of
+#: redundant arms, v variables and w rows of the program's root.
 PROGRAM = Nested(
     np.dtype(
         [(name, np.int64) for name in ("d", "r", "k", "s", "short")]
         + [("mass", _FLOAT)]
-        + [(name, _FLOAT, (6, 6)) for name in ("Lambda", "N", "pushed", "Phi_e", "K", "D", "P")]
-        + [("X", _FLOAT, (6, 18))]
-        + [(n, _FLOAT, (6,)) for n in ("alpha", "lost_force", "lost_motion", "extent")],
+        + [(name, _FLOAT, (6, 6)) for name in ("Lambda", "N", "pushed", "Phi_e")]
+        + [(name, _FLOAT, (6,)) for name in ("alpha", "lost_force", "lost_motion")],
         align=True,
     ),
     desired="a",
@@ -185,14 +184,20 @@ _SLACK = 1e-9  # of the limits, for rounding errors
 
 
 @inner
-def _mobility(p):
-    """Rows of X: UNᵀ (6, free motions first), U(N_μ − N)ᵀ (d), U (r). P = UN_μᵀΛ⁻¹. D: UDUᵀ, each
-    row divided by its `size`. K: Cholesky factor of Λ. Returns False where Λ is not positive.
+def _mobility(p, X, P, D, extent, K):
+    """Mobility of the contacts in directions in which its rows are orthogonal.
+
+    Args:
+        p: PROGRAM, of which `Lambda`, `N`, `pushed`, `Phi_e` are read.
+        X: (r, 18), filled: rows UNᵀ (6, free motions first), U(N_μ − N)ᵀ (d), U (r).
+        P: (r, d), filled: UN_μᵀΛ⁻¹. D: (r, r), filled: UDUᵀ, each row divided by its `extent`.
+        extent: (r,), filled: the largest element of each row. K: (d, d), filled: factor of Λ.
+
+    Returns:
+        False where Λ is not positive definite.
     """
     d = p.d
     r = p.r
-    X = p.X
-    D = p.D
     u = 6 + d
     for a in range(r):
         for i in range(6):
@@ -202,39 +207,48 @@ def _mobility(p):
         for b in range(r):
             X[a, u + b] = 1.0 if a == b else 0.0
     one_sided_jacobi(X, r, d, 6 + r)
-    if not cholesky(p.Lambda, 6 - d, d, p.K) > 0.0:
+    if not cholesky(p.Lambda, 6 - d, d, K) > 0.0:
         return False
     for b in range(r):
         for i in range(d):
-            p.P[b, i] = X[b, i] + X[b, 6 + i]
-        cholesky_solve(p.K, d, p.P[b])
+            P[b, i] = X[b, i] + X[b, 6 + i]
+        cholesky_solve(K, d, P[b])
     for a in range(r):
-        p.extent[a] = 0.0
+        extent[a] = 0.0
         for b in range(r):
-            D[a, b] = dot(X[a], p.P[b], d)
+            D[a, b] = dot(X[a], P[b], d)
             for c in range(r):
                 D[a, b] += X[a, u + c] * dot(p.Phi_e[c], X[b, u:], r)
-            p.extent[a] = max(p.extent[a], abs(D[a, b]))
+            extent[a] = max(extent[a], abs(D[a, b]))
         for b in range(r):
-            D[a, b] /= p.extent[a]
+            D[a, b] /= extent[a]
     return True
 
 
 @inner
 def _respond(p):
-    """What each motor does: `motion`, `force`, and their energies in its row of `rows`."""
+    """Motion and force that each motor causes, per unit of its `scale`.
+
+    Fills `motion`, `force`, and the energies of both in the motor's row of `rows`. Returns False
+    where the response cannot be determined.
+    """
     d = p.d
     r = p.r
     n = len(p.scale)
-    if not _mobility(p):
+    X = local(6, 18)
+    P = local(6, 6)
+    D = local(6, 6)
+    extent = local(6)
+    K = local(6, 6)
+    if not _mobility(p, X, P, D, extent, K):
         return False
     for j in range(n):
         for i in range(d):
             p.motion[j, i] = p.G[j, 6 - d + i] * p.scale[j]
-        cholesky_solve(p.K, d, p.motion[j])
+        cholesky_solve(K, d, p.motion[j])
         for a in range(r):
-            p.force[j, a] = dot(p.X[a], p.motion[j], d) / p.extent[a]
-    if not lu_solve(p.D, r, p.force, n):
+            p.force[j, a] = dot(X[a], p.motion[j], d) / extent[a]
+    if not lu_solve(D, r, p.force, n):
         return False
     for j in range(n):
         motion = p.motion[j]
@@ -244,9 +258,9 @@ def _respond(p):
         psi = six(force)
         fill(force, ZERO)
         for a in range(r):
-            add_scaled(-psi[a], p.P[a], d, motion)
-            add_scaled(psi[a], p.X[a, 6 + d :], r, force)
-            add_scaled(sqrt(_FORCE) * psi[a], p.X[a], 6, row[d:])
+            add_scaled(-psi[a], P[a], d, motion)
+            add_scaled(psi[a], X[a, 6 + d :], r, force)
+            add_scaled(sqrt(_FORCE) * psi[a], X[a], 6, row[d:])
         add_scaled(1.0, motion, d, row)
     return True
 
@@ -441,18 +455,25 @@ _FLOOR = 1.0  #: N, least force of contacts that cannot pull; a command below it
 
 @inner
 def _shares(t, alpha, share, floor):
-    """Forces that must not pull, out of α: the split of least squares, and their least values."""
+    """Forces that must not pull, as combinations of α by least squares; returns their number.
+
+    Args:
+        alpha: (r,) magnitudes of the kept columns (N). share: (k, 6), filled: combinations.
+        floor: (k,), filled: least values (N).
+    """
     work = t.work
     r = work.rank
     k = 0
-    square_shares(work, work.A)
-    cholesky(work.A, 0, r, work.B)
+    RR = local(6, 6)
+    factor = local(6, 6)
+    square_shares(work, RR)
+    cholesky(RR, 0, r, factor)
     for j in range(work.count):
         if body_of(t, work.chosen[j]).pushes == 0 or k == len(floor):
             continue
         x = share[k]
         fill(x, work.columns[work.chosen[j]].share)
-        cholesky_solve(work.B, r, x)
+        cholesky_solve(factor, r, x)
         floor[k] = min(_FLOOR, dot(x, alpha, r))
         k += 1
     return k
@@ -460,19 +481,27 @@ def _shares(t, alpha, share, floor):
 
 @inner
 def _idle_motions(t, arm, own, idle, count):
-    """Rows ν of a redundant arm, N J ν = 0 and νᵀMν = 1: ν = K⁻ᵀv; the number of rows so far."""
+    """Joint motions ν of a redundant arm, N J ν = 0 and νᵀMν = 1: ν = K⁻ᵀv.
+
+    Args:
+        arm: ARM row. own: its ARM_WORK. idle: (p, a), rows from `count` on are filled.
+        count: number of rows before; returned with those that were added.
+    """
     work = t.work
     lo = arm.first
     n = arm.end - lo
-    if n <= arm.m or not weigh_joints(work, lo, n):
+    K = local(MAX_JOINTS, MAX_JOINTS)
+    weighed = local(MAX_JOINTS, 6)
+    motions = local(MAX_JOINTS, MAX_JOINTS)
+    if n <= arm.m or not weigh_joints(work.joints, lo, n, K, weighed):
         return count
-    null_motions(work, own, n)
+    null_motions(own, weighed, n, motions)
     for c in range(own.n_kept, min(n, own.n_kept + len(idle) - count)):
-        backward(work.K, n, work.Z[c])
+        backward(K, n, motions[c])
         for i in range(n):
             motor = t.model.joints[lo + i].motor
             if motor >= 0:
-                idle[count, motor] = work.Z[c, i]
+                idle[count, motor] = motions[c, i]
         count += 1
     return count
 
@@ -518,8 +547,9 @@ def fill_program(raw, at, i, program):
                 carried = add(carried, s, joints[j].J_bar)
         fill(p.carried[e], turned(work, carried))
     count = 0
-    for k in range(model.n_arms if len(p.idle) > 0 else 0):
-        count = _idle_motions(t, model.arms[k], work.arms[k], p.idle, count)
+    if len(p.idle) > 0:
+        for k in range(model.n_arms):
+            count = _idle_motions(t, model.arms[k], work.arms[k], p.idle, count)
     p.d = 6 - work.locked
     p.r = work.rank
     p.s = work.n_internal

@@ -16,8 +16,8 @@ from osc_contact.law.algebra import (
     qr_rows,
 )
 from osc_contact.law.arm_motion import move_arm, place_arm, place_point, weight_on_joint
-from osc_contact.law.jit import entry, inner, leaf
-from osc_contact.law.records import row_of
+from osc_contact.law.jit import entry, inner, leaf, local
+from osc_contact.law.records import JOINTS_AND_SIX, MAX_JOINTS, row_of
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,
@@ -45,14 +45,17 @@ _DEFINITE = 1e-12  #: least share of a pivot of an effort metric
 def arm_terms(t, lo, n, m, arm, row):
     """J̄, Λ and the locked wrenches of one arm; returns their number, or −1 if M is not definite.
 
+    Reads J and M of its joints, and `passed` of the arm unless m = 6. Fills J̄ of the joints and, of
+    the arm, `Lambda`, `passed`, `kept` (orthonormal wrenches that the joints resist), `n_kept` and
+    `n_locked`.
+
     With M = KKᵀ and N J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ²: directions
-    with σ²(1 + σ_max²) ≤ tolerance² σ_max² count as locked, whatever the object weighs. The QR
-    below decides where 1/λ_max(Λ), the least σ² of all, is above that beyond doubt.
+    with σ²(1 + σ_max²) ≤ tolerance² σ_max² count as locked, whatever the object weighs. The QR of
+    `_decompose` decides where 1/λ_max(Λ), the least σ² of all, is above that beyond doubt.
 
     Args:
-        lo, n: its first joint, its number of joints. m: wrenches that its grasp passes on.
-        arm: ARM_WORK row; Lambda, kept, n_kept, n_locked filled. row: of `locked_rows`, from which
-            on the wrenches that it locks are put.
+        lo: first joint of the arm. n: number of its joints. m: wrenches that its grasp passes on.
+        arm: ARM_WORK row. row: of `locked_rows`, the first one for the wrenches that it locks.
     """
     if m == 6:  # all wrenches: the axes themselves are orthonormal
         set_identity(arm.passed)
@@ -66,10 +69,13 @@ def arm_terms(t, lo, n, m, arm, row):
 
 
 @leaf
-def _weigh_inverse(work, lo, n, Lambda):
-    """From the rows of A⁺ in J̄: Λ = A⁺ᵀA⁺, J̄ = K⁻ᵀA⁺."""
-    joints = work.joints
-    K = work.K
+def _weigh_inverse(joints, lo, n, K, Lambda):
+    """Λ = A⁺ᵀA⁺ and J̄ = K⁻ᵀA⁺ from A⁺, A = J K⁻ᵀ.
+
+    Args:
+        joints: JOINT_WORK; `J_bar` of each holds its row of A⁺ before, of J̄ after. lo: first joint.
+        n: number of joints. K: (n, n) factor of M from `cholesky`. Lambda: (6, 6), filled.
+    """
     Lambda[:] = 0.0
     for j in range(n - 1, -1, -1):
         bar = joints[lo + j].J_bar
@@ -81,21 +87,21 @@ def _weigh_inverse(work, lo, n, Lambda):
 
 
 @leaf
-def weigh_joints(work, lo, n):
-    """Z[:n, :6] = K⁻¹Jᵀ, M = KKᵀ with K as from `cholesky`; False: M is not definite.
+def weigh_joints(joints, lo, n, K, weighed):
+    """K and K⁻¹Jᵀ, M = KKᵀ the joint-space inertia of an arm; False: M is not definite.
 
     Args:
-        work: K and Z are filled. lo: first joint of the arm. n: how many.
+        joints: JOINT_WORK, of which J and M are read. lo: first joint of the arm. n: number.
+        K: (n, n), filled with the factor as `cholesky` does. weighed: (n, 6), filled with K⁻¹Jᵀ.
     """
-    K = work.K
     for i in range(n):
-        joint = work.joints[lo + i]
-        fill(work.Z[i], joint.J)
+        joint = joints[lo + i]
+        fill(weighed[i], joint.J)
         for j in range(i + 1):
             K[i, j] = joint.M[j]
     if not cholesky(K, 0, n, K) > 0.0:
         return False
-    forward_rows(K, n, work.Z)
+    forward_rows(K, n, weighed)
     return True
 
 
@@ -104,23 +110,26 @@ def _decompose(t, lo, n, arm, row):
     """J̄ and Λ of full rank by QR; False: a column depends on those before it to the last digit.
 
     Up to six joints J = QR, J̄ᵀ = QR⁻ᵀ and Λ = J̄ᵀMJ̄, whose digits do not depend on M's condition;
-    else A = J K⁻ᵀ, Aᵀ = QR and A⁺ = QR⁻ᵀ.
+    else A = J K⁻ᵀ, Aᵀ = QR and A⁺ = QR⁻ᵀ. Arguments, and what is filled: see `arm_terms`.
     """
     work = t.work
     joints = work.joints
-    A = work.Z
-    Q = work.X
-    L = work.A  # Rᵀ
-    B = work.B  # R⁻ᵀ
+    K = local(MAX_JOINTS, MAX_JOINTS)
+    A = local(MAX_JOINTS, 6)
+    Q = local(MAX_JOINTS, 6)
+    R_T = local(6, 6)
+    R_inv_T = local(6, 6)
     wide = n > 6
     columns = min(n, 6)
-    if wide and not weigh_joints(work, lo, n):
-        return False
-    for i in range(0 if wide else 6):
-        fill(A[i], ZERO)
-        for j in range(n):
-            A[i, j] = joints[lo + j].J[i]
-    if not _qr_tall(A, max(n, 6), columns, Q, L, work.t, work.u):
+    if wide:
+        if not weigh_joints(joints, lo, n, K, A):
+            return False
+    else:
+        for i in range(6):
+            fill(A[i], ZERO)
+            for j in range(n):
+                A[i, j] = joints[lo + j].J[i]
+    if not _qr_tall(A, max(n, 6), columns, Q, R_T):
         return False
     arm.n_kept = columns
     arm.n_locked = 6 - columns
@@ -130,55 +139,70 @@ def _decompose(t, lo, n, arm, row):
                 work.locked_rows[row + k - n, i] = Q[i, k]
             else:
                 arm.kept[k, i] = arm.passed[k, i] if wide else Q[i, k]
-    set_identity(B)
-    forward_rows(L, columns, B)
+    set_identity(R_inv_T)
+    forward_rows(R_T, columns, R_inv_T)
     for i in range(max(n, 6)):
-        x = combined(Q[i], B, columns)
+        x = combined(Q[i], R_inv_T, columns)
         if wide:
             fill(joints[lo + i].J_bar, x)
         else:
-            fill(work.u, x)
+            row_of_inverse = local(6)
+            fill(row_of_inverse, x)
             for j in range(n):
-                joints[lo + j].J_bar[i] = work.u[j]
+                joints[lo + j].J_bar[i] = row_of_inverse[j]
     if wide:
-        _weigh_inverse(work, lo, n, arm.Lambda)
-        return True
-    arm.Lambda[:] = 0.0
+        _weigh_inverse(joints, lo, n, K, arm.Lambda)
+    else:
+        _congruence_of_inertia(joints, lo, n, arm.Lambda)
+    return True
+
+
+@inner
+def _congruence_of_inertia(joints, lo, n, Lambda):
+    """Λ = J̄ᵀMJ̄, symmetric to the last digit.
+
+    Args:
+        joints: JOINT_WORK, of which J̄ and M are read. lo: first joint. n: number of joints.
+        Lambda: (6, 6), filled.
+    """
+    Lambda[:] = 0.0
     for j in range(n):
         bar = joints[lo + j].J_bar
         x = ZERO
         for k in range(n):
             x = add(x, joints[lo + j].M[k], joints[lo + k].J_bar)
         for i in range(6):
-            accumulate(arm.Lambda[i], bar[i], x)
-    for i in range(1, 6):  # symmetric but for rounding errors
+            accumulate(Lambda[i], bar[i], x)
+    for i in range(1, 6):
         for j in range(i):
-            arm.Lambda[j, i] = arm.Lambda[i, j]
-    return True
+            Lambda[j, i] = Lambda[i, j]
 
 
 @inner
-def _qr_tall(A, rows, columns, Q, L, beta, scratch):
-    """A = QLᵀ of at least six rows of six, of which `columns` count, by Householder reflections.
+def _qr_tall(A, rows, columns, Q, L):
+    """A = Q Lᵀ by Householder reflections; False: a column depends on others to the last digit.
 
-    A is destroyed; Q gets six columns; L, lower triangular, carries the inverse of its diagonal
-    there, as in `cholesky`. Returns False where a column depends on those before it to
-    the last digit.
+    Args:
+        A: (rows, 6), destroyed. rows: at least six. columns: of A that count.
+        Q: (rows, 6), filled. L: (columns, columns), filled: lower triangular, with the inverse of
+            its diagonal there, as from `cholesky`.
     """
+    products = local(6)
+    beta = local(6)
     for k in range(columns):
         t = scaled(A[k, k], A[k])
         for i in range(k + 1, rows):
             t = add(t, A[i, k], A[i])
-        fill(scratch, t)  # of the column itself: its square, and its products with the others
-        if not scratch[k] > 0.0:
+        fill(products, t)  # of column k with itself and with the others
+        if not products[k] > 0.0:
             return False
-        alpha, b = reflector(scratch[k], A[k, k])
-        fill(scratch, scaled(b, add(t, -alpha, A[k])))
+        (alpha, b) = reflector(products[k], A[k, k])
+        fill(products, scaled(b, add(t, -alpha, A[k])))
         for c in range(k + 1):
-            scratch[c] = 0.0
+            products[c] = 0.0
         A[k, k] -= alpha
         beta[k] = b
-        t = six(scratch)
+        t = six(products)
         for i in range(k, rows):
             accumulate(A[i], -A[i, k], t)
         for c in range(k + 1, columns):
@@ -200,13 +224,18 @@ def _qr_tall(A, rows, columns, Q, L, beta, scratch):
 
 @inner
 def _separate(t, lo, n, m, arm, row):
-    """The same of any rank and for any grasp, by singular values: A = N J K⁻ᵀ = UΣVᵀ."""
+    """J̄ and Λ of any rank and for any grasp, by singular values: A = N J K⁻ᵀ = UΣVᵀ.
+
+    Returns False where M is not definite. Arguments, and what is filled: see `arm_terms`.
+    """
     work = t.work
     joints = work.joints
-    X = work.X
-    if not weigh_joints(work, lo, n):
+    K = local(MAX_JOINTS, MAX_JOINTS)
+    weighed = local(MAX_JOINTS, 6)
+    X = local(6, JOINTS_AND_SIX)  # rows of UᵀA, behind them those of UᵀN
+    if not weigh_joints(joints, lo, n, K, weighed):
         return False
-    _multiply_rows(arm.passed, m, work, n)
+    multiply_rows(arm.passed, m, weighed, n, X)
     one_sided_jacobi(X, m, n, 6)
     for j in range(n):
         fill(joints[lo + j].J_bar, ZERO)
@@ -227,52 +256,56 @@ def _separate(t, lo, n, m, arm, row):
         else:
             fill(work.locked_rows[row + arm.n_locked], u)
             arm.n_locked += 1
-    _weigh_inverse(work, lo, n, arm.Lambda)
+    _weigh_inverse(joints, lo, n, K, arm.Lambda)
     return True
 
 
 @inner
-def _multiply_rows(rows, count, work, n):
-    """X[:count] ← the products of rows of six with Z[:n], and behind them these rows themselves.
+def multiply_rows(rows, count, Y, n, out):
+    """out[:count] ← rows Yᵀ (n numbers each), and behind each the row of six itself.
 
     Args:
-        rows: (≥ count, 6). count: how many. work: its Z holds n rows of six; X is filled.
+        rows: (count, 6). count: number of rows. Y: (n, 6). n: its rows. out: (count, n + 6).
     """
     for a in range(count):
         for j in range(n):
-            work.X[a, j] = dot6(rows[a], work.Z[j])
-        fill(work.X[a, n:], rows[a])
+            out[a, j] = dot6(rows[a], Y[j])
+        fill(out[a, n:], rows[a])
 
 
 @inner
-def null_motions(work, own, n):
-    """Orthonormal rows n_kept … n − 1 of Z: joint motions v with U Zᵀv = 0, U what the arm resists.
+def null_motions(own, Y, n, motions):
+    """Orthonormal joint motions v of an arm; those from n_kept on have U Yᵀv = 0.
 
     Args:
-        work: its Z holds n rows of six, J or K⁻¹Jᵀ. own: ARM_WORK row. n: joints of the arm.
+        own: ARM_WORK; U: `kept`, the wrenches that the joints resist. Y: (n, 6), such as J by
+            joints or K⁻¹Jᵀ. n: joints of the arm. motions: (n, n), filled, one motion a row.
     """
-    _multiply_rows(own.kept, own.n_kept, work, n)
-    qr_rows(work.X, own.n_kept, n, work.s, work.t)
-    form_q(work.X, own.n_kept, n, work.t, n, work.Z)
+    X = local(6, JOINTS_AND_SIX)
+    diagonal = local(MAX_JOINTS)
+    beta = local(MAX_JOINTS)
+    multiply_rows(own.kept, own.n_kept, Y, n, X)
+    qr_rows(X, own.n_kept, n, diagonal, beta)
+    form_q(X, own.n_kept, n, beta, n, motions)
 
 
 @leaf
 def effort_metric(t, lo, n, m, arm, out):
-    """(6, 6) least effort per wrench, Σ τ²/τ_max², of an arm; False: its motors cannot make all.
+    """Least effort Σ τ²/τ_max² of an arm per wrench; False: its motors cannot make all wrenches.
 
     J̄ᵀ τ_max² J̄ where every torque is needed; for arms with more joints than m wrenches
-    Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, the rows of U the wrenches that they can make.
+    Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, the rows of U (`kept` of the arm) the wrenches that they can make.
 
     Args:
-        lo: first joint of the arm. n: how many. m: wrenches that the arm can make.
-        arm: ARM_WORK row. out: (6, 6) for the metric.
+        lo: first joint of the arm. n: number of its joints. m: wrenches that the arm can make.
+        arm: ARM_WORK row. out: (6, 6), filled with the metric.
     """
     joints = t.work.joints
     table = t.model.joints
     count = arm.n_kept
-    A = t.work.A
-    B = t.work.B
-    x = t.work.u
+    A = local(6, 6)
+    factor = local(6, 6)
+    x = local(6)
     out[:] = 0.0
     if n <= m:
         for j in range(lo, lo + n):
@@ -284,11 +317,11 @@ def effort_metric(t, lo, n, m, arm, out):
         for a in range(count):
             x[a] = dot6(arm.kept[a], joints[j].J)
         add_square(table[j].ease, x, A)
-    if count > 0 and not cholesky(A, 0, count, B) > _DEFINITE:
+    if count > 0 and not cholesky(A, 0, count, factor) > _DEFINITE:
         return False
     for a in range(count):
         fill(A[a], arm.kept[a])
-    forward_rows(B, count, A)
+    forward_rows(factor, count, A)
     for a in range(count):
         add_square(1.0, A[a], out)
     return True
@@ -332,9 +365,11 @@ def may_be_singular(t, arm, own):
 
 @inner
 def find_lost(t, arm, own):
-    """Every direction of an arm whose χ is below FULL: its χ, share, wrench and joint motion.
+    """Every direction of an arm whose χ is below FULL.
 
-    Fills n_lost, chi, share, gone, lost (6, 6) wrenches Lu, mode (6, n) joint motions K⁻ᵀv.
+    Reads `passed`, `n_kept`, and J and M of the joints. Fills of the arm `n_lost` and, for each
+    direction, `chi`, `share` of the command that is kept, `gone` (whether the chain counts it as
+    locked), `lost`, its wrench Lu, and `mode`, its joint motion K⁻ᵀv; adds to `n_lost` of WORK.
 
     Args:
         arm: ARM row. own: its ARM_WORK.
@@ -342,19 +377,22 @@ def find_lost(t, arm, own):
     work = t.work
     n = arm.end - arm.first
     m = arm.m
-    X = work.X
-    Z = work.Z
-    root = work.u
-    if not weigh_joints(work, arm.first, n):
+    K = local(MAX_JOINTS, MAX_JOINTS)
+    weighed = local(MAX_JOINTS, 6)
+    passed = local(6, 6)  # wrenches that the grasp passes on, in Λ_ref
+    factor = local(6, 6)
+    root = local(6)
+    X = local(6, JOINTS_AND_SIX)
+    if not weigh_joints(work.joints, arm.first, n, K, weighed):
         return
     for i in range(6):
         root[i] = sqrt(t.model.reference[i])
         for a in range(m):
-            work.A[a, i] = own.passed[a, i] / root[i]
+            passed[a, i] = own.passed[a, i] / root[i]
         for j in range(n):
-            Z[j, i] *= root[i]
-    orthonormalise(work.A, m, 0, work.A, work.B)  # wrenches that the grasp passes on, in Λ_ref
-    _multiply_rows(work.A, m, work, n)
+            weighed[j, i] *= root[i]
+    orthonormalise(passed, m, 0, passed, factor)
+    multiply_rows(passed, m, weighed, n, X)
     one_sided_jacobi(X, m, n, 6)
     _sort_rows(X, m, n)
     for k in range(arm.full_rank):
@@ -371,14 +409,14 @@ def find_lost(t, arm, own):
             own.lost[at, i] = root[i] * X[k, n + i]
         for j in range(n):
             own.mode[at, j] = X[k, j]
-        backward(work.K, n, own.mode[at])
+        backward(K, n, own.mode[at])
         own.n_lost += 1
         work.n_lost += 1
 
 
 @inner
 def _sort_rows(X, m, n):
-    """Rows by falling length of their first n elements."""
+    """Sort the rows X[:m, :n + 6] by falling length of their first n elements."""
     for a in range(m):
         best = a
         longest = -1.0
@@ -394,7 +432,11 @@ def _sort_rows(X, m, n):
 
 @inner
 def _unit_row(X, k, n, chi):
-    """Row k made a unit vector v; of a null row, any that is new to the others."""
+    """Make row X[k, :n] a unit vector; of a null row, any one orthogonal to the rows before it.
+
+    Args:
+        X: rows. k: which. n: elements that count. chi: length of the row.
+    """
     norm = chi
     if not chi > _SMALL:
         best = 0
@@ -418,7 +460,7 @@ def _unit_row(X, k, n, chi):
 
 @inner
 def retreat(t, arm, i, damping):
-    """Row i of M q̈, q̈ = −k_d q̇ + k_p (q₀ − q): joints follow their posture law (N m, N).
+    """Torque of joint i for the posture law, row i of M q̈, q̈ = −k_d q̇ + k_p (q₀ − q) (N m, N).
 
     Args:
         arm: ARM row. i: joint. damping: k_d (1/s).
@@ -458,7 +500,7 @@ def operational_space(raw, q, v, out):
 
 @inner
 def _arm_at_tip(t, n, q, v, out):
-    """One row; False: M is not definite.
+    """Λ, Φ, J, J̄, μ, p, J̇v, h and the rank of an arm at its tip; False: M is not definite.
 
     Ranks are judged in energy coordinates, as everywhere: those of the object, or of what stands
     for it, here with its principal axes along the world's.
@@ -469,7 +511,10 @@ def _arm_at_tip(t, n, q, v, out):
     arm = model.arms[0]
     own = work.arms[0]
     drift = own.drift
-    root = work.z
+    root = local(6)
+    K = local(MAX_JOINTS, MAX_JOINTS)
+    weighed = local(MAX_JOINTS, 6)
+    Phi = local(6, 6)
     mu = ZERO
     p = ZERO
     place_arm(t, arm, q)
@@ -483,11 +528,11 @@ def _arm_at_tip(t, n, q, v, out):
             joints[j].J[i] = root[i] * joints[j].column[i]
     if arm_terms(t, 0, n, 6, own, 0) < 0:
         return False
-    weigh_joints(work, 0, n)
-    work.A[:] = 0.0
+    weigh_joints(joints, 0, n, K, weighed)
+    Phi[:] = 0.0
     for j in range(n):
         bar = joints[j].J_bar
-        add_square(1.0, work.Z[j], work.A)
+        add_square(1.0, weighed[j], Phi)
         for a in range(6):
             bar[a] *= root[a]
         g = weight_on_joint(joints[j], model.gravity)
@@ -499,7 +544,7 @@ def _arm_at_tip(t, n, q, v, out):
         for b in range(6):
             row[b] *= root[a] * root[b]
             out[6 * a + b] = row[b]
-            out[36 + 6 * a + b] = work.A[a, b] / (root[a] * root[b])
+            out[36 + 6 * a + b] = Phi[a, b] / (root[a] * root[b])
         for j in range(n):
             out[72 + a * n + j] = joints[j].column[a]
             out[72 + 6 * (n + j) + a] = joints[j].J_bar[a]

@@ -76,7 +76,7 @@ def add_friction(t):
                 column = work.columns[work.chosen[j]]
                 friction = add(friction, column.share[a], column.friction_wrench)
         fill(work.friction_wrenches[a], friction)
-        fill(work.pushed[a], plus(work.N[a], wrench_to_energy(work, friction)))
+        fill(work.pushed[a], plus(work.N_e[a], wrench_to_energy(work, friction)))
 
 
 @inner

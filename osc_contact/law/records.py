@@ -25,6 +25,7 @@ from osc_contact.law.nested import Bytes, Nested
 # --- What is given, what is remembered, what a tick works out -------------------------------------
 
 MAX_JOINTS = 16  #: of one arm
+JOINTS_AND_SIX = MAX_JOINTS + 6  #: length of rows that carry six numbers behind those of the joints
 HISTORY = 16  #: ticks; by fewer than so many wrenches may be late
 MOST_LOST = 3  #: lost ticks over which integrals and phases advance at once; more are a hold
 
@@ -482,17 +483,9 @@ _WORK = _record(
     free_error=6,
     p_C=3,  # centre of mass of the object
     p_O=3,  # operational point
-    R=(3, 3),
     axes=(4, 3, 3),
     X_WD=(4, 4),
     beta=8,
-    X_WE=(4, 4),  # of the body whose pair is being evaluated
-    evaluated=(6, 11),  # by a FUNCTION pair: N, n_γ, gap, point of each column
-    K=(MAX_JOINTS, MAX_JOINTS),
-    X=(MAX_JOINTS, 2 * MAX_JOINTS),
-    Z=(MAX_JOINTS, MAX_JOINTS),
-    s=MAX_JOINTS,
-    t=MAX_JOINTS,
     vector=(
         "V_D",  # with X_WD and A_D the reference of the last computed tick
         "A_D",
@@ -520,7 +513,6 @@ _WORK = _record(
         "force_next",
         "a_u",
         "acceleration_t",  # commanded to the object: S η̇_c + σ
-        "rho",
         "f_S",
         "u",
         "w",
@@ -532,7 +524,7 @@ _WORK = _record(
         "effort",  # Λ_S and least effort, _e, then _t
         "out_T",  # Λ_out transposed, _e
         "reflectors",
-        "N",
+        "N_e",
         "N_t",
         "pushed",
         "pushed_t",
@@ -542,13 +534,11 @@ _WORK = _record(
         "N_factor",
         "N_basis_t",
         "N_factor_t",
-        "solved",
         "Phi_mu",
         "mobility",
         "B_inv_t",
         "yields",  # NᵀΦ_e, at O
         "A",
-        "B",
         "D",
         "E",
     ),
@@ -676,15 +666,17 @@ WORK = Nested(
     speeds="r",
     chosen=(_INT, "r"),
     kept=(_INT, "r"),
-    # of the torque allocation, see there
+    # of the torque allocation, see there: E, R⁻¹Eᵀ, the factor of Z, b; and of a row of E that may
+    # depend on those before it the multipliers of these, its rest and this weighed by R⁻¹. Their
+    # sizes are those of the model, so that they do not stand on the stack.
     extra=("e", "n"),
     weighed=("e", "n"),
     factor=("6e", "6e"),
     sides="6e",
-    left="n",
-    left_weighed="n",
-    products="6e",
-    # of internal forces, see `commands` and `allocation`
+    multipliers="6e",
+    rest="n",
+    rest_weighed="n",
+    # of internal forces, see `commands` and `allocation.settable_bars`
     internal=(BAR_WORK, "squeezes"),
     bars="squeezes",
     points=("k", 3),
@@ -692,7 +684,10 @@ WORK = Nested(
     carried=("6k", 3),
     levers=("bars", "n"),
     basis=("bars", "bars"),
-    scratch="scratch",
+    bar_inverse=("bars", "bar_row"),
+    bar_effects=("bars", "effect_row"),
+    bar_torques=("bars", "n"),
+    moving_torques=(_FLOAT, 6, "n"),
 )
 #: What came in at a tick.
 INPUT = Nested(
@@ -790,7 +785,8 @@ def _counts(k: int, n: int, a: int, c: int, s: int, r: int) -> dict[str, int]:
         "6e": 6 + extra,
         "bars": bars,
         "squeezes": max(1, bars),
-        "scratch": bars * (9 * k + 2 * n + 2 * bars) + 6 * n,  # of `settable_bars`
+        "bar_row": 3 * k + bars,  # forces of the grasps, then of the bars
+        "effect_row": 6 * k + n + bars,  # locked wrenches, then joints, then bars
     }
 
 

@@ -283,7 +283,7 @@ def compare_speeds(t):
     V = work.y
     dt = t.model.period * (1 + memory.gap)
     k = dt / (_LAG + dt)
-    fill(V, scaled(1.0 / dt, pose_error(work.X_WO, memory.X_WO, work.A)))
+    fill(V, scaled(1.0 / dt, pose_error(work.X_WO, memory.X_WO)))
     for a in range(work.rank):
         j = work.kept[a]
         row = memory.columns[j]

@@ -51,7 +51,7 @@ from osc_contact.law.commands import (
     shape_steps,
 )
 from osc_contact.law.contact import place_contacts, take_turns
-from osc_contact.law.jit import entry, inner, leaf, prefetch
+from osc_contact.law.jit import entry, inner, leaf, local, prefetch
 from osc_contact.law.joint_friction import compensate_friction
 from osc_contact.law.reading import (
     add_friction,
@@ -143,7 +143,11 @@ _BEYOND = 1e302  #: overflows with forces above 2 MN: a step back from there wou
 
 @inner
 def look(t, flags):
-    """Whether what came in is plausible, phases of the contacts, the closed chain; a reason."""
+    """Judge the input, advance phases of contacts, solve the closed chain; returns a reason.
+
+    Fills `status`, `dt`, `commanded`, `moving`, and what `take_in`, `choose_columns` and
+    `solve_chain` state.
+    """
     model = t.model
     memory = t.memory
     work = t.work
@@ -182,7 +186,7 @@ def look(t, flags):
 
 @leaf
 def is_finite(t, engaged, moving):
-    """Whether what came in is finite.
+    """Whether all of INPUT, and the desired squeeze, is finite.
 
     Args:
         engaged: whether contacts are in force. moving: whether bodies were measured.
@@ -197,16 +201,21 @@ def is_finite(t, engaged, moving):
         s += finiteness(given.X_WD[i], 4)
     for k in range(model.n_arms):
         s += finiteness(given.wrenches[k], 6)
-    for c in range(model.n_contacts if moving else 0):
-        s += finiteness(given.touched[c], 28)
-    for j in range(model.n_columns if engaged else 0):
-        s += given.alpha_d[j] * _BEYOND * 0.0
+    if moving:
+        for c in range(model.n_contacts):
+            s += finiteness(given.touched[c], 28)
+    if engaged:
+        for j in range(model.n_columns):
+            s += given.alpha_d[j] * _BEYOND * 0.0
     return isfinite(s)
 
 
 @leaf
 def take_in(t, engaged, moving):
-    """What came in, for whoever looks at the signals of the tick afterwards; goals of the forces.
+    """Copy INPUT to WORK for logging; set the goals of the forces.
+
+    Fills `X_WD`, `V_D`, `A_D`, `goal`, q and v of the joints, `reading` of the arms, `motion` of
+    the bodies, `alpha_d` of the columns.
 
     Args:
         engaged, moving: as of `is_finite`.
@@ -224,9 +233,10 @@ def take_in(t, engaged, moving):
         fill(work.arms[k].reading, given.wrenches[k])
     for j in range(model.n_columns):
         work.goal[j] = work.columns[j].alpha_d = given.alpha_d[j] if engaged else 0.0
-    for c in range(model.n_contacts if moving else 0):
-        for i in range(28):
-            work.bodies[c].motion[i] = given.touched[c, i]
+    if moving:
+        for c in range(model.n_contacts):
+            for i in range(28):
+                work.bodies[c].motion[i] = given.touched[c, i]
 
 
 # --- Force ----------------------------------------------------------------------------------------
@@ -234,7 +244,11 @@ def take_in(t, engaged, moving):
 
 @inner
 def measure(t):
-    """N, n_γ, the bodies along N, the force filter; returns a reason."""
+    """N, n_γ, touched bodies along N, measured contact forces; returns a reason.
+
+    Fills `mu`, `more_friction`, `slid`, `speed` (NᵀV_rel of the kept columns, m/s), `f_c` = Nα_meas
+    (at O), and what the functions called here state.
+    """
     model = t.model
     work = t.work
     work.mu = max(model.mu + t.memory.more_friction, 0.0)
@@ -276,9 +290,11 @@ def measure(t):
 
 @inner
 def set_desired_forces(t, flags):
-    """α_d (r,) of the independent columns from the goals of all.
+    """Desired forces of the kept columns, from the goals of all columns.
 
-    Steps are smoothed and swinging contacts braked, but for a force law of the user's own.
+    Steps are smoothed and swinging contacts braked, but for a force law of the user's own. Fills
+    `alpha_d` (r,) and `felt` (r,), measured forces as the integral takes them; changes `gain`,
+    `brake` and `damping`.
 
     Args:
         flags: OWN_FORCE or 0.
@@ -312,10 +328,10 @@ def set_desired_forces(t, flags):
 
 @inner
 def compare_poses(t):
-    """Pose error, and the part of it that the contacts permit; a reason."""
+    """Pose error `error` at O, and the part of it that the contacts permit; returns a reason."""
     work = t.work
     set_metric(t)
-    fill(work.error, pose_error(t.input.X_WD, work.X_WO, work.A))
+    fill(work.error, pose_error(t.input.X_WD, work.X_WO))
     return permit_error(t)
 
 
@@ -324,22 +340,25 @@ def hand_over(t):
     """What the motion integral has learned in free directions becomes a constant wrench.
 
     That is S⁻ᵀΛ_S P_T K_i∫e, added to `f_bias`: weight errors stay balanced in directions that
-    leave the motion law. The integral starts again from zero. `work` is of a tick of this chain.
+    leave the motion law. The integral starts again from zero. Reads `Lambda`, `N_t` and
+    its factors.
     """
     work = t.work
     memory = t.memory
-    x = work.y
+    x = local(6)
+    seen = local(6)
+    force = local(6)
     fill(x, motion_to_energy(work, scaled(t.model.integral, memory.motion_sum)))
     fill(x, turned(work, x))
     fill(memory.motion_sum, ZERO)
     for a in range(work.rank):  # what the contacts see of a locked motion is not rounded away
-        work.s[a] = dot6(work.N_t[a], x)
-    project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, work.s)
-    fill(work.z, ZERO)
+        seen[a] = dot6(work.N_t[a], x)
+    project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, seen)
+    fill(force, ZERO)
     for i in range(work.locked, 6):
         for j in range(work.locked, 6):
-            work.z[i] += work.Lambda[i, j] * x[j]
-    f = wrench_to_world(work, turned_back(work, work.z))
+            force[i] += work.Lambda[i, j] * x[j]
+    f = wrench_to_world(work, turned_back(work, force))
     fill(memory.f_bias, plus(memory.f_bias, f))
 
 
@@ -349,6 +368,8 @@ def hand_over(t):
 @inner
 def command(t, flags):
     """Force law, motion law, filter and control structure; returns a reason.
+
+    Updates `motion_next`, from the permitted error to the motion integral after this tick.
 
     Args:
         flags: which laws are the user's own.
