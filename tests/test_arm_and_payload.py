@@ -15,7 +15,7 @@ from samples import aligned, parametrize
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.dynamics.closed_chain import outboard_links
+from osc_contact.dynamics.merged_model import outboard_links
 
 
 def motion(model, seed):

@@ -236,7 +236,7 @@ def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -
     planes: list[tuple[float, ...]] = []
     for pair in pairs:
         if isinstance(pair, PointsOnPlanes):
-            columns = zip(pair._into.T, pair.surface_point @ pair._into, strict=True)
+            columns = zip(pair.into.T, pair.surface_point @ pair.into, strict=True)
             planes.extend((*into, height, 0.0) for into, height in columns)
         elif isinstance(pair, FaceOnVertex):
             planes.append((*pair.normal, float(pair.normal @ pair.point), 1.0))

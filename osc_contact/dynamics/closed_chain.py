@@ -11,7 +11,6 @@ Grasps may permit motions (`Grasp`); these have no mass and no motor drives them
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -25,8 +24,6 @@ from osc_contact.dynamics.arm import (
     Arm,
     effort_limits,
     heaviest_rotor,
-    rotor_inertia,
-    with_distinct_frames,
 )
 from osc_contact.dynamics.chain_state import (
     ArmTerms,
@@ -36,7 +33,8 @@ from osc_contact.dynamics.chain_state import (
     SingularDirection,
 )
 from osc_contact.dynamics.grasp import Grasp, locate
-from osc_contact.errors import InvalidInputError, ModelError, as_tuple, require_kind
+from osc_contact.dynamics.merged_model import merge, outboard_links
+from osc_contact.errors import ModelError, as_tuple, require_kind
 from osc_contact.law import records as at
 from osc_contact.law.chain import OBJECT_UNKNOWN
 from osc_contact.law.compiled import rows as law_rows
@@ -45,47 +43,6 @@ from osc_contact.law.records import Bytes, Rows, new_model, views
 from osc_contact.law.vectors import motions, reflection, wrenches
 from osc_contact.robots.model import joint_axis, joint_names, slides
 from osc_contact.spatial import Array, as_array, carry_twist, columns_of, cross, norm
-
-
-@dataclass(frozen=True)
-class OutboardLink:
-    """A rigid part beyond the sensor: the joint it moves with, its inertia in that frame."""
-
-    joint: int
-    inertia: pin.Inertia
-
-
-def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink]:
-    """The parts between the sensor frame and the object, from the model's own link inertias.
-
-    Links welded to the sensor's link share its joint; links beyond further joints carry the
-    inertia of those joints.
-
-    Args:
-        model: merged model.
-        sensor: frame index of the wrist sensor (the first link outboard of the sensing element).
-        tip: frame index of the grasping frame, which identifies the arm's chain.
-    """
-    links = []
-    joint = model.frames[sensor].parentJoint
-    above = model.frames[sensor].parentFrame
-    if model.frames[above].type == pin.FrameType.FIXED_JOINT:
-        sensor = above  # Pinocchio stores a welded link's inertia with its fixed joint
-    if model.frames[above].type == pin.FrameType.JOINT:
-        own = model.inertias[joint].copy()  # the sensor sits at the joint: the whole link is beyond
-    else:
-        own = pin.Inertia.Zero()
-        beyond = {sensor}
-        for f, frame in enumerate(model.frames):
-            if frame.parentFrame in beyond:  # parents come first
-                beyond.add(f)
-            if f in beyond and frame.parentJoint == joint:
-                own = own + frame.placement.act(frame.inertia)
-    if own.mass > 0.0:
-        links.append(OutboardLink(joint, own))
-    path = list(model.supports[model.frames[tip].parentJoint])
-    outer = [j for j in path if j > joint and joint in model.supports[j]]
-    return links + [OutboardLink(j, model.inertias[j].copy()) for j in outer]
 
 
 def columns_at(J_world: Array, O: Array) -> Array:  # noqa: E741 - the operational point
@@ -201,7 +158,7 @@ class ClosedChain:
         self.reference = payload or RigidObject(_REFERENCE)
         self.rank_tolerance = rank_tolerance
         self.angle_tolerance = angle_tolerance
-        self.model = _merge(self.arms)
+        self.model = merge(self.arms)
         self.data = self.model.createData()
         ends = np.cumsum([0, *(arm.model.nv for arm in arms)]).tolist()
         self.slices = tuple(map(slice, ends, ends[1:]))
@@ -370,31 +327,6 @@ def _full_rank(arm: Arm, grasp: Grasp) -> int:
     postures = np.random.default_rng(0).uniform(-1.0, 1.0, (4, model.nq))
     jacobians = (pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL) for q in postures)
     return max(int(np.linalg.matrix_rank(grasp.N.T @ columns_of(J), tol=1e-6)) for J in jacobians)
-
-
-def _merge(arms: Sequence[Arm]) -> pin.Model:
-    merged = pin.Model()
-    carried = []
-    names: dict[str, str] = {}
-    merged.gravity = arms[0].model.gravity
-    for arm in arms:
-        model = arm.model.copy()
-        for j in range(1, model.njoints):
-            model.names[j] = f"{arm.name}/{model.names[j]}"
-        for frame in list(model.frames)[1:]:
-            frame.name = f"{arm.name}/{frame.name}"
-        names |= with_distinct_frames(model)
-        merged = pin.appendModel(merged, model, 0, arm.base)
-        carried.append(rotor_inertia(model))
-    for frame in merged.frames:
-        frame.name = names[frame.name]
-    merged.armature = np.concatenate(carried)  # Pinocchio 4.1 does not carry it over
-    if merged.nq != merged.nv:
-        raise InvalidInputError(
-            "joints with nq ≠ nv are not supported; robots.load_model makes continuous joints "
-            "revolute ones without end stops"
-        )
-    return merged
 
 
 # Arms, grasps and object of a closed chain as records of the law, see `law.records`.

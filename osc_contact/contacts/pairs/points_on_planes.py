@@ -56,6 +56,11 @@ class PointsOnPlanes(LawPair):
         shapes = map(shape, points.T, into.T, heights)
         self._hold(on_plane, POINTS, tuple(shapes))
 
+    @property
+    def into(self) -> Array:
+        """(3, r) unit directions into the planes, in the environment frame."""
+        return self._into
+
     def _gaps(self, X_EA: SE3) -> Array:
         """(r,) signed distances (m), negative where the two overlap."""
         n = self._into

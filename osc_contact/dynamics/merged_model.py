@@ -1,0 +1,86 @@
+"""One model of several arms, and the links of an arm beyond its wrist sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.dynamics.arm import Arm, rotor_inertia, with_distinct_frames
+from osc_contact.errors import InvalidInputError
+
+
+def merge(arms: Sequence[Arm]) -> pin.Model:
+    """One model of several arms, each joint and frame named `arm/name`.
+
+    Args:
+        arms: in the order of their joints.
+
+    Raises:
+        InvalidInputError: a joint has more position numbers than velocities.
+    """
+    merged = pin.Model()
+    carried = []
+    names: dict[str, str] = {}
+    merged.gravity = arms[0].model.gravity
+    for arm in arms:
+        model = arm.model.copy()
+        for j in range(1, model.njoints):
+            model.names[j] = f"{arm.name}/{model.names[j]}"
+        for frame in list(model.frames)[1:]:
+            frame.name = f"{arm.name}/{frame.name}"
+        names |= with_distinct_frames(model)
+        merged = pin.appendModel(merged, model, 0, arm.base)
+        carried.append(rotor_inertia(model))
+    for frame in merged.frames:
+        frame.name = names[frame.name]
+    merged.armature = np.concatenate(carried)  # Pinocchio 4.1 does not carry it over
+    if merged.nq != merged.nv:
+        raise InvalidInputError(
+            "joints with nq ≠ nv are not supported; robots.load_model makes continuous joints "
+            "revolute ones without end stops"
+        )
+    return merged
+
+
+@dataclass(frozen=True)
+class OutboardLink:
+    """A rigid part beyond the sensor: the joint it moves with, its inertia in that frame."""
+
+    joint: int
+    inertia: pin.Inertia
+
+
+def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink]:
+    """The parts between the sensor frame and the object, from the model's own link inertias.
+
+    Links welded to the sensor's link share its joint; links beyond further joints carry the
+    inertia of those joints.
+
+    Args:
+        model: merged model.
+        sensor: frame index of the wrist sensor (the first link outboard of the sensing element).
+        tip: frame index of the grasping frame, which identifies the arm's chain.
+    """
+    links = []
+    joint = model.frames[sensor].parentJoint
+    above = model.frames[sensor].parentFrame
+    if model.frames[above].type == pin.FrameType.FIXED_JOINT:
+        sensor = above  # Pinocchio stores a welded link's inertia with its fixed joint
+    if model.frames[above].type == pin.FrameType.JOINT:
+        own = model.inertias[joint].copy()  # the sensor sits at the joint: the whole link is beyond
+    else:
+        own = pin.Inertia.Zero()
+        beyond = {sensor}
+        for f, frame in enumerate(model.frames):
+            if frame.parentFrame in beyond:  # parents come first
+                beyond.add(f)
+            if f in beyond and frame.parentJoint == joint:
+                own = own + frame.placement.act(frame.inertia)
+    if own.mass > 0.0:
+        links.append(OutboardLink(joint, own))
+    path = list(model.supports[model.frames[tip].parentJoint])
+    outer = [j for j in path if j > joint and joint in model.supports[j]]
+    return links + [OutboardLink(j, model.inertias[j].copy()) for j in outer]
