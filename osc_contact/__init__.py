@@ -194,7 +194,7 @@ __all__ = [
 
 @cache
 def _homes() -> dict[str, str]:
-    """Name → module of every public name: the imports above, which only type checkers run."""
+    """Module of every public name, read from the imports above, which only type checkers run."""
     source = __spec__.loader.get_source(__name__)  # type: ignore[union-attr]
     block = next(node for node in ast.parse(source).body if isinstance(node, ast.If))
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
@@ -202,7 +202,11 @@ def _homes() -> dict[str, str]:
 
 
 def _imported(name: str) -> Any:
-    """A public name from its module, or the extra that its module needs."""
+    """Object of a public name, imported from its module.
+
+    Raises:
+        ModuleNotFoundError: the module needs a package; the message names its extra.
+    """
     try:
         return getattr(import_module(_homes()[name]), name)
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""Every error of the toolkit: one base class, children that name the refused input."""
+"""Errors of the toolkit, with one base class, and texts for their messages."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -33,24 +33,26 @@ EXTRAS = {
 
 
 def missing(error: ImportError) -> str:
-    """What to install where an extra's package is missing; "" for any other package."""
+    """Command that installs the missing package of an extra; "" for any other package."""
     package = (error.name or "").partition(".")[0]
     if package not in EXTRAS:
         return ""
     return f"{package} is not installed: pip install 'osc-contact[{EXTRAS[package]}]'"
 
 
-MANY = 8  #: names beside a guess
-SHOWN = 12  #: names without one
+MANY = 8  #: names that are listed after a guess, at most
+SHOWN = 12  #: names that are listed without a guess, at most
 
 
 def did_you_mean(word: str, known: Iterable[str], most: int = SHOWN) -> str:
-    """Return "did you mean 'x'? known: ..." for a word that is not among `known`.
+    """Hint "did you mean 'x'? known: ..." for an unknown word.
 
-    Long lists are left out where there is a guess, and cut where there is none.
+    A long list of known words is left out after a guess, and cut off without one.
 
     Args:
-        word, known: as said. most: names listed; 0: none, a guess alone or "".
+        word: word that is not among `known`.
+        known: possible words.
+        most: largest number of known words to list; 0: a guess only, or "".
     """
     names = list(known)
     near = get_close_matches(word, names, n=2, cutoff=0.6)
@@ -63,7 +65,7 @@ def did_you_mean(word: str, known: Iterable[str], most: int = SHOWN) -> str:
 
 
 class OscContactError(Exception):
-    """Base class: catch this one to catch whatever the toolkit raises on purpose.
+    """Base class of all errors that the toolkit raises on purpose.
 
     Example:
         >>> try:
@@ -89,7 +91,7 @@ class ModelError(OscContactError):
     """A robot, an object or a closed chain is impossible: bad URDF, lost or unactuated motions.
 
     Attributes:
-        findings: of a refused URDF, every `osc_contact.robots.Finding`; else empty.
+        findings: every `osc_contact.robots.ModelFinding` of a refused URDF; else empty.
 
     Example:
         >>> osc.RigidObject(pin.Inertia.Zero())
@@ -137,10 +139,10 @@ class SolverError(OscContactError):
 
 
 class PlantError(OscContactError):
-    """A plant cannot be built, or its simulation left the range where it means anything.
+    """A plant cannot be built, or its simulation left the range in which it is valid.
 
     Attributes:
-        recording: the `Recording` of what came before a run's plant failed, else None.
+        recording: the `Recording` of a run until its plant failed, else None.
 
     Example:
         >>> try:
@@ -178,7 +180,7 @@ class Interrupted(KeyboardInterrupt):
     """A run was ended in order by Ctrl-C, SIGTERM or SIGHUP.
 
     Attributes:
-        recording: the `Recording` of what came before.
+        recording: the `Recording` until then.
 
     Example:
         >>> try:
@@ -191,14 +193,16 @@ class Interrupted(KeyboardInterrupt):
 
 
 def require_kind(name: str, value: object, kind: type, example: str) -> None:
-    """Refuse an argument that is no object of its class.
+    """Refuse an argument that is not an instance of a class.
 
     Args:
-        name: of the argument. value: as given. kind: the class that it takes.
-        example: what to give instead, as it is written in a program.
+        name: name of the argument, for the message.
+        value: argument as given.
+        kind: expected class.
+        example: Python expression of a proper argument, for the message.
 
     Raises:
-        InvalidInputError: with the class expected and what was given.
+        InvalidInputError: `value` is not an instance of `kind`.
     """
     if not isinstance(value, kind):
         raise InvalidInputError(
@@ -207,13 +211,15 @@ def require_kind(name: str, value: object, kind: type, example: str) -> None:
 
 
 def as_tuple(name: str, value: Iterable[T], example: str) -> tuple[T, ...]:
-    """The elements of an argument that takes several objects.
+    """Return the elements of an argument that takes several objects.
 
     Args:
-        name: of the argument. value: as given. example: what to give instead of anything else.
+        name: name of the argument, for the message.
+        value: argument as given.
+        example: Python expression of a proper argument, for the message.
 
     Raises:
-        InvalidInputError: there are no elements.
+        InvalidInputError: `value` is a string, or cannot be iterated over.
     """
     try:
         if not isinstance(value, str):
@@ -224,11 +230,11 @@ def as_tuple(name: str, value: Iterable[T], example: str) -> tuple[T, ...]:
 
 
 def brief(value: object) -> str:
-    """The representation of a value in one line of at most 60 characters, for messages."""
+    """Representation of a value in one line of at most 60 characters, for messages."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 60 else f"{text[:59]}…"
 
 
 def article(noun: str) -> str:
-    """ "an Arm", "a ClosedChain": a noun with its indefinite article."""
+    """Noun with its indefinite article: "an Arm", "a ClosedChain"."""
     return f"{'an' if noun[0] in 'AEIO' else 'a'} {noun}"

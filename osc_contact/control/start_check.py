@@ -89,7 +89,10 @@ class StartCheck:
         """
         if self.readings and not controller.f_tare.any():
             error = np.median(self.readings, axis=0)
-            self.refused = judge_load(controller.settings, error, self.expected)
+            settings = controller.settings
+            self.refused = judge_load(
+                settings.chain, settings.safety.load_error, error, self.expected
+            )
             self.done = self.done and not self.refused
 
 
@@ -117,16 +120,18 @@ def is_clear(settings: Settings, rows: Any) -> bool:
     return True
 
 
-def judge_load(settings: Settings, error: Array, expected: Array, stepped: bool = False) -> str:
-    """A sentence on wrists that read another load than they carry; "" for none.
+def judge_load(
+    chain: ClosedChain, most: float, error: Array, expected: Array, stepped: bool = False
+) -> str:
+    """Sentence on wrists that read another load than they carry; "" for none.
 
     Args:
-        settings: of the controller. error: (6,) reading less load, at O in world axes.
-        expected: (6,) the load.
-        stepped: whether the robot was commanded before, so that exact zeros are readings.
+        chain: model of the arms.
+        most: largest force that the readings may be off (N), `SafetySettings.load_error`.
+        error: (6,) readings less the load, at O in world axes (N, N m).
+        expected: (6,) load by the model, at O in world axes (N, N m).
+        stepped: True if the robot was commanded before, so that exact zeros are readings.
     """
-    chain = settings.chain
-    most = settings.safety.load_error
     levers = (norm(link.inertia.lever) for links in chain.outboard for link in links)
     lever = max([LEVER, *levers])
     force, torque = map(norm, np.split(error, 2))

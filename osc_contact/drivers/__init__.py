@@ -1,1 +1,1 @@
-"""Real robots behind the `Robot` protocol; each driver needs its maker's client library."""
+"""Drivers of real robots for the `Robot` protocol; each needs its maker's client library."""

@@ -1,14 +1,16 @@
-"""A Franka arm over its maker's client library, as the robot of `run_loop` (extra `franka`).
+"""Driver of a Franka arm by its maker's client library, a robot for `run_loop` (extra `franka`).
 
-The robot adds the weight of its model, and of the load it was given, to the torques it gets;
-Coriolis torques it leaves to the controller. So gravity is taken from the controller's torques, and
-the weight of what hangs on the wrist is added to the wrench, which the robot estimates without it.
+The robot adds torques against the weight of its model and of its load to the commanded ones, but
+no Coriolis torques. Therefore gravity is subtracted from the controller's torques. The wrench that
+the robot estimates lacks the weight beyond the wrist, which is added.
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -19,24 +21,27 @@ from osc_contact.errors import InvalidInputError, PlantError, missing
 from osc_contact.interface import Measurement, Stamps
 from osc_contact.spatial import Array, as_array, norm
 
-TORQUE_STEP = 0.99  #: N m; the robot refuses torques that change by 1 N m in a millisecond
-SPEED_SHARE = 0.9  #: of a joint's speed limit, from which on torques that speed it up fade
-TIP_ERROR = (2e-3, 0.01)  #: m, rad by which tip and end effector may differ
-_PERIOD = 1e-3  #: s, the robot's
+if TYPE_CHECKING:
+    from pylibfranka import ActiveControlBase, Robot, RobotState
+
+TORQUE_STEP = 0.99  #: largest change of a torque in a period (N m); the robot refuses 1 N m
+SPEED_SHARE = 0.9  #: share of a joint's speed limit beyond which braking torques are added
+TIP_ERROR = (2e-3, 0.01)  #: largest difference of tip and end effector (m, rad)
+_PERIOD = 1e-3  #: control period of the robot (s)
 
 
 class FrankaRobot:
-    """One arm, torque-controlled at 1 kHz by `run_loop`.
+    """Franka arm, torque-controlled at 1 kHz by `run_loop`.
 
     `measure` waits for the robot's next state, `command` sends torques at once. The motion begins
-    with the first command and ends with `stop`, whereupon the robot holds its posture by itself.
+    with the first command and ends with `stop`, after which the robot holds its posture by itself.
 
     Attributes:
-        chain: as given.
-        state: the robot's last one, of the client library.
-        read_to_write: s, from the arrival of a state until its torques were sent, of the last tick.
-        success_rate: share of the last 100 commands that the robot got in time, and the least of
-            all ticks: "success_rates".
+        chain: model of the arm.
+        state: last state of the robot, an object of the client library.
+        read_to_write: time from the arrival of the last state until its torques were sent (s).
+        success_rate: share of the last 100 commands that reached the robot in time.
+        least_success_rate: lowest success rate of all ticks.
     """
 
     def __init__(
@@ -53,19 +58,19 @@ class FrankaRobot:
 
         Args:
             host: address of the robot.
-            chain: of the one arm, whose tip is the robot's end effector, with a wrist sensor: any
-                frame beyond the last joint, such as the tip. The held object becomes the robot's
-                load.
-            wrench: reads a mounted force-torque sensor: (6,) in the convention of `Measurement`,
-                None where there is nothing new; default: the robot's own estimate.
-            end_effector: pose in the nominal end effector, which is set; None: it is left.
+            chain: model of one arm, whose tip is the robot's end effector, with a wrist sensor:
+                any frame beyond the last joint, such as the tip. The held object becomes the
+                robot's load.
+            wrench: function that reads a mounted force-torque sensor: (6,) in the convention of
+                `Measurement`, None without a new reading; default: the robot's own estimate.
+            end_effector: pose to be set in the nominal end effector; None: it is not changed.
             collision: joint torques (N m), forces (N) and moments (N m) of a contact at which the
                 robot stops by a reflex.
-            recover: leave a reflex or error that the robot stopped with.
+            recover: reset a reflex or error by which the robot has stopped.
 
         Raises:
-            PlantError: no client library, no robot at this address, one that has stopped, or whose
-                end effector is not the model's tip.
+            PlantError: no client library, no robot at this address, a robot that has stopped, or
+                an end effector that differs from the model's tip.
             InvalidInputError: a chain of other joints, or without a wrist sensor.
         """
         try:
@@ -77,12 +82,12 @@ class FrankaRobot:
         self.chain = chain
         self._wrench = wrench
         self._take(chain)
-        self._control: Any = None
+        self._control: ActiveControlBase | None = None
         self._stopped = False
         self.read_to_write = 0.0
         self.success_rate = self.least_success_rate = 1.0
         with self._reporting("cannot be prepared"):
-            self._robot: Any = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
+            self._robot: Robot = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
             if recover:
                 self._robot.automatic_error_recovery()
             self._look()
@@ -91,7 +96,11 @@ class FrankaRobot:
         self._require_tip()
 
     def _take(self, chain: ClosedChain) -> None:
-        """The model of what the robot carries by itself, and what hangs on its wrist."""
+        """Take the chain's model, with the robot's load and the inertia beyond the wrist.
+
+        Raises:
+            InvalidInputError: a chain of other joints, or without a wrist sensor.
+        """
         if len(chain.arms) != 1 or chain.nq != 7 or chain.n_a != 7 or chain.sensors[0] is None:
             raise InvalidInputError(
                 f"a Franka has one arm of 7 motors and a wrist sensor, the chain has "
@@ -126,6 +135,7 @@ class FrankaRobot:
         self._turn = pin.SE3(self._base.rotation, np.zeros(3))
 
     def _set_up(self, end_effector: pin.SE3 | None, collision: tuple[float, float, float]) -> None:
+        """Set collision limits, end effector and load of the robot; see the constructor."""
         torque, force, moment = collision
         robot = self._robot
         wrenches = [force] * 3 + [moment] * 3
@@ -144,11 +154,16 @@ class FrankaRobot:
         self._K = np.append(self.state.EE_T_K[12:15], 1.0)  #: (4,) homogeneous, in the end effector
 
     def _look(self) -> None:
-        """The state as of now: one may have been on its way before."""
+        """Read the present state; an older one may be waiting, so two are read."""
         for _ in range(2):
             self.state = self._robot.read_once()
 
     def _require_idle(self) -> None:
+        """Refuse a robot that has stopped.
+
+        Raises:
+            PlantError: a reflex, an error, or the stop button.
+        """
         state = self.state
         modes = self._lib.RobotMode
         if state.robot_mode in (modes.Reflex, modes.UserStopped, modes.Other):
@@ -159,6 +174,11 @@ class FrankaRobot:
             )
 
     def _require_tip(self) -> None:
+        """Refuse a model whose tip differs from the robot's end effector.
+
+        Raises:
+            PlantError: they differ by more than TIP_ERROR.
+        """
         self._place(np.array(self.state.q))
         model = pin.updateFramePlacement(self._model, self._data, self._tip)
         robot = self._base * _pose(self.state.O_T_EE)
@@ -172,7 +192,7 @@ class FrankaRobot:
             )
 
     def measure(self) -> Measurement:
-        """Wait for the robot's next state, and take its sensors from it.
+        """Wait for the robot's next state and return the readings of its sensors.
 
         Raises:
             PlantError: the robot ended the motion, or does not answer.
@@ -194,21 +214,26 @@ class FrankaRobot:
         known = reading is not None and bool(np.isfinite(reading).all())
         t = state.time.to_sec()
         return Measurement(
-            self._q.copy(),
-            self._v.copy(),
-            np.array(reading, dtype=float).reshape(1, 6) if known else np.zeros((1, 6)),
+            q=self._q.copy(),
+            v=self._v.copy(),
+            wrenches=np.array(reading, dtype=float).reshape(1, 6) if known else np.zeros((1, 6)),
             joint_torques=np.array(state.tau_J),
-            stamps=Stamps(t, t, t, t),
+            stamps=Stamps(encoders=t, joint_torques=t, wrists=t, vision=t),
             wrench_valid=known,
             sequence=round(t / _PERIOD),
         )
 
     def _place(self, q: Array) -> None:
+        """Compute the placements of the joints and of the wrist sensor at q (7,)."""
         pin.forwardKinematics(self._model, self._data, q)
         pin.updateFramePlacement(self._model, self._data, self._sensor)
 
-    def _estimate(self, state: Any) -> Array:
-        """(6,) what a sensor would read: the robot's wrench on its surroundings, and the weight."""
+    def _estimate(self, state: RobotState) -> Array:
+        """Wrench (6,) that a wrist sensor would read: the robot's estimate and the weight.
+
+        Args:
+            state: state of the robot; its estimate is the wrench on its surroundings.
+        """
         sensor = self._data.oMf[self._sensor]
         K = np.reshape(state.O_T_EE, (4, 4), order="F") @ self._K
         self._at.translation = self._base.act(K[:3])
@@ -218,14 +243,15 @@ class FrankaRobot:
         return sensor.actInv(total).vector
 
     def command(self, tau: Array, duration: float) -> None:
-        """Send torques; the wait for the period's end is the next `measure`.
+        """Send torques to the robot; the next `measure` waits for the end of the period.
 
-        Less gravity they stay within the motors' limits, change by less than the robot permits in a
-        millisecond, and brake joints beyond nine tenths of their speed limit. After a stop they go
-        nowhere.
+        Gravity is subtracted. The rest is cut off at the motors' limits and at the change per
+        period that the robot permits, and brakes joints beyond nine tenths of their speed limit.
+        After a stop nothing is sent.
 
         Args:
-            tau: (7,) N m, gravity and Coriolis torques included. duration: s, 1 ms.
+            tau: (7,) torques (N m), gravity and Coriolis torques included.
+            duration: control period, 1 ms (s).
 
         Raises:
             InvalidInputError: torques that are not seven finite numbers, or another period.
@@ -257,7 +283,7 @@ class FrankaRobot:
         """End the motion in order: the robot brakes and holds its posture by itself.
 
         Args:
-            reason: why; the robot does not need it.
+            reason: sentence that is not used.
 
         Raises:
             PlantError: the robot does not answer.
@@ -272,10 +298,10 @@ class FrankaRobot:
             control.writeOnce(self._torques)
 
     def recover(self) -> None:
-        """Leave a reflex or an error, and permit a new motion, once its cause is gone.
+        """Reset a reflex or an error and permit a new motion.
 
         Raises:
-            PlantError: it cannot, for example while its stop button is pressed.
+            PlantError: the robot does not recover, for example while its stop button is pressed.
         """
         with self._reporting("does not recover"):
             self._robot.automatic_error_recovery()
@@ -285,7 +311,7 @@ class FrankaRobot:
         self.least_success_rate = 1.0
 
     def mass_matrix(self) -> Array:
-        """(7, 7) of the robot's own model, with hand and load, where it is (kg m²).
+        """Mass matrix (7, 7) of the robot's model at its last state, with hand and load (kg m²).
 
         Raises:
             PlantError: the robot does not answer.
@@ -296,26 +322,31 @@ class FrankaRobot:
     def close(self) -> None:
         """End the motion and the connection: a robot serves one client."""
         self.stop()
-        self._robot = None
+        self._robot = None  # type: ignore[assignment]  # its destructor disconnects
 
     @contextmanager
-    def _reporting(self, what: str) -> Iterator[None]:
-        """Errors of the client library become ones that say what the robot did, and what to do."""
+    def _reporting(self, failure: str) -> Iterator[None]:
+        """Turn errors of the client library into a `PlantError` with cause and cure.
+
+        Args:
+            failure: predicate of the message, such as "does not recover".
+        """
         try:
             yield
         except (RuntimeError, self._lib.FrankaException) as error:
             self._control = None
             raise PlantError(
-                f"the robot at {self.host} {what}: {error}. Look at the robot and its Desk; it "
+                f"the robot at {self.host} {failure}: {error}. Look at the robot and its Desk; it "
                 "moves again after recover(), or after connecting with recover=True"
             ) from error
 
 
 def _pose(numbers: ArrayLike) -> pin.SE3:
-    """From 16 numbers, column by column."""
+    """Pose of a homogeneous matrix given as 16 numbers, column by column."""
     X = np.reshape(numbers, (4, 4), order="F")
     return pin.SE3(pin.Quaternion(X[:3, :3]).normalized(), X[:3, 3])
 
 
 def _show(X: pin.SE3) -> list[float]:
+    """Position of a pose (m), rounded for messages."""
     return np.round(X.translation, 4).tolist()

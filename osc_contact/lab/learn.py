@@ -10,7 +10,7 @@ mjlab and torch come with mjlab; nothing else in the package imports this module
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -29,44 +29,55 @@ from osc_contact.settings.control import require_below_ceilings
 from osc_contact.spatial import Array, moved
 
 
+class Environments(Protocol):
+    """Part of mjlab's environment class that an action term reads.
+
+    Attributes:
+        physics_dt: period of the physics (s).
+        step_dt: period of the actions (s).
+    """
+
+    physics_dt: float
+    step_dt: float
+
+
 def begin(rig: Rig) -> tuple[EntityCfg, Controller]:
-    """Arms, object and surroundings of a rig as one entity, and its controller at the start.
+    """Entity of the arms, object and surroundings of a rig, and its controller at the start.
 
     Raises:
-        InvalidInputError: the plant of the rig is not MuJoCo, seen by ideal sensors.
+        InvalidInputError: the plant of the rig is not MuJoCo with ideal sensors.
     """
     plant, controller = start(rig)
     if not isinstance(plant, MujocoPlant):
         raise InvalidInputError("mjlab takes rigs with plant.type=mujoco and ideal sensors")
     spec = plant.spec
     joints = (name.split("/")[-1] for name in rig.chain.joint_names)
-    return (
-        EntityCfg(
-            init_state=EntityCfg.InitialStateCfg(
-                joint_pos=dict(zip(joints, rig.q_start.tolist(), strict=True))
-            ),
-            spec_fn=lambda: spec.copy(),
-            articulation=EntityArticulationInfoCfg(
-                actuators=(XmlActuatorCfg(target_names_expr=(".*",)),)
-            ),
+    positions = dict(zip(joints, rig.q_start.tolist(), strict=True))
+    entity = EntityCfg(
+        init_state=EntityCfg.InitialStateCfg(joint_pos=positions),
+        spec_fn=lambda: spec.copy(),
+        articulation=EntityArticulationInfoCfg(
+            actuators=(XmlActuatorCfg(target_names_expr=(".*",)),)
         ),
-        controller.with_safety(rig.scenario.control.safety),
-    )  # ceilings follow the actions
+    )
+    # force ceilings that the scenario leaves out follow from the actions, not from its own forces
+    return (entity, controller.with_safety(rig.scenario.control.safety))
 
 
 @dataclass(kw_only=True)
 class ContactActionCfg(ActionTermCfg):  # type: ignore[misc]
-    """What `ContactAction` does.
+    """Configuration of a `ContactAction`.
 
     Attributes:
-        controller: of every environment. Its period is a multiple of the physics' step and divides
-            the environment's; it may have been ticked at the start.
-        most_force: the largest of a contact (N).
-        move: the largest increments of the set point, along and about each axis (m, rad).
-        joints: the entity's names of the controller's joints; default: what follows the last "/"
-            of their names.
-        wrists: the scene's force and torque sensor of each arm; default: those of `begin`.
-        threads: that share a tick.
+        controller: controller that every environment copies. Its period is a multiple of the
+            physics' step and divides the environment's; it may have been ticked at the start.
+        most_force: largest force of a contact (N).
+        move: largest increments of the set point, along and about each axis (m, rad).
+        joints: names of the controller's joints in the entity; None: the part of their names after
+            the last "/".
+        wrists: names of the force and the torque sensor of each arm in the scene; None: those of
+            `begin`.
+        threads: number of threads that share a tick.
     """
 
     controller: Controller
@@ -76,26 +87,26 @@ class ContactActionCfg(ActionTermCfg):  # type: ignore[misc]
     wrists: tuple[tuple[str, str], ...] | None = None
     threads: int = 1
 
-    def build(self, env: Any) -> ContactAction:
-        """The term of an environment."""
+    def build(self, env: Environments) -> ContactAction:
+        """Make the action term of the environments."""
         return ContactAction(self, env)
 
 
 class ContactAction(ActionTerm):  # type: ignore[misc]
-    """Actions (6 + r,) from −1 to 1: increments of the set point's position and orientation in
+    """Action term: (6 + r,) numbers from −1 to 1 for each environment.
 
-    units of `move`, world axes at the object; then each contact force, from 0 (−1) to the most (1).
-
-    Both change evenly during the action. An environment's set point begins where its object is
-    after a reset.
+    The first six are increments of the set point's position and orientation in units of `move`, in
+    world axes at the object; the others are contact forces, from 0 (−1) to `most_force` (1). Both
+    change at a constant rate during the action. After a reset the set point of an environment is
+    the pose of its object.
 
     Attributes:
-        batch: the controllers.
+        batch: controllers of all environments.
     """
 
     cfg: ContactActionCfg
 
-    def __init__(self, cfg: ContactActionCfg, env: Any) -> None:
+    def __init__(self, cfg: ContactActionCfg, env: Environments) -> None:
         super().__init__(cfg=cfg, env=env)
         chain = cfg.controller.chain
         joints = cfg.joints or tuple(name.split("/")[-1] for name in chain.joint_names)
@@ -127,29 +138,30 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
 
     @property
     def action_dim(self) -> int:
-        """6 + r."""
+        """Length of an action, 6 + r."""
         return 6 + self._r
 
     @property
     def raw_action(self) -> torch.Tensor:
-        """(B, 6 + r) as given."""
+        """Actions (B, 6 + r) as given."""
         return self._raw
 
     @property
     def force(self) -> torch.Tensor:
-        """(B, r) measured contact forces (N)."""
+        """Measured contact forces (B, r) (N)."""
         return self._tensor(self.batch.alpha_meas)
 
     @property
     def stopped(self) -> torch.Tensor:
-        """(B,) whether the controller has stopped: a termination."""
+        """Flags (B,) of controllers in SAFE_STOP, which are to end the episode."""
         return torch.as_tensor(self.batch.state == SafetyState.SAFE_STOP, device=self.device)
 
     def _tensor(self, x: Array) -> torch.Tensor:
+        """Array as single-precision numbers on the device of the environments."""
         return torch.as_tensor(x, dtype=torch.float32, device=self.device)
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Set points and forces of the control periods of one action."""
+        """Plan set points and forces of all control periods of an action (B, 6 + r)."""
         self._raw[:] = actions
         given = np.clip(actions.detach().cpu().numpy().astype(float), -1.0, 1.0)
         forces = 0.5 * (given[:, 6:] + 1.0) * self.cfg.most_force
@@ -164,7 +176,11 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         self._step = 0
 
     def _begin(self, forces: Array) -> None:
-        """Set points of environments that were reset: where their objects are."""
+        """Set the set points of environments that were reset to the poses of their objects.
+
+        Args:
+            forces: (B, r) N, from which those environments begin.
+        """
         if not self._fresh.any():  # reading joints waits for the simulation
             return
         chain = self.cfg.controller.chain
@@ -175,10 +191,11 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
 
     @staticmethod
     def _read(x: torch.Tensor) -> Array:
+        """Tensor of the device as an array of doubles."""
         return x.cpu().numpy().astype(float)
 
     def apply_actions(self) -> None:
-        """The torques of this step of the physics: of a new tick, or those of the last one."""
+        """Tick the controllers at each control period and command their torques."""
         assert self._plan is not None
         tick, between = divmod(self._step, self._every)
         self._step += 1
@@ -195,13 +212,13 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
             X[tick],
             V_D=V,
             alpha_d=alpha[tick],
-            wrench_valid=~self._fresh,  # after a reset sensors feel limp arms
+            wrench_valid=~self._fresh,  # readings after a reset are of arms without torques
         )
         self._fresh[:] = False
         self._entity.set_joint_effort_target(self._tensor(tau), joint_ids=self._motors)
 
     def reset(self, env_ids: torch.Tensor | slice | None = None) -> None:
-        """Controllers of these environments begin anew."""
+        """Reset the controllers of some environments; None: of all."""
         rows = env_ids.cpu().numpy() if isinstance(env_ids, torch.Tensor) else env_ids
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[slice(None) if rows is None else rows] = True

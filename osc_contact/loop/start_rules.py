@@ -435,7 +435,8 @@ def first_tick(task: Task) -> Values:
         yield 1.0, {"why": trial.reason}
     elif task.pairs and is_clear(trial.settings, trial._records):
         error = trial.residual_wrench() - trial.f_tare
-        why = judge_load(trial.settings, error, trial.result().bias_out)
+        most = trial.settings.safety.load_error
+        why = judge_load(trial.chain, most, error, trial.result().bias_out)
         if why:  # a controller that has not engaged may still be tared
             may_change = not trial.engaged or not np.any(task.measured.wrenches)
             yield 0.5 if may_change else 1.0, {"why": why}

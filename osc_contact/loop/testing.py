@@ -1,4 +1,4 @@
-"""What a robot's driver has to do, checked on the robot itself: units, signs, gravity, time.
+"""Checks of a robot's driver on the robot itself: units, signs, gravity, time.
 
 `check_robot` needs no controller. It moves each joint by some milliradians; see the page
 "Your own driver" of the documentation for the contract that it checks.
@@ -6,8 +6,6 @@
 
 from collections.abc import Callable, Iterator
 from itertools import combinations
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -22,16 +20,17 @@ from osc_contact.law.records import OUTDATED
 from osc_contact.settings.control import SafetySettings
 from osc_contact.spatial import Array, as_array, norm
 
-HOLD = 50  #: ticks under the model's own weight
+HOLD = 50  #: ticks for which the model's weight holds the arm
 PULSE = 30  #: ticks of a torque, and as many of its opposite
-SHARES = (0.02, 0.05, 0.1, 0.2, 0.35)  #: of a motor's limit, tried until the joint moves
-SPEED = 0.3  #: rad/s (m/s) that a pulse adds at most, as the model predicts
-MOVED = 0.01  #: rad/s (m/s) that count as motion
-ALONE = 0.3  #: of what the fastest joint gains; less is no motion of the joint with the torque
-FALLING = 0.3  #: share of the weight's acceleration that counts as none or twice the weight
-FAR = 0.3  #: rad (m) from the start, and 2 rad/s: the check ends at once
-MEAN = 20  #: ticks of a mean wrench
-MOST_REPEATED = 5  #: ticks in a row with the same stamps
+SHARES = (0.02, 0.05, 0.1, 0.2, 0.35)  #: shares of a motor's limit, tried until the joint moves
+SPEED = 0.3  #: largest speed that a pulse adds by the model's prediction (rad/s, m/s)
+MOVED = 0.01  #: least change of speed that counts as motion (rad/s, m/s)
+ALONE = 0.3  #: least change of speed of the joint with the torque, over that of the fastest joint
+FALLING = 0.3  #: acceleration, over that of an arm without torques, that means a wrong weight
+FAR = 0.3  #: distance from the start at which the check ends (rad, m)
+FAST = 2.0  #: speed at which the check ends (rad/s, m/s)
+MEAN = 20  #: ticks over which a wrench is averaged
+MOST_REPEATED = 5  #: largest number of ticks in a row with the same stamps
 
 
 def check_robot(
@@ -42,28 +41,29 @@ def check_robot(
     nudge: ArrayLike | None = None,
     patience: float = 10.0,
 ) -> list[str]:
-    """Whether a driver keeps the contract of `Robot`; it ends with `Robot.stop`.
+    """Check that a driver keeps the contract of `Robot`, and end with `Robot.stop`.
 
     The arm must be at rest in free space, with room of 0.1 rad about each joint, and somebody at
     the stop button. It is held by the model's weight for 50 ms, then each joint gets a torque of
-    rising size, for 30 ms to either side.
+    rising size, for 30 ms in each direction.
 
     Args:
-        robot: to be checked. chain: its model, all joints with motors; None: `robot.chain`.
-        dt: s, its control period.
+        robot: driver of the robot.
+        chain: model of the robot, all joints with motors; None: `robot.chain`.
+        dt: control period of the robot (s).
         nudge: (3,) direction in world axes in which somebody pushes the tip while the check waits
-            for it; None: nobody does, and the sign of the wrench is that of the weight.
-        patience: s to wait for it.
+            for the push; None: no push, and the sign of the wrench is judged by the weight.
+        patience: time to wait for the push (s).
 
     Returns:
-        Sentences on what could not be checked.
+        Sentences on properties that could not be checked.
 
     Raises:
-        PlantError: what is wrong, in one sentence: readings of other sizes, degrees in place of
-            radians, stamps that do not advance, torques to which the weight is missing or added,
-            joints in another order or reversed, wrenches that are reversed, without gravity or of
-            another frame, a `stop` that fails.
-        InvalidInputError: no model is known, or it has joints without motors.
+        PlantError: a violated rule: readings of other sizes, degrees in place of radians, stamps
+            that do not advance, weight missing or doubled in the torques, joints in another order
+            or reversed, wrenches that are reversed, without gravity or of another frame, a `stop`
+            that fails.
+        InvalidInputError: there is no model, or it has joints without motors.
     """
     chain = getattr(robot, "chain", None) if chain is None else chain
     if chain is None:
@@ -86,9 +86,19 @@ def check_robot(
 
 
 class _Check:
-    """The course of one check."""
+    """Course of a check: the robot, its model, and the readings now and at the start."""
 
     def __init__(self, robot: Robot, chain: ClosedChain, dt: float) -> None:
+        """Read the robot for the first time.
+
+        Args:
+            robot: driver of the robot.
+            chain: model of the robot.
+            dt: control period (s).
+
+        Raises:
+            PlantError: the measurement has wrong sizes.
+        """
         self.robot = robot
         self.chain = chain
         self.dt = dt
@@ -99,7 +109,11 @@ class _Check:
         self.now = self.rest = self.read()
 
     def run(self, nudge: ArrayLike | None, patience: float) -> Iterator[str]:
-        """Sentences on what is not checked."""
+        """Check everything but `Robot.stop`; for arguments and errors see `check_robot`.
+
+        Yields:
+            Sentences on properties that could not be checked.
+        """
         self.require_range()
         self.hold()
         yield from self.weigh()
@@ -111,7 +125,11 @@ class _Check:
     # --- one tick --------------------------------------------------------------------------------
 
     def read(self) -> Measurement:
-        """The next measurement, of the right sizes."""
+        """Read the next measurement.
+
+        Raises:
+            PlantError: wrong sizes, numbers that are not finite, or stamps that do not advance.
+        """
         m = self.robot.measure()
         n = self.chain.nq
         arms = len(self.chain.arms)
@@ -127,24 +145,31 @@ class _Check:
         return m
 
     def step(self, tau: Array) -> None:
+        """Command torques (n,), cut off at the motors' limits, for a period, and read the robot."""
         self.robot.command(np.clip(tau, -self.chain.tau_max, self.chain.tau_max), self.dt)
         self.now = self.read()
 
     def weight(self, q: Array) -> Array:
+        """Torques (n,) that balance the model's weight at q (n,)."""
         return pin.computeGeneralizedGravity(self.model, self.data, q).copy()
 
     def mass(self, q: Array) -> Array:
+        """Mass matrix (n, n) of the model at q (n,)."""
         return np.array(pin.crba(self.model, self.data, q))
 
     def settle(self, ticks: int) -> None:
-        """Brake, and return slowly to where the check began."""
+        """Brake the joints and return them slowly to the start, for some ticks.
+
+        Raises:
+            PlantError: a joint moves away.
+        """
         for _ in range(ticks):
             q = self.now.q
             v = self.now.v
             desired = -20.0 * v - 25.0 * (q - self.rest.q)
             self.step(self.weight(q) + self.mass(q) @ desired)
             away = np.abs(q - self.rest.q)
-            if away.max() > FAR or np.abs(v).max() > 2.0:
+            if away.max() > FAR or np.abs(v).max() > FAST:
                 worst = away.argmax()
                 raise PlantError(
                     f"joint '{self.names[worst]}' leaves its place though it is braked: "
@@ -152,17 +177,25 @@ class _Check:
                     "reversed, or is the unit of one another?"
                 )
 
-    # --- what is checked -------------------------------------------------------------------------
+    # --- checks ----------------------------------------------------------------------------------
 
     def require_range(self) -> None:
-        """Positions are within the joints' limits."""
+        """Check that positions are within the joints' limits.
+
+        Raises:
+            PlantError: a position is beyond a limit.
+        """
         try:
             require_start(self.chain, self.now.q)
         except InvalidInputError as error:
             raise PlantError(f"{error}; or are joints in another order?") from error
 
     def hold(self) -> None:
-        """The model's own weight must hold the arm."""
+        """Check that torques that balance the model's weight hold the arm.
+
+        Raises:
+            PlantError: joints accelerate; the message names the likeliest cause.
+        """
         q = self.now.q
         v = self.now.v
         for _ in range(HOLD):
@@ -188,25 +221,33 @@ class _Check:
         )
 
     def weigh(self) -> Iterator[str]:
-        """The wrists read what hangs on them."""
+        """Check that the wrists read the weight beyond them.
+
+        Yields:
+            Sentences on properties that could not be checked.
+
+        Raises:
+            PlantError: the readings differ from the weight.
+        """
         chain = self.chain
         if None in chain.sensors:
             yield "wrenches are not checked: an arm of the model has no wrist sensor"
             return
         state = chain.state(self.now.q)
-        settings: Any = SimpleNamespace(chain=chain, safety=SafetySettings())
-        why = judge_load(settings, self.outside() - state.bias_out, state.bias_out, stepped=True)
+        most = SafetySettings().load_error
+        error = self.outside() - state.bias_out
+        why = judge_load(chain, most, error, state.bias_out, stepped=True)
         if why:
             raise PlantError(why)
         weight = 9.81 * chain.outboard_mass
-        if weight < 2.0 * settings.safety.load_error:
+        if weight < 2.0 * most:
             yield (
                 f"the sign of the wrench is not checked by {weight:.2g} N, which hang on the "
                 "sensor; push the tip, and give the direction as nudge="
             )
 
     def outside(self) -> Array:
-        """See `mean_outside`; the arm is held meanwhile."""
+        """Mean wrench (6,) of the wrists, see `mean_outside`, while the arm is held."""
 
         def read() -> Measurement:
             self.settle(1)
@@ -215,27 +256,16 @@ class _Check:
         return mean_outside(self.chain, read)
 
     def pulse(self, joint: int) -> None:
-        """A torque to either side moves this joint, as the model predicts, and no other one."""
+        """Check that torques of both signs move this joint, as the model predicts, and no other.
+
+        Raises:
+            PlantError: no joint or another joint moves, or this one moves in another way.
+        """
         name = self.names[joint]
-        most = float(self.chain.tau_max[joint])
         for share in SHARES:
-            M = self.mass(self.now.q)
-            own = M[joint, joint]
-            a = min(share * most / own, SPEED / (PULSE * self.dt))
-            gained = np.zeros(self.chain.nq)
-            turned = 0.0
-            summed = 0.0
-            torque = max(own * a, share * most * (share > SHARES[1]))
-            tau = M[:, joint] * torque / own
-            for sign in (1.0, -1.0):
-                before = self.now
-                for _ in range(PULSE):
-                    self.step(self.weight(self.now.q) + sign * tau)
-                    summed += sign * self.now.v[joint] * self.dt
-                    if abs(self.now.v[joint]) > SPEED:
-                        break
-                gained += 0.5 * sign * (self.now.v - before.v)
-                turned += sign * (self.now.q[joint] - before.q[joint])
+            own = self.mass(self.now.q)[joint, joint]
+            torque = self.torque_of(joint, share)
+            gained, turned, summed = self.push(joint, torque)
             self.settle(2 * PULSE)
             if np.abs(gained).max() > MOVED:
                 break
@@ -264,17 +294,52 @@ class _Check:
                 f"{predicted:.3g}; are positions and speeds in degrees, or masses too large?"
             )
 
+    def torque_of(self, joint: int, share: float) -> float:
+        """Torque of a pulse (N m, N), at most a share of the motor's limit.
+
+        It is lower where the model predicts more than SPEED, but not at the higher shares, which
+        are tried after the joint did not move.
+        """
+        own = self.mass(self.now.q)[joint, joint]
+        most = share * float(self.chain.tau_max[joint])
+        torque = own * min(most / own, SPEED / (PULSE * self.dt))
+        return max(torque, most) if share > SHARES[1] else torque
+
+    def push(self, joint: int, torque: float) -> tuple[Array, float, float]:
+        """Apply a pulse of a joint's torque (N m, N), then its opposite, beyond the weight.
+
+        Returns:
+            Mean change of speed of all joints (n,) along the pulse (rad/s, m/s); displacement of
+            the joint by its positions; displacement by the sum of its speeds (rad, m).
+        """
+        M = self.mass(self.now.q)
+        tau = M[:, joint] * torque / M[joint, joint]  # the other joints do not accelerate
+        gained = np.zeros(self.chain.nq)
+        turned = 0.0
+        summed = 0.0
+        for sign in (1.0, -1.0):
+            before = self.now
+            for _ in range(PULSE):
+                self.step(self.weight(self.now.q) + sign * tau)
+                summed += sign * self.now.v[joint] * self.dt
+                if abs(self.now.v[joint]) > SPEED:
+                    break
+            gained += 0.5 * sign * (self.now.v - before.v)
+            turned += sign * (self.now.q[joint] - before.q[joint])
+        return (gained, turned, summed)
+
     def stop(self) -> None:
-        """Twice: the second time nothing happens."""
+        """Stop the robot twice: the contract permits repeated calls."""
         for reason in ("the check has ended", ""):
             self.robot.stop(reason)
 
 
 def mean_outside(chain: ClosedChain, read: Callable[[], Measurement]) -> Array:
-    """(6,) mean of what the wrists read during some ticks, in world axes at the object.
+    """Mean wrench (6,) of all wrists over `MEAN` ticks, in world axes at the object (N, N m).
 
     Args:
-        chain: of the arms. read: gives the next measurement.
+        chain: model of the arms.
+        read: function that returns the next measurement.
     """
     sums = []
     for _ in range(MEAN):
@@ -292,14 +357,16 @@ def mean_outside(chain: ClosedChain, read: Callable[[], Measurement]) -> Array:
 def require_nudge(
     outside: Callable[[], Array], direction: Array, patience: float, dt: float
 ) -> None:
-    """Wait for somebody to push the tip, and judge the direction of the force that is read.
+    """Wait for a push of the tip by hand, and check the direction of the measured force.
 
     Args:
-        outside: gives the mean wrench of some ticks, see `mean_outside`.
-        direction: (3,) of the push, in world axes. patience: s. dt: s, period of a tick.
+        outside: function that returns the mean wrench of some ticks, see `mean_outside`.
+        direction: (3,) direction of the push in world axes.
+        patience: time to wait (s).
+        dt: control period (s).
 
     Raises:
-        PlantError: no push was read, or one in another direction.
+        PlantError: no push was measured, or one in another direction.
     """
     at_rest = outside()[:3]
     direction = direction / norm(direction)

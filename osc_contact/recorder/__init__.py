@@ -1,4 +1,4 @@
-"""Recordings: what a run leaves behind, in memory and in files."""
+"""Recordings of runs, in memory and in files."""
 
 from osc_contact.recorder.recording import Recording, column_names
 

@@ -1,6 +1,6 @@
-"""What happened in a run, with wall-clock times: lines of JSON in a file beside the recording.
+"""Events of a run with wall-clock times, lines of JSON in a file that belongs to the recording.
 
-Unlike rows, events are few, and each is written at once: what came before a kill is there.
+Unlike rows, events are few, and each is written at once: after a kill all of them are in the file.
 """
 
 from __future__ import annotations
@@ -11,26 +11,26 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from osc_contact.errors import RecordingError
 from osc_contact.files import Json
 
-MOST = 10_000  #: events that are kept; of later ones those of `ALWAYS` only
+MOST = 10_000  #: events that are kept; later ones are kept if their kind is in `ALWAYS`
 ALWAYS = frozenset({"start", "stop", "brakes", "reset", "end", "setting", "settings"})
 
 
 def events_beside(path: Path) -> Path:
-    """The file of the events of a recording, or of its rows."""
+    """File of the events that belong to a recording, or to the rows of a run."""
     return path.with_name(f"{path.stem}.events.jsonl")
 
 
 def to_line(event: Json) -> str:
-    """An event as a line of a file; numbers that JSON has not become text."""
+    """Event as a line of JSON; NaN and infinities, which JSON lacks, become text."""
     return json.dumps(_plain(event), ensure_ascii=False) + "\n"
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
+    """JSON data with text in place of NaN and infinities."""
     if isinstance(value, dict):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, list):
@@ -41,42 +41,47 @@ def _plain(value: Any) -> Any:
 
 
 class EventLog:
-    """Notes events, and writes each to a file as it comes.
+    """Log of events, in memory and in a file.
 
     Attributes:
-        events: noted so far, with `time` (UTC, ISO 8601), `t` (s of the run) and `event`.
-        omitted: number of those that were too many.
-        error: why no more events are written, or None; what was written stays.
+        events: events so far, with `time` (UTC, ISO 8601), `t` (s of the run) and `event`.
+        omitted: number of events beyond `MOST` that were not kept.
+        error: error that ended the writing, or None; the file keeps earlier events.
     """
 
     def __init__(self, path: Path | None) -> None:
-        """Begin a file; None: events are kept in memory only.
+        """Begin a log.
+
+        Args:
+            path: file, which is replaced; None: events are kept in memory only.
 
         Raises:
-            RecordingError: it cannot be created.
+            RecordingError: the file cannot be created.
         """
         self.events: list[Json] = []
         self.omitted = 0
         self.error: RecordingError | None = None
-        self._number = -1
+        self._descriptor = -1
         self._path = path
         if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.unlink(missing_ok=True)
-                how = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
-                self._number = os.open(path, how, 0o644)
+                flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
+                self._descriptor = os.open(path, flags, 0o644)
             except OSError as error:
                 raise RecordingError(f"cannot begin the event log {path}: {error}") from error
 
     def note(
         self, t: float, event: str, facts: Json, later: Callable[[Callable[[], object]], None]
     ) -> None:
-        """Note an event; never raises, see `error`.
+        """Append an event; errors of the file do not raise, see `error`.
 
         Args:
-            t: time in the run (s). event: its kind. facts: JSON-able, what belongs to it.
-            later: calls what writes, at once or from another thread.
+            t: time in the run (s).
+            event: kind of the event.
+            facts: further JSON data of the event.
+            later: function that calls its argument, which writes, at once or in another thread.
         """
         if len(self.events) >= MOST and event not in ALWAYS and facts.get("to") != "SAFE_STOP":
             self.omitted += 1
@@ -84,15 +89,16 @@ class EventLog:
         now = datetime.now(UTC).isoformat(timespec="microseconds")
         made = {"time": now, "t": t, "event": event, **facts}
         self.events.append(made)
-        if self._number >= 0 and self.error is None:
+        if self._descriptor >= 0 and self.error is None:
             later(partial(self._write, to_line(made).encode()))
 
     def _write(self, line: bytes) -> None:
+        """Write a line to the file; an error is kept."""
         try:
-            os.write(self._number, line)
+            os.write(self._descriptor, line)
         except OSError as error:
             self.error = RecordingError(f"no more events are written to {self._path}: {error}")
 
     def __del__(self) -> None:
-        if getattr(self, "_number", -1) >= 0:
-            os.close(self._number)
+        if getattr(self, "_descriptor", -1) >= 0:
+            os.close(self._descriptor)

@@ -1,8 +1,8 @@
-"""Rows of numbers, appended to a file while they come: what is written survives a kill.
+"""Rows of a running program, appended to a file that stays readable after a kill.
 
 The file is MCAP, an open container for logs of robots (mcap.dev): a header, then chunks, each with
-its own checksum. Every chunk holds one message, some rows and what they are made of, so that it can
-be read by itself. A chunk goes to the operating system whole, before the next begins.
+its own checksum. A chunk holds one message, some rows with their layout, so that it can be read
+without the others. A chunk is handed to the operating system as a whole, before the next begins.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import tempfile
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -35,29 +35,29 @@ _CHANNELS = {
     _ABOUT: Channel(_ABOUT, "about", "json", {}, 0),
     _ROWS: Channel(_ROWS, "rows", "numpy", {}, 0),
 }
-_MOST = 1 << 28  #: bytes of a record; more is damage
-#: What damaged records end in.
+_MOST = 1 << 28  #: largest size of a record (bytes); a larger one is damaged
+#: errors of reading damaged records
 _DAMAGED = (McapError, ValueError, KeyError, TypeError, OverflowError, MemoryError, struct.error)
 
 
 class JournalFile:
-    """Writes a journal.
+    """Journal that is written.
 
     Attributes:
-        path: of the file; None: an unnamed temporary one.
-        error: why nothing more is written, once the disk is full or fails; what was written before
-            stays readable.
+        path: the file; None: an unnamed temporary one.
+        error: error that ended the writing, of a full or failing disk, else None; rows that were
+            written before stay readable.
     """
 
     def __init__(self, path: Path | None, about: Mapping[str, Any]) -> None:
         """Begin a file.
 
         Args:
-            path: where; an older file there is replaced.
-            about: what the rows belong to, JSON-able.
+            path: the file, which is replaced; None: an unnamed temporary one.
+            about: description of the rows, JSON data.
 
         Raises:
-            RecordingError: it cannot be created.
+            RecordingError: the file cannot be created.
         """
         self.path = path
         self.error: RecordingError | None = None
@@ -78,13 +78,13 @@ class JournalFile:
         self._write(head + 2 * _chunk(_ABOUT, 0, text))  # twice: nothing is read without it
 
     def append(self, first: int, rows: Array) -> None:
-        """Write rows, a structured array, as a chunk; never raises, see `error`.
+        """Write rows as a chunk; errors of the file do not raise, see `error`.
 
-        After `close` the file is open again.
+        A file that was closed is continued.
 
         Args:
             first: number of the first row.
-            rows: (k,) with named fields.
+            rows: (k,) structured array.
         """
         if self._ended:
             self._ended = False
@@ -95,17 +95,18 @@ class JournalFile:
             self._count = first + len(rows)
 
     def read(self) -> Journal:
-        """What was written so far, to be read; more may be appended meanwhile."""
+        """Open the journal for reading; more rows may be appended meanwhile."""
         return Journal(self._number)
 
     def close(self) -> None:
-        """Write the end of the file: it is whole."""
+        """Write the end of the file, which marks it as complete."""
         if self.error is None and not self._ended:
             self._ended = True
             self._before_end = self._whole
             self._write(_bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MCAP0_MAGIC)
 
     def _write(self, data: bytes) -> None:
+        """Append bytes as a whole; an error is kept, and a part that was written is cut off."""
         left = memoryview(data)
         at = self._whole
         try:
@@ -127,29 +128,31 @@ class JournalFile:
 
 
 class Journal:
-    """Reads a journal, whole or not: every chunk that is, and what is missing.
+    """Journal that is read, complete or not.
 
     Attributes:
-        about: as given when it was begun.
-        missing: sentences on what damage was found; complete once all rows were read.
+        about: description of the rows, see `JournalFile`.
+        missing: sentences on missing and damaged parts; complete after all rows were read.
     """
 
     def __init__(self, source: Path | int) -> None:
         """Open a journal.
 
         Args:
-            source: a file, or the descriptor of an open one.
+            source: a file, or the descriptor of an open file.
 
         Raises:
-            RecordingError: no such file, or nothing in it that can be read.
+            RecordingError: there is no such file, or its beginning cannot be read.
         """
         self.missing: list[str] = []
         self._name = "the recording" if isinstance(source, int) else str(source)
         try:
             with open(source, "rb", closefd=isinstance(source, Path)) as file:
                 size = os.fstat(file.fileno()).st_size
-                where = file.fileno() if size else -1  # an empty file: one zero
-                self._file: Any = mmap.mmap(where, size or 1, access=mmap.ACCESS_READ)
+                if size:
+                    self._file = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+                else:  # an empty file cannot be mapped: a zero byte in its place
+                    self._file = mmap.mmap(-1, 1, access=mmap.ACCESS_READ)
         except OSError as error:
             raise RecordingError(f"no recording {source}: {error.strerror}") from error
         found = next((data for channel, data in self._messages() if channel == _ABOUT), None)
@@ -158,10 +161,13 @@ class Journal:
         self.about: dict[str, Any] = json.loads(found)
 
     def rows(self) -> Iterator[tuple[int, Array]]:
-        """(number of the first row, rows) of every whole chunk, each row once, in order.
+        """Rows of all complete chunks in order, each row once.
+
+        Yields:
+            Number of the first row, and rows (k,) as a structured array.
 
         Raises:
-            RecordingError: the file cannot be read, or another version wrote it.
+            RecordingError: rows of an unknown layout, for example of another version.
         """
         self.missing = []
         after = 0
@@ -189,12 +195,20 @@ class Journal:
                 yield (first + again, rows[again:])
 
     def _messages(self) -> Iterator[tuple[int, bytes]]:
-        """(MCAP channel, data) of the messages in all whole chunks; after damage, from the next."""
+        """Messages of all complete chunks: MCAP channel and data.
+
+        Reading continues with the next chunk after a damaged one.
+        """
         file = self._file
         at = lost = 0
         while 0 <= at < len(file):
             file.seek(at)
-            records = StreamReader(file, at > 0, True, record_size_limit=_MOST).records
+            records = StreamReader(
+                cast(IO[bytes], file),
+                skip_magic=at > 0,
+                emit_chunks=True,
+                record_size_limit=_MOST,
+            ).records
             try:
                 for record in records:
                     if isinstance(record, Chunk):
@@ -218,16 +232,23 @@ class Journal:
 
 
 def _bytes(record: McapRecord) -> bytes:
+    """Bytes of an MCAP record."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
 def _chunk(channel: int, number: int, data: bytes) -> bytes:
-    """A chunk that can be read by itself: the MCAP channel it needs, and one message."""
+    """Bytes of a chunk with one message and its MCAP channel, readable without other chunks.
+
+    Args:
+        channel: MCAP channel of the message.
+        number: sequence number of the message, used as its time, too.
+        data: content of the message.
+    """
     inside = _bytes(_CHANNELS[channel]) + _bytes(Message(channel, number, data, number, number))
     return _bytes(Chunk("", inside, number, number, zlib.crc32(inside), len(inside)))
 
 
-_SIGN = _bytes(_CHANNELS[_ROWS])  #: what every chunk of rows holds
-_INSIDE = _chunk(_ROWS, 0, b"").index(_SIGN)  #: bytes of a chunk before it
+_SIGN = _bytes(_CHANNELS[_ROWS])  #: bytes that every chunk of rows contains
+_INSIDE = _chunk(_ROWS, 0, b"").index(_SIGN)  #: offset of those bytes in a chunk

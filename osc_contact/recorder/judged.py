@@ -1,8 +1,8 @@
-"""Which ticks of a run its forces are judged at: those of closed contacts that have settled.
+"""Selection of the ticks of a run at which contact forces are judged: settled, closed contacts.
 
-A contact's force is commanded in phases: the contact is approached, it lands, it is closed. Only a
-closed contact has a force to judge; of the approach there is none, and the landing is judged by its
-overshoot. What happens after a landing counts, contact lost or not, until no force is commanded.
+The phases of a contact are approach, landing and closed contact. A force is judged only in the last
+one; the approach has no force, and the landing is judged by its overshoot. After the landing all
+ticks count, even if the contact is lost, until no force is commanded.
 """
 
 from collections.abc import Iterator, Mapping
@@ -13,23 +13,23 @@ import numpy.typing as npt
 
 from osc_contact.recorder.recording import Recording
 
-SETTLE_S = 1.0  #: judged from here on
-LANDING_S = 0.35  #: a force is judged from so long after its contact closed: the landing
-STEP_BLANK_S = 0.05  #: a force is not judged while a step of it rises, and this much longer
-CLOSED = 2  #: of channel `contact_phase`: the controller takes the contact as closed
-READ = ("t", "alpha_cmd", "closed", "contact_phase")  #: channels that decide
+SETTLE_S = 1.0  #: time from which a run is judged (s)
+LANDING_S = 0.35  #: time from the closing of a contact until its force is judged (s)
+STEP_BLANK_S = 0.05  #: time after the rise of a force step during which forces are not judged (s)
+CLOSED = 2  #: value of channel `contact_phase` of a contact that the controller treats as closed
+READ = ("t", "alpha_cmd", "closed", "contact_phase")  #: channels that are read
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 
 class JudgedTicks:
-    """Finds the judged ticks, piece after piece.
+    """Selection of the judged ticks of a recording, piece by piece.
 
     Attributes:
-        columns: (r,) the contact of each force magnitude.
-        landed: per contact, the time (s) at which it first closed; None: never.
-        open: per contact, whether a force is commanded and the contact has not closed since.
+        columns: (r,) index of the contact of each force magnitude.
+        landed: for each contact, the time at which it first closed (s); None: not yet.
+        open: for each contact, True while a force is commanded but the contact has not closed.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -44,15 +44,15 @@ class JudgedTicks:
         self._since: list[float | None] = [None] * contacts
 
     def add(self, piece: Mapping[str, npt.NDArray[np.generic]]) -> tuple[Flags, Flags, Flags]:
-        """Ticks that follow those before.
+        """Flags of judged ticks in the next piece.
 
         Args:
-            piece: channels `READ`, k ticks.
+            piece: channels `READ` of the k ticks that follow the piece before.
 
         Returns:
-            (k, c) whether each contact is judged; (k, r) whether each force magnitude is: not
-            while a commanded step rises; (k,) whether the run as a whole is: settled, no contact
-            is approached or lands, and no step rises.
+            (k, c) flags of each contact; (k, r) flags of each force magnitude, not set while a
+            commanded step rises; (k,) flags of the run as a whole, set after it has settled while
+            no contact is approached or lands and no step rises.
         """
         t = np.asarray(piece["t"], dtype=float)
         contacts = np.zeros((len(t), len(self.landed)), dtype=bool)
@@ -69,7 +69,14 @@ class JudgedTicks:
         return (contacts, contacts[:, self.columns] & quiet[:, None], whole & quiet)
 
     def _settled(self, i: int, t: Array, commanded: Flags, closed: Flags) -> Flags:
-        """Which ticks of contact i are judged."""
+        """Flags (k,) of the ticks at which contact i is judged.
+
+        Args:
+            i: index of the contact.
+            t: (k,) times (s).
+            commanded: (k,) whether a force is commanded.
+            closed: (k,) whether the contact is closed.
+        """
         settled = np.zeros(len(t), dtype=bool)
         if self.landed[i] is None and closed.any():
             self.landed[i] = float(t[np.argmax(closed)])
@@ -90,13 +97,15 @@ class JudgedTicks:
 
 
 def judged_ticks(recording: Recording) -> tuple[Flags, Flags]:
-    """(T, r) whether each force magnitude is judged, (T,) whether the run is; see `JudgedTicks`."""
+    """Flags of judged ticks: (T, r) of force magnitudes, (T,) of the run; see `JudgedTicks`."""
     ticks = JudgedTicks(recording)
     found = [ticks.add(piece)[1:] for piece in recording.pieces(*READ)]
     return (np.concatenate([one[0] for one in found]), np.concatenate([one[1] for one in found]))
 
 
 def stretches(flags: Flags) -> Iterator[tuple[int, int]]:
-    """[start, stop) of ticks with the same flag."""
+    """Ranges [start, stop) of successive ticks with equal flags."""
+    if not len(flags):
+        return
     edges = np.flatnonzero(flags[1:] != flags[:-1]) + 1
-    yield from pairwise([0, *edges.tolist(), len(flags)] if len(flags) else [])
+    yield from pairwise([0, *edges.tolist(), len(flags)])

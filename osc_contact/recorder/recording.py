@@ -1,4 +1,4 @@
-"""Time series of a run: recording → one file, its times beside it → back."""
+"""Time series of a run, and their files."""
 
 from __future__ import annotations
 
@@ -26,31 +26,30 @@ from osc_contact.errors import RecordingError
 from osc_contact.files import Json, StrPath, whole_file
 from osc_contact.recorder.events import events_beside, to_line
 
-# Named arrays and a text in one .npz file: same content, same bytes; read without surprises.
+# Named arrays and a text in one .npz file: equal content makes equal bytes; loaded without pickle.
 #
-# Arrays of long recordings stay in a file, mapped into memory where they are read.
+# Arrays of long recordings stay in a file, which is mapped into memory to read them.
 
 
 Array = npt.NDArray[Any]
 IN_MEMORY = 32 << 20  #: bytes; recordings up to this size are kept in memory
-_ALIGNED = 64  #: bytes between which columns begin
+_ALIGNED = 64  #: bytes; offsets of columns in a file are multiples of it
 
 
 def is_mapped(column: Array) -> bool:
-    """Whether a column is that of a file, which nothing can be written to."""
+    """Return whether a column is mapped from a file, so that it is read-only."""
     return not column.flags.writeable
 
 
 def read_column(column: Array, start: int = 0, stop: int | None = None) -> Array:
-    """Rows of a column: of a mapped file a copy, and its pages are given back.
+    """Rows start to stop − 1 of a column of a recording.
 
-    Args:
-        column: of a recording. start, stop: the rows start to stop − 1.
+    Rows of a mapped file are copied, and the memory of its pages is released.
     """
     if not is_mapped(column):
         return column[start:stop]
     rows = np.array(column[start:stop])
-    base: Any = column
+    base: object = column
     while isinstance(base, np.ndarray):
         base = base.base
     if isinstance(base, mmap.mmap):
@@ -59,10 +58,11 @@ def read_column(column: Array, start: int = 0, stop: int | None = None) -> Array
 
 
 def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]:
-    """Columns of rows that come part after part: in memory, or in a file if they are large.
+    """Concatenate columns that come in parts, in memory or, if they are large, in a file.
 
     Args:
-        ticks: of all parts together. parts: the same names in each.
+        ticks: number of rows of all parts together.
+        parts: columns of successive rows, with equal names in each part.
 
     Raises:
         RecordingError: the disk is full, or fails.
@@ -83,9 +83,10 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
                 start += len(values)
             file.write(bytes(size - file.seek(0, os.SEEK_END)))  # channels without numbers
             file.seek(0)
+            whole: mmap.mmap | bytearray
             if size > IN_MEMORY:
                 file.flush()
-                whole: Any = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+                whole = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
             else:
                 whole = bytearray(file.read())
     except OSError as error:
@@ -96,11 +97,11 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
     }
 
 
-TEXT = "meta"  #: the entry that holds the text
-_MOST_UNPACKED = 256 << 20  #: bytes that packed entries may grow to
+TEXT = "meta"  #: name of the entry with the text
+_MOST_UNPACKED = 256 << 20  #: largest size of packed entries after unpacking (bytes)
 _MOST_ENTRIES = 1000
-#: What reading a file that is none of ours, or damaged, ends in. zipfile answers encryption, and
-#: compression that it does not know, with kinds of RuntimeError.
+#: Errors of reading a damaged file, or one that is not a recording. zipfile raises RuntimeError for
+#: encryption, and NotImplementedError for unknown compression.
 _UNREADABLE = (
     OSError,
     ValueError,
@@ -118,10 +119,10 @@ _UNREADABLE = (
 
 @contextmanager
 def _written(target: Path) -> Iterator[IO[bytes]]:
-    """A file that is complete under its final name, or not there at all: an older one is kept.
+    """Open a file that gets its final name only when it is complete; else an older one is kept.
 
     Raises:
-        RecordingError: it cannot be written.
+        RecordingError: the file cannot be written.
     """
     try:
         with whole_file(target) as unfinished, open(unfinished, "xb") as file:
@@ -133,10 +134,12 @@ def _written(target: Path) -> Iterator[IO[bytes]]:
 
 
 def write_archive(target: Path, text: str, arrays: Mapping[str, Any]) -> None:
-    """Write one .npz file.
+    """Write an .npz file of arrays and a text.
 
     Args:
-        target: file. text: JSON of the meta data. arrays: by name.
+        target: the file.
+        text: meta data as JSON.
+        arrays: arrays by name.
 
     Raises:
         RecordingError: the file cannot be written.
@@ -146,12 +149,12 @@ def write_archive(target: Path, text: str, arrays: Mapping[str, Any]) -> None:
 
 
 def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
-    """The text and the arrays of an .npz file; large arrays stay in the file until they are read.
+    """Read the text and the arrays of an .npz file; large arrays stay in the file until used.
 
-    Sizes are judged by the headers before anything is unpacked; all checksums are verified.
+    Sizes are checked by the headers before anything is unpacked; all checksums are verified.
 
     Raises:
-        RecordingError: no such file, damaged, or none of ours.
+        RecordingError: there is no such file, or it is damaged or not a recording.
     """
     if not source.is_file():
         raise RecordingError(f"no recording {source}: there is no such file")
@@ -177,14 +180,23 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
 
 
 def checksum(path: Path) -> int:
-    """A number that differs between archives of different content, from the checksums inside."""
+    """Checksum of an archive's content, computed from the names and checksums of its entries."""
     with zipfile.ZipFile(path) as archive:
         words = "".join(f"{info.filename}:{info.CRC};" for info in archive.infolist())
     return zlib.crc32(words.encode())
 
 
 def _require_size(source: Path, entries: list[zipfile.ZipInfo], size: int) -> None:
-    """Refuse what would unpack to more than a recording could hold."""
+    """Refuse an archive whose entries would become larger than those of any recording.
+
+    Args:
+        source: the file, for messages.
+        entries: entries of the archive.
+        size: size of the file (bytes).
+
+    Raises:
+        RecordingError: too many or too large entries, or more than the file can contain.
+    """
     if len(entries) > _MOST_ENTRIES:
         raise RecordingError(
             f"{source} has {len(entries)} entries; at most {_MOST_ENTRIES} are read"
@@ -203,7 +215,13 @@ def _require_size(source: Path, entries: list[zipfile.ZipInfo], size: int) -> No
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes] | None) -> Array:
-    """The numbers of an entry, mapped where there is a file; its checksum is verified."""
+    """Array of an entry, whose checksum is verified.
+
+    Args:
+        archive: the archive.
+        info: its entry.
+        file: the open archive, to map the array from it; None: the array is read.
+    """
     with archive.open(info) as entry:
         dtype, shape, start, order = _header(info, entry)
         if file is None or not shape or order == "F":
@@ -216,9 +234,13 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes] | No
 
 
 def _header(
-    info: zipfile.ZipInfo, entry: Any
+    info: zipfile.ZipInfo, entry: IO[bytes]
 ) -> tuple[np.dtype[Any], tuple[int, ...], int, Literal["C", "F"]]:
-    """Type, shape, first byte and order of an entry's numbers, which must fill it exactly."""
+    """Type, shape, first byte and order of the numbers of an entry, which must fill it.
+
+    Raises:
+        ValueError: Python objects, or a size that differs from that of the entry.
+    """
     version = npy.read_magic(entry)
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, in_columns, dtype = read(entry)
@@ -232,22 +254,22 @@ def _header(
 
 _FORMAT = 1
 _RESERVED = frozenset({TEXT, "file", "allow_pickle"})
-#: What a clock measured: all that differs from one run to the next of the same seed.
+#: channels and meta data that clocks measured: all that differs between two runs of the same seed
 _TIMES = ("tick_s",)
 _META_TIMES = ("wall_s", "cpu_s", "date")
-_PIECE = 1 << 14  #: ticks that are judged or drawn at once
-_FROM_DISK = 1 << 11  #: the same of a recording that stays on disk, and is to take little memory
+_PIECE = 1 << 14  #: ticks of a piece, see `Recording.pieces`
+_FROM_DISK = 1 << 11  #: ticks of a piece of a recording that stays on disk, to save memory
 
 
 class Channels(UserDict[str, Array]):
-    """Channels that may stay on disk; such a one is read whole at each access."""
+    """Channels by name; a channel that stays on disk is read as a whole at each access."""
 
     def __getitem__(self, name: str) -> Array:
         return read_column(self.data[name])
 
 
 class Meta(dict[str, Any]):
-    """Meta data of a recording; a key that is not there is a `RecordingError`."""
+    """Meta data of a recording; access to a missing key raises a `RecordingError`."""
 
     def __missing__(self, key: str) -> Any:
         known = ", ".join(self) or "nothing"
@@ -258,17 +280,17 @@ class Meta(dict[str, Any]):
 
 
 class Recording:
-    """Time series of one run: `meta` (JSON-able) and `channels` (first axis = control tick).
+    """Time series of one run: `meta` (JSON data) and `channels` (first axis = control tick).
 
-    Channels of long runs stay on disk: `recording[name]` reads one of them, `rows` and `pieces`
-    read some ticks of several.
+    Channels of long runs stay on disk: `recording[name]` reads a channel, `rows` and `pieces` read
+    some ticks of several channels.
 
     Args:
-        meta: what the series belong to; kept as JSON data (tuples become lists).
+        meta: description of the run; kept as JSON data (tuples become lists).
         channels: arrays of bool, int or float with equally long first axes.
 
     Attributes:
-        events: what happened in the run, with wall-clock times; see docs/metrics.md.
+        events: events of the run, with wall-clock times; see docs/metrics.md.
 
     Raises:
         RecordingError: meta is not JSON-able, or the channels do not fit together.
@@ -313,7 +335,7 @@ class Recording:
 
     @property
     def magnitude_names(self) -> list[str]:
-        """Names of the columns of alpha: the contact's, or contact.1, contact.2, … if several."""
+        """Names of the columns of alpha, see `column_names`."""
         names = [str(name) for name in self.meta.get("contact_names", [])]
         return column_names(names, self.meta.get("columns", range(len(names))))
 
@@ -322,7 +344,11 @@ class Recording:
         return len(next(iter(self.channels.data.values()), ()))
 
     def rows(self, start: int, stop: int, *names: str) -> dict[str, Array]:
-        """The ticks start to stop − 1 of some channels, by default of all."""
+        """Ticks start to stop − 1 of some channels, by default of all.
+
+        Raises:
+            RecordingError: there is no such channel.
+        """
         rows = {}
         for name in names or self.channels:
             if name not in self.channels:
@@ -332,19 +358,19 @@ class Recording:
         return rows
 
     def pieces(self, *names: str) -> Iterator[dict[str, Array]]:
-        """All ticks of some channels, some thousand at a time."""
+        """Ticks of some channels, by default of all, in pieces of some thousand."""
         stays = any(map(is_mapped, self.channels.data.values()))
         many = _FROM_DISK if stays else _PIECE
         for start in range(0, len(self), many):
             yield self.rows(start, start + many, *names)
 
     def at(self, tick: int) -> Json:
-        """All channels at one tick."""
+        """Values of all channels at a tick; negative ticks count from the end."""
         tick = range(len(self))[tick]
         return {name: values[0] for name, values in self.rows(tick, tick + 1).items()}
 
     def thinned(self, most: int) -> Recording:
-        """Every k-th tick, the least k that leaves no more than so many; in memory."""
+        """Recording of every k-th tick, in memory, with the least k that leaves ≤ `most` ticks."""
         step = -(-len(self) // most)
         if step <= 1:
             return self
@@ -357,26 +383,27 @@ class Recording:
         return Recording(self.meta, {name: np.concatenate(some) for name, some in kept.items()})
 
     def save(self, path: StrPath) -> Path:
-        """Write one .npz file: complete under its final name, or not there at all.
+        """Write an .npz file, which appears complete or not at all, and return its path.
 
-        Two runs of the same seed make the same bytes. What a clock measured (`tick_s`; `wall_s`,
-        `cpu_s` and `date` of the meta) goes to another file beside it, run.times.npz for run.npz,
-        and the events to run.events.jsonl.
+        Two runs of the same seed make the same bytes. Times that were measured (`tick_s`; `wall_s`,
+        `cpu_s` and `date` of the meta) are written to another file, run.times.npz for run.npz, and
+        the events to run.events.jsonl.
 
         Raises:
-            RecordingError: the file cannot be written; an older file of the name is kept."""
+            RecordingError: the file cannot be written; an older file of the name is kept.
+        """
         target = Path(path)
         columns = self.channels.data
         times = {name: columns[name] for name in _TIMES if name in columns}
-        spent = {key: self.meta[key] for key in _META_TIMES if key in self.meta}
-        kept = {key: value for key, value in self.meta.items() if key not in spent}
+        meta_times = {key: self.meta[key] for key in _META_TIMES if key in self.meta}
+        meta = {key: value for key, value in self.meta.items() if key not in meta_times}
         others = {name: values for name, values in columns.items() if name not in times}
-        write_archive(target, _text(meta=kept, order=list(columns)), others)
-        beside = _beside(target)
-        if times or spent:
-            write_archive(beside, _text(meta=spent, of=checksum(target)), times)
+        write_archive(target, _text(meta=meta, order=list(columns)), others)
+        times_file = _times_file(target)
+        if times or meta_times:
+            write_archive(times_file, _text(meta=meta_times, of=checksum(target)), times)
         else:
-            beside.unlink(missing_ok=True)
+            times_file.unlink(missing_ok=True)
         events = events_beside(target)
         if self.events:
             lines = [{"event": "recording", "of": checksum(target)}, *self.events]
@@ -387,13 +414,13 @@ class Recording:
         return target
 
     def export(self, path: StrPath) -> Path:
-        """Write a file for other programs, by the end of its name.
+        """Write a file for other programs, in the format of its suffix, and return its path.
 
         Args:
-            path: .npz (as `save`), .csv (a line per tick) or .mcap (a JSON message per tick).
+            path: .npz (see `save`), .csv (a line per tick) or .mcap (a JSON message per tick).
 
         Raises:
-            RecordingError: another ending, or the file cannot be written.
+            RecordingError: another suffix, or the file cannot be written.
         """
         target = Path(path)
         if target.suffix == ".npz":
@@ -409,12 +436,13 @@ class Recording:
 
     @classmethod
     def load(cls, path: StrPath) -> Recording:
-        """Read a file written by `save`, and its times and events where they stand beside it.
+        """Read a file written by `save`, and the files of its times and events if they are there.
 
-        Checksums are verified, nothing is unpickled; what is large stays in the file.
+        Checksums are verified, nothing is unpickled; large channels stay in the file.
 
         Raises:
-            RecordingError: no such file, damaged, or not a recording."""
+            RecordingError: there is no such file, or it is damaged or not a recording.
+        """
         source = Path(path)
         if source.suffix == ".mcap":
             raise RecordingError(
@@ -424,12 +452,13 @@ class Recording:
         content, columns = _read(source)
         meta = content["meta"]
         order = content.get("order", list(columns))
-        if _beside(source).is_file():
-            spent, times = _read(_beside(source))
-            if spent.get("of") == checksum(source):
+        times_file = _times_file(source)
+        if times_file.is_file():
+            measured, times = _read(times_file)
+            if measured.get("of") == checksum(source):
                 columns |= times
                 if isinstance(meta, dict):
-                    meta |= {k: v for k, v in spent["meta"].items() if k in _META_TIMES}
+                    meta |= {k: v for k, v in measured["meta"].items() if k in _META_TIMES}
         names = [*(name for name in order if name in columns), *columns]
         recording = cls(meta, {name: columns[name] for name in names})
         recording.events = _read_events(source)
@@ -437,7 +466,10 @@ class Recording:
 
 
 def _read_events(source: Path) -> list[Json]:
-    """The events beside a recording; none where they are of another one, or cannot be read."""
+    """Events in the file that belongs to a recording; [] for a file of another recording.
+
+    A file that cannot be read gives [], too.
+    """
     try:
         lines = events_beside(source).read_text("utf-8").splitlines()
         first, *events = map(json.loads, lines)
@@ -447,15 +479,22 @@ def _read_events(source: Path) -> list[Json]:
     return [one for one in events if isinstance(one, dict)] if fits else []
 
 
-def _beside(path: Path) -> Path:
+def _times_file(path: Path) -> Path:
+    """File of the measured times of a recording."""
     return path.with_name(f"{path.stem}.times.npz")
 
 
-def _text(**content: Any) -> str:
+def _text(**content: Json | list[str] | int) -> str:
+    """Content of the text of a recording's file as JSON, with the version of the format."""
     return json.dumps({"format": _FORMAT, **content}, allow_nan=False)
 
 
 def _read(source: Path) -> tuple[Json, dict[str, Array]]:
+    """Read the text, parsed, and the arrays of a recording's file.
+
+    Raises:
+        RecordingError: the file is damaged, not a recording, or of another version.
+    """
     text, columns = read_archive(source)
     try:
         content = json.loads(text)
@@ -476,42 +515,52 @@ def column_names(contacts: Sequence[str], owners: Sequence[int]) -> list[str]:
     """Names of the columns of N: the contact's, or contact.1, contact.2, … if it has several.
 
     Args:
-        contacts: names. owners: the contact of each column.
+        contacts: names of the contacts.
+        owners: index of the contact of each column.
     """
-    own = list(owners)
-    return [
-        contacts[i] if own.count(i) == 1 else f"{contacts[i]}.{own[:k].count(i) + 1}"
-        for k, i in enumerate(own)
-    ]
+    all_owners = list(owners)
+    names = []
+    for column, i in enumerate(all_owners):
+        if all_owners.count(i) == 1:
+            names.append(contacts[i])
+        else:
+            number = all_owners[:column].count(i) + 1
+            names.append(f"{contacts[i]}.{number}")
+    return names
 
 
 # Recordings for other programs: CSV for tables, MCAP for viewers of robot logs.
 
 
 def write_csv(recording: Recording, file: IO[bytes]) -> None:
-    """One line per tick, one column per number: t, q.0, q.1, …, N.0.0, N.0.1, …
+    """Write a line per tick, with a column per number: t, q.0, q.1, …, N.0.0, N.0.1, …
 
     Args:
-        recording: with channels. file: open for writing.
+        recording: recording to write.
+        file: file that is open for writing.
     """
     for number, piece in enumerate(recording.pieces()):
         if number == 0:
-            names = ",".join(c for name, x in piece.items() for c in _columns(name, x))
-            file.write(names.encode() + b"\n")
+            titles = [title for name, values in piece.items() for title in _titles(name, values)]
+            file.write(",".join(titles).encode() + b"\n")
         flat = [x.reshape(len(x), -1).astype(float) for x in piece.values()]
         np.savetxt(file, np.hstack(flat), fmt="%.17g", delimiter=",")
 
 
-def _columns(name: str, values: Array) -> Iterator[str]:
-    for place in np.ndindex(values.shape[1:]):
-        yield ".".join((name, *map(str, place)))
+def _titles(name: str, values: Array) -> Iterator[str]:
+    """Titles of the columns of a channel: its name with the indices of each number of a tick."""
+    for index in np.ndindex(values.shape[1:]):
+        yield ".".join((name, *map(str, index)))
 
 
 def write_mcap(recording: Recording, file: IO[bytes]) -> None:
-    """One JSON message per tick on the topic "tick", at its time in the run; the meta beside it.
+    """Write a JSON message per tick on the topic "tick", stamped with its time in the run.
+
+    The meta data of the recording become an MCAP metadata record.
 
     Args:
-        recording: with channels. file: open for writing.
+        recording: recording to write.
+        file: file that is open for writing.
     """
     kinds = {"type": ["number", "boolean", "array", "null"]}
     schema = {"type": "object", "properties": dict.fromkeys(recording.channels, kinds)}
@@ -530,8 +579,8 @@ def write_mcap(recording: Recording, file: IO[bytes]) -> None:
     writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _finite(value: Any) -> Any:
-    """Numbers and lists of them; JSON has no NaN."""
+def _finite(value: npt.ArrayLike) -> object:
+    """Number, or nested lists of numbers, with None for NaN and infinities, which JSON lacks."""
     array = np.asarray(value)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         known = np.isfinite(array)

@@ -1,4 +1,4 @@
-"""Robots: where their files are, and how a file becomes a checked model.
+"""Robots: the files of their models, and the checks before a model is used.
 
 A URDF passes, in this order: strict XML with line numbers, words, numbers and tree
 (`urdf`), shapes and mesh addresses, limits, inertias (`checks`), Pinocchio and its mass matrix

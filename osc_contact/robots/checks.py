@@ -1,4 +1,4 @@
-"""What a URDF must have so that its robot can be controlled: limits, inertias, shapes, meshes."""
+"""Checks of limits, inertias, shapes and meshes of a URDF, without which control is impossible."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 from urllib.parse import unquote
 
 import numpy as np
@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, did_you_mean
 from osc_contact.robots.model import joint_names
-from osc_contact.robots.urdf import LIMITS, Document, Element, ModelFinding
+from osc_contact.robots.urdf import LIMITS, Document, Element, Joint, ModelFinding
 from osc_contact.spatial import Array
 
 # Limits -------------------------------------------------------------------------------------------
@@ -29,7 +29,8 @@ class JointLimits:
 
     Attributes:
         lower, upper: positions in rad (revolute) or m (prismatic); ∓inf: no end stop.
-        effort: largest |torque| in N m, or |force| in N. velocity: rad/s or m/s.
+        effort: largest |torque| in N m, or |force| in N.
+        velocity: largest speed in rad/s or m/s.
 
     Raises:
         InvalidInputError: NaN; lower > upper; effort or velocity not finite or not > 0.
@@ -52,10 +53,10 @@ class JointLimits:
 
     @classmethod
     def parse(cls, text: str) -> tuple[str, JointLimits]:
-        """(joint pattern, limits) of "joint1:effort=5,velocity=3".
+        """Joint pattern and limits of a text such as "joint1:effort=5,velocity=3".
 
         Raises:
-            InvalidInputError: with the expected form.
+            InvalidInputError: a text of another form, or impossible limits.
         """
         name, colon, rest = text.rpartition(":")
         pairs = [part.partition("=") for part in rest.split(",")]
@@ -73,7 +74,14 @@ class JointLimits:
 def matching_limits(
     names: Iterable[str], limits: Mapping[str, JointLimits]
 ) -> dict[str, dict[str, float]]:
-    """By joint, the limits whose key is its name or matches it ("finger*"); the first key wins.
+    """Limits of each joint by the first key that is its name or matches it.
+
+    Args:
+        names: names of the moving joints.
+        limits: limits by joint name or pattern ("finger*").
+
+    Returns:
+        By joint, the given limits by key: "lower", "upper", "effort", "velocity".
 
     Raises:
         InvalidInputError: a key that no moving joint matches.
@@ -86,7 +94,7 @@ def matching_limits(
             raise InvalidInputError(
                 f"limits: no moving joint matches {key!r}; {did_you_mean(key, known)}"
             )
-        values = {which: x for which, x in asdict(given).items() if x is not None}
+        values = {limit: value for limit, value in asdict(given).items() if value is not None}
         found |= dict.fromkeys(matched, values)
     return found
 
@@ -94,72 +102,85 @@ def matching_limits(
 def check_limits(document: Document) -> None:
     """Note limits that are missing, ≤ 0 (effort, velocity) or empty (lower > upper).
 
-    A continuous joint needs effort and velocity; its positions are unbounded whatever is written.
+    A continuous joint needs effort and velocity; its positions are unbounded even if the file
+    limits them.
     """
     for joint in document.joints.values():
-        if joint.kind == "fixed":
-            continue
-        by_hand = f", or give limits={{{joint.name!r}: JointLimits(…)}} when loading"
-        element = joint.element.part("limit")
-        limits = joint.limits
-        required = LIMITS[2:] if joint.kind == "continuous" else LIMITS
-        missing = [key for key in required if key not in limits]
-        if element is joint.element and len(missing) == len(required):
-            keys = " ".join(f'{key}="…"' for key in required)
-            element.note("limit", "has no <limit>", f"add <limit {keys}/>{by_hand}")
-            continue
-        for key in missing:
-            reason = f"{key} is missing: a reader would take 0"
-            element.note("limit", reason, f'write {key}="…"{by_hand}')
-        units = ("N", "m/s") if joint.kind == "prismatic" else ("N m", "rad/s")
-        for key, unit in zip(LIMITS[2:], units, strict=True):
-            if key in limits and not limits[key] > 0:
-                reason = f"{key} limit {limits[key]:g} {unit} must be > 0"
-                cure = f"write what the joint can bear, passive joints too{by_hand}"
-                element.note("limit", reason, cure, key)
-        low = limits.get("lower", -math.inf)
-        high = limits.get("upper", math.inf)
-        if joint.kind != "continuous" and low >= high:
-            word = "is above" if low > high else "equals"
-            cure = "exchange them" if low > high else 'make the joint fixed or "continuous"'
-            reason = f"lower limit {low:g} {word} the upper limit {high:g}"
-            element.note("limit", reason, f"{cure}{by_hand}", "lower")
+        if joint.kind != "fixed":
+            _check_limits_of(joint)
+
+
+def _check_limits_of(joint: Joint) -> None:
+    """Note wrong limits of one joint that moves."""
+    by_hand = f", or give limits={{{joint.name!r}: JointLimits(…)}} when loading"
+    element = joint.element.part("limit")
+    limits = joint.limits
+    required = ("effort", "velocity") if joint.kind == "continuous" else LIMITS
+    missing = [key for key in required if key not in limits]
+    if element is joint.element and len(missing) == len(required):
+        keys = " ".join(f'{key}="…"' for key in required)
+        element.note("limit", "has no <limit>", f"add <limit {keys}/>{by_hand}")
+        return
+    for key in missing:
+        reason = f"{key} is missing: a reader would take 0"
+        element.note("limit", reason, f'write {key}="…"{by_hand}')
+    units = ("N", "m/s") if joint.kind == "prismatic" else ("N m", "rad/s")
+    for key, unit in zip(("effort", "velocity"), units, strict=True):
+        if key in limits and not limits[key] > 0:
+            reason = f"{key} limit {limits[key]:g} {unit} must be > 0"
+            cure = f"write what the joint can bear, passive joints too{by_hand}"
+            element.note("limit", reason, cure, key)
+    low = limits.get("lower", -math.inf)
+    high = limits.get("upper", math.inf)
+    if joint.kind != "continuous" and low >= high:
+        word = "is above" if low > high else "equals"
+        cure = "exchange them" if low > high else 'make the joint fixed or "continuous"'
+        reason = f"lower limit {low:g} {word} the upper limit {high:g}"
+        element.note("limit", reason, f"{cure}{by_hand}", "lower")
 
 
 # Inertias -----------------------------------------------------------------------------------------
 
 Inertias = Literal["possible", "positive"]
-"""What is required of inertias.
+"""Level of the check of inertias.
 
-"possible": every link is a body: mass ≥ 0, principal moments ≥ 0, none larger than the sum of the
-others. "positive": only the rigid bodies that move (links joined by fixed joints taken together)
-are looked at, and only their kinetic energy must not be negative. Then the mass matrix still is
-positive definite, but no distribution of mass need have those moments.
+"possible": every link has the inertia of a possible body: mass ≥ 0, principal moments ≥ 0, none
+larger than the sum of the others. "positive": only the kinetic energy of the moving bodies (links
+joined by fixed joints taken together) must not be negative. Then the mass matrix is positive
+definite, though no body need have such moments.
 """
 
 _TENSOR = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")  # row by row
 _SLACK = 1e-6
-"""Relative slack of the link's own moments: the digits a URDF carries."""
+"""Tolerance of a link's moments over its largest one: the digits that a URDF carries."""
 _DUST = 1e-12
-"""Relative slack of the robot's largest moment."""
+"""Tolerance of a link's moments over the largest one of the robot."""
 
 
 def require_level(inertias: str) -> None:
-    """Refuse a level that does not exist."""
+    """Refuse an unknown level of the check of inertias.
+
+    Raises:
+        InvalidInputError: the level is none of `Inertias`.
+    """
     levels = get_args(Inertias)
     if inertias not in levels:
         raise InvalidInputError(f"inertias={inertias!r}; there is: {', '.join(levels)}")
 
 
-def _principal(tensors: Sequence[Any]) -> tuple[Array, Array]:
-    """(k, 3) principal moments, ascending, and (k,) what rounding may make of each."""
-    moments = np.linalg.eigvalsh(np.reshape(tensors, (-1, 3, 3)))
+def _principal(tensors: Sequence[Array] | Sequence[Sequence[float]]) -> tuple[Array, Array]:
+    """Principal moments (k, 3), ascending, and tolerance (k,) of k inertia tensors (kg m²).
+
+    Args:
+        tensors: k tensors, (3, 3) or (9,).
+    """
+    moments = np.linalg.eigvalsh(np.array(tensors).reshape(-1, 3, 3))
     sizes = np.abs(moments).max(axis=1, initial=0.0)
     return (moments, _SLACK * sizes + _DUST * sizes.max(initial=0.0))
 
 
 def check_inertias(document: Document, inertias: Inertias) -> None:
-    """Note negative masses, and, for "possible", links whose inertia no body has."""
+    """Note negative masses and, at the level "possible", inertias that no body can have."""
     bodies = [link.inertial for link in document.links.values() if link.inertial is not None]
     for body in bodies:
         if body.mass < 0:
@@ -207,13 +228,15 @@ def check_moving_bodies(document: Document, model: pin.Model) -> None:
 
 
 def _listed(moments: Array) -> str:
+    """Moments (3,) with four digits, for messages."""
     return ", ".join(f"{moment:.4g}" for moment in moments)
 
 
 # Shapes and mesh addresses ------------------------------------------------------------------------
 
-MESH_TYPES = (".stl", ".obj", ".dae")
+MESH_TYPES = (".stl", ".obj", ".dae")  #: suffixes of meshes that are read
 MAX_MESH_BYTES = 256 * 2**20
+#: attributes of a shape that are lengths
 _SIZES = {"cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",)}
 _TEXTURE = re.compile(rb"<init_from>\s*(?:<ref>)?\s*([^<]*?)\s*<")
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")
@@ -221,10 +244,10 @@ _PACKAGE = "package://"
 
 
 def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
-    """Note shapes without size, poses that are no numbers, and mesh addresses that lead outside.
+    """Note shapes without size, poses that are not numbers, and mesh addresses that lead outside.
 
-    No mesh is opened. All, ``package://name/...`` included, must stay in the URDF's folder or in
-    one of `package_dirs`.
+    No mesh is opened. All addresses, ``package://name/...`` included, must be in the URDF's folder
+    or in one of `package_dirs`.
     """
     for link in document.links.values():
         for part in link.element.findall("visual", "collision"):
@@ -239,8 +262,11 @@ def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
 def check_mesh_files(
     document: Document, package_dirs: Sequence[Path]
 ) -> tuple[list[ModelFinding], list[ModelFinding]]:
-    """Mesh files that lead outside through a link, are huge, or are Collada files whose textures
-    lie elsewhere; and those that are not there."""
+    """Findings on mesh files: those of unusable files, and those of missing files.
+
+    Unusable are links that lead outside of the robot's folders, files larger than
+    `MAX_MESH_BYTES`, and Collada files with textures elsewhere.
+    """
     meshes = {mesh.get("filename"): mesh for mesh in document.root.iter("mesh")}
     roots = _roots(document.file, package_dirs)
     wrong = []
@@ -257,14 +283,16 @@ def check_mesh_files(
 
 
 def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
-    """(what is wrong with a mesh file, cure)."""
+    """Reason and cure of an unusable mesh file, None for a usable one."""
     if not _inside(file, roots, os.path.realpath):
         return (f"leads to {file.resolve()}, outside of the robot's folders", "copy the file")
     size = file.stat().st_size
     if size > MAX_MESH_BYTES:
         limit = f"simplify it to at most {MAX_MESH_BYTES / 2**20:.0f} MiB"
         return (f"has {size / 2**20:.0f} MiB", limit)
-    for found in _TEXTURE.findall(file.read_bytes()) if file.suffix.lower() == ".dae" else ():
+    if file.suffix.lower() != ".dae":
+        return None
+    for found in _TEXTURE.findall(file.read_bytes()):
         texture = unquote(found.decode("utf-8", "replace"))
         if _SCHEME.match(texture) or not _inside(file.parent / texture, roots, os.path.realpath):
             cure = "keep textures beside the mesh, or convert it to STL or OBJ"
@@ -273,6 +301,7 @@ def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
 
 
 def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
+    """Note an unknown shape, negative sizes, and a mesh address that cannot be used."""
     if shape.tag == "mesh":
         shape.vector("scale", (1.0, 1.0, 1.0))
         if problem := _address_problem(shape, _roots(shape.file, package_dirs)):
@@ -292,7 +321,7 @@ def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
 
 
 def _address_problem(mesh: Element, roots: Sequence[Path]) -> tuple[str, str] | None:
-    """(what is wrong with a mesh address, cure)."""
+    """Reason and cure of a mesh address that cannot be used, None for a usable one."""
     address = mesh.get("filename")
     cure = "keep meshes below the URDF's folder, or pass the folder in package_dirs"
     suffix = os.path.splitext(address)[1].lower()
@@ -310,7 +339,7 @@ def _address_problem(mesh: Element, roots: Sequence[Path]) -> tuple[str, str] | 
 
 
 def _places(mesh: Element, roots: Sequence[Path]) -> list[Path]:
-    """Where the file of a mesh may be: of a package below each root, else beside the URDF."""
+    """Possible files of a mesh: one in each root for package:// addresses, else a single one."""
     address = mesh.get("filename")
     rest = address.removeprefix(_PACKAGE)
     if rest != address:
@@ -319,13 +348,16 @@ def _places(mesh: Element, roots: Sequence[Path]) -> list[Path]:
 
 
 def _roots(urdf: Path, package_dirs: Sequence[Path]) -> list[Path]:
+    """Folders in which meshes may be."""
     return [folder.absolute() for folder in (*package_dirs, urdf.parent)]
 
 
-def _inside(place: Path, roots: Sequence[Path], real: Callable[[Path], str]) -> bool:
-    """Whether a path stays in a folder of the robot.
+def _inside(file: Path, roots: Sequence[Path], resolved: Callable[[Path], str]) -> bool:
+    """Return whether a file is in one of the robot's folders.
 
     Args:
-        place: of a file. roots: folders. real: `os.path.realpath`, or `normpath`: as it is written.
+        file: path of the file.
+        roots: folders of the robot.
+        resolved: `os.path.realpath`, which follows links, or `os.path.normpath`.
     """
-    return any(Path(real(place)).is_relative_to(real(root)) for root in roots)
+    return any(Path(resolved(file)).is_relative_to(resolved(root)) for root in roots)

@@ -1,4 +1,4 @@
-"""URDF in, checked Pinocchio model out; every file is judged before Pinocchio reads it."""
+"""Loading of URDF files as Pinocchio models; a file is checked before Pinocchio reads it."""
 
 import importlib.metadata
 import re
@@ -37,7 +37,10 @@ from osc_contact.robots.urdf import (
 
 
 class Loaded(NamedTuple):
-    """A robot that passed: its model, and links and joints as written. Not to be changed."""
+    """Model of a robot that passed all checks, and its links and joints as written.
+
+    Loads of the same file share it: it must not be changed.
+    """
 
     model: pin.Model
     document: Document
@@ -50,13 +53,17 @@ def load(
     inertias: Inertias = "possible",
     package_dirs: Sequence[Path | str] = (),
 ) -> Loaded:
-    """As `load_model`, with the document beside the model.
+    """Load a URDF as `load_model` does; return the document as well as the model.
 
-    A file with the bytes of one that passed is not judged again: studies build thousands of rigs
+    A file whose content has passed before is not checked again: studies build thousands of rigs
     from the same files.
 
     Args:
-        path: of the URDF. limits, inertias, package_dirs: see `load_model`.
+        path: the URDF.
+        limits, inertias, package_dirs: see `load_model`.
+
+    Raises:
+        ModelError, InvalidInputError: see `load_model`.
     """
     file = Path(path)
     digest = sha256(read_bytes(file)).digest()
@@ -74,6 +81,16 @@ def _loaded(
     inertias: Inertias,
     folders: Sequence[Path],
 ) -> Loaded:
+    """Load and check a URDF, once for each content.
+
+    Args:
+        file: the URDF.
+        place: its absolute path, part of the cache's key.
+        digest: hash of its content, part of the cache's key.
+        limits: joint names or patterns with their limits by hand.
+        inertias: level of the check of inertias.
+        folders: folders of its meshes.
+    """
     require_level(inertias)
     document = _sound(file, folders)
     moving = [joint.name for joint in document.joints.values() if joint.kind != "fixed"]
@@ -120,16 +137,18 @@ def load_model(
 def load_robot(
     path: Path | str, tip: str | None = None, package_dirs: Sequence[Path | str] = ()
 ) -> tuple[pin.Model, dict[str, str]]:
-    """The model of a URDF or of an MJCF file, whichever it is, and its dependent joints.
+    """Load the model of a URDF or MJCF file, and its dependent joints.
 
     Args:
-        path: the file. tip: of MJCF, see `load_mjcf`. package_dirs: of a URDF, see `load_model`.
+        path: the file.
+        tip: body or site of an MJCF file, see `load_mjcf`.
+        package_dirs: folders of the meshes of a URDF, see `load_model`.
 
     Returns:
         The model; joints that follow others by <mimic> or <equality>, with their masters.
 
     Raises:
-        ModelError: see there.
+        ModelError: see `load_model` and `load_mjcf`.
     """
     if is_mjcf(path):
         mj = compile_mjcf(path)
@@ -162,15 +181,19 @@ def load_body(path: Path | str) -> pin.Inertia:
 def load_geometry(
     path: Path | str, kind: pin.GeometryType, package_dirs: Sequence[Path | str] = ()
 ) -> tuple[pin.Model, pin.GeometryModel, Document]:
-    """(kinematics, shapes, document) of a URDF for drawing or collision; dynamics is not judged.
+    """Kinematics, shapes and document of a URDF, for drawing or collisions.
 
-    Meshes are read from the URDF's folder and `package_dirs` only.
+    Limits and inertias are not checked. Meshes are read from the URDF's folder and `package_dirs`
+    only.
 
     Args:
-        path: of the URDF. kind: visual or collision. package_dirs: folders of its meshes.
+        path: the URDF.
+        kind: visual or collision shapes.
+        package_dirs: folders of the meshes.
 
     Raises:
-        ModelError: as :func:`load_model` but for limits and inertias; or a mesh cannot be read.
+        ModelError: an error of the file other than limits and inertias, see :func:`load_model`; or
+            a mesh cannot be read.
     """
     file = Path(path)
     folders = [Path(folder) for folder in package_dirs]
@@ -188,7 +211,11 @@ def load_geometry(
 
 
 def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:
-    """Words, numbers, tree and addresses are checked; limits and inertias are not yet."""
+    """Document of a URDF whose words, numbers, tree and mesh addresses have passed their checks.
+
+    Raises:
+        ModelError: a check failed.
+    """
     document = read_document(file, read_bytes(file))
     document.require()
     check_tree(document)
@@ -199,11 +226,11 @@ def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:
     return document
 
 
-# Where robots come from: packaged files, the data package example-robot-data, own folders.
+# Files of robots: packaged ones, those of the data package example-robot-data, own folders.
 
 
 ROBOT_DATA = "example-robot-data"
-_ROBOT = re.compile(r"[\w-]+")  #: no path, no suffix: the name of a robot
+_ROBOT = re.compile(r"[\w-]+")  #: name of a robot, without folder and suffix
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -220,12 +247,14 @@ def urdf_path(name: str) -> Path:
 
 
 def find_robot(name: str) -> tuple[Path, Path]:
-    """(URDF file, package folder) of a robot of the data package ``example-robot-data``.
+    """URDF file and package folder of a robot of the data package ``example-robot-data``.
 
-    ``name`` is a file name without suffix (``"panda"``, ``"ur5_gripper"``), the same without
-    ``_robot`` (``"ur5"``), a folder with a single robot (``"xarm"``) or, where two folders hold
-    the same file name, ``"anymal_c_simple_description/anymal"``. Addresses of the form
-    ``package://example-robot-data/...`` resolve below the returned package folder.
+    Addresses of the form ``package://example-robot-data/...`` are resolved in the package folder.
+
+    Args:
+        name: a file name without suffix (``"panda"``, ``"ur5_gripper"``), a file name without
+            suffix and ``_robot`` (``"ur5"``), a folder with a single robot (``"xarm"``) or, if two
+            folders have files of the same name, ``"anymal_c_simple_description/anymal"``.
 
     Raises:
         ModelError: the data package is absent, or the name is unknown or ambiguous.
@@ -254,12 +283,14 @@ def find_robot(name: str) -> tuple[Path, Path]:
 
 
 def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path, tuple[Path, ...]]:
-    """(robot's file, package folders) of a reference as a scenario or a person writes it.
+    """File and package folders of a robot, by a reference as in a scenario.
 
-    The name of a packaged file (suffix optional), a path relative to the folder ``relative_to``
-    (default: the working folder), or a robot of the data package: ``"panda"``, or
-    ``"example-robot-data:panda"`` where a file has that name, too. A packaged name wins over a
-    file of the same name; write ``"./rod.urdf"`` for the latter.
+    Args:
+        reference: the name of a packaged file (suffix optional), a path, or a robot of the data
+            package: ``"panda"``, or ``"example-robot-data:panda"`` if a file has that name, too. A
+            packaged name has priority over a file of the same name; write ``"./rod.urdf"`` for
+            the latter.
+        relative_to: folder to which a path is relative; None: the working folder.
 
     Raises:
         ModelError: nothing is found; the message names the places searched.
@@ -281,23 +312,29 @@ def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path,
 
 
 def _find_packaged(name: str) -> Path | None:
+    """Packaged URDF of a name with or without suffix, None if there is none."""
     packaged = _packaged()
     return packaged.get(name) or packaged.get(f"{name}.urdf")
 
 
 def _packaged() -> dict[str, Path]:
-    """Packaged URDFs by file name: inside the installed package, or beside it in a checkout."""
+    """Packaged URDFs by file name, from the installed package or the checkout."""
     places = (_PACKAGE / "urdf", _PACKAGE.parent / "urdf")
     return _urdfs_in(next((folder for folder in places if folder.is_dir()), places[0]))
 
 
 @cache
 def _urdfs_in(folder: Path) -> dict[str, Path]:
+    """URDFs of a folder by file name."""
     return {path.name: path for path in sorted(folder.glob("*.urdf"))}
 
 
 def _robot_data_root() -> Path:
-    """Folder ``share/example-robot-data/robots``."""
+    """Folder ``share/example-robot-data/robots`` of the data package.
+
+    Raises:
+        ModelError: the data package is not installed.
+    """
     prefixes = [Path(pin.__file__).resolve().parents[4]]
     try:
         data = importlib.metadata.distribution(ROBOT_DATA)

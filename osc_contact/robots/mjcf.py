@@ -1,12 +1,15 @@
-"""MJCF in, Pinocchio model out: MuJoCo compiles the file, the numbers are taken from its model."""
+"""Loading of MJCF files as Pinocchio models, with the numbers of the model that MuJoCo compiles."""
+
+from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree.ElementTree import ParseError, iterparse
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from osc_contact.errors import ModelError, did_you_mean, missing
 from osc_contact.robots.checks import JointLimits, matching_limits
@@ -14,7 +17,10 @@ from osc_contact.robots.model import check_mass_matrix, joint_names
 from osc_contact.robots.urdf import MAX_BYTES, read_bytes
 from osc_contact.spatial import Array
 
-_NONE = 1e30  #: a limit that is none (N m, N, rad/s, m/s)
+if TYPE_CHECKING:
+    from mujoco import MjModel, MjsBody, MjSpec
+
+_UNLIMITED = 1e30  #: limit of a joint without one (N m, N, rad/s, m/s)
 #: MuJoCo's numbers of joint types
 _FREE = 0
 _BALL = 1
@@ -22,10 +28,10 @@ _SLIDE = 2
 
 
 def is_mjcf(path: Path | str) -> bool:
-    """Whether a file is to be read as MJCF: it begins with <mujoco> and is not called .urdf.
+    """Return whether a file is MJCF: its root element is <mujoco>, its suffix is not .urdf.
 
-    MuJoCo opens what meshes and includes an MJCF file names, wherever they lie; a URDF must not.
-    A file larger than any robot's is not looked into.
+    MuJoCo opens meshes and includes of an MJCF file in any folder, which a URDF must not make it
+    do. Files larger than `MAX_BYTES` are not opened.
     """
     file = Path(path)
     try:
@@ -37,11 +43,12 @@ def is_mjcf(path: Path | str) -> bool:
         return False
 
 
-def compile_mjcf(mjcf: Path | str | Any) -> Any:
-    """The `MjModel` of a file, of a `MjSpec`, or itself.
+def compile_mjcf(mjcf: Path | str | MjSpec | MjModel) -> MjModel:
+    """Compile an MJCF file or a `MjSpec`; a `MjModel` is returned unchanged.
 
     Raises:
-        ModelError: MuJoCo is missing, or refuses the file; it is no MJCF file, or over 8 MiB.
+        ModelError: MuJoCo is not installed or refuses the file; or the file is not an MJCF file, or
+            larger than 8 MiB.
     """
     try:
         import mujoco
@@ -52,7 +59,7 @@ def compile_mjcf(mjcf: Path | str | Any) -> Any:
     try:
         if isinstance(mjcf, mujoco.MjSpec):
             return mjcf.compile()
-        read_bytes(Path(mjcf))  # what is no file, or too large for a robot, is refused
+        read_bytes(Path(mjcf))  # refuses a folder, and a file that is too large
         if not is_mjcf(mjcf):
             raise ModelError(
                 f"{mjcf} is no MJCF file: these begin with <mujoco> and are not called .urdf. "
@@ -66,30 +73,34 @@ def compile_mjcf(mjcf: Path | str | Any) -> Any:
 # Values of a compiled model ----------------------------------------------------------------------
 
 
-def joint_name(mj: Any, joint: int) -> str:
-    """Name of a joint by its number."""
+def joint_name(mj: MjModel, joint: int) -> str:
+    """Name of a joint by its number; "jointN" for a joint without a name."""
     return mj.joint(joint).name or f"joint{joint}"
 
 
-def body_name(mj: Any, body: int) -> str:
-    """Name of a body by its number."""
+def body_name(mj: MjModel, body: int) -> str:
+    """Name of a body by its number; "bodyN" for a body without a name."""
     return mj.body(body).name or f"body{body}"
 
 
-def joints_of(mj: Any, body: int) -> range:
-    """Numbers of the joints that move a body in its parent."""
+def joints_of(mj: MjModel, body: int) -> range:
+    """Numbers of the joints between a body and its parent."""
     first = mj.body_jntadr[body]
     return range(first, first + mj.body_jntnum[body])
 
 
-def motors_of(mj: Any, joint: int) -> list[int]:
+def motors_of(mj: MjModel, joint: int) -> list[int]:
     """Numbers of the actuators that act on a joint directly."""
     direct = np.isin(mj.actuator_trntype, (0, 1))  # mjTRN_JOINT, mjTRN_JOINTINPARENT
     return list(np.flatnonzero(direct & (mj.actuator_trnid[:, 0] == joint)))
 
 
-def couplings(mj: Any) -> dict[str, str]:
-    """Joint → the joint that it follows by an <equality> of the file, "" where it is held."""
+def couplings(mj: MjModel) -> dict[str, str]:
+    """Joints that an <equality> of the file couples, with their masters.
+
+    Returns:
+        By joint, the name of its master, "" if the joint is held in place.
+    """
     found = {}
     for e in np.flatnonzero((mj.eq_type == 2) & (mj.eq_active0 != 0)):  # mjEQ_JOINT
         master = mj.eq_obj2id[e]
@@ -97,8 +108,12 @@ def couplings(mj: Any) -> dict[str, str]:
     return found
 
 
-def bodies_of(mj: Any, tip: str | None) -> list[int]:
-    """Bodies of the tip's kinematic tree; None: of all trees that do not begin with a free joint.
+def bodies_of(mj: MjModel, tip: str | None) -> list[int]:
+    """Numbers of the bodies of a kinematic tree.
+
+    Args:
+        mj: compiled model.
+        tip: a body or site of the tree; None: all trees that do not begin with a free joint.
 
     Raises:
         ModelError: there is no such body or site, or no joint moves it.
@@ -122,22 +137,23 @@ def bodies_of(mj: Any, tip: str | None) -> list[int]:
 
 
 def pose(position: Array, quaternion: Array) -> pin.SE3:
-    """From MuJoCo's w, x, y, z."""
+    """Pose of a position (3,) (m) and a quaternion w, x, y, z (4,)."""
     return pin.SE3(pin.Quaternion(*quaternion), np.array(position))
 
 
 def placed(X: pin.SE3) -> dict[str, Array]:
-    """A pose as the arguments of MuJoCo's bodies, frames and sites."""
+    """Keyword arguments `pos` and `quat` of MuJoCo's bodies, frames and sites, for a pose."""
     xyzw = pin.Quaternion(X.rotation).coeffs()
     return {"pos": X.translation, "quat": np.roll(xyzw, 1)}
 
 
 def _moved(kind: int, place: Array, displacement: Array) -> pin.SE3:
-    """What a joint at a place does to what is behind it.
+    """Displacement of a body by its joint, in the frame of the body.
 
     Args:
-        kind: MuJoCo's number of its type. place: (3,) m.
-        displacement: (3,) along its axis (m, rad).
+        kind: MuJoCo's number of the joint's type, hinge or slide.
+        place: (3,) position of the joint (m).
+        displacement: (3,) of the joint, times its axis (m, rad).
     """
     if kind == _SLIDE:
         return pin.SE3(np.eye(3), displacement)
@@ -149,26 +165,26 @@ def _moved(kind: int, place: Array, displacement: Array) -> pin.SE3:
 
 
 def load_mjcf(
-    mjcf: Path | str | Any,
+    mjcf: Path | str | MjSpec | MjModel,
     tip: str | None = None,
     *,
     limits: Mapping[str, JointLimits] | None = None,
 ) -> pin.Model:
-    """The Pinocchio model of an MJCF file, or of a `MjModel`.
+    """Pinocchio model of an MJCF file.
 
-    Joints stand at MuJoCo's qpos, whatever their `ref`; armature, damping and frictionloss
-    are those of its joints. Effort limits are the least of what actuators and joints name; a joint
-    for which neither names one has none. Bodies and sites are frames.
+    Joint positions are MuJoCo's qpos, with `ref` included; armature, damping and frictionloss are
+    those of its joints. The effort limit of a joint is the lowest one of its actuators and of the
+    joint itself; a joint without any has none. Bodies and sites become frames.
 
     Args:
         mjcf: path, `MjSpec` or `MjModel`.
         tip: a body or site; only the bodies of its kinematic tree are read. None: all trees that
             do not begin with a free joint.
-        limits: given by hand, by joint name or pattern, instead of the file's.
+        limits: limits by hand, by joint name or pattern, instead of the file's.
 
     Raises:
-        ModelError: MuJoCo refuses the file, or the robot has what the toolkit does not know: free
-            or ball joints, springs, weights that MuJoCo compensates.
+        ModelError: MuJoCo refuses the file, or the robot has free or ball joints, springs, or
+            weights that MuJoCo compensates, which the toolkit does not support.
         InvalidInputError: limits for joints that do not exist.
     """
     mj = compile_mjcf(mjcf)
@@ -183,7 +199,7 @@ def load_mjcf(
         place = places.get(site.bodyid[0])
         if place is not None and site.name:
             X = place.X * pose(site.pos, site.quat)
-            # beside its body, behind the same joint: a force sensor cuts before its body
+            # a sibling of its body's frame: a wrist sensor at a site measures the body's load, too
             _add_frame(model, site.name, place._replace(X=X), pin.FrameType.OP_FRAME)
     names = joint_names(model)
     for name, given in matching_limits(names, limits or {}).items():
@@ -193,14 +209,31 @@ def load_mjcf(
 
 
 class _Place(NamedTuple):
-    """Where a body is: the joint it moves with, its pose there, the frame that carries it."""
+    """Place of a body in a Pinocchio model.
+
+    Attributes:
+        joint: number of the joint that moves the body.
+        X: pose of the body in the frame of that joint.
+        frame: number of the parent frame.
+    """
 
     joint: int
     X: pin.SE3
     frame: int
 
 
-def _add_body(mj: Any, model: pin.Model, b: int, parent: _Place) -> _Place:
+def _add_body(mj: MjModel, model: pin.Model, b: int, parent: _Place) -> _Place:
+    """Add a body of MuJoCo with its joints, inertia and frames; return its place.
+
+    Args:
+        mj: compiled model.
+        model: Pinocchio model that is built.
+        b: number of the body in `mj`.
+        parent: place of its parent.
+
+    Raises:
+        ModelError: MuJoCo compensates its weight, or a joint is not supported.
+    """
     name = body_name(mj, b)
     body = mj.body(b)
     if mj.body_gravcomp[b] != 0.0:
@@ -225,14 +258,37 @@ def _add_body(mj: Any, model: pin.Model, b: int, parent: _Place) -> _Place:
 
 
 def _add_frame(
-    model: pin.Model, name: str, place: _Place, kind: Any, inertia: pin.Inertia | None = None
+    model: pin.Model,
+    name: str,
+    place: _Place,
+    kind: pin.FrameType,
+    inertia: pin.Inertia | None = None,
 ) -> int:
+    """Add a frame to a Pinocchio model and return its number.
+
+    Args:
+        model: Pinocchio model that is built.
+        name: name of the frame.
+        place: place of the frame.
+        kind: type of the frame.
+        inertia: inertia that is fixed to the frame; None: none.
+    """
     carried = inertia or pin.Inertia.Zero()
     return model.addFrame(pin.Frame(name, place.joint, place.frame, place.X, kind, carried))
 
 
-def _add_joint(mj: Any, model: pin.Model, j: int, body: _Place) -> _Place:
-    """A joint where `body` stands; returns the place of the body behind it."""
+def _add_joint(mj: MjModel, model: pin.Model, j: int, body: _Place) -> _Place:
+    """Add a joint of MuJoCo; return the place of the body that it moves.
+
+    Args:
+        mj: compiled model.
+        model: Pinocchio model that is built.
+        j: number of the joint in `mj`.
+        body: place of the body before the joint is added.
+
+    Raises:
+        ModelError: a free or ball joint, or a spring.
+    """
     name = joint_name(mj, j)
     joint = mj.joint(j)
     kind = joint.type[0]
@@ -256,13 +312,20 @@ def _add_joint(mj: Any, model: pin.Model, j: int, body: _Place) -> _Place:
     model.armature[v] = joint.armature[0]
     model.damping[v] = joint.damping[0]
     lower, upper = joint.range if joint.limited[0] else (-np.inf, np.inf)
-    limits = {"lower": lower, "upper": upper, "effort": _effort(mj, j), "velocity": _NONE}
+    limits = {"lower": lower, "upper": upper, "effort": _effort(mj, j), "velocity": _UNLIMITED}
     _set_limits(model, v, limits | {"dryFriction": joint.frictionloss[0]})
     return _Place(number, anchor.inverse(), frame)
 
 
 def _set_limits(model: pin.Model, v: int, limits: Mapping[str, float]) -> None:
-    """Set position limits, and both limits ± of other quantities."""
+    """Set limits of a joint in a Pinocchio model.
+
+    Args:
+        model: Pinocchio model.
+        v: index of the joint's velocity.
+        limits: "lower" and "upper" position; of "effort", "velocity" and "dryFriction" the largest
+            absolute value.
+    """
     for key, value in limits.items():
         if key in ("lower", "upper"):
             getattr(model, f"{key}PositionLimit")[v] = value
@@ -272,48 +335,60 @@ def _set_limits(model: pin.Model, v: int, limits: Mapping[str, float]) -> None:
         getattr(model, f"lower{quantity}")[v] = -value
 
 
-def _effort(mj: Any, joint: int) -> float:
-    """Largest torque (N m, N): what joint and actuators permit; without a limit a huge number."""
+def _effort(mj: MjModel, joint: int) -> float:
+    """Largest torque (N m, N) that a joint and its actuators permit; `_UNLIMITED` without a limit.
 
-    def least(limits: Any) -> float:
-        return float(np.abs(limits).min())
-
-    most = least(mj.jnt_actfrcrange[joint]) if mj.jnt_actfrclimited[joint] else _NONE
-    strong = 0.0
+    Args:
+        mj: compiled model.
+        joint: number of the joint.
+    """
+    of_joint = _UNLIMITED
+    if mj.jnt_actfrclimited[joint]:
+        of_joint = _smaller(mj.jnt_actfrcrange[joint])
+    of_motors = 0.0
     for a in motors_of(mj, joint):
-        force = least(mj.actuator_forcerange[a]) if mj.actuator_forcelimited[a] else _NONE
+        force = _UNLIMITED
+        if mj.actuator_forcelimited[a]:
+            force = _smaller(mj.actuator_forcerange[a])
         if mj.actuator_ctrllimited[a] and mj.actuator_biastype[a] == 0:
-            force = min(force, abs(mj.actuator_gainprm[a, 0]) * least(mj.actuator_ctrlrange[a]))
-        strong += abs(mj.actuator_gear[a, 0]) * force if force < _NONE else _NONE
-    return min(most, strong) if strong > 0.0 else most
+            gain = abs(mj.actuator_gainprm[a, 0])
+            force = min(force, gain * _smaller(mj.actuator_ctrlrange[a]))
+        if force < _UNLIMITED:
+            force *= abs(mj.actuator_gear[a, 0])
+        of_motors += force
+    return min(of_joint, of_motors) if of_motors > 0.0 else of_joint
+
+
+def _smaller(limits: ArrayLike) -> float:
+    """Smaller absolute value of a lower and an upper limit (2,)."""
+    return float(np.abs(limits).min())
 
 
 # The arm without shapes, for MuJoCo ---------------------------------------------------------------
 
 
-def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str, float]) -> Any:
-    """A `MjSpec` of the tip's kinematic tree: bodies, inertias and joints, nothing else.
+def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str, float]) -> MjSpec:
+    """Bodies, inertias and joints of the tip's kinematic tree, without shapes and actuators.
 
-    Joints carry neither losses nor springs; those in `locked` are welded where they are held. A
-    tip that is a site becomes a body without mass; a sensor's site is called `wrist`, as is one in
-    the body of that name.
+    Joints have neither losses nor springs; those in `locked` are welded. A tip that is a site
+    becomes a body without mass. The site of the wrist sensor is called `wrist`.
 
     Args:
         path: the MJCF file.
         tip: body or site at the arm's end.
-        sensor: site of the wrist sensor, if there is one.
-        locked: positions (m, rad) of the joints that are held.
+        sensor: body or site of the wrist sensor; None: no sensor.
+        locked: by name, positions (m, rad) of the joints that are held.
 
     Raises:
         ModelError: a locked joint moves its body after one that is not locked.
     """
     mj = compile_mjcf(path)
-    import mujoco  # it is there: the file has been compiled
+    import mujoco  # installed, as the file has been compiled
 
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.fusestatic = False
-    made: dict[int, Any] = {0: spec.worldbody}
+    made: dict[int, MjsBody] = {0: spec.worldbody}
     for b in bodies_of(mj, tip):
         given = mj.body(b)
         made[b] = body = made[mj.body_parentid[b]].add_body(
@@ -350,11 +425,12 @@ def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str,
     return spec
 
 
-def weld_joints(spec: Any, locked: Mapping[str, float]) -> None:
-    """Weld bodies of a `MjSpec` where their joints are held.
+def weld_joints(spec: MjSpec, locked: Mapping[str, float]) -> None:
+    """Replace joints of an arm by welds in the positions in which they are held.
 
     Args:
-        spec: the arm. locked: positions (m, rad) of the joints that are held.
+        spec: specification of the arm, which is changed.
+        locked: by name, positions (m, rad) of the joints that are held.
 
     Raises:
         ModelError: a locked joint moves its body after one that is not locked.

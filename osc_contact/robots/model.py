@@ -1,9 +1,8 @@
-"""From a checked document to Pinocchio: it reads only text written here, from checked numbers."""
+"""Pinocchio model of a checked document; Pinocchio reads only text written by this module."""
 
 import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -12,22 +11,24 @@ from osc_contact.errors import ModelError, did_you_mean
 from osc_contact.robots.urdf import LIMITS, Document, refuse, refuse_file
 from osc_contact.spatial import Array, norm
 
-SAMPLES = 20
-_NO_RANGE = {"lower": 0.0, "upper": 0.0}  # set afterwards: URDF has no infinite ones
+SAMPLES = 20  #: random configurations at which a mass matrix is checked
+_NO_RANGE = {"lower": 0.0, "upper": 0.0}  # set afterwards: URDF has no infinite limits
 _ENDLESS = 1e9
-"""A position limit beyond (m or rad) is none; Pinocchio writes 1.8e308 for it."""
+"""Larger position limits (m, rad) mean that there is no end stop; Pinocchio writes 1.8e308."""
 _DIAGONAL_FLOOR = 1e-13
-"""Of a regular mass matrix: diagonal / (moved mass · its extent²). Like the eigenvalue below, it
-does not change with the units of length, mass or joints."""
+"""Least diagonal of a regular mass matrix over (moved mass · its extent²). Like the eigenvalue
+below, it is independent of the units of length and mass."""
 _EIGENVALUE_FLOOR = 1e-11
-"""Of a regular mass matrix: smallest eigenvalue at unit diagonal."""
+"""Least eigenvalue of a regular mass matrix that is scaled to unit diagonal."""
 
 
 def build_model(document: Document) -> pin.Model:
-    """The fixed-base model. A continuous joint is a revolute joint with limits ∓inf: nq = nv.
+    """Fixed-base model of a checked document.
+
+    A continuous joint becomes a revolute joint with limits ∓inf, so that nq = nv.
 
     Raises:
-        ModelError: Pinocchio refuses what all checks let through.
+        ModelError: Pinocchio refuses the document.
     """
     try:
         model = pin.buildModelFromXML(_text(document))
@@ -48,14 +49,17 @@ def build_model(document: Document) -> pin.Model:
 
 
 def _text(document: Document) -> str:
-    """A URDF of links and joints only; numbers round-trip, names are quoted."""
+    """URDF of the links and joints only; numbers are written with all digits, names are quoted."""
     robot = ElementTree.Element("robot", name=document.name)
 
-    def add(parent: ElementTree.Element, tag: str, **values: Any) -> ElementTree.Element:
-        for key, value in values.items():
-            if not isinstance(value, str):
-                values[key] = " ".join(map(repr, np.ravel(value).tolist()))
-        return ElementTree.SubElement(parent, tag, values)
+    def add(
+        parent: ElementTree.Element, tag: str, **values: str | float | Sequence[float]
+    ) -> ElementTree.Element:
+        texts = {
+            key: value if isinstance(value, str) else " ".join(map(repr, np.ravel(value).tolist()))
+            for key, value in values.items()
+        }
+        return ElementTree.SubElement(parent, tag, texts)
 
     for link in document.links.values():
         node = add(robot, "link", name=link.name)
@@ -82,17 +86,17 @@ def joint_names(model: pin.Model) -> list[str]:
 
 
 def position_limits(model: pin.Model) -> tuple[Array, Array]:
-    """(nq,) lowest and highest position of each joint (m, rad); ∓inf: none."""
+    """Lowest and highest positions (nq,) of the joints (m, rad); ∓inf: no end stop."""
     return (np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit))
 
 
 def slides(model: pin.Model, joint: int) -> bool:
-    """Whether a joint of a model is a sliding one."""
+    """Return whether a joint of a model, by its number, is prismatic."""
     return model.joints[joint].shortname().startswith("JointModelP")
 
 
 def joint_axis(model: pin.Model, joint: int) -> Array:
-    """(6,) motion subspace S of a joint of one degree of freedom, in its own frame."""
+    """Motion subspace S (6,) of a joint of one degree of freedom, in its own frame."""
     state = model.joints[joint].createData()
     # Pinocchio reads the joint's entry of the whole q, and does not check its length.
     model.joints[joint].calc(state, pin.neutral(model))
@@ -100,12 +104,15 @@ def joint_axis(model: pin.Model, joint: int) -> Array:
 
 
 def sliding(model: pin.Model) -> Array:
-    """(njoints − 1,) whether each joint slides."""
+    """Flags (njoints − 1,) of the joints that are prismatic."""
     return np.array([slides(model, j) for j in range(1, model.njoints)], dtype=bool)
 
 
 def rotors(model: pin.Model) -> Array:
-    """(n,) rotor inertia as felt at each joint: armature; where it is 0 rotorInertia · ratio²."""
+    """Rotor inertia (n,) reflected to each joint: armature or, if that is 0, rotorInertia · ratio².
+
+    In kg m² of a revolute joint, kg of a prismatic one.
+    """
     geared = np.array(model.rotorInertia) * np.array(model.rotorGearRatio) ** 2
     return np.where(model.armature != 0.0, model.armature, geared)
 
@@ -113,30 +120,24 @@ def rotors(model: pin.Model) -> Array:
 def check_mass_matrix(model: pin.Model, document: Document | None = None) -> None:
     """Refuse a mass matrix that is not positive definite at neutral and 20 random configurations.
 
+    Args:
+        model: model of the robot.
+        document: document of its URDF, for the place of an error; None: it has none.
+
     Raises:
-        ModelError: with the joints to blame.
+        ModelError: the message names the joints that can move without moving mass.
     """
     if model.nv == 0:
         return
     data = model.createData()
-    reach = np.array([norm(X.translation) for X in model.jointPlacements])
-    lever = np.array([norm(body.lever) for body in model.inertias])
-    below = [list(subtree) for subtree in list(model.subtrees)[1:]]
-    extent = np.array([reach[tree[1:]].sum() + lever[tree].max() for tree in below])
+    extent = _extents(model)
     for q in (pin.neutral(model), *random_configurations(model, SAMPLES)):
         M = np.array(pin.crba(model, data, q))
         mass = np.array([inertia.mass for inertia in list(data.Ycrb)[1:]])
         floor = _DIAGONAL_FLOOR * mass * np.where(sliding(model), 1.0, extent**2)
-        with np.errstate(all="ignore"):
-            scale = 1.0 / np.sqrt(np.diag(M))
-            unit = scale[:, None] * M * scale
-        weak = ~(np.diag(M) > floor) | ~np.isfinite(scale)
+        weak = _massless(M, floor)
         if not weak.any():
-            values, vectors = np.linalg.eigh(unit, UPLO="U")
-            if values[0] > _EIGENVALUE_FLOOR:
-                continue
-            vector = np.abs(vectors[:, 0])
-            weak = vector > 0.1 * vector.max()
+            continue
         names = [name for name, bad in zip(joint_names(model), weak, strict=True) if bad]
         reason = (
             f"the mass matrix is not positive definite at q = {np.round(q, 3).tolist()}: "
@@ -148,13 +149,41 @@ def check_mass_matrix(model: pin.Model, document: Document | None = None) -> Non
         refuse([document.joints[names[0]].element.finding("mass matrix", reason, cure)])
 
 
-def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterator[Array]:
-    """Seeded uniform configurations between the position limits, ±π where there are none.
+def _extents(model: pin.Model) -> Array:
+    """Largest distance (n,) of the mass that each joint moves from its axis, by a bound (m)."""
+    reach = np.array([norm(X.translation) for X in model.jointPlacements])
+    lever = np.array([norm(body.lever) for body in model.inertias])
+    below = [list(subtree) for subtree in list(model.subtrees)[1:]]
+    return np.array([reach[tree[1:]].sum() + lever[tree].max() for tree in below])
+
+
+def _massless(M: Array, floor: Array) -> Array:
+    """Flags (n,) of joints that can move, alone or together, without moving mass.
 
     Args:
-        model: with position limits.
-        count: how many.
-        seed: of the random numbers.
+        M: (n, n) mass matrix.
+        floor: (n,) least diagonal elements of a regular mass matrix.
+    """
+    with np.errstate(all="ignore"):
+        scale = 1.0 / np.sqrt(np.diag(M))
+        unit = scale[:, None] * M * scale
+    weak = ~(np.diag(M) > floor) | ~np.isfinite(scale)
+    if weak.any():
+        return weak
+    values, vectors = np.linalg.eigh(unit, UPLO="U")
+    if values[0] > _EIGENVALUE_FLOOR:
+        return weak
+    vector = np.abs(vectors[:, 0])
+    return vector > 0.1 * vector.max()
+
+
+def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterator[Array]:
+    """Random configurations, uniform between the position limits, ±π without end stops.
+
+    Args:
+        model: model of the robot.
+        count: number of configurations.
+        seed: seed of the random numbers.
 
     Yields:
         (nq,) joint positions (m, rad).
@@ -170,7 +199,7 @@ def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterat
 
 
 def frame_id(model: pin.Model, name: str) -> int:
-    """Index of the frame ``name``; a body's frame where a joint has the same name.
+    """Index of the frame ``name``; that of a body if a joint has the same name.
 
     Raises:
         ModelError: the model has no such frame (Pinocchio itself would return ``nframes``).

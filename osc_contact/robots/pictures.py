@@ -1,33 +1,42 @@
-"""Shapes to draw: of an MJCF arm, and of a MuJoCo scene as data that a recording carries.
+"""Shapes of MJCF arms and MuJoCo scenes for drawing, as data that a recording can hold.
 
-A picture holds joints, shapes and colours, and neither names of files nor anything that is
-executed.
+A picture consists of joints, shapes and colours. It contains neither file names nor code.
 """
+
+from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.robots.mjcf import bodies_of, compile_mjcf, joint_name, load_mjcf
 from osc_contact.robots.model import joint_axis, joint_names, slides
 from osc_contact.spatial import Array, norm
 
-MOST_CORNERS = 200_000  #: of one mesh; of a larger one its box is drawn
-_MESH = 7  #: MuJoCo's number of the type
-_BOX = 6
+if TYPE_CHECKING:
+    from mujoco import MjData, MjModel
+
+MOST_CORNERS = 200_000  #: most corners, or faces, of a mesh; a larger mesh is drawn as its box
+_SPHERE, _CAPSULE, _CYLINDER, _BOX, _MESH = 2, 3, 5, 6, 7  #: MuJoCo's numbers of geom types
 
 
 def mjcf_geometry(path: Path | str, tip: str | None) -> tuple[pin.Model, pin.GeometryModel]:
-    """Kinematics and shapes of the tip's tree in an MJCF file, as of its picture."""
+    """Kinematics and shapes of the tip's kinematic tree in an MJCF file.
+
+    Args:
+        path: the MJCF file.
+        tip: a body or site of the tree; None: all trees that do not begin with a free joint.
+    """
     mj = compile_mjcf(path)
-    import mujoco  # it is there: the file has been compiled
+    import mujoco  # installed, as the file has been compiled
 
     model = load_mjcf(mj, tip)
     data = mujoco.MjData(mj)
@@ -38,47 +47,52 @@ def mjcf_geometry(path: Path | str, tip: str | None) -> tuple[pin.Model, pin.Geo
     return read_picture(scene_picture(mj, data, model, q, joints, bodies_of(mj, tip)))
 
 
-def _colour(mj: Any, g: int) -> Array:
-    """(4,) of a geom's material, or its own."""
+def _colour(mj: MjModel, g: int) -> Array:
+    """Colour r, g, b, a (4,) of a geom: that of its material or, without one, its own."""
     material = mj.geom_matid[g]
     return np.array(mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[g], dtype=float)
 
 
-def _solid(kind: int, size: Any) -> Any:
-    """The coal shape of a type of geom other than a mesh, None if it has none.
+def _solid(kind: int, size: Iterable[float]) -> coal.CollisionGeometry | None:
+    """Shape of a geom that is not a mesh; None for types that are not drawn.
 
     Args:
-        kind: MuJoCo's number of it. size: (3,) as MuJoCo means it.
+        kind: MuJoCo's number of the type.
+        size: (3,) MuJoCo's `geom_size`: radius and half length, or half edges (m).
     """
-    radius, half, _ = map(float, size)
-    makers = {
-        2: lambda: coal.Sphere(radius),
-        3: lambda: coal.Capsule(radius, 2.0 * half),
-        5: lambda: coal.Cylinder(radius, 2.0 * half),
-        _BOX: lambda: coal.Box(*(2.0 * np.array(size, dtype=float))),
-    }
-    return makers[kind]() if kind in makers else None
+    first, second, third = map(float, size)
+    if kind == _SPHERE:
+        return coal.Sphere(first)
+    if kind == _CAPSULE:
+        return coal.Capsule(first, 2.0 * second)
+    if kind == _CYLINDER:
+        return coal.Cylinder(first, 2.0 * second)
+    if kind == _BOX:
+        return coal.Box(2.0 * first, 2.0 * second, 2.0 * third)
+    return None
 
 
 def scene_picture(
-    mj: Any,
-    data: Any,
+    mj: MjModel,
+    data: MjData,
     model: pin.Model,
     q: Array,
     joints: Mapping[int, int],
     only: Collection[int] = (),
 ) -> dict[str, Any]:
-    """What is seen of a MuJoCo scene, as JSON data.
+    """Picture of a MuJoCo scene, as JSON data.
 
-    Of each body of the arm what touches nothing, or else everything; of the rest everything.
-    Planes, height fields, ellipsoids and what is transparent are left out; loose bodies stay where
-    they are now.
+    A body of the arm is drawn by its geoms that cannot collide or, if it has none, by all of its
+    geoms; other bodies are drawn by all of theirs. Planes, height fields, ellipsoids and
+    transparent geoms are left out. Loose bodies are drawn at their present poses.
 
     Args:
-        mj, data: MuJoCo's; the placements of `data` are those at q.
-        model: of the arm, base included. q: (n,) its joint positions.
-        joints: MuJoCo's joint → number of the joint in `model`.
-        only: numbers of the bodies of the arm, and nothing of the rest.
+        mj: compiled model.
+        data: its state, with the placements at q.
+        model: Pinocchio model of the arm, base included.
+        q: (n,) joint positions of `model`.
+        joints: by number of a joint in `mj`, its number in `model`.
+        only: numbers of the arm's bodies, if nothing else is to be drawn.
     """
     at = model.createData()
     pin.forwardKinematics(model, at, q)
@@ -105,6 +119,7 @@ def scene_picture(
 
 
 def _joint(model: pin.Model, j: int) -> dict[str, Any]:
+    """Name, parent, placement and axis of a joint, as JSON data."""
     S = joint_axis(model, j).reshape(2, 3)
     along = slides(model, j)
     return {
@@ -116,7 +131,8 @@ def _joint(model: pin.Model, j: int) -> dict[str, Any]:
     }
 
 
-def _describe(mj: Any, g: int) -> dict[str, Any] | None:
+def _describe(mj: MjModel, g: int) -> dict[str, Any] | None:
+    """Type and size, or corners and faces, of a geom as JSON data; None if it is not drawn."""
     kind = int(mj.geom_type[g])
     size = _round(mj.geom_size[g])
     if kind != _MESH:
@@ -131,28 +147,37 @@ def _describe(mj: Any, g: int) -> dict[str, Any] | None:
     return {"kind": _MESH, "corners": _packed(corners, "<f4"), "faces": _packed(faces, "<i4")}
 
 
-def _packed(rows: Any, kind: str) -> str:
-    return base64.b64encode(zlib.compress(np.array(rows, dtype=kind).tobytes(), 9)).decode()
+def _packed(rows: ArrayLike, kind: str) -> str:
+    """Compressed text of numbers (k, 3) of the NumPy type `kind`, see `_unpacked`."""
+    raw = np.array(rows, dtype=kind).tobytes()
+    return base64.b64encode(zlib.compress(raw, 9)).decode()
 
 
-def _unpacked(text: str, kind: str) -> Any:
+def _unpacked(text: str, kind: str) -> Array:
+    """Numbers (k, 3) of a text by `_packed`; at most MOST_CORNERS rows are decompressed.
+
+    Raises:
+        ValueError, zlib.error: the text is damaged.
+    """
     raw = zlib.decompressobj().decompress(base64.b64decode(text, validate=True), 12 * MOST_CORNERS)
     return np.frombuffer(raw, dtype=kind).reshape(-1, 3)
 
 
-def _round(numbers: Any) -> list[float]:
+def _round(numbers: Iterable[float]) -> list[float]:
+    """Numbers rounded to seven decimals, which keeps recordings small."""
     return [round(float(x), 7) for x in numbers]
 
 
 def _place(X: pin.SE3) -> list[float]:
+    """Pose as position and quaternion x, y, z, w (7,)."""
     return _round(pin.SE3ToXYZQUAT(X))
 
 
 def read_picture(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
-    """Kinematics and shapes of a picture that `scene_picture` has made.
+    """Kinematics and shapes of a picture by `scene_picture`.
 
     Raises:
-        InvalidInputError: it is damaged.
+        InvalidInputError: the picture is damaged.
     """
     try:
         return _read(picture)
@@ -161,13 +186,16 @@ def read_picture(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryMod
 
 
 def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
+    """Kinematics and shapes of a picture; a damaged one raises errors of many kinds."""
     model = pin.Model()
     geometry = pin.GeometryModel()
     for joint in picture["joints"]:
-        turning = pin.JointModelRevoluteUnaligned
-        make = pin.JointModelPrismaticUnaligned if joint["slides"] else turning
         axis = np.array(joint["axis"], dtype=float)
-        moving = make(axis / norm(axis))
+        axis /= norm(axis)
+        if joint["slides"]:
+            moving = pin.JointModelPrismaticUnaligned(axis)
+        else:
+            moving = pin.JointModelRevoluteUnaligned(axis)
         model.addJoint(int(joint["parent"]), moving, _pose(joint["place"]), str(joint["name"]))
     for i, shape in enumerate(picture["shapes"]):
         joint = int(shape["joint"])
@@ -185,11 +213,15 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
     return (model, geometry)
 
 
-def _mesh_of(corners: Any, faces: Any) -> coal.BVHModelOBBRSS:
-    """A mesh.
+def _mesh_of(corners: Array, faces: Array) -> coal.BVHModelOBBRSS:
+    """Mesh of triangles.
 
     Args:
-        corners: (k, 3) m. faces: (m, 3) numbers of corners.
+        corners: (k, 3) positions of the corners (m).
+        faces: (m, 3) indices of the corners of each triangle.
+
+    Raises:
+        ValueError: an index is out of range.
     """
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(corners):
         raise ValueError(f"faces name corners beyond {len(corners)}")
@@ -201,7 +233,12 @@ def _mesh_of(corners: Any, faces: Any) -> coal.BVHModelOBBRSS:
     return mesh
 
 
-def _pose(place: Any) -> pin.SE3:
+def _pose(place: Sequence[float]) -> pin.SE3:
+    """Pose of a position and quaternion x, y, z, w (7,).
+
+    Raises:
+        ValueError: another shape, numbers that are not finite, or not a unit quaternion.
+    """
     X = np.array(place, dtype=float)
     if X.shape != (7,) or not np.isfinite(X).all() or abs(norm(X[3:]) - 1.0) > 1e-3:
         raise ValueError(f"{place} is no pose")

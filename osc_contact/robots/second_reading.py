@@ -1,17 +1,18 @@
-"""A second reading of a URDF, by yourdfpy, beside the one that the dynamics rests on.
+"""Comparison of our reading of a URDF, which the dynamics uses, with that of yourdfpy.
 
-Readers of URDFs differ in what they make of unusual files. Where two that share no code agree on
-joints, placements, inertias and meshes, the robot is what its file says.
+Readers of URDFs interpret unusual files in different ways. If two readers without common code agree
+on joints, placements, inertias and meshes, an error of reading is unlikely.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from osc_contact.errors import ModelError, missing
 from osc_contact.robots.checks import Inertias, JointLimits, matching_limits
@@ -20,8 +21,12 @@ from osc_contact.robots.model import frame_id, joint_names, position_limits, ran
 from osc_contact.robots.urdf import LIMITS, Document, Element
 from osc_contact.spatial import Array, norm
 
-#: Of numbers that two readers make of the same text, of 1 or of the number where that is more.
-TOLERANCE = 1e-9
+if TYPE_CHECKING:
+    from yourdfpy import URDF
+    from yourdfpy import Inertial as TheirInertial
+    from yourdfpy import Mesh as TheirMesh
+
+TOLERANCE = 1e-9  #: largest difference of equal numbers, over the number or 1 if that is more
 AGREE = "yourdfpy reads the same joints, placements, inertias and meshes"
 
 
@@ -32,14 +37,14 @@ def differences(
     inertias: Inertias = "possible",
     package_dirs: Sequence[Path | str] = (),
 ) -> list[str]:
-    """Sentences on what yourdfpy reads in another way than `load_model` does; empty: they agree.
+    """Differences between yourdfpy's reading of a URDF and that of `load_model`, as sentences.
 
-    Compared are names, parents and children of joints, their limits, where they put the links in
-    two postures, masses, centres and moments of inertia of the bodies that move, and the addresses
-    and scales of meshes. Limits that are given by hand are not compared.
+    Compared are the names, parents and children of joints, their limits, the placements of links
+    in two postures, masses, centres and moments of inertia of the bodies that move, and the
+    addresses and scales of meshes. Limits by hand are not compared.
 
     Args:
-        path, limits, inertias, package_dirs: as of `load_model`.
+        path, limits, inertias, package_dirs: see `load_model`.
 
     Raises:
         ModelError: the file is refused, see `load_model`; or yourdfpy is not installed.
@@ -55,7 +60,7 @@ def differences(
         return [f"yourdfpy does not read the file: {error}"]
     by_hand = matching_limits(joint_names(model), dict(limits or {}))
     found = list(_tree_differences(document, other))
-    if not found:  # else links and joints have no counterparts
+    if not found:  # otherwise links and joints may have no counterparts
         found += _limit_differences(model, document, other, by_hand)
         found += _placement_differences(model, document, other)
         found += _inertia_differences(model, other)
@@ -63,39 +68,55 @@ def differences(
     return found
 
 
-def _near(ours: Any, theirs: Any) -> bool:
-    """Whether numbers are those of the same text."""
+def _near(ours: ArrayLike, theirs: ArrayLike) -> bool:
+    """Return whether numbers are equal up to `TOLERANCE`."""
     return bool(np.allclose(ours, theirs, rtol=TOLERANCE, atol=TOLERANCE))
 
 
-def _tree_differences(document: Document, other: Any) -> Iterator[str]:
-    """Links and joints by name, with the type, parent and child of each joint."""
-    links = {*document.links} ^ {*other.link_map}
-    joints = {*document.joints} ^ {*other.joint_map}
-    for kind, name in [("link", one) for one in links] + [("joint", one) for one in joints]:
-        theirs = name in other.link_map or name in other.joint_map
-        yield f"{kind} '{name}' is read by {'yourdfpy' if theirs else 'osc_contact'} only"
+def _tree_differences(document: Document, other: URDF) -> Iterator[str]:
+    """Differences of names of links and joints, and of type, parent, child and master of joints.
+
+    Args:
+        document: our reading.
+        other: that of yourdfpy.
+    """
+    for kind, ours, theirs in (
+        ("link", {*document.links}, {*other.link_map}),
+        ("joint", {*document.joints}, {*other.joint_map}),
+    ):
+        for name in sorted(ours - theirs):
+            yield f"{kind} '{name}' is read by osc_contact only"
+        for name in sorted(theirs - ours):
+            yield f"{kind} '{name}' is read by yourdfpy only"
     for name in sorted({*document.joints} & {*other.joint_map}):
         joint = document.joints[name]
         there = other.joint_map[name]
-        master = there.mimic and there.mimic.joint
-        for what, ours, by_it in (
+        master = None if there.mimic is None else there.mimic.joint
+        for quantity, our_value, their_value in (
             ("type", joint.kind, there.type),
             ("parent", joint.parent, there.parent),
             ("child", joint.child, there.child),
             ("master", joint.mimic, master),
         ):
-            if ours != by_it:
-                yield f"joint '{name}': its {what} is {ours!r}, by yourdfpy {by_it!r}"
+            if our_value != their_value:
+                yield (
+                    f"joint '{name}': its {quantity} is {our_value!r}, by yourdfpy {their_value!r}"
+                )
 
 
 def _limit_differences(
-    model: pin.Model, document: Document, other: Any, by_hand: Mapping[str, Any]
+    model: pin.Model,
+    document: Document,
+    other: URDF,
+    by_hand: Mapping[str, Mapping[str, float]],
 ) -> Iterator[str]:
-    """Limits of the joints that move, where the file has them.
+    """Differences of the limits of moving joints that the file limits.
 
     Args:
-        by_hand: limits that did not come from the file, by joint.
+        model: model by our reading.
+        document: our reading.
+        other: that of yourdfpy.
+        by_hand: by joint, limits by hand; such joints are left out.
     """
     lower, upper = position_limits(model)
     effort = model.upperEffortLimit
@@ -105,7 +126,7 @@ def _limit_differences(
         if name in by_hand or theirs is None:
             continue
         ours = dict(zip(LIMITS, (lower[j], upper[j], effort[j], velocity[j]), strict=True))
-        if document.joints[name].kind == "continuous":  # it has no ends, whatever is written
+        if document.joints[name].kind == "continuous":  # position limits in the file are ignored
             del ours["lower"], ours["upper"]
         for key, here in ours.items():
             there = getattr(theirs, key)
@@ -113,8 +134,14 @@ def _limit_differences(
                 yield f"joint '{name}': {key} {here:.9g}, by yourdfpy {there:.9g}"
 
 
-def _placement_differences(model: pin.Model, document: Document, other: Any) -> Iterator[str]:
-    """Pose of the child of each joint in its parent, in the zero posture and a random one."""
+def _placement_differences(model: pin.Model, document: Document, other: URDF) -> Iterator[str]:
+    """Differences of the pose of each joint's child in its parent, at zero and at random positions.
+
+    Args:
+        model: model by our reading.
+        document: our reading.
+        other: that of yourdfpy.
+    """
     for q in (pin.neutral(model), *random_configurations(model, 1)):
         ours, theirs = _link_poses(model, other, q)
         for name, joint in document.joints.items():
@@ -130,16 +157,19 @@ def _placement_differences(model: pin.Model, document: Document, other: Any) -> 
 
 
 def _link_poses(
-    model: pin.Model, other: Any, q: Array
+    model: pin.Model, other: URDF, q: Array
 ) -> tuple[dict[str, pin.SE3], dict[str, pin.SE3]]:
-    """Placements of all links in the world, ours and theirs; joints with a master follow it.
+    """Poses of all links in the world by name, by our reading and by yourdfpy's.
 
     Args:
-        q: (n,) joint positions of ours.
+        model: model by our reading.
+        other: reading of yourdfpy.
+        q: (n,) joint positions; those of joints with a master are computed from the master's.
     """
     position = dict(zip(joint_names(model), q.tolist(), strict=True))
     for name in position:
-        if mimic := other.joint_map[name].mimic:
+        mimic = other.joint_map[name].mimic
+        if mimic is not None:
             position[name] = mimic.multiplier * position[mimic.joint] + mimic.offset
     data = model.createData()
     pin.framesForwardKinematics(model, data, np.array(list(position.values())))
@@ -151,8 +181,15 @@ def _link_poses(
     return (ours, theirs)
 
 
-def _inertia_differences(model: pin.Model, other: Any) -> Iterator[str]:
-    """Mass, first moment of mass and moments of inertia of each body, fixed links together."""
+def _inertia_differences(model: pin.Model, other: URDF) -> Iterator[str]:
+    """Differences of mass, first moment of mass and moments of inertia of each moving body.
+
+    A moving body consists of the links that fixed joints connect.
+
+    Args:
+        model: model by our reading.
+        other: reading of yourdfpy.
+    """
     bodies = [np.zeros((6, 6)) for _ in model.inertias]
     for name, link in other.link_map.items():
         frame = model.frames[frame_id(model, name)]
@@ -171,11 +208,12 @@ def _inertia_differences(model: pin.Model, other: Any) -> Iterator[str]:
                 yield f"{body}: its {part} differs from yourdfpy's by {off:.3g} {unit}"
 
 
-def _spatial_inertia(inertial: Any, X_JL: pin.SE3) -> Array:
-    """(6, 6) inertia of a link in the frame of its joint, linear part first.
+def _spatial_inertia(inertial: TheirInertial, X_JL: pin.SE3) -> Array:
+    """Spatial inertia (6, 6) of a link in the frame of its joint, linear part first.
 
     Args:
-        inertial: yourdfpy's `Inertial`. X_JL: the link's pose there.
+        inertial: inertia of the link as read by yourdfpy.
+        X_JL: pose of the link in the frame of its joint.
     """
     X_LC = pin.SE3.Identity() if inertial.origin is None else pin.SE3(inertial.origin)
     I_C = np.zeros((6, 6))
@@ -185,8 +223,13 @@ def _spatial_inertia(inertial: Any, X_JL: pin.SE3) -> Array:
     return np.asarray(X.toDualActionMatrix() @ I_C @ X.inverse().toActionMatrix())
 
 
-def _mesh_differences(document: Document, other: Any) -> Iterator[str]:
-    """Addresses and scales of the meshes of each link, those that are seen and those that touch."""
+def _mesh_differences(document: Document, other: URDF) -> Iterator[str]:
+    """Differences of the addresses and scales of the visual and collision meshes of each link.
+
+    Args:
+        document: our reading.
+        other: that of yourdfpy.
+    """
     for name, link in document.links.items():
         theirs = other.link_map[name]
         for tag, shapes in (("visual", theirs.visuals), ("collision", theirs.collisions)):
@@ -206,9 +249,11 @@ def _mesh_differences(document: Document, other: Any) -> Iterator[str]:
 
 
 def _our_mesh(mesh: Element) -> tuple[str, Array]:
+    """Address and scale (3,) of a mesh by our reading."""
     return (mesh.get("filename"), np.array(mesh.vector("scale", (1.0, 1.0, 1.0))))
 
 
-def _their_mesh(mesh: Any) -> tuple[str, Array]:
+def _their_mesh(mesh: TheirMesh) -> tuple[str, Array]:
+    """Address and scale (3,) of a mesh by yourdfpy's reading."""
     scale = 1.0 if mesh.scale is None else mesh.scale
     return (mesh.filename, np.broadcast_to(scale, 3))

@@ -1,9 +1,9 @@
-"""What a robot is, in numbers and in words: joints, masses, limits, losses, tips, and a verdict."""
+"""Description of a robot in numbers and words: joints, masses, limits, losses, tips, findings."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NotRequired, TypedDict
 
 import numpy as np
 import pinocchio as pin
@@ -26,60 +26,81 @@ from osc_contact.robots.model import (
 from osc_contact.robots.urdf import ModelFinding
 from osc_contact.spatial import Array, columns_of
 
-POSTURES = 200
-NO_LIMIT = 1e30  #: N m, N, rad/s, m/s: as large as none
+POSTURES = 200  #: random postures over which a tip is described
+NO_LIMIT = 1e30  #: limits as large mean that there is none (N m, N, rad/s, m/s)
 _SHOWN_TIPS = 12
-_UNITS = {
+
+
+class JointLosses(TypedDict):
+    """Losses and rotor inertia of a joint.
+
+    friction (N m, N), damping (N m s/rad, N s/m) and armature (kg m², kg); units of a prismatic
+    joint come second. Records of learned friction lack some.
+    """
+
+    joint: str
+    slides: bool
+    friction: NotRequired[float]
+    damping: NotRequired[float]
+    armature: NotRequired[float]
+
+
+Loss = Literal["friction", "damping", "armature"]
+#: units of each quantity of a joint: of a revolute one, of a prismatic one
+_UNITS: dict[Loss, tuple[str, str]] = {
     "friction": ("N m", "N"),
     "damping": ("N m s/rad", "N s/m"),
     "armature": ("kg m²", "kg"),
 }
-"""What a joint loses and carries; units of a turning and of a sliding joint."""
 
 
-def joint_losses(model: pin.Model, prefix: str = "") -> list[dict[str, Any]]:
-    """What each joint of a model loses and carries.
+def joint_losses(model: pin.Model, prefix: str = "") -> list[JointLosses]:
+    """Friction, damping and rotor inertia of each joint of a model.
 
     Args:
-        model: of one arm, or of a robot. prefix: of the joints' names.
-
-    Returns:
-        Of each joint its name, friction (N m, N), damping (N m s/rad, N s/m), armature (kg m²,
-        kg), and whether it slides.
+        model: model of an arm, or of a robot.
+        prefix: text that is put before the joints' names.
     """
-    quantities = (model.upperDryFrictionLimit, model.damping, rotors(model))
-    rows = zip(joint_names(model), *quantities, sliding(model), strict=True)
+    armature = rotors(model)
+    slides = sliding(model)
     return [
-        {"joint": f"{prefix}{name}", "slides": bool(slides)}
-        | dict(zip(_UNITS, map(float, losses), strict=True))
-        for name, *losses, slides in rows
+        JointLosses(
+            joint=f"{prefix}{name}",
+            slides=bool(slides[j]),
+            friction=float(model.upperDryFrictionLimit[j]),
+            damping=float(model.damping[j]),
+            armature=float(armature[j]),
+        )
+        for j, name in enumerate(joint_names(model))
     ]
 
 
-def losses_by_arm(losses: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """Each arm's name and its joints in words.
+def losses_by_arm(losses: Sequence[JointLosses]) -> Iterator[tuple[str, str]]:
+    """Name of each arm, and the losses of its joints as text.
 
     Args:
-        losses: of `joint_losses`, their names ARM/JOINT.
+        losses: losses of joints whose names are ARM/JOINT.
     """
-    arms: dict[str, list[Mapping[str, Any]]] = {}
+    arms: dict[str, list[JointLosses]] = {}
     for values in losses:
         arm, _, joint = values["joint"].rpartition("/")
-        arms.setdefault(arm, []).append({**values, "joint": joint})
+        of_arm = values.copy()
+        of_arm["joint"] = joint
+        arms.setdefault(arm, []).append(of_arm)
     for arm, joints in arms.items():
         yield (arm, loss_words(joints))
 
 
-def loss_words(joints: Sequence[Mapping[str, Any]]) -> str:
-    """Friction, damping and armature of some joints, those that are not zero, in one line."""
+def loss_words(joints: Sequence[JointLosses]) -> str:
+    """Friction, damping and armature of some joints that are not zero, in one line of text."""
     words = []
-    for key, units in _UNITS.items():
+    for key, (turning_unit, sliding_unit) in _UNITS.items():
         if key not in joints[0]:
             continue
         groups: dict[tuple[float, str], list[str]] = {}
         for values in joints:
             if values[key]:
-                group = (values[key], units[values["slides"]])
+                group = (values[key], sliding_unit if values["slides"] else turning_unit)
                 groups.setdefault(group, []).append(values["joint"])
         parts = []
         for (value, unit), names in groups.items():
@@ -92,15 +113,21 @@ def loss_words(joints: Sequence[Mapping[str, Any]]) -> str:
 def friction_warnings(
     model: pin.Model, q: Array, share: float, rate: float, passive: Sequence[str] = ()
 ) -> Iterator[str]:
-    """Joints whose damping weighs more than their inertia, and the least that rotors may be.
+    """Warnings of joints with large damping, and of the least rotor inertias for stability.
 
-    With m = 1/(M⁻¹)_jj, the inertia of a joint while the others are free: damping D that is not
-    known moves the joint like an inertia D/K, which counts where D/m > K; and the observer with
-    share g is stable for every delay while the assumed m is at most 1 + 1/g times the true one.
+    m = 1/(M⁻¹)_jj is the inertia of a joint while the others are free. Unknown damping D has the
+    effect of an inertia D/K, which is significant if D/m > K. The friction observer with share g is
+    stable for every delay if the assumed m is at most 1 + 1/g times the true one.
 
     Args:
-        model: of one arm. q: its posture. share: g of `control.joint_friction`. rate: K (1/s).
-        passive: joints without a motor, which has no observer.
+        model: model of an arm.
+        q: (n,) posture (rad, m).
+        share: g of `control.joint_friction`.
+        rate: K (1/s).
+        passive: names of joints without a motor, which have no observer.
+
+    Yields:
+        One sentence on damping and one on rotors, for joints that are concerned.
     """
     M = pin.crba(model, model.createData(), q)
     A = rotors(model)
@@ -127,9 +154,18 @@ def friction_warnings(
 
 @dataclass(frozen=True)
 class JointSummary:
-    """One joint: limits in rad, N m, rad/s, or m, N, m/s; moved_mass (kg): all that hangs on it.
+    """Limits, moved mass and losses of a joint; units of a prismatic joint come second.
 
-    friction (N m, N), damping (N m s/rad, N s/m), armature (kg m², kg): see `joint_losses`.
+    Attributes:
+        name: name of the joint.
+        kind: "revolute", "continuous" or "prismatic".
+        lower, upper: range of positions (rad, m); ∓inf: no end stop.
+        effort: largest torque (N m, N).
+        velocity: largest speed (rad/s, m/s).
+        moved_mass: mass of all links that the joint moves (kg).
+        friction: dry friction (N m, N).
+        damping: viscous friction (N m s/rad, N s/m).
+        armature: rotor inertia reflected to the joint (kg m², kg).
     """
 
     name: str
@@ -146,18 +182,20 @@ class JointSummary:
 
 @dataclass(frozen=True)
 class TipSummary:
-    """What the arm can do at one frame, over seeded random postures between the joint limits.
+    """Apparent inertia and mobility at a frame, over random postures between the joint limits.
 
     Attributes:
-        tip: the frame. joints: how many joints move it.
-        mass: (kg) lightest and heaviest apparent mass over postures and directions, the inverse
-            eigenvalues of J_v M⁻¹ J_vᵀ; inf where a direction cannot be moved.
-        inertia: (kg m²) the same for J_ω M⁻¹ J_ωᵀ.
+        tip: name of the frame.
+        joints: number of joints that move it.
+        mass: smallest and largest apparent mass over postures and directions, the inverse
+            eigenvalues of J_v M⁻¹ J_vᵀ (kg); inf if some direction cannot be moved.
+        inertia: smallest and largest apparent moment of inertia, the inverse eigenvalues of
+            J_ω M⁻¹ J_ωᵀ (kg m²).
         mobility: smallest and largest value, over the postures, of each singular value of
             Lᵀ J K⁻ᵀ with M = K Kᵀ and L Lᵀ the inertia of the rigid body that carries the tip.
-            Unit-free, independent of the frame: √(inertia of that body / inertia of the arm) in
-            a direction, so 1 where only that body moves and 0 where the direction is lost. Empty
-            where that body is no solid body (massless, or a point).
+            It is dimensionless and independent of the frame: √(inertia of that body / inertia of
+            the arm) in a direction, 1 if only that body moves, 0 if the direction is lost. Empty if
+            that body is massless or a point.
     """
 
     tip: str
@@ -169,8 +207,18 @@ class TipSummary:
 
 @dataclass(frozen=True)
 class RobotSummary:
-    """Name, size and masses (kg) of a robot; `losses` of its joints in words; `more_tips` counts
-    end bodies left out of `tips`."""
+    """Description of a robot.
+
+    Attributes:
+        name: name of the robot.
+        dof: number of joints that move.
+        links: number of links.
+        mass, moving_mass: mass of all links, and of the moving ones (kg).
+        joints: the joints in model order.
+        losses: losses of the joints, as text.
+        tips: description of frames at the ends of the tree.
+        more_tips: number of ends that are left out of `tips`.
+    """
 
     name: str
     dof: int
@@ -184,53 +232,70 @@ class RobotSummary:
 
 
 def summarise(model: pin.Model, tip: str | None = None) -> RobotSummary:
-    """Numbers of a loaded robot; tips are `tip`, or one link at each end of the tree.
+    """Description of a robot.
 
     Args:
-        model: of the robot. tip: name of a frame.
+        model: model of the robot.
+        tip: name of the frame to describe; None: a link at each end of the tree.
 
     Raises:
-        ModelError: no such frame, or no joint moves it.
+        ModelError: there is no such frame, or no joint moves it.
     """
-    data = model.createData()
-    pin.crba(model, data, pin.neutral(model))
     losses = joint_losses(model)
-    joints = tuple(_joint(model, data, j, **one) for j, one in enumerate(losses))
     frames = [frame_id(model, name) for name in (ends_of(model) if tip is None else [tip])]
     if tip is not None and model.frames[frames[0]].parentJoint == 0:
         raise ModelError(f"{model.name}: no joint moves the frame {tip!r}")
     masses = [inertia.mass for inertia in model.inertias]
     return RobotSummary(
-        model.name,
-        model.nv,
-        sum(frame.type == pin.FrameType.BODY for frame in model.frames),
-        sum(masses),
-        sum(masses[1:]),
-        joints,
-        loss_words(losses) if losses else "",
-        tuple(_tip(model, frame) for frame in frames[:_SHOWN_TIPS]),
-        len(frames[_SHOWN_TIPS:]),
+        name=model.name,
+        dof=model.nv,
+        links=sum(frame.type == pin.FrameType.BODY for frame in model.frames),
+        mass=sum(masses),
+        moving_mass=sum(masses[1:]),
+        joints=_joints(model, losses),
+        losses=loss_words(losses) if losses else "",
+        tips=tuple(_tip(model, frame) for frame in frames[:_SHOWN_TIPS]),
+        more_tips=len(frames[_SHOWN_TIPS:]),
     )
 
 
-def _joint(
-    model: pin.Model, data: pin.Data, j: int, joint: str, slides: bool, **losses: float
-) -> JointSummary:
-    lower, upper = (float(limits[j]) for limits in position_limits(model))
-    turning = "continuous" if lower == -upper == -np.inf else "revolute"
-    return JointSummary(
-        joint,
-        "prismatic" if slides else turning,
-        lower,
-        upper,
-        _limit(model.upperEffortLimit[j]),
-        _limit(model.upperVelocityLimit[j]),
-        data.Ycrb[j + 1].mass,
-        **losses,
-    )
+def _joints(model: pin.Model, losses: Sequence[JointLosses]) -> tuple[JointSummary, ...]:
+    """Descriptions of all joints of a model.
+
+    Args:
+        model: model of the robot.
+        losses: losses of its joints, see `joint_losses`.
+    """
+    data = model.createData()
+    pin.crba(model, data, pin.neutral(model))
+    lower, upper = position_limits(model)
+    summaries = []
+    for j, values in enumerate(losses):
+        if values["slides"]:
+            kind = "prismatic"
+        elif lower[j] == -np.inf and upper[j] == np.inf:
+            kind = "continuous"
+        else:
+            kind = "revolute"
+        summaries.append(
+            JointSummary(
+                name=values["joint"],
+                kind=kind,
+                lower=float(lower[j]),
+                upper=float(upper[j]),
+                effort=_limit(model.upperEffortLimit[j]),
+                velocity=_limit(model.upperVelocityLimit[j]),
+                moved_mass=data.Ycrb[j + 1].mass,
+                friction=values["friction"],
+                damping=values["damping"],
+                armature=values["armature"],
+            )
+        )
+    return tuple(summaries)
 
 
 def _tip(model: pin.Model, frame: int) -> TipSummary:
+    """Apparent inertia and mobility at a frame, by its number."""
     data = model.createData()
     placed = model.frames[frame]
     joints = len(model.supports[placed.parentJoint]) - 1  # without the universe
@@ -254,7 +319,7 @@ def _tip(model: pin.Model, frame: int) -> TipSummary:
 
 
 def _inverse(eigenvalues: list[Array]) -> tuple[float, float]:
-    """(smallest, largest) of 1/λ; an eigenvalue at rounding level counts as 0."""
+    """Smallest and largest 1/λ of some eigenvalues λ; those within rounding errors count as 0."""
     values = np.array(eigenvalues)
     values[values <= 1e-12 * values.max()] = 0.0
     with np.errstate(divide="ignore"):
@@ -263,18 +328,19 @@ def _inverse(eigenvalues: list[Array]) -> tuple[float, float]:
 
 
 def _limit(value: float) -> float:
-    """Infinite where a file that names none got a huge number instead."""
+    """Limit of a joint; inf for the huge number that stands for a joint without one."""
     return float(value) if value < NO_LIMIT else float("inf")
 
 
 @dataclass(frozen=True)
 class RobotReport:
-    """The verdict on a URDF.
+    """Result of the checks of a robot's file.
 
     Attributes:
-        file: the URDF. findings: what is wrong with it, empty for a sound robot.
-        meshes_missing: mesh files that were not found (they are not needed for the dynamics).
-        summary: the robot, None if it was refused.
+        file: the file.
+        findings: errors of the file; empty for a sound robot.
+        meshes_missing: number of mesh files that were not found; the dynamics does not need them.
+        summary: description of the robot; None if it was refused.
     """
 
     file: Path
@@ -284,11 +350,11 @@ class RobotReport:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing is wrong."""
+        """True without findings."""
         return not self.findings
 
     def lines(self) -> list[str]:
-        """The verdict in plain words."""
+        """Result in plain words, line by line."""
         if self.summary is None:
             count = f"{len(self.findings)} finding{'s' if len(self.findings) > 1 else ''}"
             return [*map(str, self.findings), f"{self.file}: refused, {count}"]
@@ -308,7 +374,7 @@ class RobotReport:
         return lines
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-able form."""
+        """Result as JSON data."""
         left_out = {"findings": {"__all__": {"file"}}}
         whole = to_jsonable_python(self, exclude=left_out, inf_nan_mode="null")
         return whole | {"sound": self.sound, "robot": whole.pop("summary")}
@@ -325,8 +391,10 @@ def check_robot(
     """Load a URDF or an MJCF file with all checks, mesh files included, and describe the robot.
 
     Args:
-        path, limits: as for `load_model`, or `load_mjcf`. inertias, package_dirs: of a URDF.
-        tip: the frame to describe; default: one at each end of the tree.
+        path: the file.
+        limits: limits by hand, see `load_model`.
+        inertias, package_dirs: of a URDF, see `load_model`.
+        tip: name of the frame to describe; None: a link at each end of the tree.
 
     Raises:
         ModelError: there is no such file, or no such frame.

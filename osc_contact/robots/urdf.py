@@ -1,12 +1,12 @@
-"""A URDF as data: from XML to links and joints with numbers; every word and number is checked.
+"""Reading of a URDF as links and joints with numbers; every word and number is checked.
 
-Words that look like a misspelt word of URDF are refused, because every reader would skip them in
-silence. Extensions of simulators (gazebo, …) are passed over; of transmissions only rotor inertia
-and gear ratio are read.
+Words that look like a misspelt word of URDF are refused, because other readers skip them silently.
+Extensions of simulators (gazebo, …) are ignored; of transmissions only rotor inertia and gear ratio
+are read.
 
-Expat reads the text: XML as it must be, every element with its place, nothing repaired. What a URDF
-never needs (document types, entities, includes, other encodings, huge or deep trees) ends the
-reading at once, before any other parser has seen the file.
+Expat reads the text: well-formed XML only, every element with its place, nothing is repaired. XML
+features that a URDF never needs (document types, entities, includes, other encodings, huge or deep
+trees) end the reading at once, before any other parser reads the file.
 """
 
 from __future__ import annotations
@@ -19,40 +19,42 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, TypeVar
+from typing import NamedTuple, NoReturn, TypeVar
 from xml.parsers import expat
 
 from osc_contact.errors import ModelError, did_you_mean
 
-MAX_BYTES = 8 * 2**20  #: of a robot's file, URDF or MJCF
-MAX_DEPTH = 64
-MAX_ELEMENTS = 100_000
+MAX_BYTES = 8 * 2**20  #: largest file of a robot, URDF or MJCF
+MAX_DEPTH = 64  #: deepest nesting of elements
+MAX_ELEMENTS = 100_000  #: most elements of a file
 MAX_LINKS = 512
-"""Most links (joints) of a robot; Pinocchio's reader crashes at a few thousand."""
+"""Most links, and most joints, of a robot; Pinocchio's reader crashes at a few thousand."""
 _HUGE = 1e9
-"""No length, mass, moment or angle of a robot is larger, in any unit anybody uses."""
+"""Largest length, mass, moment or angle of a robot, in any customary unit."""
 _DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _ENCODING = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""")
 _KNOWN_ENCODINGS = {b"utf-8", b"utf8", b"us-ascii", b"ascii"}
 
 
-# What is wrong with a robot: one finding, one sentence; all findings become one error.
+# Findings: errors of a robot's file, a sentence each; all findings become one exception.
 
 
 SHOWN = 12
-"""So many findings, or names, go into the text of an error; the rest is counted."""
+"""Most findings, or names, that the text of an error lists; the others are counted."""
 
 
 @dataclass(frozen=True)
 class ModelFinding:
-    """One thing wrong with a file.
+    """Error in a file, with its place, reason and cure.
 
     Attributes:
-        check: which check failed: "file", "xml", "name", "number", "tree", "joint", "geometry",
-            "mesh", "limit", "inertia", "mass matrix" or "mjcf".
-        file: the URDF. line, column: where, from 1; 0 where no place in the file is to blame.
+        check: name of the check that failed: "file", "xml", "name", "number", "tree", "joint",
+            "geometry", "mesh", "limit", "inertia", "mass matrix" or "mjcf".
+        file: the file.
+        line, column: place in the file, counted from 1; 0 for the file as a whole.
         element: "link 'tip' <mass value='-1'>"; empty for the file as a whole.
-        reason: what is wrong, with the numbers. cure: what to do about it.
+        reason: sentence on the error, with numbers.
+        cure: sentence on its correction.
     """
 
     check: str
@@ -65,13 +67,14 @@ class ModelFinding:
 
     def __str__(self) -> str:
         place = f"{self.file}:{self.line}:{self.column}" if self.line else f"{self.file}"
-        return ": ".join(part for part in (place, self.element, self.reason) if part) + (
-            f". {self.cure[0].upper()}{self.cure[1:]}" if self.cure else ""
-        )
+        text = ": ".join(part for part in (place, self.element, self.reason) if part)
+        if self.cure:
+            text += f". {self.cure[0].upper()}{self.cure[1:]}"
+        return text
 
 
 def refuse(findings: Sequence[ModelFinding]) -> NoReturn:
-    """Raise a `ModelError` with the text of all findings, which carries them as `findings`."""
+    """Raise a `ModelError` with the text of the findings and the attribute `findings`."""
     lines = [str(finding) for finding in findings[:SHOWN]]
     if len(findings) > SHOWN:
         lines.append(f"… and {len(findings) - SHOWN} more")
@@ -86,7 +89,7 @@ def refuse_file(
     """Raise a `ModelError` with one finding about a file, or about a place in it.
 
     Args:
-        check, file, reason, cure, line, column: of the `ModelFinding`.
+        check, file, reason, cure, line, column: see `ModelFinding`.
     """
     refuse([ModelFinding(check, file, line, column, "", reason, cure)])
 
@@ -100,9 +103,14 @@ _ZERO: Vector = (0.0, 0.0, 0.0)
 
 @dataclass(slots=True, eq=False)
 class Element:
-    """An XML element and where it begins (line and column from 1).
+    """XML element with its place in the file.
 
-    `findings`: what is wrong with the file, shared by all elements.
+    Attributes:
+        tag, attributes, text: content of the element.
+        file: the file.
+        line, column: place of its beginning, counted from 1.
+        findings: errors of the file; all its elements share this list.
+        parent, children: related elements.
     """
 
     tag: str
@@ -116,72 +124,81 @@ class Element:
     text: str = ""
 
     def get(self, key: str) -> str:
-        """An attribute, "" where there is none."""
+        """Value of an attribute, "" without it."""
         return self.attributes.get(key, "")
 
     def findall(self, *tags: str) -> list[Element]:
-        """The children of those tags."""
+        """Children with one of the tags."""
         return [child for child in self.children if child.tag in tags]
 
     def find(self, tag: str) -> Element | None:
-        """The first child of that tag."""
-        return next(iter(self.findall(tag)), None)
+        """First child with the tag, None without one."""
+        children = self.findall(tag)
+        return children[0] if children else None
 
     def part(self, tag: str) -> Element:
-        """The first child of that tag; without one, the element itself."""
-        return self.find(tag) or self
+        """First child with the tag; without one, the element itself."""
+        child = self.find(tag)
+        return self if child is None else child
 
     def iter(self, tag: str) -> Iterator[Element]:
-        """Descendants of that tag, in the order of the file."""
+        """Descendants with the tag, in the order of the file."""
         for child in self.children:
             if child.tag == tag:
                 yield child
             yield from child.iter(tag)
 
     def label(self, key: str = "") -> str:
-        """Name for messages: "joint 'turn' <limit effort='0'>"."""
+        """Name of the element for messages, such as "joint 'turn' <limit effort='0'>".
+
+        Args:
+            key: attribute to be shown; "": none.
+        """
         owner = self
         while owner.tag not in ("link", "joint") and owner.parent is not None:
             owner = owner.parent
-        named = f"{owner.tag} {_short(owner.get('name'))}" if owner.get("name") else ""
+        name = owner.get("name")
+        owner_name = f"{owner.tag} {_short(name)}" if name else ""
         value = f" {key}={_short(self.get(key))}" if key in self.attributes else ""
         own = f"<{self.tag}{value}>"
-        return f"{named} {own}" if named and owner is not self else named + value or own
+        if owner is not self:
+            return f"{owner_name} {own}".lstrip()
+        return f"{owner_name}{value}" if owner_name else own
 
     def finding(self, check: str, reason: str, cure: str = "", key: str = "") -> ModelFinding:
-        """What is wrong with the element (or with its attribute `key`).
+        """Finding about the element, or about one of its attributes.
 
         Args:
-            check: that failed. reason, cure: sentences. key: attribute.
+            check: name of the check that failed.
+            reason, cure: sentences on the error and its correction.
+            key: attribute; "": the element as a whole.
         """
-        place = (self.file, self.line, self.column, self.label(key))
-        return ModelFinding(check, *place, reason, cure)
+        return ModelFinding(check, self.file, self.line, self.column, self.label(key), reason, cure)
 
     def note(self, check: str, reason: str, cure: str = "", key: str = "") -> None:
-        """Note a `finding`.
-
-        Args:
-            check, reason, cure, key: of the finding.
-        """
+        """Append a finding to `findings`; for the arguments see `finding`."""
         self.findings.append(self.finding(check, reason, cure, key))
 
     def number(self, key: str, default: float | None = None) -> float:
-        """A finite number; without default it must be there.
+        """Value of an attribute as a finite number; an error is noted, and 0 returned.
 
         Args:
-            key: attribute. default: if absent.
+            key: attribute.
+            default: value of a missing attribute; None: the attribute must be there.
         """
         if key in self.attributes:
             return self.value(key, self.get(key).strip())
-        if default is None:
-            self.note("number", f"{key} is missing", f'write {key}="…"')
-        return default or 0.0
+        if default is not None:
+            return default
+        self.note("number", f"{key} is missing", f'write {key}="…"')
+        return 0.0
 
     def vector(self, key: str, default: Vector | None = None) -> Vector:
-        """Three finite numbers.
+        """Value of an attribute as three finite numbers; an error is noted, and 0 returned.
 
         Args:
-            key: attribute. default: if absent.
+            key: attribute.
+            default: value of a missing attribute; None: the attribute must be there.
         """
         if key not in self.attributes and default is not None:
             return default
@@ -189,20 +206,21 @@ class Element:
         parts = text.split()
         if len(parts) != 3:
             reason = f"{key} has {len(parts)} numbers, 3 are expected"
-            self.note("number", reason, _comma(text) or f'write {key}="x y z"', key)
+            self.note("number", reason, _hint(text) or f'write {key}="x y z"', key)
             return _ZERO
         return tuple(self.value(key, part) for part in parts)
 
     def value(self, key: str, text: str) -> float:
-        """The finite number that a text stands for.
+        """Value of a text as a finite number; an error is noted, and 0 returned.
 
         Args:
-            key: attribute, or the element's tag. text: to read.
+            key: name of the number for messages, the attribute or the element's tag.
+            text: text of the number.
         """
         value = float(text) if _DECIMAL.fullmatch(text) else math.nan
         if not math.isfinite(value):
             reason = f"{key} = {text[:40]!r} is not a finite number"
-            cure = _comma(text) or "write a decimal number such as 0.25"
+            cure = _hint(text) or "write a decimal number such as 0.25"
         elif abs(value) > _HUGE and self.tag != "limit":
             reason = f"{key} = {value:g} is beyond ±{_HUGE:g}"
             cure = "lengths are in m, masses in kg, angles in rad"
@@ -212,21 +230,28 @@ class Element:
         return 0.0
 
     def origin(self) -> dict[str, Vector]:
-        """xyz (m) and rpy (rad) of the <origin> of the element."""
+        """Vectors "xyz" (m) and "rpy" (rad) of the <origin> of the element, zero without one."""
         origin = self.find("origin")
-        return {
-            key: _ZERO if origin is None else origin.vector(key, _ZERO) for key in ("xyz", "rpy")
-        }
+        if origin is None:
+            return {"xyz": _ZERO, "rpy": _ZERO}
+        return {"xyz": origin.vector("xyz", _ZERO), "rpy": origin.vector("rpy", _ZERO)}
 
 
-def _comma(text: str) -> str:
+def _hint(text: str) -> str:
+    """Cure of a text that is not a number: macros left over, or decimal commas; "" for others."""
     if "${" in text:
         return "expand the macros first (xacro in.xacro > out.urdf)"
-    return "decimals are written with a point, numbers parted by blanks" if "," in text else ""
+    if "," in text:
+        return "decimals are written with a point, numbers parted by blanks"
+    return ""
 
 
 def read_bytes(file: Path) -> bytes:
-    """The content of a regular file that is not too large; anything else is refused."""
+    """Content of a regular file of at most `MAX_BYTES`.
+
+    Raises:
+        ModelError: the file does not exist, cannot be read, or is larger.
+    """
     if not file.is_file():
         refuse_file("file", file, "is not a file" if file.exists() else "does not exist")
     try:
@@ -241,66 +266,18 @@ def read_bytes(file: Path) -> bytes:
 
 
 def parse(file: Path, data: bytes) -> Element:
-    """The root <robot> of a URDF text.
+    """Root element <robot> of the text of a URDF.
+
+    Args:
+        file: name of the file, for messages.
+        data: its content.
 
     Raises:
-        ModelError: empty, not UTF-8, not well-formed or truncated, a DOCTYPE or an entity, an
-            include or macro left over, too deep, too many elements, or another root.
+        ModelError: an empty text, not UTF-8, not well-formed or truncated, a DOCTYPE or an entity,
+            an include or macro left over, too deep, too many elements, or another root.
     """
     _check_text(file, data)
-    stack: list[Element] = []
-    roots: list[Element] = []
-    findings: list[ModelFinding] = []
-    counts = Counter[str]()
-    parser = expat.ParserCreate()
-
-    def stop(reason: str, cure: str) -> NoReturn:
-        place = (parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
-        refuse_file("xml", file, reason, cure, *place)
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        counts[""] += 1
-        if len(stack) >= MAX_DEPTH:
-            stop(f"<{tag}> is nested more than {MAX_DEPTH} deep", "a URDF needs about 6 levels")
-        if counts[""] > MAX_ELEMENTS:
-            stop(f"more than {MAX_ELEMENTS} elements", "split the file")
-        if len(stack) == 1 and tag in ("link", "joint"):
-            counts[tag] += 1
-            if counts[tag] > MAX_LINKS:
-                stop(f"more than {MAX_LINKS} {tag}s", "split the robot or drop what does not move")
-        prefix, colon, name = tag.partition(":")
-        if colon and (prefix == "xacro" or name == "include"):
-            cure = "expand macros and includes first (xacro in.xacro > out.urdf)"
-            stop(f"<{tag}> is not URDF", cure)
-        place = (parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
-        above = stack[-1] if stack else None
-        element = Element(tag, attributes, file, *place, findings, above)
-        (roots if above is None else above.children).append(element)
-        stack.append(element)
-
-    def text(data: str) -> None:
-        if stack:
-            stack[-1].text += data
-
-    def doctype(*declared: Any) -> None:
-        reason = "<!DOCTYPE> is refused: a robot needs no document type and no entities"
-        stop(reason, "delete it and write entities out")
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = lambda tag: stack.pop()
-    parser.StartDoctypeDeclHandler = doctype
-    parser.CharacterDataHandler = text
-    parser.buffer_text = True
-    try:
-        parser.Parse(data, True)
-    except expat.ExpatError as error:
-        reason = f"not well-formed XML: {expat.ErrorString(error.code)}"
-        if stack:
-            reason += f" inside <{stack[-1].tag}> of line {stack[-1].line}"
-        cut = data.count(b"\n") + 1 <= error.lineno and (stack or not roots)
-        cure = "the file seems to be cut off" if cut else "repair it; nothing is guessed"
-        refuse_file("xml", file, reason, cure, error.lineno, error.offset + 1)
-    root = roots[0]
+    root = _Reader(file).read(data)
     if root.tag != "robot":
         reason = f"the root element is <{root.tag}>, a URDF begins with <robot>"
         cure = "convert SDF to URDF; an MJCF file is not called .urdf, but .xml"
@@ -308,8 +285,112 @@ def parse(file: Path, data: bytes) -> Element:
     return root
 
 
+class _Reader:
+    """Handlers of expat that build the tree of elements and refuse unusual XML."""
+
+    def __init__(self, file: Path) -> None:
+        """Prepare a parser.
+
+        Args:
+            file: name of the file, for messages.
+        """
+        self.file = file
+        self.open: list[Element] = []  # elements whose end has not been read, outermost first
+        self.roots: list[Element] = []
+        self.findings: list[ModelFinding] = []
+        self.elements = 0
+        self.counts = Counter[str]()  # of links and joints
+        self.parser = expat.ParserCreate()
+        self.parser.StartElementHandler = self.start
+        self.parser.EndElementHandler = self.end
+        self.parser.StartDoctypeDeclHandler = self.doctype
+        self.parser.CharacterDataHandler = self.text
+        self.parser.buffer_text = True
+
+    def read(self, data: bytes) -> Element:
+        """Root element of a text.
+
+        Raises:
+            ModelError: XML that is not well-formed, or refused by a handler.
+        """
+        try:
+            self.parser.Parse(data, True)
+        except expat.ExpatError as error:
+            reason = f"not well-formed XML: {expat.ErrorString(error.code)}"
+            if self.open:
+                reason += f" inside <{self.open[-1].tag}> of line {self.open[-1].line}"
+            at_end = data.count(b"\n") + 1 <= error.lineno
+            if at_end and (self.open or not self.roots):
+                cure = "the file seems to be cut off"
+            else:
+                cure = "repair it; nothing is guessed"
+            refuse_file("xml", self.file, reason, cure, error.lineno, error.offset + 1)
+        return self.roots[0]
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        """Handle the beginning of an element."""
+        self.elements += 1
+        if len(self.open) >= MAX_DEPTH:
+            self.stop(
+                f"<{tag}> is nested more than {MAX_DEPTH} deep", "a URDF needs about 6 levels"
+            )
+        if self.elements > MAX_ELEMENTS:
+            self.stop(f"more than {MAX_ELEMENTS} elements", "split the file")
+        if len(self.open) == 1 and tag in ("link", "joint"):
+            self.counts[tag] += 1
+            if self.counts[tag] > MAX_LINKS:
+                self.stop(
+                    f"more than {MAX_LINKS} {tag}s", "split the robot or drop what does not move"
+                )
+        prefix, colon, name = tag.partition(":")
+        if colon and (prefix == "xacro" or name == "include"):
+            cure = "expand macros and includes first (xacro in.xacro > out.urdf)"
+            self.stop(f"<{tag}> is not URDF", cure)
+        parent = self.open[-1] if self.open else None
+        line, column = self.place()
+        element = Element(tag, attributes, self.file, line, column, self.findings, parent)
+        if parent is None:
+            self.roots.append(element)
+        else:
+            parent.children.append(element)
+        self.open.append(element)
+
+    def end(self, tag: str) -> None:
+        """Handle the end of an element."""
+        self.open.pop()
+
+    def text(self, data: str) -> None:
+        """Handle text between tags."""
+        if self.open:
+            self.open[-1].text += data
+
+    def doctype(
+        self, name: str, system: str | None, public: str | None, has_subset: bool
+    ) -> NoReturn:
+        """Handle <!DOCTYPE>, with the arguments of expat."""
+        reason = "<!DOCTYPE> is refused: a robot needs no document type and no entities"
+        self.stop(reason, "delete it and write entities out")
+
+    def place(self) -> tuple[int, int]:
+        """Line and column that are read now, counted from 1."""
+        return (self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber + 1)
+
+    def stop(self, reason: str, cure: str) -> NoReturn:
+        """Raise a `ModelError` about the place that is read now."""
+        line, column = self.place()
+        refuse_file("xml", self.file, reason, cure, line, column)
+
+
 def _check_text(file: Path, data: bytes) -> None:
-    """Refuse what is not UTF-8 text."""
+    """Refuse content that is not UTF-8 text.
+
+    Args:
+        file: name of the file, for messages.
+        data: its content.
+
+    Raises:
+        ModelError: the content is empty, not UTF-8, or declares another encoding.
+    """
 
     def stop(reason: str, at: int) -> NoReturn:
         line = data.count(b"\n", 0, at) + 1
@@ -329,8 +410,11 @@ def _check_text(file: Path, data: bytes) -> None:
 
 
 def _short(text: str) -> str:
+    """Text in quotes, cut off after 60 characters, for messages."""
     return repr(text if len(text) <= 60 else f"{text[:60]}…")
 
+
+# Words of URDF: attributes, children of each element, children that may occur once.
 
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 LIMITS = ("lower", "upper", "effort", "velocity")
@@ -371,20 +455,24 @@ _ATTRIBUTES = {
 }
 
 
-Numbers = dict[str, Any]  #: attributes of an element as numbers
-
-
 class Inertial(NamedTuple):
-    """Mass (kg), origin xyz (m) rpy (rad) of the centre of mass, moments ixx … izz (kg m²)."""
+    """Inertia of a link as written.
+
+    Attributes:
+        mass: kg.
+        origin: "xyz" (m) and "rpy" (rad) of the frame at the centre of mass.
+        moments: "ixx" … "izz" (kg m²) in that frame; empty if missing.
+        element: the <inertial>.
+    """
 
     mass: float
-    origin: Numbers
-    moments: Numbers
+    origin: dict[str, Vector]
+    moments: dict[str, float]
     element: Element
 
 
 class Link(NamedTuple):
-    """A link as written."""
+    """Link as written: its name, its inertia, None without one, and its <link>."""
 
     name: str
     inertial: Inertial | None
@@ -392,16 +480,27 @@ class Link(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """A joint as written; `limits` holds what numbers its <limit> has."""
+    """Joint as written.
+
+    Attributes:
+        name, kind: name and type.
+        parent, child: names of the links.
+        origin: "xyz" (m) and "rpy" (rad) of its frame in the parent.
+        axis: unit vector in its frame.
+        limits: numbers of its <limit> by attribute (rad, N m, rad/s; m, N, m/s).
+        losses: "damping" (N m s/rad, N s/m) and "friction" (N m, N).
+        mimic: name of its master; None without one.
+        element: the <joint>.
+    """
 
     name: str
     kind: str
     parent: str
     child: str
-    origin: Numbers
+    origin: dict[str, Vector]
     axis: Vector
-    limits: Numbers
-    losses: Numbers
+    limits: dict[str, float]
+    losses: dict[str, float]
     mimic: str | None
     element: Element
 
@@ -411,9 +510,14 @@ Part = TypeVar("Part", Link, Joint)
 
 @dataclass(slots=True, eq=False)
 class Document:
-    """A URDF; the elements of `root` note what is wrong with it.
+    """Content of a URDF.
 
-    `rotors`: by joint, inertia of its motor's rotor (kg m²) and gear ratio, from transmissions.
+    Attributes:
+        file: the file.
+        name: name of the robot.
+        root: root element, whose `findings` are the errors of the file.
+        links, joints: by name.
+        rotors: by joint, inertia of its motor's rotor (kg m²) and gear ratio, from transmissions.
     """
 
     file: Path
@@ -424,16 +528,24 @@ class Document:
     rotors: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def require(self) -> None:
-        """Raise what was found, if anything."""
+        """Raise the findings, if there are any.
+
+        Raises:
+            ModelError: there are findings.
+        """
         if self.root.findings:
             refuse(self.root.findings)
 
 
 def read_document(file: Path, data: bytes) -> Document:
-    """Links and joints of a URDF text; its elements note what is wrong with them.
+    """Links and joints of the text of a URDF; errors of elements are noted as findings.
+
+    Args:
+        file: name of the file, for messages.
+        data: its content.
 
     Raises:
-        ModelError: the text is not the XML of a robot at all, or has more than 512 links.
+        ModelError: the text is not the XML of a robot, see `parse`.
     """
     root = parse(file, data)
     document = Document(file, root.get("name"), root)
@@ -456,7 +568,7 @@ def read_document(file: Path, data: bytes) -> Document:
 
 
 def _check_words(element: Element) -> None:
-    """Note elements and attributes that are misspelt, or twice where one may stand."""
+    """Note elements and attributes that are misspelt, and elements that may occur only once."""
     known = _CHILDREN.get(element.tag, ())
     seen: dict[str, Element] = {}
     for child in element.children:
@@ -477,7 +589,7 @@ def _check_words(element: Element) -> None:
 
 
 def _rotor(transmission: Element) -> tuple[float, float]:
-    """Rotor inertia and gear ratio of a transmission with one joint and one motor."""
+    """Rotor inertia (kg m²) and gear ratio of a transmission with one joint and one motor."""
     found = {"rotorInertia": 0.0, "mechanicalReduction": 1.0}
     for part in transmission.findall("joint", "actuator"):
         for child in part.findall(*found):
@@ -488,7 +600,12 @@ def _rotor(transmission: Element) -> tuple[float, float]:
 
 
 def _keep(kept: dict[str, Part], one: Part) -> None:
-    """Keep a link or a joint under its name, if that name is unique."""
+    """Add a link or joint to those of the document; note a name that is not unique or not usable.
+
+    Args:
+        kept: links, or joints, by name.
+        one: link or joint to be added.
+    """
     element = one.element
     name = one.name
     if name in kept and name.strip():
@@ -506,20 +623,22 @@ def _keep(kept: dict[str, Part], one: Part) -> None:
 
 
 def _inertial(element: Element) -> Inertial:
+    """Read an <inertial>; errors are noted."""
     for word in ("mass", "inertia"):
         if element.find(word) is None:
             element.note("inertia", f"<inertial> without <{word}>", f"add <{word}>")
     mass = element.find("mass")
     tensor = element.find("inertia")
     return Inertial(
-        0.0 if mass is None else mass.number("value"),
-        element.origin(),
-        {} if tensor is None else {key: tensor.number(key) for key in MOMENTS},
-        element,
+        mass=0.0 if mass is None else mass.number("value"),
+        origin=element.origin(),
+        moments={} if tensor is None else {key: tensor.number(key) for key in MOMENTS},
+        element=element,
     )
 
 
 def _joint(element: Element) -> Joint:
+    """Read a <joint>; errors are noted."""
     kind = element.get("type")
     if kind in ("planar", "floating"):
         cure = "build it from prismatic and revolute joints, or fix it"
@@ -530,38 +649,54 @@ def _joint(element: Element) -> Joint:
     for word in ("parent", "child"):
         if element.find(word) is None:
             element.note("tree", f"a joint without <{word}>", f'add <{word} link="…"/>')
-    losses = {"damping": 0.0, "friction": 0.0}
-    for dynamics in element.findall("dynamics"):
-        for key in losses:
-            value = losses[key] = dynamics.number(key, 0.0)
-            if value < 0:
-                reason = f"{key} {value:g} is negative: it would drive the joint"
-                dynamics.note("joint", reason, "write a value ≥ 0", key)
+    losses = _losses(element)
     mimic = element.find("mimic")
-    if mimic is not None:
+    if mimic is not None:  # notes numbers that are wrong
         mimic.number("multiplier", 1.0)
         mimic.number("offset", 0.0)
     return Joint(
-        element.get("name"),
-        kind,
-        element.part("parent").get("link"),
-        element.part("child").get("link"),
-        element.origin(),
-        _axis(element, kind),
-        {
-            key: limit.number(key)
-            for limit in element.findall("limit")
-            for key in LIMITS
-            if key in limit.attributes and kind != "fixed"
-        },
-        losses,
-        None if mimic is None else mimic.get("joint"),
-        element,
+        name=element.get("name"),
+        kind=kind,
+        parent=element.part("parent").get("link"),
+        child=element.part("child").get("link"),
+        origin=element.origin(),
+        axis=_axis(element, kind),
+        limits={} if kind == "fixed" else _limits(element),
+        losses=losses,
+        mimic=None if mimic is None else mimic.get("joint"),
+        element=element,
     )
 
 
+def _losses(element: Element) -> dict[str, float]:
+    """Damping and friction of a <joint>, 0 without <dynamics>; negative ones are noted."""
+    losses = {"damping": 0.0, "friction": 0.0}
+    for dynamics in element.findall("dynamics"):
+        for key in losses:
+            losses[key] = dynamics.number(key, 0.0)
+            if losses[key] < 0:
+                reason = f"{key} {losses[key]:g} is negative: it would drive the joint"
+                dynamics.note("joint", reason, "write a value ≥ 0", key)
+    return losses
+
+
+def _limits(element: Element) -> dict[str, float]:
+    """Numbers of the <limit> of a <joint> that are there."""
+    limits = {}
+    for limit in element.findall("limit"):
+        for key in LIMITS:
+            if key in limit.attributes:
+                limits[key] = limit.number(key)
+    return limits
+
+
 def _axis(element: Element, kind: str) -> Vector:
-    """Unit axis of a joint; (1, 0, 0) where none is given (URDF's default)."""
+    """Unit axis of a <joint>, (1, 0, 0) if it has none, as URDF defines; others are noted.
+
+    Args:
+        element: the <joint>.
+        kind: its type; a fixed joint has no axis.
+    """
     axis = element.find("axis")
     if axis is None or kind == "fixed":
         return (1.0, 0.0, 0.0)
@@ -571,14 +706,16 @@ def _axis(element: Element, kind: str) -> Vector:
     if len(axis.findings) == known and not abs(length - 1.0) <= 1e-4:
         reason = f"the axis has length {length:.6g}; readers disagree on what that means"
         axis.note("joint", reason, "write a unit vector", "xyz")
-    return tuple(x / (length or 1.0) for x in numbers)
+    if length == 0.0:
+        return numbers
+    return tuple(x / length for x in numbers)
 
 
 # Links and joints form one tree -------------------------------------------------------------------
 
 
 def check_tree(document: Document) -> None:
-    """Note unknown ends, links with two parents, several roots and loops."""
+    """Note links of joints that do not exist, links with two parents, several roots and loops."""
     links = document.links
     above: dict[str, Joint] = {}
     for joint in document.joints.values():
@@ -612,7 +749,7 @@ def check_tree(document: Document) -> None:
 
 
 def check_mimics(document: Document) -> None:
-    """Note mimic joints that follow nothing, a fixed joint, themselves or each other."""
+    """Note mimic joints whose master does not exist, is fixed, or depends on the joint itself."""
     joints = document.joints
     for joint in joints.values():
         if joint.mimic is None:

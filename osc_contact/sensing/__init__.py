@@ -1,1 +1,1 @@
-"""From readings of sensors and cameras to what the controller receives."""
+"""Estimates from readings of sensors and cameras: velocities, poses of bodies, wrist loads."""

@@ -1,12 +1,12 @@
-"""Wrist calibration: what hangs on a force sensor, and its bias, from a few static postures.
+"""Wrist calibration: load and bias of a force sensor from readings in a few static postures.
 
-At rest a sensor whose gripper and load weigh m, with the centre of mass at c, reads
+At rest a sensor with a load of mass m (gripper included) and centre of mass c reads
 
     f = m u + b_f,    τ = (m c) × u + b_τ,    u = −Rᵀg,
 
-linear in the ten unknowns m, m c, b_f, b_τ. Postures that turn the sensor against gravity
-distinguish them; where they do not (every SCARA), weight and bias are one unknown: then the sensors
-can only be tared.
+linear in the ten unknowns m, m c, b_f, b_τ. They can be distinguished if the postures turn the
+sensor relative to gravity. If it is not turned (as in a SCARA), only the sum of weight and bias is
+known, and the sensor has to be tared.
 """
 
 from collections.abc import Sequence
@@ -22,12 +22,14 @@ NAMES = ("m", *(f"{name}_{axis}" for name in ("m c", "b_f", "b_τ") for axis in 
 
 @dataclass(frozen=True)
 class WristLoad:
-    """What a wrist sensor carries.
+    """Load of a wrist sensor, and its bias.
 
     Attributes:
-        mass: kg. com: (3,) centre of mass in the sensor's axes (m).
+        mass: mass of the load (kg).
+        com: (3,) centre of mass in the sensor's axes (m).
         bias: (6,) reading of the unloaded sensor (N, N m).
-        mass_error: standard error (kg). com_error: (3,) standard errors (m).
+        mass_error: standard error of the mass (kg).
+        com_error: (3,) standard errors of the centre of mass (m).
     """
 
     mass: float
@@ -42,14 +44,14 @@ def calibrate_wrist(
     readings: Array,
     noise: Array | float = 1.0,
 ) -> WristLoad:
-    """Weighted least squares on the regressor of a resting load.
+    """Estimate load and bias of a wrist sensor by weighted least squares.
 
     Args:
-        rotations: (3, 3) of the sensor in the world, one for each posture.
+        rotations: (3, 3) rotation of the sensor in the world for each posture.
         readings: (postures, 6) mean reading at rest in the sensor's axes: the wrench that the arm
             exerts on the gripper (N, N m).
-        noise: (6,) or one number: standard deviation of those means, which weighs N against N m
-            and gives the errors their size.
+        noise: (6,) or one number: standard deviations of those means (N, N m), which determine the
+            weights and the standard errors.
 
     Raises:
         InvalidInputError: fewer than three postures, or shapes that do not fit.
@@ -86,7 +88,7 @@ def calibrate_wrist(
 
 
 def _regressor(u: Array) -> Array:
-    """(6, 10) Y(u) with reading = Y θ, θ = [m, m c, b_f, b_τ]."""
+    """Regressor Y(u) (6, 10) of a load at rest: reading = Y θ, θ = [m, m c, b_f, b_τ]."""
     Y = np.zeros((6, 10))
     Y[:3, 0] = u
     Y[3:, 1:4] = -skew(u)

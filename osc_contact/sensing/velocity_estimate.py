@@ -1,20 +1,20 @@
 """Velocities from positions: a steady-state Kalman filter for each channel (α-β filter).
 
-Each channel is a double integrator driven by a known acceleration and an unknown one,
-white in continuous time, seen through white noise. Its stationary Kalman gains have a closed form
-in the tracking index λ = σ_a dt²/σ_n (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
-Applications to Tracking and Navigation, 2001):
+Each channel is a double integrator driven by a known acceleration and an unknown one, which is
+white noise in continuous time; positions are measured with white noise. The stationary Kalman gains
+have a closed form in the tracking index λ = σ_a dt²/σ_n (Y. Bar-Shalom, X. R. Li, T. Kirubarajan,
+Estimation with Applications to Tracking and Navigation, 2001):
 
     u = 1/3 + √(1/12 + 4/λ²),    β = 12/(6(u + √u) + 1),    α = β √u
 
-The better the sensor, the larger λ, and the gains end at α = 1, β = 3 − √3, poles at 0 and √3 − 2:
-stable, and no worse than the difference of two readings. An acceleration that is constant over the
-sample (P. R. Kalata, The tracking index, 1984) has nearly the same gains while λ ≪ 1, but ends at
-β = 2 with a pole at −1: it assumes that two exact positions and the last velocity give the next
-one, so that errors of velocity alternate for ever.
+For ever better sensors, λ → ∞, the gains tend to α = 1, β = 3 − √3 with poles at 0 and √3 − 2: the
+filter is stable, and no worse than the difference of two readings. The model with an acceleration
+that is constant between samples (P. R. Kalata, The tracking index, 1984) has nearly equal gains for
+λ ≪ 1, but tends to β = 2 with a pole at −1: it computes the next velocity from two exact positions
+and the last velocity, so that errors of velocity alternate and do not decay.
 
-A filtered difference would lag by its time constant; with the commanded acceleration, this one
-does not lag along the command.
+A filtered difference lags by its time constant; this filter uses the commanded acceleration and
+does not lag behind commanded motions.
 """
 
 from __future__ import annotations
@@ -32,15 +32,16 @@ class VelocityEstimate:
     """Positions and velocities of several channels from sampled positions.
 
     Attributes:
-        alpha, beta: (k,) gains of position and of velocity.
-        dt: period of `update` (s). sample: period of the sensor (s), which the gains are for.
-        x, v: (k,) last estimate; x None: there was none.
+        alpha, beta: (k,) gains of position and of velocity, for the period `sample`.
+        dt: period of `update` (s).
+        sample: period of the sensor (s); 0: dt.
+        x, v: (k,) last estimate (m, rad; m/s, rad/s); x is None before the first update.
     """
 
     alpha: Array
     beta: Array
     dt: float
-    sample: float = 0.0  #: 0: the same
+    sample: float = 0.0
 
     def __post_init__(self) -> None:
         self.alpha = np.atleast_1d(self.alpha)
@@ -59,17 +60,17 @@ class VelocityEstimate:
     def optimal(
         cls, noise: Array, acceleration: Array, dt: float, sample: float = 0.0
     ) -> VelocityEstimate:
-        """Least mean square error under noise (k,) and unknown acceleration (k,), both rms.
-
-        The unknown acceleration changes the velocity by its rms times the period from sample to
-        sample.
+        """Estimate of least mean square error.
 
         Args:
-            noise: (k,) rms of the readings (m, rad). acceleration: (k,) rms (m/s², rad/s²).
-            dt: period of the estimate (s). sample: period of the readings (s); 0: dt.
+            noise: (k,) rms noise of the readings (m, rad).
+            acceleration: (k,) rms of the unknown acceleration (m/s², rad/s²); from sample to sample
+                it changes the velocity by its rms times the period.
+            dt: period of the estimate (s).
+            sample: period of the readings (s); 0: dt.
 
         Raises:
-            InvalidInputError: one of them is not > 0.
+            InvalidInputError: noise or acceleration is not > 0.
         """
         noise = np.atleast_1d(noise)
         acceleration = np.atleast_1d(acceleration)
@@ -85,20 +86,25 @@ class VelocityEstimate:
 
     @classmethod
     def with_bandwidth(cls, bandwidth: Array, dt: float) -> VelocityEstimate:
-        """Critically damped: both poles at exp(−bandwidth · dt), bandwidth (k,) in rad/s."""
+        """Critically damped estimate with both poles at exp(−bandwidth · dt).
+
+        Args:
+            bandwidth: (k,) rad/s.
+            dt: period of the estimate (s).
+        """
         pole = np.exp(-np.atleast_1d(bandwidth) * dt)
         return cls(1.0 - pole**2, (1.0 - pole) ** 2, dt)
 
     def update(
         self, x: Array, acceleration: Array | float = 0.0, fresh: bool = True
     ) -> tuple[Array, Array]:
-        """(x̂, v̂), each (k,), after one period and one reading.
+        """Advance the estimate by one period; return position and velocity, (k,) each.
 
         Args:
-            x: (k,) positions read; channels that are not finite are predicted only.
-            acceleration: (k,) known over the period that ends now.
-            fresh: False when the reading is an old one (slower sensor, lost sample): the state is
-                only predicted.
+            x: (k,) measured positions (m, rad); channels that are not finite are only predicted.
+            acceleration: (k,) known acceleration over the period that ends now (m/s², rad/s²).
+            fresh: False if the reading is an old one (slower sensor, lost sample): all channels
+                are only predicted.
         """
         if self.x is None:
             self.x = np.array(x, dtype=float)

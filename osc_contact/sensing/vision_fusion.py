@@ -1,10 +1,10 @@
-"""Where the touched bodies are, in the robots' frame, from old pictures of bodies and robots.
+"""Poses of the touched bodies in the robots' frame, from delayed pictures of bodies and robots.
 
-A camera sees the touched bodies, the held object and the arms in a separate frame, which is a
-few millimetres and milliradians off the robots' frame: cameras and bases are never calibrated
-better. Only what a body does relative to the robots counts for contact. The encoders give where
-object and arms were when the picture was taken; a Kalman filter for one constant displacement
-makes both agree, and the bodies are moved along with it. Errors of camera and bases cancel.
+A camera measures the touched bodies, the held object and the arms in its own frame, which differs
+from the robots' frame by some millimetres and milliradians, the errors of calibration of cameras
+and bases. For contact, only motion relative to the robots matters. The encoders give the poses of
+object and arms at the time of the picture; a Kalman filter estimates the constant displacement
+between both, which is applied to the bodies. Errors of camera and bases cancel.
 """
 
 from collections import deque
@@ -21,28 +21,32 @@ from osc_contact.interface import Seen, Touched
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.spatial import Array, carry_twist, pose_error, skew
 
-_ITERATIONS = 4  # of the update, which is nonlinear in large turns
+_ITERATIONS = 4  # iterations of an update, which is nonlinear in large rotations
 
 
 class History:
-    """What a signal was a while ago."""
+    """Recent values of a signal, to be interpolated."""
 
     def __init__(self, span: float) -> None:
-        """Keep `span` seconds."""
+        """Make an empty history.
+
+        Args:
+            span: time for which values are kept (s).
+        """
         self.span = span
         self._kept: deque[tuple[float, Array]] = deque()
 
     def add(self, t: float, x: Array) -> None:
-        """The value at time t, later than all before."""
+        """Append the value x at the time t (s), which is later than all before."""
         self._kept.append((t, np.array(x, dtype=float)))
         while len(self._kept) > 2 and self._kept[1][0] <= t - self.span:
             self._kept.popleft()
 
     def at(self, t: float) -> Array:
-        """Interpolated; outside of what is kept, the value at its end.
+        """Value at the time t (s), interpolated; before and after all values, the nearest one.
 
         Raises:
-            InvalidInputError: nothing is kept yet.
+            InvalidInputError: the history is empty.
         """
         if not self._kept:
             raise InvalidInputError("the history is empty; add a value before asking for one")
@@ -52,17 +56,19 @@ class History:
 
 @dataclass
 class Registration:
-    """X_WC, the camera's frame in the robots', from bodies known in both.
+    """Estimate of X_WC, the camera's frame in the robots' frame, from bodies known in both.
 
-    A Kalman filter for ξ = [δ; θ], the displacement (world axes, at the world's origin) that
-    X_WC still lacks: a body seen at (p̃, R̃) is at p = p̂ + δ + θ × p̂, R = exp(θ) R̂ with
-    p̂ = X_WC p̃, R̂ = R_WC R̃. The noise of the camera weighs metres against radians.
+    A Kalman filter for ξ = [δ; θ], the displacement (world axes, at the world's origin) by which
+    X_WC has to be corrected: a body seen at (p̃, R̃) is at p = p̂ + δ + θ × p̂, R = exp(θ) R̂ with
+    p̂ = X_WC p̃, R̂ = R_WC R̃.
 
     Attributes:
-        position, orientation: standard deviation of each seen pose (m, rad).
-        prior: of the displacement before the first picture (m, rad).
-        drift: of the displacement, per √s (m, rad): how soon old pictures are forgotten.
-        X: X_WC. P: (6, 6) covariance of ξ.
+        position, orientation: standard deviations of each seen pose (m, rad).
+        prior: standard deviations of the displacement before the first picture (m, rad).
+        drift: growth of the displacement's standard deviations (m/√s, rad/√s), by which older
+            pictures lose weight.
+        X: X_WC.
+        P: (6, 6) covariance of ξ.
 
     Raises:
         InvalidInputError: a standard deviation that is not > 0 (drift: ≥ 0).
@@ -84,11 +90,11 @@ class Registration:
         self.P = np.diag(np.repeat(self.prior, 3)) ** 2
 
     def update(self, known: Sequence[SE3], seen: Sequence[SE3], elapsed: float = 0.0) -> SE3:
-        """X_WC after one picture.
+        """Correct X_WC by a picture and return it.
 
         Args:
-            known: poses of bodies in the robots' frame when the picture was taken.
-            seen: the same bodies in the camera's frame.
+            known: poses of bodies in the robots' frame at the time of the picture.
+            seen: poses of these bodies in the camera's frame.
             elapsed: time since the last picture (s).
         """
         prior = np.linalg.inv(self.P + elapsed * np.diag(np.repeat(self.drift, 3)) ** 2)
@@ -113,16 +119,23 @@ class Registration:
 
 @dataclass
 class BodyEstimate:
-    """Position and rotation vector of a tracked body, from `start`: its first orientation."""
+    """Estimate of the pose and twist of a tracked body.
+
+    Attributes:
+        channels: estimate of position and rotation vector, six channels.
+        start: pose at the origin with the body's first orientation, from which it is measured.
+    """
 
     channels: VelocityEstimate
     start: SE3
 
     def update(self, X: SE3, fresh: bool, delay: float) -> tuple[SE3, Array]:
-        """(pose, twist (6,) at its origin) now, from a pose that is `delay` old.
+        """Pose now, and twist (6,) at its origin, from a pose measured `delay` ago.
 
         Args:
-            X: measured pose. fresh: whether it is a new one. delay: its age (s).
+            X: measured pose.
+            fresh: False if it was used before.
+            delay: age of the measurement (s).
         """
         x, rate = self.channels.update(pose_error(X, self.start), fresh=fresh)
         x = x + delay * rate
@@ -131,10 +144,11 @@ class BodyEstimate:
 
 
 class VisionFusion:
-    """Poses and twists of the touched bodies now, in the robots' frame.
+    """Estimate of present poses and twists of the touched bodies in the robots' frame.
 
     Attributes:
-        registration: of the camera's frame. history: of the joint positions.
+        registration: estimate of the camera's frame.
+        history: recent joint positions.
     """
 
     def __init__(
@@ -148,14 +162,17 @@ class VisionFusion:
         delay: float,
         markers: Array | None = None,
     ) -> None:
-        """Set up.
+        """Prepare the estimates.
 
         Args:
-            known: joint positions → poses of the object and of the arms' tips.
-            registration: of the camera, with its noise.
-            acceleration: unknown ones of the bodies (m/s², rad/s²).
-            dt: period of `update`. period: of the pictures. delay: until one arrives (s).
-            markers: (contacts, 4, 4) in E, the marker of each body; None: E itself.
+            known: function of the joint positions (n,) that returns the poses of the object and of
+                the arms' tips.
+            registration: estimate of the camera's frame, with the noise of the camera.
+            acceleration: rms of the bodies' unknown accelerations (m/s², rad/s²).
+            dt: period of `update` (s).
+            period: period of the pictures (s).
+            delay: time from a picture to its arrival (s).
+            markers: (contacts, 4, 4) pose of the marker of each body in E; None: E itself.
         """
         self.registration = registration
         self.history = History(2.0 * (delay + period))
@@ -172,12 +189,14 @@ class VisionFusion:
     def update(
         self, now: float, q: Array, stamp: float, seen: Seen | None, touched: Touched
     ) -> Touched:
-        """The bodies now.
+        """Present motion of the bodies in the robots' frame.
 
         Args:
-            now: time (s). q: (n,) joint positions now. stamp: when the picture was taken.
-            seen: object and arms in it; None: bodies alone, camera and robots share their frame.
-            touched: bodies in it, the camera's frame; of `A_E` what is known.
+            now: present time (s).
+            q: (n,) present joint positions (rad, m).
+            stamp: time of the last picture (s).
+            seen: object and tips in the picture; None: the camera's frame is the robots' frame.
+            touched: bodies in the picture, in the camera's frame; `A_E` is passed on.
         """
         self.history.add(now, q)
         fresh = self._stamp is None or stamp > self._stamp

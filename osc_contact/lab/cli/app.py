@@ -1,4 +1,4 @@
-"""The command line `osc-contact`: thin, everything it does is a call into the package."""
+"""Command line `osc-contact`: options and output of calls into the package."""
 
 import atexit
 import gc
@@ -55,10 +55,10 @@ from osc_contact.law import compiled
 
 
 class Commands(TyperGroup):
-    """All commands; errors end them with an exit code."""
+    """Group of all commands, whose errors end the process with an exit code."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command of the line."""
+        """Run the command of the command line."""
         with exit_codes():
             return super().invoke(ctx)
 
@@ -78,12 +78,13 @@ for command in (
     cli_robots.commission,
 ):
     app.command()(command)
-RECORDINGS = (".npz", ".mcap")
-#: of a command whose words another program reads
+RECORDINGS = (".npz", ".mcap")  #: suffixes of recordings
+#: settings of a command that hands all its arguments to another program
 PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
 
 
 def _show_version(requested: bool) -> None:
+    """Print the version and end, if it was requested."""
     if requested:
         say(f"osc-contact {__version__}")
         raise Exit
@@ -100,7 +101,7 @@ def main(
     if context.invoked_subcommand is None:
         say(FIRST_STEPS)
     compiled.report_to(lambda text: err.print(text, style="dim", highlight=False), CompilationBar())
-    atexit.register(gc.freeze)  # or Python looks through all of numba's objects before it ends
+    atexit.register(gc.freeze)  # else Python visits all of numba's objects before it ends
 
 
 @app.command()
@@ -200,20 +201,8 @@ def view(
     folder: FolderOption = None,
 ) -> None:
     """Look at a scenario or a recording: page with a time slider (default), PNG, GIF, MP4, live."""
-    if live + sum(file is not None for file in (html, png, gif, mp4)) > 1:
-        raise InvalidInputError(
-            "give one of --live, --html FILE, --png FILE, --gif FILE and --mp4 FILE"
-        )
     film = gif or mp4
-    if film and time is not None:
-        kind = "a GIF" if gif else "a video"
-        raise InvalidInputError(f"{kind} shows the whole recording: leave --time out")
-    if png or film:
-        find_browser()
-    if mp4:
-        require("av")
-    if film:
-        require("PIL")
+    _require_writable(live, html, png, gif, mp4, time)
     recording = scenario = None
     what = recording_in(what)
     if what.endswith(RECORDINGS):
@@ -242,11 +231,42 @@ def view(
     say(f"written: {written}")
 
 
+def _require_writable(
+    live: bool,
+    html: Path | None,
+    png: Path | None,
+    gif: Path | None,
+    mp4: Path | None,
+    time: float | None,
+) -> None:
+    """Refuse a combination of options of `view`, or a format whose program is not installed.
+
+    Raises:
+        InvalidInputError: several results, or a time for a moving picture.
+        ViewerError: no browser for a picture.
+        ModuleNotFoundError: a package for moving pictures is not installed.
+    """
+    files = [file for file in (html, png, gif, mp4) if file is not None]
+    if len(files) > 1 or (live and files):
+        raise InvalidInputError(
+            "give one of --live, --html FILE, --png FILE, --gif FILE and --mp4 FILE"
+        )
+    if (gif or mp4) and time is not None:
+        kind = "a GIF" if gif else "a video"
+        raise InvalidInputError(f"{kind} shows the whole recording: leave --time out")
+    if png or gif or mp4:
+        find_browser()
+    if mp4:
+        require("av")
+    if gif or mp4:
+        require("PIL")
+
+
 @app.command()
 def inspect(
     scenario: ScenarioArgument, set_: SetOption = None, json_file: JsonOption = None
 ) -> None:
-    """Say in plain words what the contact state is: d, r, free motions, forces, N and T."""
+    """Describe the contact state in plain words: d, r, free motions, forces, N and T."""
     rig = build_rig(load_task(scenario, set_))
     doubts = require_ready(rig)
     inspection = inspect_rig(rig)
@@ -275,7 +295,7 @@ def bench(context: Context) -> None:
     load_program("benchmarks").app(context.args, prog_name="osc-contact bench")
 
 
-# Where to begin: five commands, and the short programs of the docs as files.
+# First steps: five commands, and the short programs of the docs as files.
 
 
 FIRST_STEPS = """\
@@ -318,7 +338,7 @@ def examples(
 
 
 def programs() -> Iterator[tuple[str, str, str]]:
-    """Name, page and text of every program of the pages for users."""
+    """Programs of the pages for users: name, page and text of each."""
     for page in PAGES:
         text = _page(page).read_text(encoding="utf-8")
         for found in PROGRAM.finditer(text):
@@ -327,13 +347,13 @@ def programs() -> Iterator[tuple[str, str, str]]:
 
 
 def _page(name: str) -> Path:
-    """A page: inside the installed package, or beside it in a checkout."""
+    """File of a page, inside the installed package or in the checkout."""
     here = Path(__file__).resolve().parents[2]
     places = (here / "docs" / name, here.parent / "docs" / name, here.parent / name)
     return next((place for place in places if place.is_file()), places[0])
 
 
 def _slug(heading: str) -> str:
-    """A heading as the name of a file: its first words in plain letters."""
+    """Heading as a file name: its words before a colon, in ASCII letters, joined by "_"."""
     plain = unicodedata.normalize("NFKD", heading.partition(":")[0]).encode("ascii", "ignore")
     return "_".join(re.findall(r"[a-z0-9]+", plain.decode().lower()))

@@ -1,4 +1,4 @@
-"""Shared by commands: output and errors, exit codes, tasks, runs with a progress display."""
+"""Functions shared by commands: output, errors, exit codes, tasks, runs with a progress bar."""
 
 import sys
 from collections.abc import Iterator
@@ -62,9 +62,9 @@ UNFINISHED = "unfinished.mcap"
 
 
 def progress_bar(*columns: ProgressColumn) -> Progress:
-    """A bar below the other output, with what else its line shows.
+    """Progress bar below the other output, with further columns in its line.
 
-    On terminals only, and only in the process that was started there.
+    It is shown on terminals only, and only by the process that was started there.
     """
     return Progress(
         TextColumn("{task.description}"),
@@ -77,16 +77,16 @@ def progress_bar(*columns: ProgressColumn) -> Progress:
 
 
 class CompilationBar:
-    """How far the compilation of the law is, below the other output; on terminals only."""
+    """Progress bar of the compilation of the law, below the other output, on terminals only."""
 
     def __init__(self) -> None:
         self._bar: Progress | None = None
 
     def __call__(self, share: float) -> None:
-        """Show it; take it away at 1.
+        """Show the progress; remove the bar at the end.
 
         Args:
-            share: of the work that is done, 0 … 1.
+            share: completed share of the work, 0 … 1.
         """
         if self._bar is None and share < 1.0:
             self._bar = progress_bar(TimeElapsedColumn())
@@ -100,28 +100,32 @@ class CompilationBar:
 
 
 def say(*parts: str | Table) -> None:
-    """Print texts and tables as they are, each on a new line."""
+    """Print texts and tables unchanged, each on a new line."""
     for part in parts:
         out.print(part, highlight=False, soft_wrap=isinstance(part, str))
 
 
 def require(package: str) -> None:
-    """Refuse what would fail later because a package is missing."""
+    """Refuse to continue without a package that is needed later.
+
+    Raises:
+        ModuleNotFoundError: the package is not installed.
+    """
     if find_spec(package) is None:
         raise ModuleNotFoundError(f"No module named '{package}'", name=package)
 
 
 def load_program(name: str) -> ModuleType:
-    """The `__main__` of a package that stands beside `osc_contact` in a checkout and in the sdist.
+    """Import the `__main__` module of another package of a checkout, such as `benchmarks`.
 
-    The checkout's folder is put first on Python's path, so that this process and its workers find
-    this package and no other one of the name.
+    The folder of the checkout is put first on Python's path, so that this process and its workers
+    do not import another package of that name.
 
     Args:
-        name: of the package.
+        name: name of the package; its folder is a sibling of `osc_contact`.
 
     Raises:
-        InvalidInputError: there is no checkout, as where the wheel is installed.
+        InvalidInputError: there is no such folder, as in an installed wheel.
     """
     root = Path(__file__).resolve().parents[3]
     needed = (root / "pyproject.toml", root / name / "__main__.py")
@@ -137,7 +141,10 @@ def load_program(name: str) -> ModuleType:
 
 @contextmanager
 def exit_codes() -> Iterator[None]:
-    """0 done, 1 the run failed, 2 bad input or a missing extra; messages without a traceback."""
+    """Turn errors of the block into exit codes and messages without a traceback.
+
+    1: the run failed; 2: bad input or a missing extra.
+    """
     try:
         yield
     except (OscContactError, ImportError, OSError) as error:
@@ -154,12 +161,15 @@ def exit_codes() -> Iterator[None]:
 def run_with_progress(
     scenario: Scenario, seed: int, folder: Path | None, viewer: Shows | None = None
 ) -> Recording:
-    """Run, with a progress bar on a terminal.
+    """Run a scenario, with a progress bar on a terminal.
 
     Args:
         scenario, seed, viewer: see `run`.
-        folder: that is there: a failed run leaves its recording in it, and any run its rows while
-            it lasts.
+        folder: existing folder for the rows of the run in progress and for the recording of a
+            failed run; None: neither is written.
+
+    Raises:
+        PlantError: the plant failed.
     """
     journal = None if folder is None else folder / UNFINISHED
     with progress_bar(TextColumn("{task.completed:.1f} s"), TimeRemainingColumn()) as bar:
@@ -181,16 +191,16 @@ def run_with_progress(
 
 
 def forget_rows(folder: Path) -> None:
-    """Remove the rows of a run, once what they make is written."""
+    """Remove the files in which a run kept its rows, after its recording has been written."""
     for path in (folder / UNFINISHED, events_beside(folder / UNFINISHED)):
         path.unlink(missing_ok=True)
 
 
 def recording_in(name: str) -> str:
-    """The recording in the folder of a run; a name that is no folder as it is.
+    """Name of the recording in a run's folder; the name of a file is returned unchanged.
 
     Raises:
-        InvalidInputError: no recording is in the folder.
+        InvalidInputError: the folder contains no recording.
     """
     folder = Path(name)
     if not folder.is_dir():
@@ -204,19 +214,22 @@ def recording_in(name: str) -> str:
 
 
 def open_recording(name: str, folder: Path | None) -> Recording:
-    """A recording, or what is left of one.
+    """Load a recording, or recover it from the rows of a run that was killed.
 
     Args:
-        name: of its file. folder: of its scenario.
+        name: name of the file; .mcap files hold rows.
+        folder: folder of the scenario's file, if its URDFs are beside it.
     """
     return recover(name, folder) if name.endswith(".mcap") else Recording.load(name)
 
 
 def record(scenario: Scenario, seed: int, folder: Path) -> Recording:
-    """Run, and keep nothing but the recording.
+    """Run a scenario and return its recording.
 
     Args:
-        scenario: to run. seed: of the noise. folder: for what the run writes.
+        scenario: scenario to run.
+        seed: seed of the noise.
+        folder: folder for the rows of the run while it lasts.
     """
     with sole_user(folder):
         recording = run_with_progress(scenario, seed, folder)
@@ -231,11 +244,17 @@ def report_run(
     json_file: Path | None,
     figures: FigureProcess | None = None,
 ) -> tuple[str, bool]:
-    """Write and report the results of a run: what was written, in words; whether its task failed.
+    """Write the results of a run and print its verdict.
 
     Args:
-        recording, scenario: of the run. folder: for its files. json_file: for the verdict.
+        recording: recording of the run.
+        scenario: scenario of the run.
+        folder: folder for the files.
+        json_file: another file for the verdict.
         figures: see `report.write_report`.
+
+    Returns:
+        A list of the files written, as text, and whether the task of the run failed.
     """
     if len(recording) <= SETTLE_S * scenario.control.rate:  # it ended before it was to
         recording.save(folder / WHOLE)
@@ -255,12 +274,15 @@ def show_live(
     seed: int,
     hold: float | None,
 ) -> None:
-    """Show a run, or a recording, live.
+    """Show a run, or a recording, in a browser in real time.
 
     Args:
-        shown: what the page shows.
-        scenario: to run. recording: to show instead. seed: of its noise.
-        hold: s for which the page stays; None: until it is closed.
+        shown: bodies and marks of the page.
+        scenario: scenario to run, if `recording` is None.
+        recording: recording to replay.
+        seed: seed of the noise of the run.
+        hold: time for which to wait for a browser, and for which the page stays after the end (s);
+            None: on a terminal until Ctrl-C, elsewhere 0.
     """
     at_terminal = out.is_terminal
     patience = stay = hold or 0.0
@@ -268,7 +290,8 @@ def show_live(
         patience = 15.0
         stay = float("inf")
     with viewing.open_viewer(shown) as viewer:
-        say(f"open {viewer.url}" + "   (Ctrl-C ends it)" * at_terminal)
+        hint = "   (Ctrl-C ends it)" if at_terminal else ""
+        say(f"open {viewer.url}{hint}")
         viewing.wait_for(lambda: viewer.count_browsers() > 0, patience)
         try:
             if recording is not None:
@@ -285,10 +308,12 @@ def show_live(
 def changed(
     overrides: list[str] | None, plant: str | None = None, duration: float | None = None
 ) -> list[str]:
-    """What the command line changes of a scenario.
+    """Changes of a scenario by the command line, as a list of KEY=VALUE.
 
     Args:
-        overrides: KEY=VALUE. plant, duration: instead of the scenario's (duration in s).
+        overrides: values of the option --set.
+        plant: type of the plant instead of the scenario's.
+        duration: duration instead of the scenario's (s).
     """
     given = {"plant.type": plant, "duration": duration}
     options = [f"{key}={value}" for key, value in given.items() if value is not None]
@@ -301,15 +326,21 @@ def load_task(
     plant: str | None = None,
     duration: float | None = None,
 ) -> Scenario:
-    """A scenario with what the command line changes of it.
+    """Load a scenario with the changes of the command line.
 
     Args:
-        name: of the scenario, or its file. overrides, plant, duration: see `changed`.
+        name: name of the scenario, or its file.
+        overrides, plant, duration: see `changed`.
     """
     return load_scenario(name, changed(overrides, plant, duration))
 
 
 def require_report(scenario: Scenario) -> None:
-    """Refuse what would fail after the run."""
+    """Refuse a scenario whose report would fail after the run.
+
+    Raises:
+        ModuleNotFoundError: Matplotlib is not installed.
+        InvalidInputError: the run would be too short to be judged.
+    """
     require("matplotlib")
     report.require_judgeable(scenario)

@@ -77,8 +77,8 @@ def pose(
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Where a posture puts tip and object; with --xyz, --rpy the posture that puts them there."""
-    chain, q, X = _standing(what, tip, set_)
+    """Show the pose of tip or object in a posture; with --xyz, --rpy the posture for a pose."""
+    chain, q, X = _start(what, tip, set_)
     if posture is not None:
         q = poses.numbers("posture", posture)
         if q.shape != (chain.nq,):
@@ -109,17 +109,23 @@ def pose(
         raise Exit(1)
 
 
-def _standing(
-    what: str, tip: str | None, changes: list[str] | None
+def _start(
+    name: str, tip: str | None, changes: list[str] | None
 ) -> tuple[ClosedChain, np.ndarray, pin.SE3 | None]:
-    """Chain, posture and, of a scenario, pose of the object."""
-    if Path(what).suffix in (".yaml", ".yml") or what in list_scenarios():
+    """Chain of a scenario or a robot, its posture (n,) and the pose of a scenario's object.
+
+    Args:
+        name: a scenario, or a robot.
+        tip: frame of a robot.
+        changes: KEY=VALUE of a scenario.
+    """
+    if Path(name).suffix in (".yaml", ".yml") or name in list_scenarios():
         if tip is not None:
             raise InvalidInputError("--tip chooses a frame of a robot; a scenario names its own")
-        return poses.chain_of(load_task(what, changes))
+        return poses.chain_of(load_task(name, changes))
     if changes:
         raise InvalidInputError("--set changes scenarios; give --posture for a robot")
-    chain = ClosedChain([poses.arm_of(what, tip)])
+    chain = ClosedChain([poses.arm_of(name, tip)])
     return (chain, poses.rest(chain), None)
 
 
@@ -161,13 +167,13 @@ def commission(
     yes: Annotated[bool, Option("--yes", help="confirm every step beforehand")] = False,
     realtime: Annotated[bool, Option(help="deadlines count, 20 missed in a row stop")] = True,
 ) -> None:
-    """From a robot that answers to its first contact, step by step; each is to be confirmed."""
+    """Commission a robot, from its first answer to its first contact; each step is confirmed."""
     from osc_contact.drivers.franka import FrankaRobot
     from osc_contact.lab.visual.plots import draw_forces
     from osc_contact.loop.commissioning import Commissioning
 
-    def confirm(what: str) -> bool:
-        say(what)
+    def confirm(step: str) -> bool:
+        say(step)
         return yes or typer.confirm("continue?")
 
     # the robot compensates the friction of its joints by itself

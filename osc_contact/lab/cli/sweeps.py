@@ -75,14 +75,18 @@ def sweep(
 
 
 @contextmanager
-def counting(what: str, total: int) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar, on a terminal, while the block lasts.
+def counting(label: str, total: int) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar on a terminal while the block runs.
 
     Args:
-        what: is counted. total: how many there are.
+        label: name of the items that are counted.
+        total: number of all items.
+
+    Yields:
+        A function that takes the number of completed items, and the total.
     """
     with progress_bar(MofNCompleteColumn(), TimeRemainingColumn()) as bar:
-        task = bar.add_task(what, total=total)
+        task = bar.add_task(label, total=total)
         yield lambda done, _: bar.update(task, completed=done)
 
 
@@ -143,6 +147,11 @@ def tune(
 
 
 def _limits(texts: list[str]) -> dict[str, float]:
+    """Largest value by column, read from texts COLUMN=NUMBER.
+
+    Raises:
+        InvalidInputError: a text of another form.
+    """
     limits = {}
     for text in texts:
         name, _, most = text.partition("=")
@@ -154,7 +163,7 @@ def _limits(texts: list[str]) -> dict[str, float]:
 
 
 def show_tuned(tuned: Tuned, objective: str) -> None:
-    """What was found, beside the shipped values, and the keys to paste."""
+    """Print the tuned numbers next to the shipped ones, and the keys to paste."""
     table = Table("worst over all samples", "shipped", "found")
     for name, (before, after) in tuned.numbers.items():
         table.add_row(name, f"{before:.4g}", f"{after:.4g}")
