@@ -1,4 +1,4 @@
-"""One arm: where it comes from, what its motors can do and what they carry with them."""
+"""Model of one arm: loading, effort limits, losses and rotor inertia of its joints."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 import pinocchio as pin
@@ -17,14 +17,21 @@ from osc_contact.errors import ModelError
 from osc_contact.robots.model import joint_names, position_limits, rotors, sliding
 from osc_contact.spatial import Array, norm
 
+if TYPE_CHECKING:
+    from mujoco import MjModel, MjSpec
+
 PerJoint = float | Sequence[float] | Array  #: a number for all joints, or one for each
 
-_UNLIMITED = 1e12  # N m or N: an effort limit that is none
+_UNLIMITED = 1e12  #: larger effort limits mean that there is none (N m, N)
 _PER_JOINT = {"armature": "armature", "damping": "damping", "friction": "upperDryFrictionLimit"}
 
 
 def effort_limits(model: pin.Model, actuated: Array) -> Array:
-    """(n_a,) effort limits (N m, N), inf where there is none: models built in code leave DBL_MAX.
+    """Effort limits (n_a,) of motors (N m, N); inf for the huge numbers of unlimited ones.
+
+    Args:
+        model: model of the joints.
+        actuated: (n_a,) indices of the joints with motors.
 
     Raises:
         ModelError: a limit that is not positive.
@@ -42,18 +49,24 @@ def effort_limits(model: pin.Model, actuated: Array) -> Array:
 
 
 def effort_scale(tau_max: Array) -> Array:
-    """(n_a,) what torques are measured by: τ_max, for motors without limit the largest of them."""
+    """Units (n_a,) in which torques are compared: τ_max, for unlimited motors the largest τ_max.
+
+    Args:
+        tau_max: (n_a,) effort limits (N m, N). If all are inf, the units are 1.
+    """
     finite = np.isfinite(tau_max)
-    return np.where(finite, tau_max, tau_max[finite].max(initial=0.0) or 1.0)
+    if not finite.any():
+        return np.ones(len(tau_max))
+    return np.where(finite, tau_max, tau_max[finite].max())
 
 
 def rotor_inertia(model: pin.Model) -> Array:
-    """(n,) rotor inertia as felt at each joint (kg m²; kg of a sliding one), added to M's diagonal.
+    """Rotor inertia (n,) reflected to each joint (kg m²; kg), which is added to M's diagonal.
 
-    The model's armature; where that is zero, its rotorInertia · rotorGearRatio².
+    It is the model's armature or, if that is zero, rotorInertia · rotorGearRatio².
 
     Raises:
-        ModelError: one that is negative or not finite.
+        ModelError: a rotor inertia is negative or not finite.
     """
     inertia = rotors(model)
     for name, value in zip(joint_names(model), inertia, strict=True):
@@ -65,7 +78,7 @@ def rotor_inertia(model: pin.Model) -> Array:
 
 
 def heaviest_rotor(model: pin.Model, gyration: float) -> float:
-    """Mass (kg) that has, at the radius `gyration` (m), the largest rotor inertia of the joints."""
+    """Mass (kg) whose inertia at a radius of gyration (m) is the largest rotor inertia."""
     masses = rotor_inertia(model) / np.where(sliding(model), 1.0, gyration**2)
     return float(masses.max(initial=0.0))
 
@@ -73,15 +86,15 @@ def heaviest_rotor(model: pin.Model, gyration: float) -> float:
 def with_joints(
     model: pin.Model, given: Mapping[str, PerJoint | None], friction_factor: float
 ) -> pin.Model:
-    """The model with other numbers of its joints; itself if there are none.
+    """Model with other losses and rotor inertias of its joints; the same model without changes.
 
     Args:
-        model: of one arm. given: "armature", "damping" and "friction", see `Arm.from_urdf`; None:
-            those of the model.
-        friction_factor: on damping and friction, given or not.
+        model: model of one arm.
+        given: "armature", "damping" and "friction", see `Arm.from_urdf`; None: those of the model.
+        friction_factor: factor of damping and friction, given or of the model.
 
     Raises:
-        ModelError: not one number for each joint, or one that is negative or not finite.
+        ModelError: not one number for each joint, or a number that is negative or not finite.
     """
     given = {key: x for key, x in given.items() if x is not None}
     if not given and friction_factor == 1.0:
@@ -108,9 +121,24 @@ def with_joints(
 _logger = logging.getLogger("osc_contact.robots")
 
 
+class ArmOptions(TypedDict, total=False):
+    """Arguments of `Arm.from_urdf` that `Arm.from_mjcf` takes, too."""
+
+    base: pin.SE3 | None
+    passive_joints: Sequence[str]
+    wrist_sensor: str | None
+    locked: Mapping[str, float] | None
+    mass_factor: float
+    effort_factor: float
+    armature: PerJoint | None
+    damping: PerJoint | None
+    friction: PerJoint | None
+    friction_factor: float
+
+
 @dataclass(frozen=True)
 class Arm:
-    """A serial arm as loaded; build it with `Arm.from_urdf`.
+    """Model of a serial arm; build it with `Arm.from_urdf`.
 
     Attributes:
         name: prefix of its joints in the merged model ("left" → "left/joint1").
@@ -118,9 +146,9 @@ class Arm:
         tip: name of the frame that grasps.
         base: pose of the arm's base in the world.
         passive_joints: names of joints without a motor (gripper hinges).
-        wrist_sensor: frame of the 6-axis force/torque sensor; everything outboard of it is weighed
-            by it. None: no sensor.
-        locked: positions of the URDF's other joints, which hold still (m, rad).
+        wrist_sensor: frame of the 6-axis force/torque sensor, which measures all bodies outboard
+            of it. None: no sensor.
+        locked: positions of the URDF's other joints, which are held (m, rad).
 
     Example:
         >>> from osc_contact import robots
@@ -158,25 +186,27 @@ class Arm:
         friction: PerJoint | None = None,
         friction_factor: float = 1.0,
     ) -> Arm:
-        """Load an arm; joints that do not move the tip (fingers) are locked where they stand.
+        """Load an arm; joints that do not move the tip (fingers) are locked.
 
         Args:
-            urdf: path of a URDF (`robots.load_model` with its defaults judges it) or of an MJCF
-                file (see `from_mjcf`), or a ready Pinocchio model, such as `robots.load_model`
-                gives with other limits.
-            name: prefix that keeps equal robots apart.
+            urdf: path of a URDF (checked as by `robots.load_model` with its defaults) or of an MJCF
+                file (see `from_mjcf`), or a ready Pinocchio model, for example of
+                `robots.load_model` with other limits.
+            name: prefix that distinguishes equal robots.
             tip: frame that holds the object.
             base: pose of the URDF's root in the world (default: the origin).
             passive_joints: joints without a motor.
             wrist_sensor: frame of the wrist force/torque sensor.
-            locked: positions of joints to hold fixed (m, rad); others off the path use neutral.
-            mass_factor: multiplies every link mass and inertia (to study model error).
-            effort_factor: multiplies every effort limit (to study weak motors).
-            armature: rotor inertia as felt at the joints (kg m²; kg of a sliding one), instead of
-                the model's. A number for all joints on the way to the tip, or one for each of them.
-            damping: the same for viscous friction (N m s/rad; N s/m).
-            friction: the same for dry friction (N m; N).
-            friction_factor: multiplies both (to study model error).
+            locked: positions of joints to be locked (m, rad); other joints that do not move the tip
+                are locked at neutral.
+            mass_factor: factor of all link masses and inertias (to study model error).
+            effort_factor: factor of all effort limits (to study weak motors).
+            armature: rotor inertia reflected to the joints in place of the model's (kg m²; kg of a
+                sliding joint). It is a number for all joints between base and tip, or one for
+                each, as are damping and friction.
+            damping: viscous friction of the joints in place of the model's (N m s/rad; N s/m).
+            friction: dry friction of the joints in place of the model's (N m; N).
+            friction_factor: factor of damping and friction (to study model error).
 
         Raises:
             ModelError: unreadable or impossible URDF, unknown frame or joint, no moving joint.
@@ -187,50 +217,54 @@ class Arm:
             follows = {urdf.names[a]: urdf.names[b] for a, b in pairs}
         else:
             model, follows = robots.load_robot(urdf, tip)
-        held = locked or {}
-        _require_joints(model, (*passive_joints, *held))
-        every_joint = joint_names(model)
-        model = _path_to(model, robots.frame_id(model, tip), held)
+        held = {} if locked is None else locked
+        whole = model
+        _require_joints(whole, (*passive_joints, *held))
+        model = _path_to(whole, robots.frame_id(whole, tip), held)
         _require_uncoupled(model, follows)
         if isinstance(urdf, pin.Model):
             _require_sound(model)
         _require_joints(model, passive_joints)
         if wrist_sensor is not None:
-            robots.frame_id(model, wrist_sensor)
-        if mass_factor != 1.0:
-            model = _with_masses_scaled(model, mass_factor)
-        if effort_factor != 1.0:
-            model = model.copy()
-            model.upperEffortLimit *= effort_factor
-            model.lowerEffortLimit *= effort_factor
+            robots.frame_id(model, wrist_sensor)  # refuses an unknown frame
+        model = _with_factors(model, mass_factor, effort_factor)
         given = {"armature": armature, "damping": damping, "friction": friction}
         model = with_joints(model, given, friction_factor)
-        X_WB = base or pin.SE3.Identity()
-        still = {j: held.get(j, 0.0) for j in every_joint if j not in list(model.names)}
-        arm = cls(name, model, tip, X_WB, tuple(passive_joints), wrist_sensor, still)
+        moving = joint_names(model)
+        arm = cls(
+            name=name,
+            model=model,
+            tip=tip,
+            base=pin.SE3.Identity() if base is None else base,
+            passive_joints=tuple(passive_joints),
+            wrist_sensor=wrist_sensor,
+            locked={j: held.get(j, 0.0) for j in joint_names(whole) if j not in moving},
+        )
         _warn_of_followers(arm, follows)
         return arm
 
     @classmethod
     def from_mjcf(
         cls,
-        mjcf: str | Path | Any,
+        mjcf: str | Path | MjSpec | MjModel,
         *,
         name: str,
         tip: str,
         limits: Mapping[str, robots.JointLimits] | None = None,
-        **how: Any,
+        **how: Unpack[ArmOptions],
     ) -> Arm:
         """Load an arm from MJCF, with armature, damping and friction of its joints.
 
-        Only the kinematic tree of the tip is read; base None: it stands where the file puts it.
+        Only the kinematic tree of the tip is read. Without `base` the file determines the pose of
+        the arm in the world.
 
         Args:
             mjcf: path of an MJCF file, `mujoco.MjSpec` or `mujoco.MjModel`.
-            name: prefix that keeps equal robots apart. tip: body or site that holds the object.
-            limits: see `robots.load_mjcf`. how: the other arguments of `from_urdf`. The wrist
-                sensor is a site with force and torque sensors, or a body: it weighs that body and
-                all beyond it.
+            name: prefix that distinguishes equal robots.
+            tip: body or site that holds the object.
+            limits: limits by hand, see `robots.load_mjcf`.
+            how: the other arguments of `from_urdf`. The wrist sensor is a site with force and
+                torque sensors, or a body; it measures the load of that body and all beyond it.
 
         Raises:
             ModelError: see `robots.load_mjcf`, `from_urdf`.
@@ -245,7 +279,7 @@ class Arm:
 
 
 def stretched_length(arm: Arm) -> float:
-    """Distance (m) from the base beyond which no point of the tip gets: all links in one line."""
+    """Bound of the distance of the tip from the base (m), with all links in one line."""
     model = arm.model
     tip = model.frames[robots.frame_id(model, arm.tip)]
     links = [X.translation for X in (*model.jointPlacements, tip.placement)]
@@ -255,6 +289,11 @@ def stretched_length(arm: Arm) -> float:
 
 
 def _require_joints(model: pin.Model, names: Sequence[str]) -> None:
+    """Refuse names that are no moving joints of a model.
+
+    Raises:
+        ModelError: a joint is missing.
+    """
     missing = [name for name in names if name not in joint_names(model)]
     if missing:
         raise ModelError(
@@ -264,20 +303,33 @@ def _require_joints(model: pin.Model, names: Sequence[str]) -> None:
 
 
 def _require_uncoupled(model: pin.Model, follows: Mapping[str, str]) -> None:
-    """No joint that moves the tip may follow another one."""
+    """Refuse joints that move the tip and follow another joint, or are held by the file.
+
+    Args:
+        model: model of the joints between base and tip.
+        follows: by joint, its master; "" if it is held.
+
+    Raises:
+        ModelError: a joint is coupled.
+    """
     for name in joint_names(model):
         if name in follows:
+            master = f"joint {follows[name]!r}" if follows[name] else "no other and is held"
             raise ModelError(
-                f"joint {name!r} on the way to the tip follows "
-                + (f"joint {follows[name]!r}" if follows[name] else "no other and is held")
-                + ": one motor moves both, and the control law takes every joint as free. Lock "
-                "both where they stand (locked=, arms.locked_joints), choose a tip before it, or "
-                "leave the coupling out if it has its own motor"
+                f"joint {name!r} on the way to the tip follows {master}: one motor moves both, and "
+                "the control law takes every joint as free. Lock both where they stand (locked=, "
+                "arms.locked_joints), choose a tip before it, or leave the coupling out if it has "
+                "its own motor"
             )
 
 
 def _warn_of_followers(arm: Arm, follows: Mapping[str, str]) -> None:
-    """Joints beside the way to the tip that follow one on the way, and are held all the same."""
+    """Warn of locked joints whose master moves the tip, so that their motion is neglected.
+
+    Args:
+        arm: the arm.
+        follows: by joint, its master; "" if it is held.
+    """
     for name, master in follows.items():
         if master in list(arm.model.names) and name in arm.locked:
             _logger.warning(
@@ -292,7 +344,11 @@ def _warn_of_followers(arm: Arm, follows: Mapping[str, str]) -> None:
 
 
 def _require_sound(model: pin.Model) -> None:
-    """What a ready model must satisfy: nq = nv, and a positive definite mass matrix."""
+    """Refuse a ready model with nq ≠ nv, or with a mass matrix that is not positive definite.
+
+    Raises:
+        ModelError: a joint with nq ≠ nv, or joints that move without moving mass.
+    """
     for name, joint in zip(joint_names(model), list(model.joints)[1:], strict=True):
         if joint.nq != joint.nv:
             raise ModelError(
@@ -304,7 +360,16 @@ def _require_sound(model: pin.Model) -> None:
 
 
 def _path_to(model: pin.Model, tip: int, held: Mapping[str, float]) -> pin.Model:
-    """The model with every joint locked that does not move the tip."""
+    """Model of the joints that move the tip; all other joints are locked.
+
+    Args:
+        model: model of the robot.
+        tip: number of the tip's frame.
+        held: by name, positions of further joints to be locked (rad, m).
+
+    Raises:
+        ModelError: no joint is left.
+    """
     on_path = set(model.supports[model.frames[tip].parentJoint])
     q = pin.neutral(model)
     for name, position in held.items():
@@ -327,9 +392,12 @@ def _path_to(model: pin.Model, tip: int, held: Mapping[str, float]) -> pin.Model
 
 
 def with_distinct_frames(model: pin.Model) -> dict[str, str]:
-    """Number the names of a model's links, which may be called as joints; returns the old names.
+    """Append numbers to the names of a model's links, which may have names of joints.
 
-    Pinocchio's own functions look for names alone.
+    Functions of Pinocchio find frames by name only.
+
+    Returns:
+        By new name, the old name of each frame.
     """
     joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
     names = {}
@@ -340,10 +408,20 @@ def with_distinct_frames(model: pin.Model) -> dict[str, str]:
     return names
 
 
-def _with_masses_scaled(model: pin.Model, factor: float) -> pin.Model:
+def _with_factors(model: pin.Model, mass_factor: float, effort_factor: float) -> pin.Model:
+    """Model with masses and inertias, and with effort limits, times a factor each.
+
+    If both factors are 1, the model itself is returned.
+    """
+    if mass_factor == 1.0 and effort_factor == 1.0:
+        return model
     scaled = model.copy()
-    for j in range(1, scaled.njoints):
-        scaled.inertias[j] = scaled_inertia(scaled.inertias[j], factor)
-    for frame in scaled.frames:
-        frame.inertia = scaled_inertia(frame.inertia, factor)
+    if mass_factor != 1.0:
+        for j in range(1, scaled.njoints):
+            scaled.inertias[j] = scaled_inertia(scaled.inertias[j], mass_factor)
+        for frame in scaled.frames:
+            frame.inertia = scaled_inertia(frame.inertia, mass_factor)
+    if effort_factor != 1.0:
+        scaled.upperEffortLimit *= effort_factor
+        scaled.lowerEffortLimit *= effort_factor
     return scaled

@@ -1,4 +1,4 @@
-"""Joint positions: within their limits, or at which the loops are closed and the contacts touch."""
+"""Joint positions that reach a pose, close the loops and contacts, or are within their limits."""
 
 from collections.abc import Callable
 from functools import partial
@@ -14,38 +14,43 @@ from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots.model import position_limits
 from osc_contact.spatial import Array, block_diagonal, pose_error
 
-#: A function of the object's pose that returns gaps, r numbers, and a function that returns the
-#: columns of N in that pose. A gap closes as the object moves along its column.
+#: Function of the object's pose that returns the gaps (r,) (m, rad) of the contacts and a function
+#: that returns the columns N (6, r) in that pose. A motion of the object along a column closes its
+#: gap.
 Gaps = Callable[[SE3], tuple[Array, Callable[[], Array]]]
 
 
 def _no_gaps(X_WO: SE3) -> tuple[Array, Callable[[], Array]]:
+    """Gaps of no contacts."""
     return (np.zeros(0), partial(np.zeros, (6, 0)))
 
 
 def object_pose(chain: ClosedChain, q: Array, data: pin.Data | None = None) -> SE3:
-    """Pose of the object when the joints stand at q.
+    """Pose of the object at joint positions q.
 
     Args:
-        chain: the arms. q: (n,). data: to work in; default: the chain's own.
+        chain: the arms.
+        q: (n,) joint positions (rad, m).
+        data: memory of Pinocchio; None: the chain's own.
 
     Raises:
-        ModelError: they do not determine it.
+        ModelError: the joints do not determine the pose.
     """
     pin.forwardKinematics(chain.model, data or chain.data, q)
     return chain.object_pose(data)
 
 
 def reach(chain: ClosedChain, q: ArrayLike, X_WO: SE3, tolerance: float = 1e-6) -> Array:
-    """Bring every grasp as near to an object pose as the arms can (inverse kinematics).
+    """Joint positions at which the grasps are nearest to an object pose (inverse kinematics).
 
     Levenberg–Marquardt on the energy-weighted pose errors, (object's inertia)½ × displacement,
-    within the joints' limits: a joint at its end stop that would continue rests there.
+    within the joints' limits: a joint at its end stop stays there if a step would pass it.
 
     Args:
-        chain: the arms. q: (n,) start; joints outside their limits start at these.
+        chain: the arms.
+        q: (n,) start (rad, m); joints outside their limits start at the limits.
         X_WO: desired pose.
-        tolerance: stop when a step moves no joint by more than this (m, rad).
+        tolerance: largest joint displacement of the last step (m, rad).
 
     Raises:
         ModelError: no convergence; the pose is probably out of reach.
@@ -74,32 +79,35 @@ def reach(chain: ClosedChain, q: ArrayLike, X_WO: SE3, tolerance: float = 1e-6) 
     )
 
 
-CLOSED = 1e-13  #: largest error left of loops and contacts (m, rad)
-MOST_STEPS = 30  #: of Newton's method
+CLOSED = 1e-13  #: largest remaining error of loops and contacts (m, rad)
+MOST_STEPS = 30  #: most steps of Newton's method
 
 
 def close(chain: ClosedChain, q: Array, gaps: Gaps | None = None) -> Array:
-    """The nearest joint positions (in the arms' inertia metric) with closed loops and zero gaps.
+    """Nearest joint positions (n,), in the arms' inertia metric, with closed loops and zero gaps.
 
     Args:
-        chain: the arms. q: (n,) near solution.
-        gaps: of the contacts at an object pose, and what gives their N.
+        chain: the arms.
+        q: (n,) approximate solution (rad, m).
+        gaps: gaps of the contacts and their N at an object pose; None: no contacts.
 
     Raises:
-        ModelError: the loops and contacts cannot be met together from here.
+        ModelError: Newton's method does not converge from here.
     """
     return closed(chain, q, None, gaps)[0]
 
 
 def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) -> tuple[Array, SE3]:
-    """`close` with the object's pose: where no arm holds it rigidly, it finds its own place.
+    """Nearest joint positions (n,) with closed loops and zero gaps, and the object's pose.
+
+    If no arm holds the object rigidly, its pose is a further unknown.
 
     Args:
-        chain, q, gaps: as for `close`.
+        chain, q, gaps: see `close`.
         X_WO: initial pose of the object, if no arm determines it; None: that of the joints.
 
     Raises:
-        ModelError: as `close`; or the joints do not determine the pose, and it is not given.
+        ModelError: no convergence; or the joints do not determine the pose, and it is not given.
     """
     q = np.array(q, dtype=float)
     X = X_WO
@@ -107,14 +115,8 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
         pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
         if X is None or chain.leader is not None:
             X = chain.object_pose()
-        gap, normals = (gaps or _no_gaps)(X)
-        tips = chain.tip_poses()
-        misses = [  # of each arm but the leader (m, rad), as `constraint_rows` has them
-            pose_error(X, tips[i] * grasp.X_TO) if grasp.is_rigid else grasp.miss(tips[i], X)
-            for i, grasp in enumerate(chain.grasps)
-            if i != chain.leader
-        ]
-        error = np.concatenate([*misses, gap])
+        gap, normals = _no_gaps(X) if gaps is None else gaps(X)
+        error = np.concatenate([*_loop_errors(chain, X), gap])
         if np.abs(error).max(initial=0.0) <= CLOSED:
             return (q, X)
         A = constraint_rows(chain, X.translation, normals())
@@ -132,24 +134,53 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
     )
 
 
-def object_columns(chain: ClosedChain, J: Array) -> Array:
-    """(6, n or n + 6) V_O from q̇: of the leader's joints, or [q̇; V_O] where there is none.
+def _loop_errors(chain: ClosedChain, X_WO: SE3) -> list[Array]:
+    """Errors of the loops (m, rad), of each arm but the leader, in the order of `constraint_rows`.
 
     Args:
-        chain: the arms. J: (6, n) Jacobian columns at the object's origin.
+        chain: the arms, at the positions last given to its data.
+        X_WO: pose of the object.
+    """
+    tips = chain.tip_poses()
+    errors = []
+    for i, grasp in enumerate(chain.grasps):
+        if i == chain.leader:
+            continue
+        if grasp.is_rigid:
+            errors.append(pose_error(X_WO, tips[i] * grasp.X_TO))
+        else:
+            errors.append(grasp.miss(tips[i], X_WO))
+    return errors
+
+
+def object_columns(chain: ClosedChain, J: Array) -> Array:
+    """Matrix that maps q̇ to V_O: (6, n) by the leader's joints or, without a leader, (6, n + 6).
+
+    Without a leader V_O is part of the coordinates [q̇; V_O].
+
+    Args:
+        chain: the arms.
+        J: (6, n) Jacobian columns of all arms at the object's origin.
     """
     if chain.leader is None:
         return np.hstack((np.zeros((6, chain.nq)), np.eye(6)))
-    first = np.zeros((6, chain.nq))
+    columns = np.zeros((6, chain.nq))
     s = chain.slices[chain.leader]
-    first[:, s] = J[:, s]
-    return first
+    columns[:, s] = J[:, s]
+    return columns
 
 
 def inertia_of(chain: ClosedChain, X_WO: SE3) -> Array:
-    """Inertia of the coordinates of `object_columns`: M, or M beside the object's own."""
+    """Inertia of the coordinates of `object_columns`: M or, without a leader, M and the object's.
+
+    Args:
+        chain: the arms, with M in its data.
+        X_WO: pose of the object.
+    """
     M = np.asarray(chain.data.M)
-    return M if chain.leader is not None else block_diagonal([M, chain.reference_inertia(X_WO)])
+    if chain.leader is not None:
+        return M
+    return block_diagonal([M, chain.reference_inertia(X_WO)])
 
 
 def constraint_rows(
@@ -158,17 +189,19 @@ def constraint_rows(
     N: Array,
     data: pin.Data | None = None,
 ) -> Array:
-    """Rates of the loop errors (of each arm but the leader) and of the gaps, times q̇.
+    """Jacobian of the loop errors (of each arm but the leader) and of the gaps.
 
-    The rows match the errors of `close`: loop error i is the displacement from arm i's idea of the
-    object to the object, as far as its grasp holds it; a gap shrinks as the object moves along N.
-    Where no arm holds the object rigidly there are six columns more, for V_O.
+    The rows match the errors of `close`: the error of a loop is the displacement from the object's
+    pose by arm i to its pose, as far as the grasp holds the object; a gap shrinks as the object
+    moves along N. The columns belong to q̇ (n,) or, without a leader, to [q̇; V_O].
 
     Args:
-        chain: the arms. O: (3,) operational point (m). N: (6, r) contact forces at O, world axes.
-        data: with its kinematics; default: the chain's own.
+        chain: the arms.
+        O: (3,) operational point (m).
+        N: (6, r) contact forces at O, world axes.
+        data: data of Pinocchio with the Jacobians; None: the chain's own.
     """
-    J = columns_at((data or chain.data).J, O)
+    J = columns_at((chain.data if data is None else data).J, O)
     first = object_columns(chain, J)
     tips = chain.tip_poses(data)
     rows = []
@@ -182,12 +215,16 @@ def constraint_rows(
 
 
 def _row_groups(chain: ClosedChain) -> list[int]:
-    """Sizes of the groups of loop rows that share a unit and so a scale; see `inverse_rows`."""
+    """Sizes of the groups of loop rows that share a unit and a scale; see `inverse_rows`."""
     groups = []
     for i, grasp in enumerate(chain.grasps):
-        m = grasp.N.shape[1]
-        if i != chain.leader:
-            groups += [m] if grasp.kind == "other" or m <= 3 else [3, m - 3]
+        if i == chain.leader:
+            continue
+        rows = grasp.N.shape[1]
+        if grasp.kind == "other" or rows <= 3:
+            groups.append(rows)
+        else:
+            groups += [3, rows - 3]
     return groups
 
 
@@ -196,12 +233,12 @@ def inverse_rows(chain: ClosedChain, A: Array, M: Array) -> tuple[Array, Array]:
 
     Args:
         chain: the arms, whose loop rows come first.
-        A: (m, n) rows as `constraint_rows` orders them.
+        A: (m, n) rows in the order of `constraint_rows`.
         M: (n, n) joint-space inertia.
 
     Returns:
-        (n, m) right inverse that solves A x = b with least xᵀM x, and the (m, m) map from b to
-        multipliers λ with M x = Aᵀλ; of redundant rows the split is not unique, M x is.
+        The right inverse (n, m) that solves A x = b with least xᵀM x, and the matrix (m, m) that
+        maps b to multipliers λ with M x = Aᵀλ. λ of redundant rows is not unique, M x is.
     """
     K = np.linalg.cholesky(M)
     whitened = np.linalg.solve(K, A.T).T
@@ -221,6 +258,15 @@ def inverse_rows(chain: ClosedChain, A: Array, M: Array) -> tuple[Array, Array]:
 def _reach_step(
     chain: ClosedChain, q: Array, X_WO: SE3, L: Array, damping: float
 ) -> tuple[float, Array]:
+    """Cost at q, and step (n,) of Levenberg–Marquardt, see `reach`.
+
+    Args:
+        chain: the arms.
+        q: (n,) joint positions within their limits.
+        X_WO: desired pose.
+        L: (6, 6) Cholesky factor of the object's inertia.
+        damping: factor of M, which is added to the Hessian.
+    """
     pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
     cost = 0.0
     step = np.zeros(chain.nq)
@@ -243,16 +289,16 @@ def _reach_step(
     return (cost, step)
 
 
-ROUNDING = 1e-6  #: m, rad; what a number may lose on its way through a file
+ROUNDING = 1e-6  #: largest rounding error of a number that was written to a file (m, rad)
 
 
 def outside_limits(chain: ClosedChain, q: Array, beyond: Array | float = 0.0) -> list[str]:
-    """Words about each joint that stands outside its limits.
+    """Texts about each joint that is outside its limits.
 
     Args:
-        chain: whose joints they are.
+        chain: the arms.
         q: (n,) positions (rad, m). Numbers that are not finite are not compared.
-        beyond: (n,) or one number: how far past its limits a joint may stand (rad, m).
+        beyond: (n,) or one number: accepted distance beyond the limits (rad, m).
     """
     lower, upper = position_limits(chain.model)
     return [
@@ -266,11 +312,12 @@ def require_in_range(name: str, chain: ClosedChain, q: Array, beyond: Array | fl
     """Refuse joint positions outside the joints' limits.
 
     Args:
-        name: of the argument, for the message. chain, q, beyond: as of `outside_limits`.
+        name: name of the argument, for the message.
+        chain, q, beyond: see `outside_limits`.
 
     Raises:
-        InvalidInputError: one stands further out; with all that do, and whether they look like
-            degrees.
+        InvalidInputError: joints are further out; the message lists them, and the numbers in
+            radians if they seem to be degrees.
     """
     found = outside_limits(chain, q, beyond + ROUNDING)
     if not found:

@@ -1,4 +1,4 @@
-"""The closed chain at one (q, v), as values: what `ClosedChain.state` gives."""
+"""State of a closed chain at one (q, v), the result of `ClosedChain.state`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from osc_contact.spatial import Array, cross_wrench
 
 @dataclass(frozen=True)
 class ObjectTerms:
-    """Λ_o a + μ_o + p_o = wrench on the object, at O in world axes (eq. 13 for the bare object)."""
+    """Terms of Λ_o a + μ_o + p_o = wrench on the object, at O in world axes (eq. 13)."""
 
     Lambda: Array  #: (6, 6) spatial inertia
     mu: Array  #: (6,) velocity-product wrench V ×* Λ_o V
@@ -58,10 +58,12 @@ class RigidObject:
             )
 
     def terms(self, X_WO: SE3, V_O: Array, gravity: Array) -> ObjectTerms:
-        """Inertia, velocity and gravity wrenches at O; gravity (3,) in m/s².
+        """Inertia, velocity-product wrench and gravity wrench of the object at O.
 
         Args:
-            X_WO: pose of the object. V_O: (6,) its twist at O. gravity: (3,) m/s².
+            X_WO: pose of the object.
+            V_O: (6,) twist of the object at O (m/s, rad/s).
+            gravity: (3,) gravitational acceleration (m/s²).
         """
         at_O = SE3(X_WO.rotation, np.zeros(3))
         Lambda: Array = at_O.act(self.inertia).matrix()
@@ -70,7 +72,7 @@ class RigidObject:
         return ObjectTerms(Lambda, mu, p)
 
     def scaled(self, factor: float) -> RigidObject:
-        """The same body with mass and inertia times `factor` (to study model error).
+        """Body with mass and inertia times `factor` (to study model error).
 
         Raises:
             ModelError: the factor is not a positive number.
@@ -83,7 +85,7 @@ class RigidObject:
 
 
 def scaled_inertia(inertia: pin.Inertia, factor: float) -> pin.Inertia:
-    """Mass and rotational inertia times `factor`, the centre of mass in its place."""
+    """Inertia with mass and moments times `factor`, and the same centre of mass."""
     return pin.Inertia(inertia.mass * factor, inertia.lever, inertia.inertia * factor)
 
 
@@ -93,11 +95,11 @@ class ArmTerms:
 
     For arms with fewer than six joints (or in a singular posture) Λ, J̄, μ and p are defined only
     on range(J): the arm is a *structural constraint* with wrenches C in the other directions.
-    Which generalised inverse extends them is irrelevant: they are only used as Λ(a − γ) with
-    a − γ in range(J), and through Sᵀ with S in range(J).
+    Any generalised inverse may extend them, as they are used only in Λ(a − γ) with a − γ in
+    range(J), and in products with Sᵀ, S in range(J).
 
-    A grasp that permits motions, with wrenches N, puts NᵀJ in place of J: Λ = NΨNᵀ with
-    Ψ = (NᵀΦN)⁺, J̄ = M⁻¹JᵀΛ, and C, γ such that Cᵀ(a − γ) = 0 still holds for the *object*.
+    For a grasp that permits motions, with wrenches N, NᵀJ replaces J: Λ = NΨNᵀ with Ψ = (NᵀΦN)⁺,
+    J̄ = M⁻¹JᵀΛ, and C, γ such that Cᵀ(a − γ) = 0 holds for the *object*.
     """
 
     J: Array  #: (6, n) Jacobian
@@ -115,23 +117,25 @@ class ArmTerms:
 
 @dataclass(frozen=True)
 class SingularDirection:
-    """One direction an arm is losing: q̈ = mode moves the object by χ L⁻ᵀu.
+    """Direction in which an arm near a singular posture hardly moves the object.
 
-    The arm is measured against Λ_ref = LLᵀ, the object and, at its centre of mass, a ball as heavy
-    as the heaviest arm (radius of gyration 0.1 m). With M = KKᵀ,
+    The arm is compared with Λ_ref = LLᵀ, the inertia of the object and, at its centre of mass, of a
+    ball as heavy as the heaviest arm (radius of gyration 0.1 m). With M = KKᵀ,
 
         LᵀJK⁻ᵀ = U diag(χ) Vᵀ
 
-    is free of units, and 1/χ² is the arm's apparent inertia in the direction u beside that of
-    Λ_ref. At the start of every packaged scenario χ is at least 0.5; it goes to zero in a singular
-    posture, and commands are reduced where it is below 0.3.
+    is dimensionless, and 1/χ² is the arm's apparent inertia in the direction u over that of Λ_ref.
+    q̈ = mode moves the object by χ L⁻ᵀu. At the start of every packaged scenario χ is at least 0.5;
+    in a singular posture it is zero, and commands are reduced if it is below 0.3.
 
     Attributes:
-        arm: its number. chi: χ. share: of the command that is left, 1 … 0.
+        arm: index of the arm.
+        chi: χ.
+        share: remaining share of the command, 1 … 0.
         wrench: (6,) L u at O, world axes: wrenchᵀ(a − γ) is the acceleration along it.
-        twist: (6,) L⁻ᵀu: the motion that is lost, its scale that of 1 J of Λ_ref.
-        mode: (n,) K⁻ᵀv of the arm's joints, of unit kinetic energy (times two).
-        locked: the chain counts the direction as lost (`ClosedChain.rank_tolerance`).
+        twist: (6,) L⁻ᵀu, the lost motion, scaled so that Λ_ref has a kinetic energy of ½ J.
+        mode: (n,) K⁻ᵀv of the arm's joints, with a kinetic energy of ½ J.
+        locked: True if the chain counts the direction as lost (`ClosedChain.rank_tolerance`).
     """
 
     arm: int
@@ -145,7 +149,7 @@ class SingularDirection:
 
 @dataclass(frozen=True)
 class ChainState:
-    """The closed chain at one (q, v), at the operational point O in world axes.
+    """State of the closed chain at one (q, v), at the operational point O in world axes.
 
     d motions of the object, n joints (passive ones included), n_a motors. Λ, μ, p and Φ are in
     world axes. Λ_S, μ_S, p_S, G and W have coordinates η of the motions S, an arbitrary basis.
@@ -167,23 +171,23 @@ class ChainState:
     mu_S: Array  #: (d,) velocity-product terms along S: Sᵀ(μ + Λ σ)
     p_S: Array  #: (d,) gravity terms along S: Sᵀ p
     sigma: Array  #: (6,) structural velocity product: a = S η̇ + σ
-    G: Array  #: (d, n_a) what the motors do to the object
-    W: Array  #: (n, d) joint accelerations q̈ = W η̇ + w
-    w: Array  #: (n,)
+    G: Array  #: (d, n_a) generalised force on the object from motor torques, f_S = G τ
+    W: Array  #: (n, d) matrix of joint accelerations q̈ = W η̇ + w
+    w: Array  #: (n,) joint accelerations at η̇ = 0
     h: Array  #: (n,) joint nonlinear effects C v + g
     M: Array  #: (n, n) joint-space inertia of all arms
-    arms: tuple[ArmTerms, ...]  #: per arm: J, Φ, Λ, J̄, μ, p, …
+    arms: tuple[ArmTerms, ...]  #: for each arm J, Φ, Λ, J̄, μ, p, …
     payload: ObjectTerms  #: Λ_o, μ_o, p_o
     metric: Array  #: (6, 6) Λ_o, or the reference inertia when nothing is held
     grasp_points: Array  #: (arms, 3) world
     sensors: tuple[SE3 | None, ...]  #: placement of each wrist sensor in the world
-    filters: tuple[Array | None, ...]  #: (6, 6) F_i at O for each wrist reading; None: as it is
-    Lambda_out: Array  #: (6, 6) inertia seen by the wrist sensors together (not symmetric)
-    bias_out: Array  #: (6,) gravity and velocity wrench they see at a = 0
+    filters: tuple[Array | None, ...]  #: (6, 6) factor F_i at O of each wrist reading; None: 1
+    Lambda_out: Array  #: (6, 6) inertia beyond all wrist sensors together (not symmetric)
+    bias_out: Array  #: (6,) gravity and velocity-product wrench beyond the sensors at a = 0
     unactuated: Array  #: (6, u) motions of the object that no motor drives
-    reference: Array  #: (6, 6) object and heaviest arm, which singular postures are judged by
-    full_ranks: tuple[int, ...]  #: motions each arm makes, on the range of N, in ordinary postures
-    #: directions that arms near a singular posture are losing
+    reference: Array  #: (6, 6) Λ_ref, with which arms near singular postures are compared
+    full_ranks: tuple[int, ...]  #: motions each arm makes, on the range of N, in regular postures
+    #: directions in which arms near a singular posture hardly move the object
     singular_directions: tuple[SingularDirection, ...]
 
     @property
@@ -193,46 +197,49 @@ class ChainState:
 
     @property
     def b_S(self) -> Array:
-        """(d,) b_S = μ_S + p_S."""
+        """Bias b_S = μ_S + p_S (d,)."""
         return self.mu_S + self.p_S
 
     @property
     def Lambda(self) -> Array:
-        """(6, 6) Λ = ΣΛ_i + Λ_o of all arms and the object, the paper's Λ₀, world axes.
+        """Inertia Λ = ΣΛ_i + Λ_o (6, 6) of all arms and the object, the paper's Λ₀, world axes.
 
-        Λ a + μ + p is the wrench that moves arms and object with a permitted a = S η̇ + σ. With
-        d = 6 it is unique, and Λ = Φ⁻¹. With d < 6 the structure of the arms carries the wrenches C
-        without motors, and the wrench is known up to these only: the sum over all
-        `ArmTerms` is one of them. Then Φ is not the inverse of Λ, and Λ of a motion that is not
-        permitted means nothing.
+        Λ a + μ + p is the wrench that moves arms and object with a permitted a = S η̇ + σ. If d = 6,
+        it is unique, and Λ = Φ⁻¹. If d < 6, the structure of the arms carries the wrenches C
+        without motors, and the wrench is unique only up to these: the sum over all `ArmTerms` is
+        one choice. Then Φ is not the inverse of Λ, and Λ is meaningful for permitted motions only.
         """
         return self._sum("Lambda")
 
     @property
     def mu(self) -> Array:
-        """(6,) velocity-product wrench μ = Σμ_i + μ_o, world axes; it goes with `Lambda`."""
+        """Velocity-product wrench μ = Σμ_i + μ_o (6,), world axes; it belongs to `Lambda`."""
         return self._sum("mu")
 
     @property
     def p(self) -> Array:
-        """(6,) gravity wrench p = Σp_i + p_o, world axes; it holds arms and object at rest.
+        """Gravity wrench p = Σp_i + p_o (6,), world axes, which holds arms and object at rest.
 
-        With d < 6 it is known up to the wrenches C, see `Lambda`.
+        If d < 6, it is unique only up to the wrenches C, see `Lambda`.
         """
         return self._sum("p")
 
     def _sum(self, name: str) -> Array:
-        """Of the object and all arms."""
+        """Sum of a term, by its name, of the object and all arms."""
         return sum(getattr(part, name) for part in (self.payload, *self.arms))
 
 
-# What the joints of a rig feel and how the rig swings on sprung joints with its motors held.
+# Inertias at the joints of a rig, and its natural frequencies on elastic joints with held motors.
 
 
 def joint_inertias(state: ChainState, actuated: Array) -> Array:
-    """(n_a,) inertia each motor moves: of its arm, with an equal share of the object.
+    """Inertia (n_a,) that each motor moves: of its arm, with an equal share of the object.
 
-    diag(M + JᵀΛ_oJ / arms), kg m² (kg for sliding joints).
+    It is diag(M + JᵀΛ_oJ / arms) in kg m² (kg for sliding joints).
+
+    Args:
+        state: state of the chain.
+        actuated: (n_a,) indices of the motor joints.
     """
     Lambda = state.payload.Lambda / len(state.arms)
     felt = [np.diag(arm.M + arm.J.T @ Lambda @ arm.J) for arm in state.arms]
@@ -240,12 +247,14 @@ def joint_inertias(state: ChainState, actuated: Array) -> Array:
 
 
 def modes(state: ChainState, actuated: Array, stiffness: Array) -> Array:
-    """(d,) natural frequencies (Hz), ascending, of the closed chain out of contact, motors held.
+    """Natural frequencies (d,) of the closed chain out of contact with held motors, ascending (Hz).
 
-    det(WᵀK W − ω² Λ_S) = 0: the motions S are the only ones the closed loops leave.
+    They are the roots of det(WᵀK W − ω² Λ_S) = 0, in the motions S that the closed loops permit.
 
     Args:
-        state: where. actuated: (n_a,) motor joints. stiffness: (n_a,) of their springs.
+        state: state of the chain.
+        actuated: (n_a,) indices of the motor joints.
+        stiffness: (n_a,) stiffness of the joints, the diagonal of K (N m/rad, N/m).
     """
     W = state.W[actuated]
     L = np.linalg.cholesky(state.Lambda_S)
@@ -254,13 +263,15 @@ def modes(state: ChainState, actuated: Array, stiffness: Array) -> Array:
 
 
 def stiffness_for(state: ChainState, actuated: Array, frequency: float) -> Array:
-    """(n_a,) springs proportional to `joint_inertias` that put the first mode at a frequency (Hz).
+    """Stiffness (n_a,) proportional to `joint_inertias` that gives the first mode a frequency.
 
     Args:
-        state: of the chain. actuated: (n,) True for motor joints. frequency: Hz.
+        state: state of the chain.
+        actuated: (n_a,) indices of the motor joints.
+        frequency: frequency of the first mode (Hz).
 
     Raises:
-        ModelError: no spring can, because some motion moves no motor.
+        ModelError: some motion of the object moves no motor, so that its frequency is zero.
     """
     unit = joint_inertias(state, actuated)
     first = float(modes(state, actuated, unit)[0])

@@ -1,16 +1,16 @@
-"""Arms that hold one object: the closed chain of section 6 and its equation of motion, eq. 13.
+"""Closed chain of arms that hold one object (section 6), and its equation of motion, eq. 13.
 
-The object can make only the motions S that every arm permits (dual SCARA: five). In them
+The object can make only the motions S that every arm permits (dual SCARA: five). For these
 
     Λ_S η̇ + μ_S + p_S + Sᵀf_c = G τ,        a = S η̇ + σ,        q̈ = W η̇ + w,
 
-and Φ₀ = S Λ_S⁻¹ Sᵀ takes the place of Λ₀⁻¹: a 6×6 matrix of rank d, never a damped inverse.
-Grasps may permit motions (`Grasp`); these have no mass and no motor drives them.
+and Φ₀ = S Λ_S⁻¹ Sᵀ, a 6×6 matrix of rank d without damping, replaces Λ₀⁻¹.
+Grasps may permit motions (`Grasp`), which have no mass and no motor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -46,17 +46,16 @@ from osc_contact.spatial import Array, as_array, carry_twist, columns_of, cross,
 
 
 def columns_at(J_world: Array, O: Array) -> Array:  # noqa: E741 - the operational point
-    """Jacobian columns (6, n) carried from the world origin to O."""
+    """Jacobian columns (6, n) at O (3,), from those at the world's origin."""
     return carry_twist(columns_of(J_world), np.zeros(3), O)
 
 
-GYRATION = 0.1  #: m, of the ball that stands for the heaviest arm, see `law.operational`
-#: Stands in for the object's inertia in rank decisions when the arms hold nothing:
-#: 1 kg with a radius of gyration of 0.1 m.
+GYRATION = 0.1  #: radius of gyration of the ball that represents the heaviest arm (m)
+#: Inertia that is used in rank decisions if the arms hold nothing: 1 kg, radius of gyration 0.1 m.
 _REFERENCE = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
 
-#: Below it Λ of an arm, ~1/tolerance², loses more to rounding, ε/tolerance², than the arm still
-#: moves in the direction, ~tolerance: ε^(1/3), 6e-6.
+#: ε^(1/3) = 6e-6: for smaller values the rounding error of an arm's Λ, ε/tolerance², exceeds the
+#: motion of the arm in the direction, ~tolerance.
 RANK_TOLERANCE = float(np.cbrt(np.finfo(float).eps))
 
 
@@ -67,15 +66,20 @@ class ClosedChain:
     """Several arms that hold one object (or one arm whose tip is the object).
 
     Attributes:
-        model, data: the merged Pinocchio model, joints named "arm/joint", and its data.
-        arms: as given. grasps: one for each arm. slices: each arm's part of q and v.
-        leader: the first arm that holds the object rigidly and so determines its pose; None: the
-            joints of all arms together do, if anything does.
-        actuated: (n_a,) indices of the motor joints in v. tau_max: (n_a,) their effort limits, inf
-            where a model names none.
-        tips, sensors: frame of each arm's tip and wrist sensor (None: it has none).
-        outboard: links beyond each sensor. arm_mass: of the heaviest arm, rotors included.
-        reference: the object, or its stand-in for rank decisions. full_ranks: as in `ChainState`.
+        model: merged Pinocchio model, with joints named "arm/joint".
+        data: data of the model.
+        arms: the arms.
+        grasps: grasp of each arm.
+        slices: part of q and v of each arm.
+        leader: index of the first arm that holds the object rigidly and so determines its pose;
+            None: the joints of all arms together determine it, or nothing does.
+        actuated: (n_a,) indices of the motor joints in v.
+        tau_max: (n_a,) effort limits of the motors (N m, N), inf without a limit.
+        tips, sensors: numbers of the frames of each arm's tip and wrist sensor (None: no sensor).
+        outboard: links beyond each sensor.
+        arm_mass: mass of the heaviest arm, rotors included (kg).
+        reference: the object or, if nothing is held, a body for rank decisions.
+        full_ranks: see `ChainState`.
 
     Example:
         >>> from osc_contact import robots
@@ -102,78 +106,58 @@ class ClosedChain:
         """Merge the arms into one model.
 
         Args:
-            arms: one, or several with different names.
-            grasps: for each arm X_TO, pose of the object in its tip frame, held rigidly, or a
-                `Grasp` that permits motions (default: the tip itself, rigidly).
-            payload: the held object, or its inertia in the object's frame (kg, m); None: nothing
-                but the last link.
-            rank_tolerance: an arm direction counts as locked when the inertia of arm and object in
-                it is more than 1/tolerance² times that in the direction where it is least. A
-                matter of rounding only.
-            angle_tolerance: two arms' locked directions count as the same when they differ by less
+            arms: one arm, or several with different names.
+            grasps: for each arm the pose X_TO of the object in its tip frame, held rigidly, or a
+                `Grasp` that permits motions (default: the tip's own frame, rigidly).
+            payload: the held object, or its inertia in the object's frame (kg, m); None: no object,
+                the last link only.
+            rank_tolerance: a direction of an arm counts as locked if the inertia of arm and object
+                in it is more than 1/tolerance² times the least one of all directions. Its purpose
+                is to tolerate rounding errors.
+            angle_tolerance: locked directions of two arms count as equal if they differ by less
                 than this angle (rad, in the object's energy metric), and so do wrenches of their
-                grasps. A matter of calibration: of bases, joint axes and encoders.
-            allow_unactuated: give the state also where no motor drives some motion of the object,
-                to study how it moves by itself; a controller needs every motion driven.
+                grasps. Its purpose is to tolerate errors of calibration of bases, joint axes and
+                encoders.
+            allow_unactuated: permit motions of the object that no motor drives, to study passive
+                motion; a controller needs motors for all of them.
 
         Raises:
             InvalidInputError: arms, grasps or a payload of other classes.
             ModelError: no arms, equal names, a grasp too few, or one that permits motions of an
                 object without mass.
         """
-        arms = (arms,) if isinstance(arms, Arm) else as_tuple("ClosedChain: arms", arms, "[arm]")
-        for arm in arms:
-            require_kind(
-                "ClosedChain", arm, Arm, "osc.Arm.from_urdf('arm.urdf', name='arm', tip='tool0')"
-            )
-        if isinstance(grasps, SE3 | Grasp):
-            grasps = (grasps,)
-        if isinstance(payload, pin.Inertia):
-            payload = RigidObject(payload)
-        if payload is not None:
-            require_kind("payload=", payload, RigidObject, _PAYLOAD)
-        if not arms:
-            raise ModelError("a closed chain needs at least one arm")
-        names = [arm.name for arm in arms]
-        if len(set(names)) != len(names):
-            raise ModelError(f"arm names must differ, got {names}; pass name= to Arm.from_urdf")
-        self.arms = tuple(arms)
-        given = (
-            [SE3.Identity() for _ in arms]
-            if grasps is None
-            else as_tuple("ClosedChain: grasps", grasps, "[pin.SE3(R, p)]")
-        )
-        self.grasps = tuple(g if isinstance(g, Grasp) else Grasp.rigid(g) for g in given)
+        self.arms = _arms_of(arms)
+        self.grasps = _grasps_of(grasps, len(self.arms))
+        self.payload = _payload_of(payload)
         rigid = [i for i, grasp in enumerate(self.grasps) if grasp.is_rigid]
         self.leader = rigid[0] if rigid else None
-        self.allow_unactuated = allow_unactuated
-        if len(self.grasps) != len(arms):
-            raise ModelError(f"{len(arms)} arms but {len(self.grasps)} grasps; give X_TO for each")
-        if payload is None and len(rigid) < len(self.grasps):
+        if self.payload is None and len(rigid) < len(self.grasps):
             raise ModelError(
                 "an object without mass cannot be held by grasps that permit motions: nothing "
                 "resists these. Give a payload, or put the joint into the URDF, with a link"
             )
-        self.payload = payload
-        self.reference = payload or RigidObject(_REFERENCE)
+        self.reference = RigidObject(_REFERENCE) if self.payload is None else self.payload
         self.rank_tolerance = rank_tolerance
         self.angle_tolerance = angle_tolerance
+        self.allow_unactuated = allow_unactuated
         self.model = merge(self.arms)
         self.data = self.model.createData()
-        ends = np.cumsum([0, *(arm.model.nv for arm in arms)]).tolist()
+        ends = np.cumsum([0, *(arm.model.nv for arm in self.arms)]).tolist()
         self.slices = tuple(map(slice, ends, ends[1:]))
-        passive = [f"{arm.name}/{joint}" for arm in arms for joint in arm.passive_joints]
+        passive = [f"{arm.name}/{joint}" for arm in self.arms for joint in arm.passive_joints]
         self.actuated = np.flatnonzero(~np.isin(self.joint_names, passive))
         self.tau_max = effort_limits(self.model, self.actuated)
-        self.full_ranks = tuple(map(_full_rank, arms, self.grasps))
+        self.full_ranks = tuple(map(_full_rank, self.arms, self.grasps))
         self.arm_mass = max(
             sum(i.mass for i in arm.model.inertias) + heaviest_rotor(arm.model, GYRATION)
-            for arm in arms
+            for arm in self.arms
         )
-        self.tips = [robots.frame_id(self.model, f"{a.name}/{a.tip}") for a in arms]
+        self.tips = [robots.frame_id(self.model, f"{arm.name}/{arm.tip}") for arm in self.arms]
         self.sensors = [
-            robots.frame_id(self.model, f"{a.name}/{a.wrist_sensor}") if a.wrist_sensor else None
-            for a in arms
+            robots.frame_id(self.model, f"{arm.name}/{arm.wrist_sensor}")
+            if arm.wrist_sensor
+            else None
+            for arm in self.arms
         ]
         self.outboard = [
             [] if sensor is None else outboard_links(self.model, sensor, tip)
@@ -192,32 +176,34 @@ class ClosedChain:
 
     @property
     def joint_names(self) -> list[str]:
-        """All joints in the order of q and v, "arm/joint"."""
+        """Names "arm/joint" of all joints in the order of q and v."""
         return joint_names(self.model)
 
     @property
     def moved_mass(self) -> float:
-        """Mass (kg) of all links that the joints move, and of the held object."""
+        """Mass of all links that the joints move, and of the held object (kg)."""
         return self._held_mass + sum(link.mass for link in list(self.model.inertias)[1:])
 
     @property
     def outboard_mass(self) -> float:
-        """Mass (kg) beyond all wrist sensors, the held object included."""
-        return self._held_mass + sum(x.inertia.mass for links in self.outboard for x in links)
+        """Mass beyond all wrist sensors, the held object included (kg)."""
+        links = [link for of_arm in self.outboard for link in of_arm]
+        return self._held_mass + sum(link.inertia.mass for link in links)
 
     @property
     def _held_mass(self) -> float:
+        """Mass of the held object, 0 without one (kg)."""
         return 0.0 if self.payload is None else float(self.payload.inertia.mass)
 
     def tip_poses(self, data: pin.Data | None = None) -> list[SE3]:
-        """Pose of each arm's tip in the world, at the positions last given to `data`."""
+        """Pose of each arm's tip in the world, at the joint positions last given to `data`."""
         return [self._placement(f, data) for f in self.tips]
 
     def object_pose(self, data: pin.Data | None = None) -> SE3:
-        """Pose of the object at the same positions.
+        """Pose of the object in the world, at the joint positions last given to `data`.
 
         Raises:
-            ModelError: the joints do not determine it.
+            ModelError: the joints do not determine the pose.
         """
         if self.leader is not None:
             return self._placement(self.tips[self.leader], data) * self.grasps[self.leader].X_TO
@@ -225,19 +211,29 @@ class ClosedChain:
         return locate(self.grasps, tips, self.reference_inertia, self.angle_tolerance)
 
     def sensor_poses(self, data: pin.Data | None = None) -> tuple[SE3 | None, ...]:
-        """Placement of each wrist sensor in the world, likewise; None: the arm has none."""
+        """Pose of each wrist sensor in the world, as `tip_poses`; None for arms without a sensor."""
         return tuple(None if f is None else self._placement(f, data) for f in self.sensors)
 
     def reference_inertia(self, X_WO: SE3) -> Array:
-        """(6, 6) inertia of the object at its own origin, or of its stand-in if nothing is held."""
+        """Inertia (6, 6) of the object or, if nothing is held, of `reference`, at its origin."""
         return self.reference.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
 
-    def _placement(self, frame: int, data: pin.Data | None) -> SE3:
-        at = self.model.frames[frame]
-        return (data or self.data).oMi[at.parentJoint] * at.placement
+    def _placement(self, number: int, data: pin.Data | None) -> SE3:
+        """Pose of a frame, by its number, at the joint positions last given to `data`."""
+        frame = self.model.frames[number]
+        joints = (self.data if data is None else data).oMi
+        return joints[frame.parentJoint] * frame.placement
 
     def unactuated_motions(self, G: Array, S: Array) -> Array:
-        """(6, u) motions of the object in which GᵀU = 0; an error unless they are allowed."""
+        """Motions (6, u) of the object that no motor drives, S U with GᵀU = 0.
+
+        Args:
+            G: (d, n_a) generalised force on the object from motor torques.
+            S: (6, d) basis of the object's motions.
+
+        Raises:
+            ModelError: there are such motions, and the chain does not permit them.
+        """
         limits = np.where(np.isfinite(self.tau_max), self.tau_max, 1.0)
         U, s, _ = np.linalg.svd(G * limits)
         driven = np.count_nonzero(s > 1e-9 * s.max(initial=0.0))
@@ -260,50 +256,59 @@ class ClosedChain:
         *,
         data: pin.Data | None = None,
     ) -> ChainState:
-        """Everything the contact model needs to know of the chain at (q, v).
+        """State of the chain at (q, v), with all terms of its equation of motion.
 
         Args:
-            q: (n,) joint positions, arms in order, each in model order, passive joints included.
-            v: (n,) joint velocities, consistent with the closed loop; None: at rest.
-            X_WO, V_O: pose and twist (6,) of the object, where the joints do not determine them.
-            data: to work in (threads need one each); default: the chain's own.
+            q: (n,) joint positions (rad, m), arms in order, each in model order, passive joints
+                included.
+            v: (n,) joint velocities (rad/s, m/s), consistent with the closed loop; None: at rest.
+            X_WO: pose of the object, if the joints do not determine it.
+            V_O: (6,) twist of the object, if the joints do not determine it (m/s, rad/s).
+            data: memory of Pinocchio (each thread needs its own); None: the chain's own.
 
         Raises:
             InvalidInputError: wrong sizes or non-finite numbers.
-            ModelError: the joints do not determine where the object is, or the motors cannot drive
-                every motion the arms permit.
+            ModelError: the joints do not determine the object's pose, or the motors cannot drive
+                every motion that the arms permit.
         """
         still = np.zeros(self.nq)
         q = as_array("q", q, (self.nq,))
         v = still if v is None else as_array("v", v, (self.nq,))
-        data = data or self.data
+        data = self.data if data is None else data
         pin.forwardKinematics(self.model, data, q, v)
         led = X_WO is None and V_O is None and self.leader is not None
         row = self.law_row(led)
         V = None
         if not led:
-            X_WO = X_WO or self.object_pose(data)
+            X_WO = self.object_pose(data) if X_WO is None else X_WO
             V = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
         work = chain_work(row, q, v, X_WO, V)
         rest = chain_work(row, q, still, X_WO, np.zeros(6))
         reason = int(work.reason)
         if reason != NO_REASON:
-            measured = ", or give the measured pose and twist: state(q, v, X_WO, V_O)"
-            raise ModelError(SENTENCES[reason] + measured * (reason == OBJECT_UNKNOWN))
+            cause = SENTENCES[reason]
+            if reason == OBJECT_UNKNOWN:
+                cause += ", or give the measured pose and twist: state(q, v, X_WO, V_O)"
+            raise ModelError(cause)
         return read_state(self, work, rest, data)
 
     def _twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:
-        """(6,) of the object from the leader's tip; None: the law finds it."""
+        """Twist (6,) of the object from the leader's tip; None without a leader: the law finds it.
+
+        Args:
+            X_WO: pose of the object.
+            data: data of Pinocchio with the velocities.
+        """
         if self.leader is None:
             return None
         V = pin.getFrameVelocity(self.model, data, self.tips[self.leader], pin.WORLD).vector
         return carry_twist(V, np.zeros(3), X_WO.translation)
 
     def law_row(self, led: bool) -> Bytes:
-        """The chain as the law's MODEL, see `chain_row`.
+        """Row of the law's MODEL for the chain, see `chain_row`.
 
         Raises:
-            ModelError: arms that the law does not know.
+            ModelError: arms that the law does not support.
         """
         row = self._rows[led]
         at.MODEL.view(row).gravity = self.model.gravity.linear  # may have changed
@@ -311,15 +316,70 @@ class ClosedChain:
 
     @cached_property
     def _rows(self) -> dict[bool, Bytes]:
+        """Rows of MODEL by `led`, made and compared with Pinocchio at the first use."""
         rows = {led: chain_row(self, led) for led in (False, True)}
         require_pinocchio_agrees(self, rows[False])
         return rows
 
 
-def _full_rank(arm: Arm, grasp: Grasp) -> int:
-    """Motions of the object that an arm makes in ordinary postures, according to its grasp.
+def _arms_of(arms: Arm | Sequence[Arm]) -> tuple[Arm, ...]:
+    """Arms as a tuple.
 
-    The largest rank of NᵀJ in a few random postures.
+    Raises:
+        InvalidInputError: objects of other classes.
+        ModelError: no arms, or equal names.
+    """
+    arms = (arms,) if isinstance(arms, Arm) else as_tuple("ClosedChain: arms", arms, "[arm]")
+    for arm in arms:
+        require_kind(
+            "ClosedChain", arm, Arm, "osc.Arm.from_urdf('arm.urdf', name='arm', tip='tool0')"
+        )
+    if not arms:
+        raise ModelError("a closed chain needs at least one arm")
+    names = [arm.name for arm in arms]
+    if len(set(names)) != len(names):
+        raise ModelError(f"arm names must differ, got {names}; pass name= to Arm.from_urdf")
+    return arms
+
+
+def _grasps_of(grasps: SE3 | Grasp | Sequence[SE3 | Grasp] | None, arms: int) -> tuple[Grasp, ...]:
+    """Grasps of all arms; a pose X_TO is held rigidly, and so is the tip by default.
+
+    Args:
+        grasps: see `ClosedChain`.
+        arms: number of arms.
+
+    Raises:
+        InvalidInputError: objects of other classes.
+        ModelError: not one grasp for each arm.
+    """
+    if grasps is None:
+        return tuple(Grasp.rigid(SE3.Identity()) for _ in range(arms))
+    if isinstance(grasps, SE3 | Grasp):
+        grasps = (grasps,)
+    several = as_tuple("ClosedChain: grasps", grasps, "[pin.SE3(R, p)]")
+    if len(several) != arms:
+        raise ModelError(f"{arms} arms but {len(several)} grasps; give X_TO for each")
+    return tuple(grasp if isinstance(grasp, Grasp) else Grasp.rigid(grasp) for grasp in several)
+
+
+def _payload_of(payload: RigidObject | pin.Inertia | None) -> RigidObject | None:
+    """Held object, of its inertia or as given.
+
+    Raises:
+        InvalidInputError: an object of another class.
+    """
+    if isinstance(payload, pin.Inertia):
+        payload = RigidObject(payload)
+    if payload is not None:
+        require_kind("payload=", payload, RigidObject, _PAYLOAD)
+    return payload
+
+
+def _full_rank(arm: Arm, grasp: Grasp) -> int:
+    """Number of motions of the object that an arm makes in regular postures.
+
+    It is the largest rank of NᵀJ in a few random postures.
     """
     model = arm.model
     data = model.createData()
@@ -336,11 +396,12 @@ _KINDS = {"rigid": at.RIGID, "hinge": at.HINGE, "ball": at.BALL, "other": at.OTH
 
 
 def chain_row(chain: ClosedChain, led: bool) -> Bytes:
-    """A row of MODEL of the chain alone: no contacts, no motors.
+    """Row of MODEL of the chain alone, without contacts and motors.
 
     Args:
-        led: the leading arm, if there is one, determines the object's pose; else it
-            is given (`MEMORY`).
+        chain: the arms.
+        led: True: the leader, if there is one, determines the object's pose; False: the pose is
+            given in MEMORY.
     """
     raw = new_model(len(chain.arms), chain.nq, 0)
     pack_chain(chain, raw, chain.leader if led else None)
@@ -348,11 +409,12 @@ def chain_row(chain: ClosedChain, led: bool) -> Bytes:
 
 
 def pack_chain(chain: ClosedChain, raw: Bytes, leader: int | None) -> None:
-    """Fill in what of a row of MODEL comes from the chain: its head, arms and joints.
+    """Write the head, the arms and the joints of a row of MODEL.
 
     Args:
-        chain: to pack. raw: bytes of the row.
-        leader: arm that holds the object rigidly; None: no arm does.
+        chain: the arms.
+        raw: bytes of the row.
+        leader: index of an arm that holds the object rigidly; None: no arm determines its pose.
     """
     head = at.MODEL.view(raw)
     _pack_arms(chain, head.arms)
@@ -379,6 +441,15 @@ def pack_chain(chain: ClosedChain, raw: Bytes, leader: int | None) -> None:
 
 
 def _pack_arms(chain: ClosedChain, rows: Any) -> None:
+    """Write the records of the arms.
+
+    Args:
+        chain: the arms.
+        rows: `MODEL.arms`.
+
+    Raises:
+        ModelError: an arm has more joints than the law supports.
+    """
     model = chain.model
     for i, (row, grasp, part) in enumerate(zip(rows, chain.grasps, chain.slices, strict=True)):
         joints = part.stop - part.start
@@ -416,6 +487,15 @@ def _pack_arms(chain: ClosedChain, rows: Any) -> None:
 
 
 def _pack_joints(chain: ClosedChain, rows: Any) -> None:
+    """Write the records of the joints.
+
+    Args:
+        chain: the arms.
+        rows: `MODEL.joints`.
+
+    Raises:
+        ModelError: the joints of an arm are not serial.
+    """
     model = chain.model
     firsts = {part.start for part in chain.slices}
     rows.motor[:] = -1
@@ -434,7 +514,7 @@ def _pack_joints(chain: ClosedChain, rows: Any) -> None:
 
 
 def _z_frame(model: pin.Model, joint: int) -> SE3:
-    """The joint's frame rotated so that it turns about, or slides along, its z axis."""
+    """Frame with the joint's axis as its z axis, in the joint's own frame."""
     S = joint_axis(model, joint)
     axis = S[:3] if S[:3].any() else S[3:]
     x, y, z = np.round(axis, 15)
@@ -447,18 +527,18 @@ def _z_frame(model: pin.Model, joint: int) -> SE3:
 
 
 def _in_joint(model: pin.Model, number: int) -> SE3:
-    """A frame's placement in its joint, whose z axis is the joint's."""
+    """Placement of a frame, by its number, in the z frame of its joint, see `_z_frame`."""
     frame = model.frames[number]
     return _z_frame(model, frame.parentJoint).actInv(frame.placement)
 
 
 def _flat_pose(X: SE3) -> Array:
-    """(12,) rotation by rows, then point."""
+    """Rotation by rows, then position, of a pose (12,)."""
     return np.concatenate((X.rotation.ravel(), X.translation))
 
 
 def _flat_inertia(inertia: pin.Inertia) -> Array:
-    """(13,) mass, centre, inertia about it by rows."""
+    """Mass, centre of mass and, by rows, inertia about it (13,)."""
     return np.array([inertia.mass, *inertia.lever, *inertia.inertia.ravel()])
 
 
@@ -468,11 +548,13 @@ _NONE = np.zeros(0)
 
 
 def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | None) -> Any:
-    """WORK in separate memory after the law's first part: the arms at (q, v), before any contact.
+    """Record WORK, in memory of its own, after the law's first part: the arms without contacts.
 
     Args:
-        row: from `chain_row`; led, if no pose is given.
-        q, v: (n,). X_WO, V_O: pose and twist (6,) of the object, if they are given.
+        row: row of MODEL by `chain_row`; a led one, if no pose is given.
+        q, v: (n,) joint positions and velocities (rad, m; rad/s, m/s).
+        X_WO: pose of the object; None: the joints determine it.
+        V_O: (6,) twist of the object; None: the joints determine it.
     """
     rows = Rows(row)
     head, memory, work, _ = views(rows)
@@ -489,7 +571,12 @@ def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | No
 
 
 def mass_matrix(work: Any, arms: Sequence[slice]) -> Array:
-    """M (n, n) of all arms, from WORK and each one's part of the joints."""
+    """Mass matrix M (n, n) of all arms.
+
+    Args:
+        work: record WORK.
+        arms: part of the joints of each arm.
+    """
     n = len(work.joints)
     M = np.zeros((n, n))
     for s in arms:
@@ -498,20 +585,22 @@ def mass_matrix(work: Any, arms: Sequence[slice]) -> Array:
 
 
 def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> ChainState:
-    """The state of a chain.
+    """State of a chain from the results of the law.
 
     Args:
-        work: WORK at (q, v). rest: at the same q and v = 0, where all forces are gravity's.
-        data: with the placements at q.
+        chain: the arms.
+        work: record WORK at (q, v).
+        rest: record WORK at q and v = 0, in which all forces are those of gravity.
+        data: data of Pinocchio with the placements at q.
 
     Raises:
-        ModelError: the motors cannot drive every motion, and the chain does not allow that.
+        ModelError: the motors cannot drive every motion, and the chain does not permit that.
     """
     joints = work.joints
     motion = motions(work)
     wrench = wrenches(work)
     m = int(work.locked)
-    locked, free = np.split(reflection(work).T, [m], axis=1)  # what η̇ moves, in energy coordinates
+    locked, free = np.split(reflection(work).T, [m], axis=1)  # in energy coordinates
     S = motion @ free
     sigma = work.sigma[:m]
     sigma_e = locked @ sigma
@@ -550,10 +639,7 @@ def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> Chai
         metric=wrench @ wrench.T,
         grasp_points=np.array([tip.translation for tip in chain.tip_poses(data)]),
         sensors=chain.sensor_poses(data),
-        filters=tuple(
-            wrench @ own.filter @ motion.T if links and not grasp.is_rigid else None
-            for grasp, links, own in zip(chain.grasps, chain.outboard, work.arms, strict=True)
-        ),
+        filters=_filters(chain, work.arms, motion, wrench),
         Lambda_out=wrench @ work.out_T.T @ wrench.T,
         bias_out=work.bias_out.copy(),
         unactuated=chain.unactuated_motions(G, S),
@@ -565,9 +651,35 @@ def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> Chai
     )
 
 
+def _filters(
+    chain: ClosedChain, arms: Any, motion: Array, wrench: Array
+) -> tuple[Array | None, ...]:
+    """Factors (6, 6) of the wrist readings at O; None of a rigid grasp, or without a sensor.
+
+    Args:
+        chain: the arms.
+        arms: `WORK.arms`.
+        motion, wrench: (6, 6) bases of energy coordinates in world axes at O.
+    """
+    return tuple(
+        wrench @ own.filter @ motion.T if links and not grasp.is_rigid else None
+        for grasp, links, own in zip(chain.grasps, chain.outboard, arms, strict=True)
+    )
+
+
 def _arm_terms(
     own: Any, grasp: Grasp, joints: Any, weight: Array, M: Array, motion: Array, wrench: Array
 ) -> ArmTerms:
+    """Operational-space terms of one arm from the results of the law.
+
+    Args:
+        own: record of the arm in `WORK.arms`.
+        grasp: grasp of the arm.
+        joints: records of its joints in `WORK.joints`.
+        weight: (n,) torques of gravity (N m, N).
+        M: (n, n) mass matrix of the arm.
+        motion, wrench: (6, 6) bases of energy coordinates in world axes at O.
+    """
     J = motion @ joints.J.T
     J_bar = joints.J_bar @ wrench.T
     gamma = motion @ own.gamma
@@ -591,35 +703,43 @@ def _arm_terms(
 
 def _singular_directions(
     chain: ClosedChain, arms: Any, reference: Array, motion: Array, wrench: Array
-) -> Any:
-    """Every direction that the law found an arm to be losing."""
+) -> Iterator[SingularDirection]:
+    """Directions in which arms hardly move the object, from the results of the law.
+
+    Args:
+        chain: the arms.
+        arms: `WORK.arms`.
+        reference: (6,) diagonal of Λ_ref in energy coordinates.
+        motion, wrench: (6, 6) bases of energy coordinates in world axes at O.
+    """
     for i, (own, s) in enumerate(zip(arms, chain.slices, strict=True)):
         for e in range(int(own.n_lost)):
             lost = own.lost[e]
             yield SingularDirection(
-                i,
-                float(own.chi[e]),
-                float(own.share[e]),
-                wrench @ lost,
-                motion @ (lost / reference),
-                own.mode[e, : s.stop - s.start].copy(),
-                bool(own.gone[e]),
+                arm=i,
+                chi=float(own.chi[e]),
+                share=float(own.share[e]),
+                wrench=wrench @ lost,
+                twist=motion @ (lost / reference),
+                mode=own.mode[e, : s.stop - s.start].copy(),
+                locked=bool(own.gone[e]),
             )
 
 
-STATES = 3
-TOLERANCE = 1e-9
+STATES = 3  #: random states at which the law is compared with Pinocchio
+TOLERANCE = 1e-9  #: largest difference over the largest element, or over 1
 
 
 def require_pinocchio_agrees(chain: ClosedChain, row: Bytes) -> None:
-    """Compare J, M and h = C v + g on a few random states.
+    """Compare J, M and h = C v + g of the law with Pinocchio's on a few random states.
 
     Args:
-        chain: the arms. row: from `chain_row`, not led: where the object is does not matter.
+        chain: the arms.
+        row: row of MODEL by `chain_row`, not led, as the object's pose does not matter.
 
     Raises:
-        ModelError: a difference above 1e-9 of the largest element: a kind of joint or a property of
-            the model that the law does not know.
+        ModelError: a difference above TOLERANCE: a kind of joint or a property of the model that
+            the law does not support.
     """
     rng = np.random.default_rng(0)
     data = chain.model.createData()

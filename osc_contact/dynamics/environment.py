@@ -1,8 +1,8 @@
-"""What the object presses on: a_e = Φ_e f_c + b_e (eq. 14), for bodies of every kind.
+"""Environments, the bodies that the object touches: a_e = Φ_e f_c + b_e (eq. 14).
 
-Everything here holds for one instant, at the operational point O in world axes: build it again
-each tick. Bodies bring their own pose, their twist and their *classical* acceleration at their own
-origin (readings of a tracker or an encoder), and leave as spatial vectors at O.
+An `Environment` holds for one instant, at the operational point O in world axes, and is made anew
+at each tick. The motion of a body is given by its pose, its twist and its *classical* acceleration
+at its own origin (readings of a tracker or an encoder), and is converted to spatial vectors at O.
 """
 
 from __future__ import annotations
@@ -37,23 +37,35 @@ from osc_contact.spatial import (
 
 
 def symmetric(matrix: Array) -> Array:
-    """½ (A + Aᵀ), without the rounding errors that make a symmetric matrix none."""
+    """Symmetric part ½ (A + Aᵀ) of a matrix (n, n), to remove rounding errors."""
     return 0.5 * (matrix + matrix.T)
 
 
-def inverse(matrix: Array, what: str) -> Array:
-    """Inverse of a positive definite matrix, judged and inverted with unit diagonal.
+def inverse(matrix: Array, name: str) -> Array:
+    """Inverse of a positive definite matrix, scaled to unit diagonal before it is inverted.
+
+    Args:
+        matrix: (n, n).
+        name: name of the matrix, for messages.
 
     Raises:
-        ModelError: it is none (singular up to rounding, asymmetric, not finite).
+        ModelError: the matrix is singular up to rounding, asymmetric, or not finite.
     """
     cure = "every body a mass and inertia, and independent axes"
-    scaled, size = unit_diagonal(matrix, what, cure, ModelError)
+    scaled, size = unit_diagonal(matrix, name, cure, ModelError)
     return np.linalg.inv(symmetric(scaled)) / np.outer(size, size)
 
 
 def require_inverse_inertia(name: str, scaled: Array) -> None:
-    """Refuse what no passive mechanism can have; `scaled` is free of units, its largest near 1."""
+    """Refuse a matrix that is not the inverse inertia of a passive mechanism.
+
+    Args:
+        name: name of the matrix, for messages.
+        scaled: (n, n) dimensionless, with a largest element near 1.
+
+    Raises:
+        InvalidInputError: the matrix is not symmetric positive semidefinite.
+    """
     if np.abs(scaled - scaled.T).max(initial=0.0) > 1e-9:
         raise InvalidInputError(f"{name} is not symmetric; an inverse inertia is")
     smallest = np.linalg.eigvalsh(scaled).min(initial=0.0)
@@ -65,11 +77,15 @@ def require_inverse_inertia(name: str, scaled: Array) -> None:
 
 
 def element_sizes(Phi: Array) -> Array:
-    """(6, 6) what the elements of Φ_e are measured against: its most mobile axis of each kind.
+    """Units (6, 6) of the elements of Φ_e, by its most mobile linear and angular axis.
 
-    One scale for the linear and one for the angular axes, so that rounding errors in a locked
-    direction (of an inverse inertia carried from another point, say) are not blown up. An axis
-    through O leaves linear noise only: mobilities below 1 mm/rad count as noise too.
+    There is one scale for the linear and one for the angular axes, so that rounding errors in a
+    locked direction (for example of an inverse inertia carried from another point) are not
+    amplified. Linear mobilities below 1 mm/rad times the angular ones count as rounding errors,
+    too, as of an axis through O.
+
+    Args:
+        Phi: Φ_e (6, 6).
     """
     largest = np.sqrt(np.diag(Phi).reshape(2, 3).max(axis=1, initial=0.0))
     largest = np.maximum(largest, 1e-3 * largest[::-1])
@@ -82,19 +98,19 @@ _ZERO = np.zeros(3)
 
 
 class _HasNormals(Protocol):
-    """A state of contact, of which only the normals are needed here."""
+    """State of contact with its normals N (6, r)."""
 
     N: Array
 
 
 @dataclass(frozen=True)
 class Environment:
-    """The environment at one instant, at the operational point in world axes (eq. 14).
+    """Environment at one instant, at the operational point in world axes (eq. 14).
 
     Attributes:
         Phi_e: (6, 6) inverse inertia, positive semidefinite: acceleration per contact force.
-        b_e: (6,) spatial acceleration it would have without contact.
-        V_e: (6,) its twist.
+        b_e: (6,) spatial acceleration without contact (m/s², rad/s²).
+        V_e: (6,) twist (m/s, rad/s).
 
     Raises:
         InvalidInputError: wrong shapes, or Φ_e not symmetric positive semidefinite.
@@ -117,7 +133,7 @@ class Environment:
 
     @classmethod
     def fixed(cls) -> Environment:
-        """Does not move and does not yield: Φ_e = 0, b_e = 0."""
+        """Environment at rest that does not yield: Φ_e = 0, b_e = 0."""
         return cls()
 
     @classmethod
@@ -129,12 +145,12 @@ class Environment:
         A_E: npt.ArrayLike,
         O: npt.ArrayLike,  # noqa: E741 - the operational point
     ) -> Environment:
-        """A body whose motion is prescribed and does not yield to contact: Φ_e = 0.
+        """Environment of a body with prescribed motion, which does not yield: Φ_e = 0.
 
         Args:
             X_WE: pose of the body in the world.
-            V_E: (6,) [ṗ; ω] at its own origin, world axes (m/s, rad/s).
-            A_E: (6,) [p̈; ω̇], *classical* acceleration of its origin, world axes.
+            V_E: (6,) twist [ṗ; ω] at the body's origin, world axes (m/s, rad/s).
+            A_E: (6,) *classical* acceleration [p̈; ω̇] of its origin, world axes (m/s², rad/s²).
             O: (3,) operational point in the world (m).
 
         Raises:
@@ -158,10 +174,10 @@ class Environment:
         gravity: npt.ArrayLike = _ZERO,
         force: npt.ArrayLike | None = None,
     ) -> Environment:
-        """A rigid body that moves only along given twists: Φ_e = A(AᵀIA)⁻¹Aᵀ, of rank k.
+        """Environment of a rigid body that moves along given twists: Φ_e = A(AᵀIA)⁻¹Aᵀ, rank k.
 
-        AᵀIA s̈ = Q + Aᵀ(weight − V ×* IV) at its origin. No drift: a space of motions fixed in the
-        world has none, and one fixed in the body V × V.
+        The equation of motion at its origin is AᵀIA s̈ = Q + Aᵀ(weight − V ×* IV). It has no drift:
+        Ȧ is zero for motions fixed in the world, and Ȧṡ = V × V = 0 for those fixed in the body.
 
         A cart on a rail along `x`: `axes=[*x, 0, 0, 0]`, `rates=[speed]`,
         `force=[−k·s − c·speed]`. A door: axes=[ω × (p − hinge), ω] with ω a unit vector along the
@@ -170,14 +186,15 @@ class Environment:
         plane); for a chain with moving joints in between use `articulated`.
 
         Args:
-            inertia: in the body's own frame (kg, m); for sliding axes only the mass counts.
+            inertia: inertia in the body's own frame (kg, m); for sliding axes only the mass
+                matters.
             X_WE: pose of the body in the world.
             axes: (6,) or (6, k) independent twists per unit rate, at the body's own origin in
                 world axes.
-            rates: (k,) how fast it moves along each (m/s or rad/s).
+            rates: (k,) rates along the axes (m/s or rad/s).
             O: (3,) operational point in the world (m).
-            gravity: (3,) m/s²; default none. Its part along the axes is worked out here.
-            force: (k,) what else acts along each axis (springs, dampers, drives; N or N m).
+            gravity: (3,) gravitational acceleration (m/s²); default: none.
+            force: (k,) other forces along the axes (springs, dampers, drives; N or N m).
 
         Raises:
             InvalidInputError: wrong shapes or non-finite numbers.
@@ -208,15 +225,16 @@ class Environment:
         O: npt.ArrayLike,  # noqa: E741 - the operational point
         data: pin.Data | None = None,
     ) -> Environment:
-        """A link of any mechanism: Φ_e = J M⁻¹Jᵀ, b_e = J M⁻¹(τ − h) + drift.
+        """Environment of a link of any mechanism: Φ_e = J M⁻¹Jᵀ, b_e = J M⁻¹(τ − h) + drift.
 
         Args:
-            model: with its base placed in the world; its own gravity acts.
-            q, v: (nq,), (nv,) its configuration and velocity.
-            tau: (nv,) generalised forces besides gravity (motors, springs, dampers; N or N m).
+            model: model of the mechanism, with its base placed in the world; its own gravity acts.
+            q: (nq,) configuration.
+            v: (nv,) velocity (m/s, rad/s).
+            tau: (nv,) generalised forces without gravity (motors, springs, dampers; N or N m).
             frame: name of a frame or joint that moves with the touched link.
             O: (3,) operational point in the world (m).
-            data: to work in; default: new data each time.
+            data: memory of Pinocchio; None: new data.
 
         Raises:
             InvalidInputError: wrong shapes or non-finite numbers.
@@ -230,7 +248,8 @@ class Environment:
             joint = model.getJointId(frame)
         else:
             joint = model.frames[robots.frame_id(model, frame)].parentJoint
-        data = data or model.createData()
+        if data is None:
+            data = model.createData()
         pin.computeAllTerms(model, data, q, v)
         free = tau - data.nle
         M_inv = inverse(np.array(data.M), "the environment's joint-space inertia")
@@ -250,24 +269,23 @@ class Environment:
         V_N: npt.ArrayLike,
         metric: npt.ArrayLike,
     ) -> Environment:
-        """One environment that stands for different bodies at r contacts.
+        """Environment that is equivalent to different bodies at r contacts.
 
-        The equations of contact see only NᵀΦ_eN, Nᵀb_e and NᵀV_e, so any K with NᵀK = 1 gives an
-        environment with the same contact forces and the same object motion:
+        The equations of contact contain only NᵀΦ_eN, Nᵀb_e and NᵀV_e, so any K with NᵀK = 1 gives
+        an environment with the same contact forces and the same motion of the object:
 
             Φ_e = K Φ_N Kᵀ,   b_e = K b_N,   V_e = K V_N,   K = Λ⁻¹N(NᵀΛ⁻¹N)⁻¹
 
-        The bodies' motions tangential to their contacts are not in it: of `a_e` only Nᵀa_e (each
-        touched body along its own normal) has a meaning. Each contact's n_γ is made with the twist
-        of its body, never with the combined V_e.
+        It does not contain the bodies' motions tangential to their contacts: only Nᵀa_e (of each
+        touched body along its own normal) is meaningful, not `a_e`. n_γ of a contact is computed
+        with the twist of its body, not with the combined V_e.
 
         Args:
-            N: (6, r) contact normals at O, columns of several bodies side by side.
+            N: (6, r) contact normals at O, the columns of all bodies.
             Phi_N: (r, r) normal acceleration of the bodies per unit contact magnitude.
-            b_N: (r,) their normal (spatial) accelerations without contact, each nᵀb of its body.
-            V_N: (r,) their normal velocities, each nᵀV of its body.
-            metric: (6, 6) the held object's inertia Λ at O, so that nothing depends on units or
-                frame.
+            b_N: (r,) normal (spatial) accelerations without contact, each nᵀb of its body.
+            V_N: (r,) normal velocities, each nᵀV of its body.
+            metric: (6, 6) inertia Λ of the held object at O, for independence of units and frames.
 
         Raises:
             InvalidInputError: wrong shapes, or Φ_N not symmetric positive semidefinite.
@@ -293,19 +311,19 @@ class Environment:
         environments: Sequence[Environment],
         metric: npt.ArrayLike,
     ) -> Environment:
-        """The environment of several contacts, given the environment of each.
+        """Environment of several contacts, from the environment of each.
 
-        Contacts given the *same* `Environment` object are on one body, which couples them;
-        different objects are bodies that do not act on one another. (Two links of one mechanism
-        do: build Φ_N = NᵀJM⁻¹JᵀN across them and use `of_contacts`.) One body touched by all
-        contacts is returned as it is, and so is one motion that all of them share and none yields
-        to. Dependent contacts must be on one such body; next to other bodies, stack them first and
-        give them as one contact.
+        Contacts with the *same* `Environment` object are on one body, which couples them; different
+        objects are bodies without mutual forces. (Two links of one mechanism have such forces:
+        compute Φ_N = NᵀJM⁻¹JᵀN and use `of_contacts`.) If all contacts are on one body, or on
+        bodies that share a prescribed motion, the first environment is returned. Dependent
+        contacts must be on one such body; if there are other bodies, combine them to one contact
+        first.
 
         Args:
-            contacts: in the order in which they are stacked.
-            environments: one for each contact, all at the same O.
-            metric: (6, 6) the held object's inertia at O (`ChainState.metric`).
+            contacts: contacts in the order in which they are stacked.
+            environments: environment of each contact, all at the same O.
+            metric: (6, 6) inertia of the held object at O (`ChainState.metric`).
 
         Raises:
             InvalidInputError: not one environment for each contact.
@@ -321,46 +339,71 @@ class Environment:
         if all(_move_as_one(env, environments[0]) for env in environments):
             return environments[0]
         pairs = [(contact.N, e) for contact, e in zip(contacts, environments, strict=True)]
-        # blocks nᵀΦ_e n where both contacts are on one body
-        blocks = [[(e is g) * (n.T @ e.Phi_e @ f) for f, g in pairs] for n, e in pairs]
         return cls.of_contacts(
-            np.hstack([n for n, _ in pairs]),
-            np.block(blocks),
-            np.concatenate([n.T @ e.b_e for n, e in pairs]),
-            np.concatenate([n.T @ e.V_e for n, e in pairs]),
-            metric,
+            N=np.hstack([n for n, _ in pairs]),
+            Phi_N=_coupled(pairs),
+            b_N=np.concatenate([n.T @ e.b_e for n, e in pairs]),
+            V_N=np.concatenate([n.T @ e.V_e for n, e in pairs]),
+            metric=metric,
         )
 
 
+def _coupled(pairs: Sequence[tuple[Array, Environment]]) -> Array:
+    """Normal accelerations (r, r) of all contacts per contact magnitude, see `of_contacts`.
+
+    The block of two contacts is n₁ᵀΦ_e n₂ if they are on one body, else zero.
+
+    Args:
+        pairs: normals (6, r_i) and environment of each contact.
+    """
+    blocks = []
+    for n, environment in pairs:
+        row = []
+        for other_n, other in pairs:
+            if other is environment:
+                row.append(n.T @ environment.Phi_e @ other_n)
+            else:
+                row.append(np.zeros((n.shape[1], other_n.shape[1])))
+        blocks.append(row)
+    return np.block(blocks)
+
+
 def _move_as_one(a: Environment, b: Environment) -> bool:
-    rigid = not (a.Phi_e.any() or b.Phi_e.any())
-    return a is b or (rigid and np.array_equal([a.b_e, a.V_e], [b.b_e, b.V_e]))
+    """Return whether two environments are one object, or have equal motions and do not yield."""
+    if a is b:
+        return True
+    if a.Phi_e.any() or b.Phi_e.any():
+        return False
+    return np.array_equal(a.b_e, b.b_e) and np.array_equal(a.V_e, b.V_e)
 
 
-# How bodies can move: at rest, driven, or free on a slide or about a hinge.
+# Motions of bodies: at rest, driven, or free on a slide or about a hinge.
 
 
+#: Function of the time (s) that returns s, ṡ, s̈ of a `Rail`, each (2,) (m, rad).
 Motion = Callable[[float], tuple[Array, Array, Array]]
 
 
 @geometry
 class Rail:
-    """A slide along u, and on it a hinge about a; without either the body rests.
+    """Slide along u and, on it, a hinge about a; without both the body is at rest.
 
-    s = (travel (m), angle (rad)) from the assembled pose. A point that was at x is at
-    c + u s₁ + R(a, s₂)(x − c); the hinge's axis keeps its direction.
+    The coordinates s = (travel (m), angle (rad)) are zero in the assembled pose. A point that was
+    at x then is at c + u s₁ + R(a, s₂)(x − c); the hinge's axis keeps its direction.
 
     Attributes:
-        direction: (3,) u, world, normalised on entry; zero: no slide.
-        axis: (3,) a, world, likewise; zero: no hinge. through: (3,) c, where the hinge is at s = 0.
-        motion: t → (s, ṡ, s̈), each (2,), of a driven body; plants evaluate it once an instant.
-            None: it is free along its one joint,
+        direction: (3,) u in the world, normalised; zero: no slide.
+        axis: (3,) a in the world, normalised; zero: no hinge.
+        through: (3,) c, a point of the hinge's axis at s = 0 (m).
+        motion: function of the time that returns s, ṡ, s̈ of a driven body; plants evaluate it once
+            for each instant. None: the body is free along its single joint,
             I s̈ = (force or moment along it) + preload − k s − c ṡ.
         inertia: I of a free body, kg on a slide, kg m² about a hinge.
-        stiffness, damping, preload: of a free body, per m and N or per rad and N m.
+        stiffness, damping, preload: k, c and preload of a free body (N/m, N s/m, N on a slide;
+            N m/rad, N m s/rad, N m about a hinge).
 
     Raises:
-        InvalidInputError: numbers that no body has.
+        InvalidInputError: impossible numbers, such as a mass that is not positive.
 
     Example:
         >>> cart = osc.Rail(direction=[1, 0, 0], inertia=20.0, stiffness=5e3, damping=50.0)
@@ -383,48 +426,56 @@ class Rail:
             if name != "through" and value.any():
                 value = unit_vector(name, value)
             object.__setattr__(self, name, value)
-        for name in ("inertia", "stiffness", "damping", "preload"):
-            value = getattr(self, name)
-            sound = value > 0.0 if name == "inertia" else name == "preload" or value >= 0.0
+        for name, value, sound in (
+            ("inertia", self.inertia, self.inertia > 0.0),
+            ("stiffness", self.stiffness, self.stiffness >= 0.0),
+            ("damping", self.damping, self.damping >= 0.0),
+            ("preload", self.preload, True),
+        ):
             if not (np.isfinite(value) and sound):
                 raise InvalidInputError(f"rail.{name} = {value}; give a number a body can have")
 
     @property
     def descent(self) -> float:
-        """u·g (m/s²)."""
+        """Gravitational acceleration along the slide, u·g (m/s²)."""
         return -9.81 * float(self.direction[2])
 
     @property
     def joints(self) -> list[int]:
-        """Which of travel (0) and angle (1) there are."""
+        """Indices in s of the joints: 0 of a slide, 1 of a hinge."""
         return [k for k, u in enumerate((self.direction, self.axis)) if u.any()]
 
     def pose(self, s: Array) -> pin.SE3:
-        """X_WE: identity at s = 0."""
+        """Pose X_WE of the body at the coordinates s (2,), the identity at s = 0."""
         R = pin.exp3(self.axis * s[1])
         return pin.SE3(R, self.through + self.direction * s[0] - R @ self.through)
 
     def over(self, travel: Array, angle: Array) -> Poses:
-        """`pose` at k times; travel and angle (k,)."""
+        """Poses X_WE of the body at k times, for travel (k,) (m) and angle (k,) (rad)."""
         R = rotations(self.axis[:, None] * angle)
         c = np.repeat(self.through[:, None], len(travel), axis=1)
         return Poses(R, c + self.direction[:, None] * travel - rotated(R, c))
 
     def twist(self, s: Array, rates: Array, point: Array) -> Array:
-        """(6,) of the body at a point (3,) of the world, world axes; linear in the rates (2,).
+        """Twist (6,) of the body at a point of the world, world axes; it is linear in the rates.
 
         Args:
-            s, rates: (2,) coordinates and rates. point: (3,) m.
+            s: (2,) coordinates (m, rad).
+            rates: (2,) their rates (m/s, rad/s).
+            point: (3,) point of the world (m).
         """
         arm = point - self.through - self.direction * s[0]
         spin = self.axis * rates[1]
         return np.concatenate((self.direction * rates[0] + cross(spin, arm), spin))
 
     def acceleration(self, s: Array, rates: Array, second: Array, point: Array) -> Array:
-        """(6,) classical, of the body's point that is at `point` now; second: (2,) s̈.
+        """Classical acceleration (6,) of the body's point that is at a point of the world now.
 
         Args:
-            s, rates, second: (2,) coordinates and derivatives. point: (3,) m.
+            s: (2,) coordinates (m, rad).
+            rates: (2,) ṡ (m/s, rad/s).
+            second: (2,) s̈ (m/s², rad/s²).
+            point: (3,) point of the world (m).
         """
         out = self.twist(s, second, point)
         spin = self.axis * rates[1]
@@ -437,40 +488,42 @@ class Rail:
 
 
 class Body(Protocol):
-    """A body that answers contact forces; it returns how, each tick, at the operational point."""
+    """Model of a touched body, which gives its environment at each tick."""
 
     def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """Φ_e, b_e and V_e at O (3,), from the body's measured pose, twist and known acceleration
-        (`interface.Touched`).
+        """Environment of the body, with Φ_e, b_e and V_e at O.
 
         Args:
-            X_WE: pose of the body. V_E: (6,) its twist at E. A_E: (6,) its known acceleration.
+            X_WE: measured pose of the body's frame E.
+            V_E: (6,) measured twist at E's origin, world axes (m/s, rad/s).
+            A_E: (6,) known part of its classical acceleration, see `interface.Touched`.
             O: (3,) operational point (m).
         """
 
 
 @dataclass(frozen=True, eq=False)
 class Conveyor:
-    """A body whose motion is prescribed and does not yield: Φ_e = 0, b_e as commanded."""
+    """Body with a prescribed motion, which does not yield: Φ_e = 0, b_e as commanded."""
 
     def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """See `Body.environment`.
+        """Environment of the body.
 
         Args:
-            X_WE, V_E, A_E, O: as of `Body.environment`.
+            X_WE, V_E, A_E, O: see `Body.environment`.
         """
         return Environment.moving(X_WE=X_WE, V_E=V_E, A_E=A_E, O=O)
 
 
 @dataclass(frozen=True, eq=False)
 class Yielding:
-    """A body on an unknown elastic support, such as a part in a soft jig: Φ_e = 0, b_e = 0.
+    """Body on an unknown elastic support, such as a part in a soft jig: Φ_e = 0, b_e = 0.
 
-    The force loop then stays passive also where the contact moves slowly, and forces that are
-    commanded are expected to move it.
+    With it the force loop stays passive also at slow motion of the contact, and motion of the
+    contact by commanded forces is expected.
 
     Attributes:
-        compliance: along the contact normal (m/N), where its estimate begins; rather too small.
+        compliance: initial estimate of the compliance along the contact normal (m/N); a value too
+            small is better than one too large.
 
     Raises:
         InvalidInputError: a compliance that is not positive.
@@ -483,27 +536,27 @@ class Yielding:
             raise InvalidInputError(f"yielding: compliance = {self.compliance:g} m/N; give > 0")
 
     def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """See `Body.environment`; `A_E` is not used.
+        """Environment of the body; `A_E` is not used.
 
         Args:
-            X_WE, V_E, A_E, O: as of `Body.environment`.
+            X_WE, V_E, A_E, O: see `Body.environment`.
         """
         return Environment.moving(X_WE=X_WE, V_E=V_E, A_E=np.zeros(6), O=O)
 
 
 @dataclass(frozen=True, eq=False)
 class Guided:
-    """A body that follows the contact force along its rail: I s̈ = f + preload − k s − c ṡ.
+    """Body that follows the contact force along its rail: I s̈ = f + preload − k s − c ṡ.
 
-    s is how far E has travelled along u from the world's origin, or turned about a since the start,
-    at most half a turn either way; f the contact force along u, with the body's weight, or its
-    moment about a. Φ_e has rank 1.
+    s is the travel of E along u from the world's origin, or the angle about a from the start, at
+    most half a turn in each direction; f is the contact force along u and the body's weight, or
+    the moment of the contact force about a. Φ_e has rank 1.
 
     Attributes:
         rail: a slide or a hinge.
 
     Raises:
-        InvalidInputError: the rail is both or neither, or driven.
+        InvalidInputError: the rail has both joints or none, or is driven.
     """
 
     rail: Rail
@@ -513,15 +566,18 @@ class Guided:
             raise InvalidInputError("a guided body has a slide or a hinge, and no motion; give one")
 
     def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """See `Body.environment`; `A_E` is not used: the acceleration follows from f.
+        """Environment of the body; `A_E` is not used, as the acceleration follows from f.
 
         Args:
-            X_WE, V_E, A_E, O: as of `Body.environment`.
+            X_WE, V_E, A_E, O: see `Body.environment`.
         """
         rail = self.rail
-        along = np.concatenate((rail.direction, rail.axis))  # one of the two is zero
-        s = along @ np.concatenate((X_WE.translation, pin.log3(X_WE.rotation)))
-        rate = along @ V_E
+        if rail.joints == [1]:
+            s = float(rail.axis @ pin.log3(X_WE.rotation))
+            rate = float(rail.axis @ V_E[3:])
+        else:
+            s = float(rail.direction @ X_WE.translation)
+            rate = float(rail.direction @ V_E[:3])
         force = (
             rail.inertia * rail.descent + rail.preload - rail.stiffness * s - rail.damping * rate
         )

@@ -1,8 +1,8 @@
-"""How an arm holds the object: rigidly, by a hinge, by a ball, or leaving any other lower pair.
+"""Grasps of the object by an arm: rigid, a hinge, a ball joint, or any other lower pair.
 
-A grasp is a contact state between tip and object: it permits the motions T of the object against
-the tip and passes on the wrenches N, NᵀT = 0. It has no mass, no motor and no encoder. N and T are
-carried by the tip, and by the object too, for the motions that a grasp permits form a group.
+A grasp is a contact state between tip and object: it permits the motions T of the object relative
+to the tip and transmits the wrenches N, NᵀT = 0. It has no mass, no motor and no encoder. The
+spaces of N and T are fixed in the tip and in the object, as the permitted motions form a group.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from pinocchio import SE3
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist, unit_vector
 
-_SAME = 1e-9  #: columns of unit size nearer to dependence than this are dependent
+_SAME = 1e-9  #: least singular value of independent columns of unit length
 
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """X_TO, pose of the object in the tip frame, and the motions T it keeps (default: none).
+    """Grasp: pose X_TO of the object in the tip frame, and permitted motions T (default: none).
 
     Attributes:
-        X_TO: pose of the object where the permitted motion is zero.
-        T: (6, k) basis of the permitted motions of the object against the tip, in tip axes at the
-            tip's origin (m/s, rad/s).
-        N: (6, 6−k) basis of the wrenches it passes on, in the same axes at the same point.
+        X_TO: pose of the object in the tip frame without a permitted displacement.
+        T: (6, k) basis of the permitted motions of the object relative to the tip, in tip axes at
+            the tip's origin (m/s, rad/s).
+        N: (6, 6−k) basis of the transmitted wrenches in tip axes at the tip's origin.
 
     Raises:
-        InvalidInputError: T is not a basis, or its motions do not stay the same while they are
-            made (they are no group: take a hinge, a ball, a slide, a cylinder, a screw, a plane).
+        InvalidInputError: T is not a basis, or its motions do not form a group (as those of a
+            hinge, a ball, a slide, a cylinder, a screw or a plane do).
 
     Example:
         >>> hand = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))  # the object, 0.1 m before the tip
@@ -72,28 +72,28 @@ class Grasp:
 
     @classmethod
     def rigid(cls, X_TO: SE3) -> Grasp:
-        """The object does not move against the tip."""
+        """Grasp in which the object does not move relative to the tip."""
         return cls(X_TO)
 
     @classmethod
     def hinge(cls, X_TO: SE3, axis: npt.ArrayLike) -> Grasp:
-        """The object turns about an axis (3,) through the tip's origin, in tip axes."""
+        """Grasp in which the object turns about an axis (3,) through the tip's origin, tip axes."""
         direction = unit_vector("axis of the hinge", axis)
         return cls(X_TO, np.append(np.zeros(3), direction)[:, None])
 
     @classmethod
     def ball(cls, X_TO: SE3) -> Grasp:
-        """The object turns freely about the tip's origin."""
+        """Grasp in which the object turns freely about the tip's origin."""
         return cls(X_TO, np.vstack((np.zeros((3, 3)), np.eye(3))))
 
     @property
     def is_rigid(self) -> bool:
-        """Whether it permits nothing."""
+        """True if no motion is permitted."""
         return self.N.shape[1] == 6
 
     @property
     def kind(self) -> str:
-        """rigid, hinge, ball, or other."""
+        """Kind of the grasp: "rigid", "hinge", "ball" or "other"."""
         T = self.T
         if self.is_rigid:
             return "rigid"
@@ -102,20 +102,24 @@ class Grasp:
         return "hinge" if T.shape[1] == 1 else "ball"
 
     def wrenches_at(self, X_WT: SE3, O: Array) -> Array:  # noqa: E741 - operational point
-        """N (6, 6−k) in world axes at O, the tip standing at X_WT."""
+        """Wrenches N (6, 6−k) in world axes at O (3,), for the tip's pose X_WT."""
         return carry_wrench(_turned(X_WT, self.N), X_WT.translation, O)
 
     def motions_at(self, X_WT: SE3, O: Array) -> Array:  # noqa: E741
-        """T (6, k) in world axes at O, the tip standing at X_WT."""
+        """Motions T (6, k) in world axes at O (3,), for the tip's pose X_WT."""
         return carry_twist(_turned(X_WT, self.T), X_WT.translation, O)
 
     def miss(self, X_WT: SE3, X_WO: SE3) -> Array:
-        """How far the object is from where the grasp can hold it, (6−k,) along N (m, rad).
+        """Error (6−k,) of the object's pose along N (m, rad), zero for a permitted displacement.
 
-        Its rate is N(O)ᵀ(V_O − V_tip), exactly where it vanishes: the permitted part of the
-        displacement from tip to object is taken off first.
+        Its rate at zero is N(O)ᵀ(V_O − V_tip): the permitted part of the displacement from tip to
+        object is removed first.
+
+        Args:
+            X_WT: pose of the tip.
+            X_WO: pose of the object.
         """
-        away = X_WT.actInv(X_WO * self.X_TO.inverse())  # zero motion: identity
+        away = X_WT.actInv(X_WO * self.X_TO.inverse())  # identity without a displacement
         left = self._displacement(away)
         for _ in range(50):
             part = np.linalg.lstsq(self.T, left, rcond=None)[0]
@@ -126,28 +130,34 @@ class Grasp:
         return self.N.T @ left
 
     def whitened(self, X_WT: SE3, X_WO: SE3, L: Array) -> tuple[Array, Array]:
-        """L⁻¹N (6, 6−k) made orthonormal, and the miss (6−k,) along it.
+        """Orthonormal basis (6, 6−k) of L⁻¹N, and the error (6−k,) of the pose along it.
 
         Args:
-            X_WT, X_WO: poses of tip and object. L: (6, 6) Cholesky factor of the object's inertia.
+            X_WT: pose of the tip.
+            X_WO: pose of the object.
+            L: (6, 6) Cholesky factor of the object's inertia.
         """
         Q, R = np.linalg.qr(np.linalg.solve(L, self.wrenches_at(X_WT, X_WO.translation)))
         return (Q, np.linalg.solve(R.T, self.miss(X_WT, X_WO)))
 
     def _displacement(self, X: SE3) -> Array:
-        """(6,) of a relative pose: point and rotation by themselves, where T only turns."""
+        """Displacement (6,) of a relative pose (m, rad).
+
+        It is log₆ of the pose or, if T consists of rotations, its translation and log₃ of its
+        rotation.
+        """
         if self.T[:3].any():
             return pin.log6(X).vector
         return np.concatenate((X.translation, pin.log3(X.rotation)))
 
 
 def _turned(X: SE3, columns: Array) -> Array:
-    """Twists or wrenches (6, k) in the axes that X turns them into, at the same point."""
+    """Twists or wrenches (6, k), rotated by X, at the same point."""
     return (X.rotation @ columns.reshape(2, 3, -1)).reshape(6, -1)
 
 
 def _wrenches(T: Array) -> Array:
-    """N with NᵀT = 0: forces first, then couples, where T turns only."""
+    """Basis N (6, 6−k) with NᵀT = 0; if T consists of rotations, forces come before couples."""
     k = T.shape[1]
     if T[:3].any():
         return np.linalg.svd(T / np.linalg.norm(T, axis=0))[0][:, k:]
@@ -158,27 +168,28 @@ def _wrenches(T: Array) -> Array:
 
 @dataclass(frozen=True)
 class GraspKind:
-    """A grasp by its name.
+    """Registered kind of grasp.
 
     Attributes:
-        make: X_TO, and an axis (3,) in the tip frame if the grasp has one → Grasp.
-        has_axis: whether it has one.
+        make: function of X_TO and, if `has_axis`, of an axis (3,) in the tip frame.
+        has_axis: True if the grasp has an axis.
     """
 
     make: Callable[..., Grasp]
     has_axis: bool
 
 
-#: The registered grasps by their names.
+#: Registered kinds of grasps by name.
 GRASPS: dict[str, GraspKind] = {}
 
 
 def register_grasp(name: str, make: Callable[..., Grasp], *, axis: bool) -> None:
-    """Enter a grasp in the register, such as for the `type` of a scenario's grasp.
+    """Register a kind of grasp, for example for the `type` of a scenario's grasp.
 
     Args:
-        name: of the grasp. make: X_TO, and an axis (3,) if it has one → Grasp.
-        axis: whether it has one.
+        name: name of the kind.
+        make: function of X_TO and, if `axis`, of an axis (3,) in the tip frame.
+        axis: True if the grasp has an axis.
     """
     GRASPS[name] = GraspKind(make, axis)
 
@@ -194,19 +205,21 @@ def locate(
     inertia: Callable[[SE3], Array],
     tolerance: float,
 ) -> SE3:
-    """The pose at which all grasps fit the tips; where none does, the nearest in energy.
+    """Pose of the object with least errors of all grasps, weighted by the object's inertia.
 
-    Begins with the rotation that best aligns points and axes (Kabsch 1976), then Gauss–Newton on
-    the grasps' misses, weighted by the object's inertia.
+    Gauss–Newton on the errors `Grasp.miss`, from the pose that best aligns points and axes (Kabsch
+    1976).
 
     Args:
-        grasps, tips: of each arm, and where its tip is in the world.
-        inertia: (6, 6) of the object at its origin, in world axes, at a pose.
-        tolerance: the object counts as free to move while the tips stand still when the grasps'
-            wrenches come this near to leaving one of its motions (rad, in its energy metric).
+        grasps: grasp of each arm.
+        tips: pose of each arm's tip.
+        inertia: function of the object's pose that returns its inertia (6, 6) at its origin, in
+            world axes.
+        tolerance: least singular value of the grasps' wrenches in the object's energy metric, below
+            which the object is free to move while the tips are fixed (rad).
 
     Raises:
-        ModelError: the tips do not determine it: the object can move while they stand still.
+        ModelError: the tips do not determine the pose.
     """
     X = _aligned(grasps, tips)
     for _ in range(50):
@@ -219,14 +232,25 @@ def locate(
 
 
 def moved(X: SE3, displacement: Array) -> SE3:
-    """A pose displaced by (6,) at its own origin, world axes (m, rad)."""
+    """Pose after a displacement (6,) at its own origin in world axes (m, rad)."""
     return SE3(pin.exp3(displacement[3:]) @ X.rotation, X.translation + displacement[:3])
 
 
 def _solved(
     grasps: Sequence[Grasp], tips: Sequence[SE3], X: SE3, L: Array, tolerance: float
 ) -> Array:
-    """x (6,) with N_iᵀx = miss_i, each grasp's rows made orthonormal in the metric LLᵀ."""
+    """Displacement x (6,) with N_iᵀx = miss_i for all grasps, by least squares in the metric LLᵀ.
+
+    Args:
+        grasps: grasp of each arm.
+        tips: pose of each arm's tip.
+        X: pose of the object.
+        L: (6, 6) Cholesky factor of the object's inertia.
+        tolerance: see `locate`.
+
+    Raises:
+        ModelError: x is not unique.
+    """
     parts = [grasp.whitened(tip, X, L) for grasp, tip in zip(grasps, tips, strict=True)]
     rows = np.vstack([N.T for N, _ in parts])
     U, s, Vh = np.linalg.svd(rows, full_matrices=False)
@@ -244,8 +268,8 @@ def _solved(
 
 
 def _aligned(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
-    """A start: the pose that best brings grasp points together and axes parallel."""
-    points = []  # pairs of them, in the object and in the world
+    """Pose that best aligns the grasps' points and axes, from which `locate` starts."""
+    points = []  # pairs, in the object and in the world
     turns = np.zeros((3, 3))
     radius = 0.1  # a metre of axis counts as this much distance between points
     for grasp, tip in zip(grasps, tips, strict=True):
@@ -266,7 +290,11 @@ def _aligned(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
 
 
 def _fixed_axes(turning: Array) -> Array:
-    """(3, k) directions that the permitted rotations (3, m) leave unchanged."""
+    """Directions (3, k) that the permitted rotations (3, m) leave unchanged."""
     U, s, _ = np.linalg.svd(turning)
     rank = int(np.count_nonzero(s > 1e-9))
-    return np.eye(3) if rank == 0 else U[:, :1] if rank == 1 else np.zeros((3, 0))
+    if rank == 0:
+        return np.eye(3)
+    if rank == 1:
+        return U[:, :1]
+    return np.zeros((3, 0))

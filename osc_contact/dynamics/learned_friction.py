@@ -1,4 +1,4 @@
-"""Friction of an arm's joints as it was learned, in a file with the identity of its robot."""
+"""Learned friction of an arm's joints, and its file with the identity of the robot."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -16,17 +16,17 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.files import StrPath, write_whole
 from osc_contact.robots.model import joint_names, rotors
 
-_DIGITS = 9  #: of each number of a model that its identity is made of
+_DIGITS = 9  #: significant digits of a model's numbers that enter its identity
 
 
 def robot_identity(model: pin.Model) -> str:
-    """SHA-256 of a robot's joints, links and torque limits, without what is learned of it.
+    """SHA-256 of a robot's joints, links and torque limits.
 
-    The same model read on another machine has the same identity. Friction and rotor inertia are
-    left out: they are what values are learned for.
+    Equal models have equal identities on all machines. Friction and rotor inertia, which are
+    learned, are left out.
 
     Args:
-        model: of the joints between base and tip.
+        model: model of the joints between base and tip.
     """
     found = sha256()
     limits = np.array(model.upperEffortLimit)
@@ -45,9 +45,11 @@ class LearnedFriction:
     """Friction of the joints of one arm, as learned by a controller.
 
     Attributes:
-        robot: identity of the arm, see `robot_identity`. joints: names.
-        friction: (n,) Coulomb friction (N m; N). damping: (n,) viscous (N m s/rad; N s/m).
-        missing_inertia: (n,) of the rotors, that the model lacks (kg m²; kg).
+        robot: identity of the arm, see `robot_identity`.
+        joints: names of the joints.
+        friction: (n,) Coulomb friction (N m; N).
+        damping: (n,) viscous friction (N m s/rad; N s/m).
+        missing_inertia: (n,) rotor inertia that the model lacks (kg m²; kg).
 
     Example:
         >>> learned = osc.LearnedFriction("…", ("joint1",), (2.0,), (0.1,), (0.0,))
@@ -62,7 +64,7 @@ class LearnedFriction:
     missing_inertia: tuple[float, ...]
 
     def save(self, path: StrPath) -> Path:
-        """Write a JSON file, which appears complete or not at all; returns its path."""
+        """Write a JSON file that appears complete or not at all, and return its path."""
         return write_whole(json.dumps(asdict(self), indent=1, allow_nan=False) + "\n", path)
 
     @classmethod
@@ -70,24 +72,27 @@ class LearnedFriction:
         """Read a file written by `save`.
 
         Raises:
-            InvalidInputError: no such file, or not one of learned friction.
+            InvalidInputError: there is no such file, or it holds no learned friction.
         """
         try:
-            content: Any = json.loads(Path(path).read_text("utf-8"))
-            numbers = ("friction", "damping", "missing_inertia")
+            content = json.loads(Path(path).read_text("utf-8"))
             found = cls(
                 robot=str(content["robot"]),
                 joints=tuple(map(str, content["joints"])),
-                **{name: tuple(map(float, content[name])) for name in numbers},
+                friction=tuple(map(float, content["friction"])),
+                damping=tuple(map(float, content["damping"])),
+                missing_inertia=tuple(map(float, content["missing_inertia"])),
             )
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise InvalidInputError(
                 f"{path} holds no learned friction ({type(error).__name__}: {error}); give a file "
                 "that LearnedFriction.save has written"
             ) from error
-        sizes = {len(getattr(found, name)) for name in ("joints", *numbers)}
-        values = np.array([getattr(found, name) for name in numbers]) if len(sizes) == 1 else None
-        if values is None or not np.isfinite(values).all() or not (values[:2] >= 0.0).all():
+        columns = (found.friction, found.damping, found.missing_inertia)
+        sound = all(len(column) == len(found.joints) for column in columns)
+        sound = sound and bool(np.isfinite(columns).all())
+        sound = sound and min((*found.friction, *found.damping), default=0.0) >= 0.0
+        if not sound:
             raise InvalidInputError(
                 f"{path}: give one number for each of {len(found.joints)} joints, friction and "
                 "damping not below 0"
@@ -95,10 +100,10 @@ class LearnedFriction:
         return found
 
     def put_on(self, arm: Arm) -> Arm:
-        """The arm with these values in its model, to start with.
+        """Arm with these values in its model, from which a controller continues to learn.
 
         Raises:
-            InvalidInputError: they were learned of another robot.
+            InvalidInputError: the values were learned of another robot.
         """
         own = robot_identity(arm.model)
         if self.robot != own:

@@ -1,4 +1,4 @@
-"""One model of several arms, and the links of an arm beyond its wrist sensor."""
+"""Merged model of several arms, and rigid parts of an arm beyond its wrist sensor."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from osc_contact.errors import InvalidInputError
 
 
 def merge(arms: Sequence[Arm]) -> pin.Model:
-    """One model of several arms, each joint and frame named `arm/name`.
+    """Model of all arms at their bases, with joints and frames named "arm/name".
 
     Args:
-        arms: in the order of their joints.
+        arms: the arms, in the order of their joints in the model.
 
     Raises:
         InvalidInputError: a joint has more position numbers than velocities.
@@ -47,17 +47,22 @@ def merge(arms: Sequence[Arm]) -> pin.Model:
 
 @dataclass(frozen=True)
 class OutboardLink:
-    """A rigid part beyond the sensor: the joint it moves with, its inertia in that frame."""
+    """Rigid part beyond a wrist sensor.
+
+    Attributes:
+        joint: number of the joint that moves it.
+        inertia: inertia in the frame of that joint.
+    """
 
     joint: int
     inertia: pin.Inertia
 
 
 def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink]:
-    """The parts between the sensor frame and the object, from the model's own link inertias.
+    """Rigid parts between a wrist sensor and the object, with the inertias of the model's links.
 
-    Links welded to the sensor's link share its joint; links beyond further joints carry the
-    inertia of those joints.
+    Links that are welded to the sensor's link form one part, with the sensor's joint; each further
+    joint gives one part.
 
     Args:
         model: merged model.

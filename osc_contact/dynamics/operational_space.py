@@ -1,6 +1,8 @@
-"""Operational-space dynamics of one arm at its tip, alone: Λ, μ, p, J, J̄, Φ, h in world axes."""
+"""Operational-space dynamics of a single arm at its tip: Λ, μ, p, J, J̄, Φ, h in world axes."""
 
 from __future__ import annotations
+
+from contextlib import suppress
 
 import numpy as np
 import numpy.typing as npt
@@ -20,22 +22,22 @@ class OperationalSpace:
 
         F = Λ A + μ + p,    A = J v̇ + J̇ v = d/dt (J v),    τ = Jᵀ F,    τ = M v̇ + h
 
-    J is Pinocchio's of the tip, `LOCAL_WORLD_ALIGNED`, and A, J̇ v and μ are classical as J is:
-    μ of `ArmTerms` goes with the spatial acceleration A − [ω × v_T; 0] and is larger by
+    J is Pinocchio's Jacobian of the tip, `LOCAL_WORLD_ALIGNED`; A, J̇ v and μ are classical. μ of
+    `ArmTerms` belongs to the spatial acceleration A − [ω × v_T; 0] and is larger by
     Λ [ω × v_T; 0].
 
-    With `rank` 6, Λ = Φ⁻¹. An arm with fewer joints, or in a singular posture, moves its tip in
-    range(J) only, `rank` motions (counted as by `ClosedChain.rank_tolerance`); its structure
-    carries the wrenches C, CᵀJ = 0. Then
+    If `rank` is 6, Λ = Φ⁻¹. An arm with fewer joints, or in a singular posture, moves its tip in
+    range(J) only, of dimension `rank` (see `ClosedChain.rank_tolerance`); its structure carries the
+    wrenches C, CᵀJ = 0. Then
 
-    * Φ = J M⁻¹ Jᵀ exists, of that rank, and P = J J̄ = Φ Λ projects on the motions;
-    * F is unique for A that the arm can make, up to the wrenches C, which no motor feels: JᵀF is
-      unique. So are SᵀΛS and J̄ S of any motions S in range(J);
-    * Λ by itself needs a choice: it resists as Λ = R S (SᵀR Φ R S)⁻¹ SᵀR does, S any basis of the
-      motions, R the inertia of a ball of 1 kg with a radius of gyration of 0.1 m at the tip. It is
-      the same in every frame and every unit. Nothing is damped.
+    * Φ = J M⁻¹ Jᵀ exists, with that rank, and P = J J̄ = Φ Λ projects on the motions;
+    * F of an acceleration A of the arm is unique up to the wrenches C, which need no torques, so
+      that JᵀF is unique. SᵀΛS and J̄ S of any motions S in range(J) are unique, too;
+    * Λ is not unique, and is defined as Λ = R S (SᵀR Φ R S)⁻¹ SᵀR with any basis S of the motions
+      and the inertia R of a ball of 1 kg with a radius of gyration of 0.1 m at the tip. It is
+      independent of frames and units. There is no damping.
 
-    Attributes have the rows of q in front, if there are several.
+    For several states the attributes have an additional first axis, the rows of q.
 
     Example:
         >>> from osc_contact import robots
@@ -59,17 +61,18 @@ class OperationalSpace:
     rank: Array  #: () motions of the tip
 
     def __init__(self, arm: Arm, *rows: int) -> None:
-        """Memory for the terms of an arm.
+        """Allocate memory for the terms of an arm.
 
         Args:
-            arm: whose. rows: of q; none: q is a single one, (n,).
+            arm: the arm.
+            rows: number of states; none for a single state q (n,).
 
         Raises:
-            ModelError: an arm that the law cannot take.
+            ModelError: an arm that the law does not support.
         """
         self._arm = _compiled_arm(arm)
         self._rows = rows
-        self._numbers = np.empty(((*rows, 1)[0], self._arm.size))
+        self._numbers = np.empty((rows[0] if rows else 1, self._arm.size))
 
     def __getattr__(self, name: str) -> Array:
         if name.startswith("_") or name not in (self._arm.dtype.names or ()):
@@ -79,7 +82,15 @@ class OperationalSpace:
 
 
 class _CompiledArm:
-    """An arm as the law takes it, and memory to work in: as many as threads work at once."""
+    """Arm as records of the law, with one block of memory for each thread that works at a time.
+
+    Attributes:
+        n: number of joints.
+        dtype: layout of the terms of one state.
+        size: number of doubles of the terms of one state.
+        raw: records of the arm, which are copied for each thread.
+        free: copies that no thread uses.
+    """
 
     def __init__(self, arm: Arm) -> None:
         n = arm.model.nv
@@ -102,7 +113,7 @@ class _CompiledArm:
 
 
 def _compiled_arm(arm: Arm) -> _CompiledArm:
-    """Made at the first use, kept with the arm."""
+    """Records of an arm, made at the first use and kept with the arm."""
     found: _CompiledArm | None = vars(arm).get("_compiled")
     if found is None:
         vars(arm)["_compiled"] = found = _CompiledArm(arm)
@@ -112,41 +123,44 @@ def _compiled_arm(arm: Arm) -> _CompiledArm:
 def operational_space(
     arm: Arm, q: npt.ArrayLike, v: npt.ArrayLike, out: OperationalSpace | None = None
 ) -> OperationalSpace:
-    """Λ, μ, p, J, J̄, Φ and h of an arm at its tip in world axes, see `OperationalSpace`.
+    """Terms Λ, μ, p, J, J̄, Φ and h of an arm at its tip in world axes, see `OperationalSpace`.
 
-    Compiled: it costs about what `pin.computeAllTerms` does. Any number of threads may call it.
+    The function is compiled and takes about as long as `pin.computeAllTerms`. Any number of threads
+    may call it.
 
     Args:
-        arm: its base, tip and joints as loaded (rotor inertia is in M); nothing is held.
+        arm: the arm, without a held object; its rotor inertia is part of M.
         q, v: (n,), or (rows, n) for many states at once (rad, m; rad/s, m/s).
-        out: a former result of this arm and as many rows, to be overwritten. With (n,) contiguous
-            arrays of float64 nothing is allocated then.
+        out: a former result for this arm and number of rows, to be overwritten. With it, and
+            contiguous arrays (n,) of float64, nothing is allocated.
 
     Raises:
         InvalidInputError: wrong sizes, a NaN/inf, or `out` of another arm or number of rows.
-        ModelError: an arm that the law cannot take, or whose inertia is not positive definite.
+        ModelError: an arm that the law does not support, or whose inertia is not positive definite.
 
     Source: O. Khatib, A unified approach for motion and force control of robot manipulators: the
     operational space formulation, IEEE J. Robotics and Automation 3(1), 1987.
     """
     if out is None:
-        out = OperationalSpace(arm, *np.shape(q)[:-1][:1])
+        shape = np.shape(q)
+        out = OperationalSpace(arm, shape[0]) if len(shape) > 1 else OperationalSpace(arm)
     own = out._arm
     if own is not _compiled_arm(arm):
         raise InvalidInputError(f"out is a result of another arm than {arm.name!r}")
     numbers = out._numbers
     try:
         raw = own.free.pop()
-    except IndexError:  # all of it is in use by other threads
+    except IndexError:  # other threads use all copies
         raw = own.raw.copy()
     call = compiled()
-    try:
-        done = -1 if out._rows else call(raw, q, v, numbers)
-    except (TypeError, AttributeError):  # no plain vectors of float64
-        done = -1
+    done = -1
+    if not out._rows:
+        with suppress(TypeError, AttributeError):  # raised for inputs other than float64 vectors
+            done = call(raw, q, v, numbers)
     if done < len(numbers):
-        shape = (*out._rows, own.n)
-        q, v = (as_array(name, x, shape).reshape(-1) for name, x in (("q", q), ("v", v)))
+        expected = (*out._rows, own.n)
+        q = as_array("q", q, expected).reshape(-1)
+        v = as_array("v", v, expected).reshape(-1)
         done = call(raw, q, v, numbers)
         if done < len(numbers):
             raise ModelError(SENTENCES[BAD_INERTIA])

@@ -42,9 +42,11 @@ def is_mapped(column: Array) -> bool:
 
 
 def read_column(column: Array, start: int = 0, stop: int | None = None) -> Array:
-    """Rows start to stop − 1 of a column of a recording.
+    """Rows of a column; those of a mapped file are copied, and the memory of its pages is released.
 
-    Rows of a mapped file are copied, and the memory of its pages is released.
+    Args:
+        column: column of a recording.
+        start, stop: first row, and the row after the last one; None: to the end.
     """
     if not is_mapped(column):
         return column[start:stop]

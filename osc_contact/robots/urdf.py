@@ -176,7 +176,11 @@ class Element:
         return ModelFinding(check, self.file, self.line, self.column, self.label(key), reason, cure)
 
     def note(self, check: str, reason: str, cure: str = "", key: str = "") -> None:
-        """Append a finding to `findings`; for the arguments see `finding`."""
+        """Append a finding to `findings`.
+
+        Args:
+            check, reason, cure, key: see `finding`.
+        """
         self.findings.append(self.finding(check, reason, cure, key))
 
     def number(self, key: str, default: float | None = None) -> float:
