@@ -1,4 +1,4 @@
-"""One state of contact: N, T and n_γ, at the operational point in world axes (paper, section 3)."""
+"""State of contact with N, T and n_γ, at the operational point in world axes (paper, section 3)."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ from osc_contact.spatial import Array, as_array, block_diagonal
 
 
 class Contact:
-    """A state of contact between the held object and its environment.
+    """State of contact between the held object and its environment.
 
-    range(N) = N ⊆ F⁶ holds every force the contact can transmit, range(T) = T ⊆ M⁶ every motion
-    it permits, NᵀT = 0 (paper, section 3). The columns of N are wrenches pushed *into* the
-    environment, so that a pressed contact has α > 0; they need be neither unit nor orthogonal.
+    range(N) = N ⊆ F⁶ consists of all forces that the contact can transmit, range(T) = T ⊆ M⁶ of all
+    motions that it permits, NᵀT = 0 (paper, section 3). The columns of N are wrenches that push
+    *into* the environment, so that a pressed contact has α > 0; they need be neither unit vectors
+    nor orthogonal.
 
     Attributes:
         N: (6, r) basis of the contact normal space (N, N m per unit magnitude).
         T: (6, 6−r) basis of the tangent space (m/s, rad/s).
-        n_gamma: (r,) the normal acceleration Nᵀa_rel = −ṄᵀV_rel that keeps the contact (m/s²).
-        R: (r, r_all) gives every stacked column, N_all = N R; the identity unless `stack` had to
-            leave dependent ones out of N.
-        name: used in messages.
+        n_gamma: (r,) normal acceleration Nᵀa_rel = −ṄᵀV_rel that maintains the contact (m/s²).
+        R: (r, r_all) coordinates of all stacked columns in N, N_all = N R; the identity unless
+            `stack` has left dependent columns out of N.
+        name: name in messages.
 
     Example:
         >>> press = osc.Contact(np.eye(6)[:, [2]])  # forces along z, at O
@@ -44,13 +45,13 @@ class Contact:
         T: npt.ArrayLike | None = None,
         name: str = "",
     ) -> None:
-        """Take any basis N (6, r) of the contact forces, 0 ≤ r ≤ 6.
+        """Make a contact from any basis N (6, r) of the contact forces, 0 ≤ r ≤ 6.
 
         Args:
-            N: (6, r).
-            n_gamma: (r,), default 0.
-            T: (6, 6−r) a basis of the permitted motions if it is known already.
-            name: used in messages.
+            N: (6, r) basis of the contact forces at O, world axes.
+            n_gamma: (r,) normal acceleration (m/s²); None: zero.
+            T: (6, 6−r) basis of the permitted motions; None: it is computed from N.
+            name: name in messages.
 
         Raises:
             InvalidInputError: wrong shapes or non-finite numbers.
@@ -76,19 +77,18 @@ class Contact:
         *,
         T_dot_beta: npt.ArrayLike | None = None,
     ) -> Contact:
-        """The contact that permits exactly the motions range(T), T (6, 6−r); N follows.
+        """Contact that permits exactly the motions range(T), with N computed from T.
 
-        Any basis N of the forces may be chosen here, so an `n_gamma` (r,) given
-        beforehand can only be right if it is zero or if N was looked up first. In motion, pass
-        the velocity product instead: `T_dot_beta` (6,) = Ṫβ with V_rel = Tβ, the spatial
-        acceleration the bodies have relative to one another at constant β. Then
-        n_γ = Nᵀ Ṫβ for the N chosen here. For an axis tⱼ carried by a body of twist V:
-        ṫⱼ = V × tⱼ (`spatial.cross_twist`).
+        The basis N of the forces is arbitrary, so `n_gamma` can be given only if it is zero or
+        belongs to the N that this function returns. In motion, give `T_dot_beta` = Ṫβ with
+        V_rel = Tβ, the relative spatial acceleration of the bodies at constant β: then
+        n_γ = Nᵀ Ṫβ. For an axis tⱼ that is fixed to a body of twist V, ṫⱼ = V × tⱼ
+        (`spatial.cross_twist`).
 
         Args:
-            T: (6, 6−r) motions permitted, at O in world axes.
-            n_gamma: (r,) acceleration terms, for the N chosen here.
-            T_dot_beta: (6,) spatial acceleration Ṫβ, instead of n_gamma.
+            T: (6, 6−r) permitted motions, at O in world axes (m/s, rad/s).
+            n_gamma: (r,) normal acceleration for the N of the result (m/s²).
+            T_dot_beta: (6,) spatial acceleration Ṫβ (m/s², rad/s²), in place of n_gamma.
 
         Raises:
             InvalidInputError: wrong shapes, or both n_gamma and T_dot_beta given.
@@ -109,31 +109,31 @@ class Contact:
     def from_selection(
         cls, frame: pin.SE3, forces: Sequence[bool], couples: Sequence[bool]
     ) -> Contact:
-        """A Raibert–Craig task: which forces along and couples about the axes of `frame` (given at
-        O, world axes) are transmitted. Columns: the forces selected, then the couples.
+        """Contact of a Raibert–Craig task; the columns are the selected forces, then the couples.
 
         Args:
-            frame: X_WF of the selection's axes, its origin included (m).
-            forces, couples: (3,) True where the contact transmits along or about an axis.
+            frame: pose of the selection's axes, world axes, translation from O (m).
+            forces, couples: (3,) True for axes along or about which the contact transmits.
         """
         return cls(selection_columns(frame, forces, couples))
 
     @classmethod
     def stack(cls, contacts: Sequence[Contact], Phi_ref: Array | None = None) -> Contact:
-        """Several contacts at once: their N side by side, their n_γ one below the other.
+        """Contact of several contacts, with all their columns of N and elements of n_γ.
 
         Dependent contacts (a table on four legs) are reduced to independent columns, a subset of
-        the given ones. `R` leads back, N_all = N R; `magnitudes` splits a force among all of them.
+        the given ones. `R` gives all columns, N_all = N R; `magnitudes` distributes a force among
+        them.
 
         Args:
-            contacts: any number of them, r_all columns together.
-            Phi_ref: (6, 6) the held object's inverse inertia at O. The rank is then decided on
-                NᵀΦ_ref N scaled to unit diagonal, independent of frame, origin and unit. Default:
-                columns scaled to unit length in N and N m about O.
+            contacts: contacts with r_all columns together.
+            Phi_ref: (6, 6) inverse inertia of the held object at O, for a decision of the rank by
+                NᵀΦ_ref N scaled to unit diagonal, independent of frame, origin and unit. None:
+                by columns scaled to unit length in N and N m about O.
 
         Raises:
-            ContactError: the geometry is dependent but n_γ is not, n_γ,all ≠ Rᵀn_γ: the contacts
-                are singular at this instant (no acceleration keeps them all).
+            ContactError: the columns are dependent but n_γ is not, n_γ,all ≠ Rᵀn_γ: the contacts
+                are singular at this instant (no acceleration maintains all of them).
             InvalidInputError: Phi_ref is not symmetric positive definite.
         """
         if not contacts:
@@ -156,10 +156,12 @@ class Contact:
 
     @classmethod
     def judged(cls, N: Array, n_gamma: Array, R: Array | None = None) -> Contact:
-        """A contact whose columns are known to be independent.
+        """Contact of columns that are known to be independent, without checks.
 
         Args:
-            N: (6, r). n_gamma: (r,). R: (r, r_all) all columns from these; None: there are no more.
+            N: (6, r) independent columns.
+            n_gamma: (r,) normal acceleration (m/s²).
+            R: (r, r_all) coordinates of all stacked columns in N; None: the identity.
         """
         contact = cls.__new__(cls)
         contact.N = N
@@ -176,77 +178,84 @@ class Contact:
 
     @cached_property
     def T(self) -> Array:
-        """(6, 6−r) a basis of the permitted motions, NᵀT = 0."""
+        """Basis (6, 6−r) of the permitted motions, NᵀT = 0."""
         return projections.null_space(self.N)
 
     @cached_property
     def R(self) -> Array:
-        """(r, r_all) every stacked column from the independent ones, N_all = N R."""
+        """Coordinates (r, r_all) of all stacked columns in the independent ones, N_all = N R."""
         return np.eye(self.r)
 
     @property
     def split_is_unique(self) -> bool:
-        """Whether a force in N has only one split among the contacts stacked (r_all = r)."""
+        """True if a force in N has a unique distribution among the stacked contacts, r_all = r."""
         return self.R.shape[1] == self.r
 
     def magnitudes(self, alpha: npt.ArrayLike) -> Array:
-        """A split (r_all,) of the force N α among all contacts stacked: N_all magnitudes = N α.
+        """Distribution (r_all,) of the force N α among stacked contacts, N_all magnitudes = N α.
 
-        Where `split_is_unique` is false this is *one* of many, the one with the smallest sum of
-        squared magnitudes (N; a couple of 1 N m counts as 1 N). It is no measurement, and nothing
-        keeps it positive. The other way round, magnitudes commanded one by one make α = R times
+        If `split_is_unique` is false, this is the distribution with the smallest sum of squared
+        magnitudes (N; a couple of 1 N m counts as 1 N), *one* of many: it is not a measurement, and
+        magnitudes may be negative. The inverse: commanded magnitudes (r_all,) give α = R times
         them.
+
+        Args:
+            alpha: (r,) magnitudes of the columns of N (N, N m).
         """
         split = as_array("alpha", alpha, (self.r,))
-        # by the pseudo-inverse of R: R has full row rank, and magnitudes have a norm
+        # by the pseudo-inverse of R, which has full row rank; magnitudes do have a norm
         return self.R.T @ np.linalg.solve(self.R @ self.R.T, split)
 
     def as_raibert_craig(
         self, size: float = 1.0, tolerance: float = 1e-9, centre: npt.ArrayLike | None = None
     ) -> RaibertCraig:
-        """The constraint frame and selection that describe this contact, or why there is none.
+        """Constraint frame and selection that describe this contact, or the nearest ones.
 
-        `size` (m) and `centre` (3,) of the held object serve the residual only; see
-        `contacts.raibert_craig.as_raibert_craig`.
+        See `contacts.raibert_craig.as_raibert_craig`.
 
         Args:
-            size: of the held object (m). tolerance: largest residual that counts as none.
-            centre: (3,) point of the object about which moments are taken, from O (m); None: O.
+            size: length of the held object, by which the residual compares moments with forces (m).
+            tolerance: largest residual of a frame that describes the contact.
+            centre: (3,) point about which the residual takes moments, from O (m); None: O.
         """
         return as_raibert_craig(self.N, size, tolerance, centre)
 
     def force_projection(self, A_inv: Array) -> Array:
-        """Ω_f(A), eq. 5, given A⁻¹ (6, 6)."""
+        """Projection Ω_f(A) (6, 6), eq. 5, for the inverse inertia A⁻¹ (6, 6)."""
         return projections.Omega_f(self.N, A_inv)
 
     def motion_projection(self, B: Array) -> Array:
-        """Ω_m(B) = 1 − Ω̄_m(B), eqs. 4 and 7, given B (6, 6)."""
+        """Projection Ω_m(B) = 1 − Ω̄_m(B) (6, 6), eqs. 4 and 7, for the mobility B (6, 6)."""
         return np.eye(6) - projections.Omega_m_bar(self.N, B)
 
     def __repr__(self) -> str:
         return f"Contact(r={self.r})"
 
 
-# Which columns of N are independent, and how the others follow from them.
+# Selection of independent columns of N, and coordinates of the others in them.
 #
-# Columns are scaled before any verdict: to unit length, or, where the held object's inverse
+# Columns are scaled before their rank is decided: to unit length or, if the held object's inverse
 # inertia Φ is known, to unit √(nᵀΦn), so that the result does not depend on frame, origin or unit
 # of length. With the factor Φ = LLᵀ the singular values of LᵀN are the roots of the eigenvalues
-# of NᵀΦN, without the digits that forming NᵀΦN would lose.
+# of NᵀΦN; forming NᵀΦN would lose half of their digits.
 
 
-_PIVOT = 0.3
-_RECIPROCAL = 1e-9
-_CONSISTENT = 1e-6
-#: Rounding error of n_γ when the bodies hardly move (m/s², rad/s²).
+_PIVOT = 0.3  #: least length of a pivot column's new part, over the largest one
+_RECIPROCAL = 1e-9  #: largest power NᵀT, over the sum of its absolute summands
+_CONSISTENT = 1e-6  #: largest difference of n_γ from that of dependent columns, over its summands
+#: Rounding error of n_γ of bodies that hardly move (m/s², rad/s²).
 _STILL = 1e-9
 
 
 def require_reciprocal(N: Array, T: Array) -> None:
-    """Refuse NᵀT ≠ 0, against the size of the summands.
+    """Refuse NᵀT ≠ 0, relative to the absolute summands.
+
+    Args:
+        N: (6, r) contact forces.
+        T: (6, 6−r) permitted motions.
 
     Raises:
-        ContactError: with the columns and the number.
+        ContactError: the message names the columns and their power.
     """
     power = np.abs(N.T @ T)
     excess = power - _RECIPROCAL * (np.abs(N).T @ np.abs(T))
@@ -259,11 +268,15 @@ def require_reciprocal(N: Array, T: Array) -> None:
 
 
 def reduce(scaled: Array, size: Array) -> tuple[list[int], Array]:
-    """Columns to keep, and R (rank, k) with columns = columns[:, keep] R; scaled columns (6, k).
+    """Indices of independent columns, and R (rank, k) with columns = columns[:, keep] R.
 
-    The rank is that of the scaled columns. Kept is the first column whose part outside the span of
-    those kept before is not much smaller than the largest one: well-conditioned, and no toss-up
-    between columns that are equally good.
+    The rank is that of the scaled columns. A column is selected if it is the first one whose part
+    outside the span of those before is at least `_PIVOT` times the largest such part: this is
+    well-conditioned, and unaffected by rounding if several columns are equally suitable.
+
+    Args:
+        scaled: (6, k) columns of unit length.
+        size: (k,) their lengths before.
     """
     rank = int((np.linalg.svd(scaled, compute_uv=False) >= projections.INDEPENDENT).sum())
     rest = scaled.copy()
@@ -285,15 +298,17 @@ def reduce(scaled: Array, size: Array) -> tuple[list[int], Array]:
 def require_consistent(
     n_gamma: Array, keep: list[int], R: Array, size: Array, owners: Sequence[str]
 ) -> None:
-    """Refuse n_γ (k,) that does not follow from its kept part as the columns do, n_γ ≠ Rᵀn_γ,keep.
+    """Refuse n_γ of dependent columns that contradicts that of the independent ones, n_γ ≠ Rᵀn_γ.
 
     Args:
-        n_gamma: (k,) of all columns. keep: indices of the kept ones.
-        R: (k_kept, k) all columns in terms of the kept ones. size: (k,) of the columns.
-        owners: contact of each column.
+        n_gamma: (k,) normal acceleration of all columns (m/s²).
+        keep: indices of the independent columns.
+        R: (rank, k) coordinates of all columns in the independent ones.
+        size: (k,) lengths of the columns.
+        owners: name of the contact of each column.
 
     Raises:
-        ContactError: naming the contacts (`owners`, one per column) that disagree.
+        ContactError: the message names the contacts that disagree.
     """
     kept = n_gamma[keep]
     violation = np.abs(n_gamma - kept @ R)
@@ -313,7 +328,11 @@ def require_consistent(
 
 
 def _factor(Phi: Array) -> Array:
-    """L with Φ = LLᵀ, found in units that make the diagonal 1."""
+    """Cholesky factor L (6, 6) of Φ = LLᵀ, computed after scaling Φ to unit diagonal.
+
+    Raises:
+        InvalidInputError: Φ is not symmetric positive definite.
+    """
     given = as_array("Phi_ref", Phi, (6, 6))
     cure = "the inverse inertia (6, 6) of the held object at O"
     scaled, size = projections.unit_diagonal(given, "Phi_ref", cure, InvalidInputError)

@@ -1,4 +1,4 @@
-"""All contacts of an object together: which force belongs to which, and where each of them acts."""
+"""Contacts of an object together: contact of each force magnitude, and points of application."""
 
 from collections.abc import Sequence
 
@@ -14,22 +14,25 @@ from osc_contact.spatial import Array, Poses, cross
 
 
 def contact_at(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Contact:
-    """All contacts of an object at rest at X_WO."""
+    """Contact of all pairs, for an object at rest at X_WO."""
     return Contact.stack([pair.contact(X_WO, np.zeros(6)) for pair in pairs])
 
 
 def force_owners(pairs: Sequence[ContactPair]) -> NDArray[np.intp]:
-    """(r,) the contact of each force magnitude."""
+    """Index (r,) of the contact of each force magnitude."""
     return np.repeat(np.arange(len(pairs)), [count_forces(pair) for pair in pairs])
 
 
 def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple[Array, Array]:
-    """Where the lines of force meet the touched surface (r, 3), and their directions (r, 3).
+    """Points (r, 3) in which the lines of force meet the touched surface, and directions (r, 3).
 
-    World axes, directions into the environment. A couple acts at O, about its direction.
+    They are in world axes (m), and directions point into the environment. A couple acts at O, about
+    its direction.
 
     Args:
-        pair: of the contact. X_WO, X_WE: poses of object and body; None: the world's.
+        pair: pair of the contact.
+        X_WO: pose of the object.
+        X_WE: pose of the touched body; None: its frame is the world's.
     """
     E = None if X_WE is None else Poses(X_WE.rotation[:, :, None], X_WE.translation[:, None])
     O = Poses(X_WO.rotation[:, :, None], X_WO.translation[:, None])  # noqa: E741
@@ -40,13 +43,16 @@ def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple
 def feet_over(
     pair: ContactPair, N: Array, X_WO: Poses, X_WE: Poses | None = None
 ) -> tuple[Array, Array]:
-    """The same (3, r, k) each at k instants, given the pair's N (6, r, k) there.
+    """Points and directions of `feet` at k instants, (3, r, k) each.
 
     Args:
-        pair: of the contact. N: (6, r, k) at O. X_WO, X_WE: k poses of object and body.
+        pair: pair of the contact.
+        N: (6, r, k) columns of the pair at O, world axes.
+        X_WO: k poses of the object.
+        X_WE: k poses of the touched body; None: its frame is the world's.
     """
     force = np.linalg.norm(N[:3], axis=0)
-    size = np.where(force > 0.0, force, np.linalg.norm(N[3:], axis=0))  # else: a couple
+    size = np.where(force > 0.0, force, np.linalg.norm(N[3:], axis=0))  # zero force: a couple
     directions = N[:3] / size
     moments = N[3:] / size
     points = X_WO.p[:, None] + cross(directions, moments)

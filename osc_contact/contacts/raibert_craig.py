@@ -1,18 +1,20 @@
-"""Can one constraint frame with a compliance selection describe a contact? (paper, section 2)
+"""Constraint frame and compliance selection of a contact, if they exist (paper, section 2).
 
 Raibert and Craig describe a contact by one frame: along or about each of its axes either a force
-or a motion is controlled. A space N has such a frame exactly if, with C = {couples: pure couples
-in N}, F = {directions of the forces in N} ⊆ R³ and m(u) the moments that go with a force u,
+or a motion is controlled. A space N has such a frame if and only if, with the space C of the pure
+couples in N, the space F ⊆ R³ of the directions of the forces in N and the moments m(u) of a force
+u,
 
     (i)  the orthogonal projectors on C and F commute (C and F share a triad of axes), and
     (ii) there is a point p with m(u) ≡ p × u (mod C) for every u in F.
 
 The skew lines of fig. 1 violate (ii), the cone in the groove of fig. 2 violates (i).
 
-How *far* N is from the nearest frame is an angle between two spaces of wrenches, so it needs a
-length and a point: those of the held object (`size`, `centre`). It cannot do without the point:
-seen from far enough away two skew lines of force look like two pure couples, so a continuous
-measure that knew no point would be zero for them. The verdict itself needs neither.
+The *distance* of N from the nearest frame is an angle between two spaces of wrenches, which depends
+on a length and a point: those of the held object (`size`, `centre`). The point is necessary: about
+a distant point the moments of two skew lines of force are nearly those of two pure couples, so a
+continuous measure without a point would be zero for them. The existence of a frame depends on
+neither.
 """
 
 from __future__ import annotations
@@ -29,10 +31,10 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.projections import require_independent
 from osc_contact.spatial import Array, as_array, carry_wrench, cross, norm, skew
 
-_VISIBLE = 1e-6
+_VISIBLE = 1e-6  #: least sine of an angle, or share of the object's size, that is reported
 _EYE = np.eye(3)
 _SIGNED = [_EYE[:, p] * s for p in permutations(range(3)) for s in product((1.0, -1.0), repeat=3)]
-#: (24, 3, 3) the relabellings of a right-handed triad.
+#: (24, 3, 3) permutations and reversals of axes that keep a triad right-handed
 _RELABEL = np.array([P for P in _SIGNED if np.linalg.det(P) > 0.0])
 
 Triple = tuple[bool, bool, bool]
@@ -40,15 +42,15 @@ Triple = tuple[bool, bool, bool]
 
 @dataclass(frozen=True)
 class RaibertCraig:
-    """The constraint frame that describes N, or the nearest one; true if it describes N.
+    """Constraint frame and selection that describe N, or the nearest ones; true if they describe N.
 
     Attributes:
         frame: pose of the constraint frame, world axes, translation from O (m).
-        forces: along which of its axes forces are selected.
-        couples: about which of its axes couples are selected.
-        residual: sine of the largest principal angle between N and the space of the frame, moments
-            taken about the object's centre and divided by its size. 0 … 1.
-        reason: why N has no constraint frame, in plain words; empty if it has one.
+        forces: flags of the axes along which forces are selected.
+        couples: flags of the axes about which couples are selected.
+        residual: sine (0 … 1) of the largest principal angle between N and the space of the frame,
+            with moments about the object's centre divided by its size.
+        reason: violated condition in plain words; empty if N has a constraint frame.
 
     Example:
         >>> press_and_hold = osc.Contact(np.eye(6)[:, [2, 3]])  # force along z, couple about x
@@ -68,12 +70,12 @@ class RaibertCraig:
 
 
 def selection_columns(frame: SE3, forces: Sequence[bool], couples: Sequence[bool]) -> Array:
-    """N (6, r) of a frame: [e_i; p × e_i] where forces[i], then [0; e_i] where couples[i].
+    """Columns N (6, r) of a selection: [e_i; p × e_i] of selected forces, [0; e_i] of couples.
 
     Args:
-        frame: its pose in coordinates with origin O and world axes (p = its translation, m).
-        forces: three flags, forces along the frame's axes through its origin.
-        couples: three flags, couples about the frame's axes.
+        frame: pose of the frame, world axes, translation p from O (m).
+        forces: three flags of forces along the frame's axes through its origin.
+        couples: three flags of couples about the frame's axes.
 
     Raises:
         InvalidInputError: not three flags.
@@ -88,19 +90,19 @@ def as_raibert_craig(
     tolerance: float = 1e-9,
     centre: npt.ArrayLike | None = None,
 ) -> RaibertCraig:
-    """Find the constraint frame and compliance selection of N, or the nearest one and why not.
+    """Find the constraint frame and compliance selection of N, or the nearest ones and the reason.
 
-    For every split of r into k forces and r − k couples an explicit frame is built from the k
+    For every split of r into k forces and r − k couples an explicit frame is computed from the k
     strongest force directions; if none describes N, Gauss–Newton steps on the sum of the squared
     sines improve all of them, and the one with the smallest largest sine is returned. (That sine
-    bounds the least one from above; for r = 2 … 4 another frame may come some 20 % closer.)
+    is an upper bound of the least one; for r = 2 … 4 another frame may be some 20 % closer.)
 
     Args:
         N: (6, r) any basis of the contact normal space, at O, world axes.
-        size: a length of the held object (m), which makes moments comparable with forces.
-        tolerance: largest residual that still counts as a description.
-        centre: (3,) the point of the object, from O (m), about which the residual takes moments;
-            default O. With the same point of the object nothing depends on O.
+        size: length of the held object by which moments are divided (m).
+        tolerance: largest residual of a frame that describes N.
+        centre: (3,) point of the object about which the residual takes moments, from O (m); None:
+            O. For a fixed point of the object the result is independent of O.
 
     Raises:
         InvalidInputError: wrong shape, non-finite numbers, size or tolerance out of range.
@@ -124,7 +126,7 @@ def as_raibert_craig(
         sine = sines(triads, points, chosen, rest)
     best = sine.argmin()
 
-    # axes named so that they are nearest to the world's
+    # axes in the order and with the signs that are nearest to the world's
     P = _RELABEL[np.einsum("ij,pji->p", triads[best], _RELABEL).argmax()]
     selected = (chosen[best].reshape(2, 3) @ np.abs(P)) > 0.5
     forces, couples = ((bool(x), bool(y), bool(z)) for x, y, z in selected)
@@ -134,6 +136,11 @@ def as_raibert_craig(
 
 
 def _flags(name: str, flags: Sequence[bool]) -> Array:
+    """Three flags as an array (3,); `name` is that of the argument.
+
+    Raises:
+        InvalidInputError: not three flags.
+    """
     array = np.asarray(flags)
     if array.shape != (3,) or not all(flag in (0, 1) for flag in array.tolist()):
         raise InvalidInputError(f"{name} = {flags!r}; give three times True or False")
@@ -141,7 +148,13 @@ def _flags(name: str, flags: Sequence[bool]) -> Array:
 
 
 def _orthonormal(columns: Array, centre: Array, size: float) -> tuple[Array, ...]:
-    """Bases (6, r) of N and (6, 6−r) of its complement, moments about `centre` over `size`."""
+    """Orthonormal bases (6, r) of N and (6, 6−r) of its complement.
+
+    Args:
+        columns: (6, r) basis of N.
+        centre: (3,) point about which moments are taken (m).
+        size: length by which they are divided (m).
+    """
     scaled = carry_wrench(columns, np.zeros(3), centre)
     scaled[3:] /= size
     require_independent(scaled, "N")
@@ -149,11 +162,18 @@ def _orthonormal(columns: Array, centre: Array, size: float) -> tuple[Array, ...
     return tuple(np.split(U, [columns.shape[1]], axis=1))
 
 
-# Why not ------------------------------------------------------------------------------------------
+# Reasons why no frame describes a space -----------------------------------------------------------
 
 
 def _why(Q: Array, size: float, tolerance: float, forces: int) -> str:
-    """Which of (i) and (ii) fails, and by how much; `forces` of the nearest frame."""
+    """Violated conditions (i) and (ii) with the amount of the violation, as text.
+
+    Args:
+        Q: (6, r) orthonormal basis of N.
+        size: length by which moments are divided (m).
+        tolerance: largest residual of a frame that describes N.
+        forces: number of forces that the nearest frame selects.
+    """
     r = Q.shape[1]
     U, sigma, Vh = np.linalg.svd(Q[:3])
     k = int((sigma > tolerance).sum())
@@ -181,6 +201,12 @@ def _why(Q: Array, size: float, tolerance: float, forces: int) -> str:
 
 
 def _tilt_in_words(forces: int, couples: int, angle: float) -> str:
+    """Violation of (i) as text: the angle (rad) between the axes of forces and couples.
+
+    Args:
+        forces, couples: dimensions of the two spaces.
+        angle: angle between their axes (rad).
+    """
     angle = min(angle, np.pi - angle)
     line = "the line of the"
     plane = "the normal of the plane of the"
@@ -192,7 +218,15 @@ def _tilt_in_words(forces: int, couples: int, angle: float) -> str:
 
 
 def _miss_in_words(F: Array, moments: Array, couples: int, miss: float, size: float) -> str:
-    """Two lines of force by their distance, anything else by the couple the best point leaves."""
+    """Violation of (ii) as text: the distance of two lines of force, or the remaining couple.
+
+    Args:
+        F: (3, k) orthonormal directions of the forces.
+        moments: (3, k) moments of these forces, over the size.
+        couples: dimension of the space of couples.
+        miss: couple of a unit force about the best point, over the size.
+        size: length of the object (m).
+    """
     if F.shape[1] == 2 and couples == 0:
         along = F.T @ moments
         low, high = np.linalg.eigvalsh(0.5 * (along + along.T))  # the principal pitches
@@ -208,27 +242,33 @@ def _miss_in_words(F: Array, moments: Array, couples: int, miss: float, size: fl
     )
 
 
-# Constraint frames that describe a space of wrenches, or nearly do: built, then improved.
+# Explicit constraint frames that describe a space of wrenches approximately, and their refinement.
 #
-# Batches of B frames, each a triad of axes E, an origin p and a selection; moments about the
-# object's centre, lengths in object sizes.
+# Arrays hold B frames, each a triad of axes E, an origin p and a selection; moments are about the
+# object's centre, lengths over the object's size.
 
 
-#: A system for the point p has no more rank than what lies above this, relative to its size.
+#: Least singular value, over the largest, that counts in the rank of the equations of p.
 POINT = 1e-8
-_REFINEMENTS = 12
+_REFINEMENTS = 12  #: Gauss–Newton steps
 _SKEW = np.array([skew(axis) for axis in _EYE])
-#: (6, 6, 6) rates of wrenches carried by the unit twists (3 linear, 3 angular).
+#: (6, 6, 6) rates of wrenches that are fixed to bodies with unit twists (3 linear, 3 angular).
 _GENERATORS = np.zeros((6, 6, 6))
 _GENERATORS[:3, 3:, :3] = _GENERATORS[3:, :3, :3] = _GENERATORS[3:, 3:, 3:] = _SKEW
 
 
 def explicit(Q: Array) -> tuple[Array, Array, Array]:
-    """One frame per split and mutual position of F and C: triads (B, 3, 3), points, selections.
+    """Explicit frames for each split into forces and couples, and each mutual position of F and C.
 
-    F of dimension k = 1 or 2 is known by its axis a (its line, its normal), C by its axis b. They
-    share a triad in two ways only: a ∥ b or a ⊥ b. The nearest such pair of axes spans the triad,
-    and p solves (ii) in that triad, each force weighted by its share in a unit wrench.
+    F of dimension k = 1 or 2 has an axis a (its line, or its normal), and C an axis b. They share
+    a triad if a ∥ b or a ⊥ b. The nearest such pair of axes spans the triad, and p solves (ii) in
+    that triad, with each force weighted by its share of a unit wrench.
+
+    Args:
+        Q: (6, r) orthonormal basis of N.
+
+    Returns:
+        Triads (B, 3, 3), origins (B, 3) and selections (B, 6).
     """
     r = Q.shape[1]
     U, _, Vh = np.linalg.svd(Q[:3])
@@ -238,7 +278,8 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
         b = axis_of(np.linalg.svd(Q[3:] @ Vh[k:].T)[0], r - k)
         padded = np.zeros((6, 3))
         padded[:, :k] = Q @ Vh[:k].T
-        for upright in (False, True) if a is not None and b is not None else (False,):
+        positions = (False,) if a is None or b is None else (False, True)
+        for upright in positions:
             selection = _pattern(k, 0) + _pattern(r - k, int(upright))
             frames.append((_triad(a, b, upright), selection, padded))
     E, chosen, W = map(np.array, zip(*frames, strict=True))
@@ -256,16 +297,33 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
 
 
 def axis_of(U: Array, dimension: int) -> Array | None:
-    """The line or the normal of the space of the first `dimension` columns of U (3, 3)."""
-    return {1: U[:, 0], 2: U[:, 2]}.get(dimension)
+    """Axis (3,) of the space of the first `dimension` columns of an orthogonal U (3, 3).
+
+    It is the line of a space of dimension 1, the normal of one of dimension 2, else None.
+    """
+    if dimension == 1:
+        return U[:, 0]
+    if dimension == 2:
+        return U[:, 2]
+    return None
 
 
 def _pattern(dimension: int, axis: int) -> list[bool]:
-    return [dimension == 3 or (dimension > 0 and (dimension == 1) == (i == axis)) for i in range(3)]
+    """Selection of `dimension` of three axes, of which `axis` is the line or the normal."""
+    if dimension == 1:
+        return [i == axis for i in range(3)]
+    if dimension == 2:
+        return [i != axis for i in range(3)]
+    return [dimension == 3] * 3
 
 
 def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
-    """Right-handed triad (3, 3): x near a and b, or (upright) x near a and y near b."""
+    """Right-handed triad (3, 3) nearest to two axes.
+
+    Args:
+        a, b: (3,) unit vectors; None: any.
+        upright: True: x is near a and y near b; False: x is near both.
+    """
     if upright and a is not None and b is not None:
         left, _, right = np.linalg.svd(np.column_stack((a, b)), full_matrices=False)
         x, y = (left @ right).T
@@ -282,7 +340,7 @@ def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
 
 
 def _space(E: Array, p: Array, chosen: Array) -> Array:
-    """Orthonormal bases (B, 6, r) of what the frames describe."""
+    """Orthonormal bases (B, 6, r) of the spaces that frames describe; see `sines`."""
     full = np.zeros((len(E), 6, 6))
     full[:, :3, :3] = full[:, 3:, 3:] = E
     full[:, 3:, :3] = np.einsum("bl,lij,bjk->bik", p, _SKEW, E)
@@ -292,10 +350,12 @@ def _space(E: Array, p: Array, chosen: Array) -> Array:
 
 
 def sines(E: Array, p: Array, chosen: Array, rest: Array) -> Array:
-    """(B,) sines of the largest principal angles between N and the spaces of the frames.
+    """Sines (B,) of the largest principal angles between N and the spaces of frames.
 
     Args:
-        E: (B, 3, 3) triads. p: (B, 3) their origins (m). chosen: (B, 6) selected axes.
+        E: (B, 3, 3) triads.
+        p: (B, 3) origins, over the size.
+        chosen: (B, 6) selected axes.
         rest: (6, 6−r) orthonormal complement of N.
     """
     across = rest.T @ _space(E, p, chosen)
@@ -303,13 +363,13 @@ def sines(E: Array, p: Array, chosen: Array, rest: Array) -> Array:
 
 
 def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Array]:
-    """Damped Gauss–Newton steps of every frame (a twist each) on ‖restᵀ S‖², S orthonormal.
+    """Triads and origins after damped Gauss–Newton steps on ‖restᵀ S‖², S orthonormal.
 
-    A twist carries S by dS = G S; only the part across S turns the space, so the sines change by
-    restᵀ(1 − SSᵀ)GS.
+    A step is a twist, by which S changes as dS = G S; only the part orthogonal to S changes the
+    space, so the sines change by restᵀ(1 − SSᵀ)GS.
 
     Args:
-        E, p, chosen, rest: as in `sines`.
+        E, p, chosen, rest: see `sines`.
     """
     damping = np.full(len(E), 1e-3)
     E = E.copy()

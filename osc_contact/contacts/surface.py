@@ -1,4 +1,4 @@
-"""Smooth surfaces: sphere, cylinder, quadric, and what is fitted to the points of a mesh."""
+"""Smooth surfaces: spheres, cylinders, quadrics, and splines fitted to points or a mesh."""
 
 from __future__ import annotations
 
@@ -20,15 +20,18 @@ from osc_contact.law.contact import is_near, nearest
 from osc_contact.law.jit import as_python
 from osc_contact.spatial import Array, as_array
 
-_UPWARD = 0.5  #: least z of a triangle's unit normal that belongs to a fitted surface
+_UPWARD = 0.5  #: least z of the unit normal of a triangle that is part of a fitted surface
 _near = as_python(is_near)
 
 
-def _whole(x: Any) -> Any:
-    return int(x) if np.ndim(x) == 0 else x.astype(int)
+def _whole(x: float | Array) -> int | Array:
+    """Integer part of a number, or of an array of numbers."""
+    if isinstance(x, np.ndarray) and x.ndim > 0:
+        return x.astype(int)
+    return int(x)
 
 
-#: Functions of numbers in the law that take arrays of numbers, too.
+#: Replacements of functions that the law applies to numbers, by functions of arrays.
 OF_ARRAYS: dict[str, Any] = {
     "sqrt": np.sqrt,
     "copysign": np.copysign,
@@ -43,7 +46,10 @@ _nearest_to_one: Any = as_python(nearest)
 
 
 class Shapes(list[Any]):
-    """SHAPE rows as the law reads them; of many numbers at once the rows stand side by side."""
+    """SHAPE rows in the form in which functions of the law read them as Python.
+
+    An array of row numbers gives the numbers of all those rows, one column for each.
+    """
 
     def __init__(self, rows: tuple[Array, ...]) -> None:
         super().__init__(SimpleNamespace(row=one.tolist()) for one in rows)
@@ -57,15 +63,20 @@ class Shapes(list[Any]):
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """½(q₁x² + q₂y² + q₃z²) + b z + c = h(x, y), in its own axes; outward is where the left grows.
+    """Surface ½(q₁x² + q₂y² + q₃z²) + b z + c = h(x, y) in its own axes.
 
-    h is a bicubic spline, or zero. Outside its rectangle the outermost polynomials continue.
+    The left side minus h increases in the outward direction. h is a bicubic spline, or zero.
+    Outside its rectangle the polynomials of the outermost cells are continued.
 
     Attributes:
-        bend: (3,) q (1/m). slope: b. level: c (m).
-        cells: (nx, ny, 4, 4) factors of uᵖvᵠ in each cell (m), u, v = 0 … 1 along x and y; None: no
-            h. corner, pitch: (2,) where the cells begin, and their sides (m).
-        rms, worst: of the heights of the points it is fitted to above it (m).
+        bend: (3,) q (1/m).
+        slope: b.
+        level: c (m).
+        cells: (nx, ny, 4, 4) coefficients of uᵖvᵠ in each cell (m), u, v = 0 … 1 along x and y;
+            None: h = 0.
+        corner: (2,) corner of the first cell (m).
+        pitch: (2,) sides of a cell (m).
+        rms, worst: rms and largest height of the fitted points above the surface (m).
 
     Example:
         >>> x, y = np.meshgrid(np.linspace(-0.1, 0.1, 12), np.linspace(-0.1, 0.1, 12))
@@ -86,34 +97,34 @@ class Surface:
 
     @classmethod
     def sphere(cls, radius: float) -> Surface:
-        """About the origin; a radius < 0: seen from inside, a bowl."""
+        """Sphere about the origin; a radius < 0 (m) makes a bowl, with the outside within."""
         return cls(np.full(3, 1.0 / _radius(radius)), level=-0.5 * radius)
 
     @classmethod
     def cylinder(cls, radius: float) -> Surface:
-        """About the z axis; a radius < 0: seen from inside, a pipe."""
+        """Cylinder about the z axis; a radius < 0 (m) makes a pipe, with the outside within."""
         return cls(np.array([1.0, 1.0, 0.0]) / _radius(radius), level=-0.5 * radius)
 
     @classmethod
     def saddle(cls, along_x: float, along_y: float) -> Surface:
-        """z = x²/(2R₁) + y²/(2R₂): a saddle where R₁ and R₂ have different signs.
+        """Paraboloid z = x²/(2R₁) + y²/(2R₂), a saddle if R₁ and R₂ have different signs.
 
         Args:
-            along_x, along_y: R₁, R₂, radii of curvature at the origin (m); > 0: hollow.
+            along_x, along_y: radii of curvature R₁, R₂ at the origin (m); > 0: concave.
         """
         bend = -1.0 / np.array([_radius(along_x), _radius(along_y), np.inf])
         return cls(bend, slope=1.0)
 
     @classmethod
     def fitted(cls, points: npt.ArrayLike, cells: tuple[int, int] = (8, 8)) -> Surface:
-        """z = h(x, y), the bicubic spline of least squares through scattered points.
+        """Surface z = h(x, y), the bicubic spline of least squares through scattered points.
 
         Args:
-            points: (k, 3) of the surface, which is not to stand steeply on the x-y plane (m).
-            cells: into how many cells their rectangle is divided along x and y.
+            points: (k, 3) points of a surface that is not steep relative to the x-y plane (m).
+            cells: number of cells of their rectangle along x and y.
 
         Raises:
-            InvalidInputError: too few points, or not spread over all cells.
+            InvalidInputError: too few points, or cells without points.
         """
         from scipy.interpolate import LSQBivariateSpline
 
@@ -131,13 +142,15 @@ class Surface:
                 "cells; give points that lie closer, or fewer cells"
             ) from error
         pitch = (high - low) / cells
-        ways = [_taylor(*one) for one in zip(spline.get_knots(), edges, pitch, strict=True)]
-        factors = spline.get_coeffs().reshape([way.shape[2] for way in ways])
+        knots_x, knots_y = spline.get_knots()
+        along_x = _taylor(knots_x, edges[0], pitch[0])
+        along_y = _taylor(knots_y, edges[1], pitch[1])
+        factors = spline.get_coeffs().reshape(along_x.shape[2], along_y.shape[2])
         off = cloud[2] - spline.ev(*cloud[:2])
         return cls(
-            np.zeros(3),
-            1.0,
-            cells=np.einsum("pia,qjb,ab->ijpq", *ways, factors),
+            bend=np.zeros(3),
+            slope=1.0,
+            cells=np.einsum("pia,qjb,ab->ijpq", along_x, along_y, factors),
             corner=low,
             pitch=pitch,
             rms=float(np.sqrt(np.mean(off**2))),
@@ -146,13 +159,15 @@ class Surface:
 
     @classmethod
     def of_mesh(cls, file: Path | str, cells: tuple[int, int] = (8, 8)) -> Surface:
-        """`fitted` to the corners of the triangles of a mesh that face along its z axis.
+        """Surface fitted to the corners of those triangles of a mesh that face along its z axis.
 
         Args:
-            file: STL, OBJ and what else coal reads (m). cells: see `fitted`.
+            file: mesh in a format that coal reads, such as STL and OBJ (m).
+            cells: see `fitted`.
 
         Raises:
-            ModelError: no such mesh. InvalidInputError: see `fitted`.
+            ModelError: the mesh cannot be read.
+            InvalidInputError: see `fitted`.
         """
         import coal
 
@@ -168,10 +183,12 @@ class Surface:
         return cls.fitted(np.unique(corners[np.unique(triangles[up])], axis=0), cells)
 
     def rows(self, ball: Array, radius: float, X_ES: pin.SE3) -> tuple[Array, ...]:
-        """SHAPE rows of a ball on it, see `law.contact`.
+        """SHAPE rows of a ball on this surface, see `law.contact`.
 
         Args:
-            ball: (3,) its centre in A. radius: its own (m). X_ES: pose of the surface in E.
+            ball: (3,) centre of the ball in A (m).
+            radius: radius of the ball (m).
+            X_ES: pose of the surface in E.
         """
         cells = np.zeros((0, 16)) if self.cells is None else self.cells.reshape(-1, 16)
         shapes = np.vstack((np.zeros((2, 16)), cells))
@@ -183,32 +200,43 @@ class Surface:
 
 
 def distance_and_normal(shapes: Shapes, p: Array) -> tuple[Array, Array]:
-    """Signed distances (m) of points (3,) or (3, k) of S, and outward normals at their feet.
+    """Signed distances (k,) of points from a surface (m), and outward normals at their feet.
 
     Args:
-        shapes: of `Surface.rows`. p: in the axes of the surface.
+        shapes: rows of the surface, see `Surface.rows`.
+        p: (3,) or (3, k) points in the axes of the surface (m).
     """
     found = None
-    if p.size == 3:  # in numbers of Python it takes a quarter of the time
-        with suppress(ZeroDivisionError):  # no foot: NaN
+    if p.size == 3:  # Python numbers take a quarter of the time of arrays
+        with suppress(ZeroDivisionError):  # a point without a foot: arrays give NaN
             found = _nearest_to_one(shapes, 0, tuple(p.ravel().tolist()))
-    along, gradient, _, _ = found or _nearest(shapes, 0, tuple(p))
+    if found is None:
+        found = _nearest(shapes, 0, tuple(p))
+    along, gradient, _, _ = found
     g = np.array([one + 0.0 * along for one in gradient]).reshape(p.shape)
     size = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
     return (np.reshape(along, p.shape[1:]) * size, g / size)
 
 
 def triangles_of(read: Callable[[int], Any], count: int) -> Array:
-    """(count, 3) numbers of the corners of the triangles that coal gives one by one.
+    """Indices (count, 3) of the corners of the triangles of a coal mesh.
 
     Args:
-        read: gives the three of a triangle by its number. count: how many triangles there are.
+        read: function that returns a triangle by its number.
+        count: number of triangles.
     """
-    return np.array([[triangle[k] for k in range(3)] for triangle in map(read, range(count))])
+    triangles = [read(number) for number in range(count)]
+    return np.array([[triangle[k] for k in range(3)] for triangle in triangles])
 
 
 def _taylor(knots: Array, edges: Array, side: float) -> Array:
-    """(4, n, m) of the m splines of one way the factors of u⁰ … u³ in each of n cells."""
+    """Coefficients (4, n, m) of u⁰ … u³ of m B-splines in each of n cells.
+
+    Args:
+        knots: knots of the splines.
+        edges: (n + 1,) edges of the cells (m).
+        side: side of a cell (m).
+    """
     from scipy.interpolate import BSpline
 
     splines = BSpline(knots, np.eye(len(knots) - 4), 3)
@@ -216,6 +244,11 @@ def _taylor(knots: Array, edges: Array, side: float) -> Array:
 
 
 def _radius(radius: float) -> float:
+    """Return a radius of curvature.
+
+    Raises:
+        InvalidInputError: the radius is zero or not finite.
+    """
     if not (np.isfinite(radius) and radius != 0.0):
         raise InvalidInputError(f"radius = {radius}; give a length other than 0 m")
     return radius

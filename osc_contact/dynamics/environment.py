@@ -426,14 +426,14 @@ class Rail:
             if name != "through" and value.any():
                 value = unit_vector(name, value)
             object.__setattr__(self, name, value)
-        for name, value, sound in (
+        for name, number, sound in (
             ("inertia", self.inertia, self.inertia > 0.0),
             ("stiffness", self.stiffness, self.stiffness >= 0.0),
             ("damping", self.damping, self.damping >= 0.0),
             ("preload", self.preload, True),
         ):
-            if not (np.isfinite(value) and sound):
-                raise InvalidInputError(f"rail.{name} = {value}; give a number a body can have")
+            if not (np.isfinite(number) and sound):
+                raise InvalidInputError(f"rail.{name} = {number}; give a number a body can have")
 
     @property
     def descent(self) -> float:

@@ -1,4 +1,4 @@
-"""From collision geometry to the list of contacts: what touches what, where, and as what."""
+"""Detection of contacts from collision geometry: features that touch, and their places."""
 
 from osc_contact.contacts.detection.detect import Detected, TrackedContact, detect
 from osc_contact.contacts.detection.features import CollisionShape, Feature, collision_shapes

@@ -1,9 +1,8 @@
-"""From collision geometry to the list of contacts, at one pose or followed over time."""
+"""Detection of contacts from collision geometry, at one pose or tracked over time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import coal
 import numpy as np
@@ -33,22 +32,25 @@ from osc_contact.spatial import Array, cross, norm
 
 # --- Gaps between faces, edges and rims -----------------------------------------------------------
 #
-# Each function here takes the pose of the object in the environment frame.
+# The argument of each gap function is the pose of the object in the environment frame.
 
 _STEP = 0.02
-"""Of the differences, relative to the inclination of a rim: at zero inclination lies a kink."""
+"""Step of the differences over the inclination of a rim; the gap has a kink at zero inclination."""
 
 
 def face_on_edge(
     point: Array, normal: Array, edge: Array, radius: float, name: str
 ) -> GapFunctions:
-    """A plane of the object (its frame) on two points (2, 3) of a line of the environment, r = 2.
+    """Pair of a plane of the object on two points of a line of the environment, r = 2.
 
     gⱼ = n·(eⱼ − p) − radius with n out of the object.
 
     Args:
-        point, normal: (3,) of the plane, in the object's frame. edge: (2, 3) points (m).
-        radius: of the line (m). name: of the pair.
+        point: (3,) point of the plane in the object's frame (m).
+        normal: (3,) outward normal of the plane in the object's frame.
+        edge: (2, 3) points of the line in the environment's frame (m).
+        radius: radius around the line (m).
+        name: name of the pair.
     """
 
     def gap(X: SE3) -> Array:
@@ -60,22 +62,29 @@ def face_on_edge(
 def rim_on_face(
     rim: Feature, point: Array, normal: Array, n: Array, name: str, turned: bool = False
 ) -> GapFunctions:
-    """The rim of a disc of the object on a plane of the environment, r = 1; rolling is free.
+    """Pair of the rim of a disc of the object on a plane of the environment, r = 1.
 
-    g = n·(c − p) − R |n × a|: the disc with centre c and axis a reaches R sin∠(n, a) down.
+    g = n·(c − p) − R |n × a|: the disc with centre c and axis a extends R sin∠(n, a) below its
+    centre. Rolling is free.
 
     Args:
-        rim: of the object, in its frame. point, normal: (3,) of the plane.
-        n: (3,) normal at the contact, in the rim's frame: ∠(n, a) sets the step of the differences.
-        name: of the pair. turned: the plane is the object's, the rim the environment's.
+        rim: rim in the frame of its body.
+        point: (3,) point of the plane in the frame of its body (m).
+        normal: (3,) outward normal of the plane in the frame of its body.
+        n: (3,) normal at the contact in the rim's frame; ∠(n, a) determines the step of the
+            differences.
+        name: name of the pair.
+        turned: True if the rim is that of the environment, and the plane that of the object.
     """
-    centre: Any = rim.centre
-    axis: Any = rim.axis
+    centre = rim.centre
+    axis = rim.axis
+    assert centre is not None and axis is not None
     radius = norm(rim.points[0] - centre)
     step = min(1e-2, _STEP * norm(cross(axis, n)))
 
     def gap(X: SE3) -> Array:
-        X = X.inverse() if turned else X
+        if turned:
+            X = X.inverse()
         reach = radius * norm(cross(normal, X.rotation @ axis))
         return np.array([normal @ (X.act(centre) - point) - reach])
 
@@ -83,13 +92,15 @@ def rim_on_face(
 
 
 def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
-    """Points or straight lines, at least one with a radius: g = their distance − both radii, r = 1.
+    """Pair of points or straight lines with radii, r = 1: g = their distance − both radii.
 
     Args:
-        a, e: features of object and environment, with their radii (m). name: of the pair.
+        a: feature of the object.
+        e: feature of the environment.
+        name: name of the pair.
 
     Raises:
-        ContactError: a rim is one of the two.
+        ContactError: one of the features is a rim.
     """
     if "rim" in (a.name, e.name):
         raise ContactError(
@@ -118,7 +129,7 @@ def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """What touches what, where, and as what.
+    """Detected contact: two shapes, the features that touch, and the contact patch.
 
     Attributes:
         object_shape, environment_shape: names of the two shapes.
@@ -126,14 +137,14 @@ class Detected:
             vertex", "edge on edge", "edge on face", "face on edge", "face on face"; rounded
             features are "sphere on plane", "cylinder on plane", "rim on face", ...
         r: degree of motion constraint, 1 … 3.
-        points: (k, 3) world, the contact patch on the environment: its corners (r = 3), its two
-            ends (r = 2) or the one point (r = 1) (m).
-        normal, object_normal, environment_normal: (3,) unit, out of the environment towards the
-            object: in the world's axes and in those of the two bodies.
-        distance: between the shapes (m), negative when they overlap.
-        object_feature, environment_feature: what touches, each in the frame of its body.
-        object_point, environment_point: (3,) a point of each feature in the middle of the patch,
-            in the frame of its body (m); of a rounded feature its centre.
+        points: (k, 3) contact patch on the environment, world (m): its corners (r = 3), its two
+            ends (r = 2) or its point (r = 1).
+        normal, object_normal, environment_normal: (3,) unit normal out of the environment towards
+            the object, in the axes of the world and of the two bodies.
+        distance: distance of the shapes (m), negative in an overlap.
+        object_feature, environment_feature: features that touch, each in the frame of its body.
+        object_point, environment_point: (3,) point of each feature in the middle of the patch, in
+            the frame of its body (m); for a rounded feature its centre.
     """
 
     object_shape: str
@@ -152,18 +163,18 @@ class Detected:
 
     @property
     def name(self) -> str:
-        """Of the contact: "<object's shape> on <environment's shape>"."""
+        """Name of the contact: "<object's shape> on <environment's shape>"."""
         return f"{self.object_shape} on {self.environment_shape}"
 
     def pair(self) -> ContactPair:
-        """The contact pair that keeps this contact while both bodies move.
+        """Contact pair that describes this contact while both bodies move.
 
-        The feet of a line are the ends of its patch, those of a face lie as far out as the patch.
-        Vertices and edges on faces are spheres and cylinders without a radius.
+        The points of a line are the ends of its patch, those of a face are as far apart as the
+        patch is wide. Vertices and edges on faces become spheres and cylinders with radius zero.
 
         Raises:
-            ContactError: no pair describes it: the rim of a cylinder on an edge, or two parallel
-                lines of which neither is on a face.
+            ContactError: no pair describes the contact: the rim of a cylinder on an edge, or two
+                parallel lines that are not on a face.
         """
         if self.environment_feature.normal is not None:
             return self._on_face(self.environment_feature.normal)
@@ -172,6 +183,7 @@ class Detected:
         return self._of_lines()
 
     def _on_face(self, normal: Array) -> ContactPair:
+        """Pair of the object's feature on a face of the environment with this normal (3,)."""
         a = self.object_feature
         point = self.object_point
         face = self.environment_point
@@ -187,6 +199,7 @@ class Detected:
         return SphereOnPlane(point, a.radius, face, normal, name)
 
     def _under_face(self, normal: Array) -> ContactPair:
+        """Pair of a face of the object with this normal (3,) on the environment's feature."""
         e = self.environment_feature
         face = self.object_point
         name = self.name
@@ -197,6 +210,11 @@ class Detected:
         return FaceOnVertex(face, normal, self.environment_point, e.radius, name)
 
     def _of_lines(self) -> ContactPair:
+        """Pair of two features without a face.
+
+        Raises:
+            ContactError: no pair describes the contact.
+        """
         a = self.object_feature
         e = self.environment_feature
         if self.r > 1:
@@ -205,10 +223,21 @@ class Detected:
                 "GapFunctions"
             )
         if a.name in ("vertex", "sphere") and e.name in ("sphere", "cylinder"):
-            surface = Surface.cylinder if e.dimension else Surface.sphere
-            along, _, axis = triad(e.direction if e.dimension else self.environment_normal).T
-            place = (e.points[0], axis, along)
-            return SphereOnSurface(a.points[0], a.radius, surface(e.radius), *place, self.name)
+            if e.name == "cylinder":
+                surface = Surface.cylinder(e.radius)
+                across, _, axis = triad(e.direction).T
+            else:
+                surface = Surface.sphere(e.radius)
+                across, _, axis = triad(self.environment_normal).T
+            return SphereOnSurface(
+                a.points[0],
+                a.radius,
+                surface,
+                surface_point=e.points[0],
+                surface_axis=axis,
+                surface_x=across,
+                name=self.name,
+            )
         if a.radius > 0.0 or e.radius > 0.0 or a.dimension + e.dimension < 2:
             return between_round(a, e, self.name)
         return EdgeOnEdge(
@@ -221,10 +250,10 @@ class Detected:
         )
 
 
-# --- Contacts of one pair that are one ------------------------------------------------------------
+# --- Removal of repeated contacts -----------------------------------------------------------------
 
 _BURIED = 1e-6
-"""How far outside another shape of its body a point may lie and still count as inside (m)."""
+"""Largest distance outside another shape of its body of a point that counts as inside (m)."""
 
 
 def merged(
@@ -234,16 +263,19 @@ def merged(
     margin: float,
     angle: float,
 ) -> list[Detected]:
-    """`contacts` without those that repeat another: faces stay first, then lines, then points.
+    """Contacts without those that repeat another one.
 
-    A contact repeats another of the same tangent plane if its patch lies on the other's plane,
-    line or point, or if it touches with a part of the object's shape that is inside the other's
-    shape (the rim of a cylinder inside the ball that rounds its end). Among points the rounded
-    stays, then the nearer.
+    A contact repeats another one with the same tangent plane if its patch is on the other's plane,
+    line or point, or if the touching part of the object's shape is inside the other's shape (the
+    rim of a cylinder inside the ball that rounds its end). Faces are kept before lines, lines
+    before points, rounded points before others, and nearer points before others.
 
     Args:
-        contacts: all contacts. object_geometry: shapes of the object. X_WO: its pose.
-        margin: heights that count as equal (m). angle: directions that count as equal (rad).
+        contacts: all contacts.
+        object_geometry: shapes of the object.
+        X_WO: pose of the object.
+        margin: largest difference of equal heights (m).
+        angle: largest angle between equal directions (rad).
     """
     shapes = {shape.name: shape for shape in object_geometry}
     kept: list[Detected] = []
@@ -262,6 +294,7 @@ def merged(
 
 
 def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
+    """Return whether two contacts have the same tangent plane; for the arguments see `merged`."""
     inclined = norm(cross(a.normal, b.normal))
     if inclined > angle or a.normal @ b.normal < 0.0:
         return False
@@ -269,7 +302,13 @@ def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
 
 
 def _spanned(points: Array, other: Detected, margin: float) -> bool:
-    """Whether points of its tangent plane lie on the plane, line or point of the other's patch."""
+    """Return whether points (k, 3) are on the plane, line or point of a contact's patch.
+
+    Args:
+        points: (k, 3) points of the contact's tangent plane (m).
+        other: the contact.
+        margin: largest distance (m).
+    """
     away = points - other.points[0]
     if other.r == 3:
         return True
@@ -281,7 +320,13 @@ def _spanned(points: Array, other: Detected, margin: float) -> bool:
 
 
 def _buried(contact: Detected, shape: CollisionShape, X_WO: SE3) -> bool:
-    """Whether the touching part of the object lies inside another of its shapes."""
+    """Return whether the touching part of the object is inside another of its shapes.
+
+    Args:
+        contact: the contact.
+        shape: other shape of the object.
+        X_WO: pose of the object.
+    """
     if contact.object_shape == shape.name or contact.r > 1:
         return False
     surface = X_WO.act(contact.object_point) - contact.object_feature.radius * contact.normal
@@ -292,7 +337,7 @@ def _buried(contact: Detected, shape: CollisionShape, X_WO: SE3) -> bool:
 # --- Detection ------------------------------------------------------------------------------------
 
 _EXACT = 1e-9
-"""A plane face that explains the distance this well is the contact's; else it is round (m)."""
+"""Largest difference of the distance along the normal of a plane face from the distance (m)."""
 
 
 def detect(
@@ -304,18 +349,17 @@ def detect(
     margin: float = 1e-3,
     angle: float = 1e-3,
 ) -> list[Detected]:
-    """The contacts between the held object and one body of the environment.
+    """Contacts between the held object and one body of the environment.
 
-    Every pair of convex shapes gives at most one contact; contacts that add nothing to another
-    are merged into it. Overlaps count as contact, however deep; the normal is the direction in
-    which the shapes come apart soonest. Contacts at different places are all listed, even where
-    together they are dependent.
+    Every pair of convex shapes gives at most one contact; a contact that repeats another one is
+    left out. Overlaps of any depth count as contact; their normal is the direction of the shortest
+    separation. All contacts at different places are listed, even if they are dependent.
 
     Args:
         object_geometry, environment_geometry: shapes of the two bodies.
         X_WO, X_WE: poses of the two bodies (default of X_WE: the world's frame).
-        margin: shapes nearer than this touch; patches narrower are lines or points (m).
-        angle: faces and edges inclined by less touch all over (rad).
+        margin: largest distance of shapes that touch; narrower patches are lines or points (m).
+        angle: largest inclination of faces and edges that touch as a whole (rad).
 
     Raises:
         InvalidInputError: margin or angle out of range.
@@ -324,7 +368,8 @@ def detect(
         raise InvalidInputError(f"margin = {margin}; give a length > 0 m")
     if not 0.0 < angle < 0.1:
         raise InvalidInputError(f"angle = {angle}; give an angle between 0 and 0.1 rad")
-    X_WE = X_WE or SE3.Identity()
+    if X_WE is None:
+        X_WE = SE3.Identity()
     each = (
         _classified(a, X_WO, e, X_WE, margin, angle)
         for a, e in product(object_geometry, environment_geometry)
@@ -336,7 +381,15 @@ def detect(
 def _classified(
     a: CollisionShape, X_WO: SE3, e: CollisionShape, X_WE: SE3, margin: float, angle: float
 ) -> Detected | None:
-    """The contact of two shapes, their bodies at these poses; None where they are apart."""
+    """Contact of two shapes; None if they do not touch.
+
+    Args:
+        a: shape of the object.
+        X_WO: pose of the object.
+        e: shape of the environment's body.
+        X_WE: pose of that body.
+        margin, angle: see `detect`.
+    """
     near = nearest(a.shape, X_WO * a.placement, e.shape, X_WE * e.placement)
     if near.distance > margin:
         return None
@@ -377,38 +430,37 @@ def _classified(
 
 
 def _kind(a: Feature, e: Feature) -> str:
-    """As the field calls it: a face under something round is a plane."""
-    names = (
-        "plane" if one.name == "face" and other.radius > 0.0 else one.name
-        for one, other in ((a, e), (e, a))
-    )
-    return " on ".join(names)
+    """Conventional name of a contact, such as "sphere on plane" for a sphere on a face."""
+    of_object = "plane" if a.name == "face" and e.radius > 0.0 else a.name
+    of_environment = "plane" if e.name == "face" and a.radius > 0.0 else e.name
+    return f"{of_object} on {of_environment}"
 
 
 def _lifted(feature: Feature, patch: Array, n: Array) -> Array:
+    """Points (k, 3) of a feature that are above those of a patch (k, 3), see `Feature.lift`."""
     return np.array([feature.lift(point, n) for point in patch])
 
 
-# --- Contacts followed over time ------------------------------------------------------------------
+# --- Contacts tracked over time -------------------------------------------------------------------
 
 
-MARGIN_M = 2e-3  #: of a `TrackedContact`, see `detect`
-#: ways after which it detects anew
+MARGIN_M = 2e-3  #: margin of a `TrackedContact`, see `detect` (m)
+#: relative displacements after which a `TrackedContact` detects contacts again (m, rad)
 TRAVEL_M = 2e-3
 TURN_RAD = 5e-3
 
 
 class TrackedContact:
-    """Whatever touches between the held object and one body, as a `ContactPair`.
+    """Contact pair of all shapes that touch between the held object and one body.
 
-    What touches what is looked up by `detect` when the bodies have moved by more than 2 mm or
-    5 mrad relative to one another since the last time. In between, N and n_γ come from the pairs
-    found, at the poses and twists of each call. Where nothing is within the margin any more, the
-    contacts found last stay in force: geometry does not detect a lost contact.
+    Contacts are detected (`detect`) at the first call and whenever the bodies have moved by more
+    than 2 mm or 5 mrad relative to one another since the last detection. In between, N and n_γ are
+    those of the detected pairs at the poses and twists of each call. If no shapes are within the
+    margin, the last contacts remain: a lost contact is not detected by geometry.
 
     Attributes:
-        name: used in messages and recordings.
-        pairs: in force now; empty before the first call.
+        name: name in messages and recordings.
+        pairs: pairs of the last detection; empty before the first call.
         lookups: number of detections.
     """
 
@@ -418,11 +470,12 @@ class TrackedContact:
         environment_geometry: Sequence[CollisionShape],
         name: str = "detected",
     ) -> None:
-        """Take the collision shapes of both bodies, in the frames O and E.
+        """Make a contact without detecting anything.
 
         Args:
-            object_geometry, environment_geometry: see `collision_shapes`.
-            name: of the contact.
+            object_geometry: collision shapes of the object in O, see `collision_shapes`.
+            environment_geometry: collision shapes of the body in E.
+            name: name in messages and recordings.
         """
         self.name = name
         self.pairs: tuple[ContactPair, ...] = ()
@@ -437,23 +490,28 @@ class TrackedContact:
         X_WE: SE3 | None = None,
         V_E: Array | None = None,
     ) -> Contact:
-        """N (6, r) and n_γ (r,) of all that touches (see `ContactPair.contact`).
+        """Contact of all shapes that touch, with N (6, r) and n_γ (r,).
 
         Args:
-            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
+            X_WO, V_O, X_WE, V_E: see `ContactPair.contact`.
 
         Raises:
-            ContactError: nothing touches, and nothing ever has.
+            ContactError: no contact has been detected so far.
         """
         pairs = self._touching(X_WO, X_WE)
         parts = [pair.contact(X_WO, V_O, X_WE, V_E) for pair in pairs]
         return parts[0] if len(parts) == 1 else Contact.stack(parts)
 
     def gaps(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
-        """Gaps of the pairs found, one below the other (m, rad)."""
+        """Gaps (r,) of the detected pairs (m, rad), for the poses of object and body."""
         return np.concatenate([pair.gaps(X_WO, X_WE) for pair in self._touching(X_WO, X_WE)])
 
     def _touching(self, X_WO: SE3, X_WE: SE3 | None) -> tuple[ContactPair, ...]:
+        """Pairs of the last detection, which is repeated after a relative displacement.
+
+        Raises:
+            ContactError: no contact has been detected so far.
+        """
         X_EO = X_WO if X_WE is None else X_WE.actInv(X_WO)
         moved = self._X_EO.actInv(X_EO)
         far = norm(moved.translation) > TRAVEL_M or norm(pin.log3(moved.rotation)) > TURN_RAD

@@ -1,4 +1,4 @@
-"""Collision shapes, their nearest points and features, and the normals these imply."""
+"""Collision shapes, their nearest points and features, and normals of contact."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import coal
 import numpy as np
@@ -24,20 +23,22 @@ from osc_contact.spatial import Array, cross, norm
 # --- Solids of a collision geometry ---------------------------------------------------------------
 
 _CONVEX_SLACK = 1e-6
-"""A mesh counts as convex if no corner rises higher above a triangle, relative to its size."""
+"""Largest height of a corner of a convex mesh above a triangle, over the size of the mesh."""
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A convex solid: the hull of corners, rounded by a radius.
+    """Convex solid: the hull of corners, rounded by a radius.
 
-    Sphere and capsule are one and two corners with a ball at each; a cylinder (`axis` given) has a
-    disc across its axis at each of its two ends instead.
+    A sphere has one corner and a capsule two, with a ball at each; a cylinder (with an `axis`) has
+    two, with a disc across its axis at each.
 
     Attributes:
-        corners: (k, 3) m. radius: m. axis: (3,) unit, only of a cylinder.
+        corners: (k, 3) corners (m).
+        radius: radius of the balls or discs (m).
+        axis: (3,) unit axis of a cylinder; else None.
         normals: (m, 3) unit outward normals of the plane faces.
-        edges: (e, 3) unit directions of the straight edges (and of the line a side can lie on).
+        edges: (e, 3) unit directions of the straight edges, and of a rounded side.
     """
 
     corners: Array
@@ -47,7 +48,7 @@ class Solid:
     edges: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def moved(self, X: SE3) -> Solid:
-        """The same solid in the coordinates X maps to."""
+        """Solid in other coordinates, to which the pose X maps."""
         R = X.rotation
         t = X.translation
         axis = None if self.axis is None else R @ self.axis
@@ -56,7 +57,7 @@ class Solid:
         )
 
     def support(self, directions: Array) -> Array:
-        """How far the solid reaches along the unit `directions` (3,) or (m, 3)."""
+        """Support function of the solid (m) for unit `directions` (3,) or (m, 3)."""
         round_part: Array | float = self.radius
         if self.axis is not None:
             along = directions @ self.axis
@@ -66,20 +67,20 @@ class Solid:
 
 @dataclass(frozen=True)
 class CollisionShape:
-    """One convex shape of a body.
+    """Convex shape of a body.
 
     Attributes:
-        name: used in messages and in the names of contacts.
+        name: name in messages and in the names of contacts.
         shape: coal Box, Sphere, Cylinder, Capsule or Convex.
-        placement: of the shape in the frame of its body.
-        solid: its corners, faces and edges in that frame.
+        placement: pose of the shape in the frame of its body.
+        solid: corners, faces and edges of the shape in that frame.
 
     Raises:
-        InvalidInputError: another kind of shape, or one blown up by a swept-sphere radius.
+        InvalidInputError: another kind of shape, or a shape with a swept-sphere radius.
     """
 
     name: str
-    shape: Any
+    shape: coal.ShapeBase
     placement: SE3 = field(default_factory=SE3.Identity)
     solid: Solid = field(init=False, repr=False)
 
@@ -94,9 +95,9 @@ class CollisionShape:
 
 
 def collision_shapes(path: Path | str) -> list[CollisionShape]:
-    """The collision shapes of the single rigid body of a URDF, in the frame of its root link.
+    """Collision shapes of the single rigid body of a URDF, in the frame of its root link.
 
-    A shape is called by the name of its <collision> element where that is given and unique, else
+    The name of a shape is that of its <collision> element, if there is one and it is unique, else
     ``<link>_<number>``. Meshes must be convex.
 
     Raises:
@@ -104,13 +105,14 @@ def collision_shapes(path: Path | str) -> list[CollisionShape]:
     """
     file = Path(path)
     text = read_bytes(file)
-    read = _read.__wrapped__ if b"<mesh" in text else _read  # whose files may change
-    return list(read(file, text))
+    if b"<mesh" in text:  # the files of meshes may change: they are read every time
+        return list(_read.__wrapped__(file, text))
+    return list(_read(file, text))
 
 
 @lru_cache(maxsize=32)
 def _read(file: Path, text: bytes) -> tuple[CollisionShape, ...]:
-    """See `collision_shapes`; `text` is the file's, so that one that was read is not read again."""
+    """Collision shapes of a file, see `collision_shapes`, read once for each content `text`."""
     model, geometry, document = load_geometry(file, pin.GeometryType.COLLISION)
     if model.nv > 0:
         moving = ", ".join(joint_names(model))
@@ -134,8 +136,16 @@ def _read(file: Path, text: bytes) -> tuple[CollisionShape, ...]:
     return tuple(shapes)
 
 
-def _solid(name: str, shape: Any) -> Solid:
-    """Corners, faces and edges in the frame of the coal shape."""
+def _solid(name: str, shape: coal.ShapeBase) -> Solid:
+    """Corners, faces and edges of a coal shape in its own frame.
+
+    Args:
+        name: name of the shape, for messages.
+        shape: the shape.
+
+    Raises:
+        InvalidInputError: another kind of shape.
+    """
     eye = np.eye(3)
     z = eye[2:]
     if isinstance(shape, coal.Box):
@@ -159,7 +169,12 @@ def _solid(name: str, shape: Any) -> Solid:
 
 
 def _faces_and_edges(corners: Array, triangles: Array) -> tuple[Array, Array]:
-    """Unit outward normals and unit edge directions, each direction once."""
+    """Unit outward normals (m, 3) and unit edge directions (e, 3), each direction once.
+
+    Args:
+        corners: (k, 3) corners of a convex solid (m).
+        triangles: (t, 3) indices of the corners of its triangles.
+    """
     a, b, c = corners[triangles].swapaxes(0, 1)
     normals = np.cross(b - a, c - a)
     area = np.linalg.norm(normals, axis=1)
@@ -175,12 +190,21 @@ def _faces_and_edges(corners: Array, triangles: Array) -> tuple[Array, Array]:
 
 
 def _distinct(directions: Array) -> Array:
+    """Unit vectors (m, 3) without repetitions, in their order."""
     _, index = np.unique(np.round(directions, 9) + 0.0, axis=0, return_index=True)
     return directions[np.sort(index)]
 
 
-def _convex(name: str, mesh: Any) -> Any:
-    """coal.Convex of a mesh that already is convex (coal is built without a hull algorithm)."""
+def _convex(name: str, mesh: coal.BVHModelBase) -> coal.Convex:
+    """Convex shape of a mesh that is convex already; this coal has no hull algorithm.
+
+    Args:
+        name: name of the mesh, for messages.
+        mesh: the mesh.
+
+    Raises:
+        ModelError: the mesh is not convex.
+    """
     vertices = np.array(mesh.vertices())
     corners, index = np.unique(np.round(vertices, 12), axis=0, return_inverse=True)
     triangles = index.reshape(-1)[triangles_of(mesh.tri_indices, mesh.num_tris)]
@@ -205,12 +229,13 @@ def _convex(name: str, mesh: Any) -> Any:
 
 @dataclass(frozen=True)
 class Nearest:
-    """Where two shapes are nearest.
+    """Distance and nearest points of two shapes.
 
     Attributes:
-        distance: m, negative when they overlap; 0 where the solver fails.
-        normal: (3,) from the second to the first, to about 1e-2 near touch; zero where it fails.
-        witness: (3,) the nearest point of the second (m).
+        distance: distance (m), negative in an overlap; 0 if the solver fails.
+        normal: (3,) unit vector from the second to the first, with an error of about 1e-2 near
+            touch; zero if the solver fails.
+        witness: (3,) nearest point of the second shape (m).
     """
 
     distance: float
@@ -218,11 +243,12 @@ class Nearest:
     witness: Array
 
 
-def nearest(a: Any, X_A: SE3, e: Any, X_E: SE3) -> Nearest:
-    """Of two coal shapes at these poses.
+def nearest(a: coal.ShapeBase, X_A: SE3, e: coal.ShapeBase, X_E: SE3) -> Nearest:
+    """Distance and nearest points of two coal shapes.
 
     Args:
-        a, e: coal shapes. X_A, X_E: their poses in the world.
+        a, e: the shapes.
+        X_A, X_E: poses of the shapes in the world.
     """
     result = coal.DistanceResult()
     at_a = coal.Transform3s(X_A.rotation, X_A.translation)
@@ -237,20 +263,21 @@ def nearest(a: Any, X_A: SE3, e: Any, X_E: SE3) -> Nearest:
 
 # --- Faces, edges, rims and vertices --------------------------------------------------------------
 
-_DISC_POINTS = 24
+_DISC_POINTS = 24  #: corners of the polygon that represents a disc
 
 
 @dataclass(frozen=True)
 class Feature:
-    """The part of a body that touches.
+    """Part of a body that touches.
 
     Attributes:
-        name: vertex, edge, face, sphere, cylinder (its side), or rim (of a cylinder's end).
-        dimension: 0 a point, 1 a line, 2 a plane.
-        points: (1, 3) the point, (2, 3) ends of the line, or (k, 3) corners of the plane (m).
-        radius: around `points`, of sphere and cylinder (m).
-        normal: (3,) outward, of a face.
-        centre, axis: (3,) of a rim (m); unit axis.
+        name: "vertex", "edge", "face", "sphere", "cylinder" (its side), or "rim" (of its end).
+        dimension: 0 of a point, 1 of a line, 2 of a plane.
+        points: (1, 3) the point, (2, 3) ends of the line, or (k, 3) corners of the face (m).
+        radius: radius around `points` of sphere and cylinder (m).
+        normal: (3,) outward unit normal of a face.
+        centre: (3,) centre of a rim (m).
+        axis: (3,) unit axis of a rim.
     """
 
     name: str
@@ -263,12 +290,12 @@ class Feature:
 
     @property
     def direction(self) -> Array:
-        """(3,) unit direction of a line."""
+        """Unit direction (3,) of a line."""
         along: Array = self.points[-1] - self.points[0]
         return along / norm(along)
 
     def moved(self, X: SE3) -> Feature:
-        """The same feature in the coordinates X maps to."""
+        """Feature in other coordinates, to which the pose X maps."""
         normal = None if self.normal is None else X.rotation @ self.normal
         centre = None if self.centre is None else X.act(self.centre)
         axis = None if self.axis is None else X.rotation @ self.axis
@@ -276,7 +303,12 @@ class Feature:
         return Feature(self.name, self.dimension, points, self.radius, normal, centre, axis)
 
     def lift(self, point: Array, n: Array) -> Array:
-        """The point of the feature's line or plane that `point` meets when moved along n."""
+        """Point (3,) of the feature, or of its line or plane, that is nearest on a line.
+
+        Args:
+            point: (3,) point of the line (m).
+            n: (3,) direction of the line.
+        """
         if self.dimension == 0:
             return self.points[0]
         if self.normal is not None:
@@ -287,7 +319,7 @@ class Feature:
         return start + along * (((point - start) @ across) / (across @ across))
 
     def lowered(self, points: Array) -> Feature:
-        """What is left of it where only `points` (k, 3), on the feature, touch."""
+        """Feature of lower dimension, if only some `points` (k, 3) of this one touch."""
         dimension = min(len(points), 3) - 1
         if dimension == self.dimension:
             return self
@@ -296,14 +328,17 @@ class Feature:
 
 
 def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
-    """The feature of `solid` that reaches farthest along the unit vector d.
+    """Feature of a solid that is foremost along a direction.
 
-    Corners belong to it that lie back, seen from the foremost one, by no more than `margin` (m)
-    and by no more than `angle` (rad) times their distance from it. One such corner is a vertex,
-    corners in line are an edge, others a face.
+    It consists of the corners that are behind the foremost one by at most `margin` and by at most
+    `angle` times their distance from it. A single corner is a vertex, corners in line are an edge,
+    others a face.
 
     Args:
-        solid: a convex shape. d: (3,) unit vector. margin: m. angle: rad.
+        solid: convex solid.
+        d: (3,) unit vector.
+        margin: largest distance behind the foremost corner (m).
+        angle: largest inclination (rad).
     """
     if solid.axis is not None:
         return _of_cylinder(solid, solid.axis, d, margin, angle)
@@ -328,6 +363,7 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
 
 
 def _of_cylinder(solid: Solid, axis: Array, d: Array, margin: float, angle: float) -> Feature:
+    """Feature of a cylinder that is foremost along d: face, side or rim; see `foremost`."""
     along = float(axis @ d)
     radial = d - along * axis
     sine = norm(radial)
@@ -345,12 +381,13 @@ def _of_cylinder(solid: Solid, axis: Array, d: Array, margin: float, angle: floa
 
 
 def _collinear(points: Array) -> bool:
+    """Return whether points (k, 3) are on a line."""
     spread = np.linalg.svd(points - points[0], compute_uv=False)
     return bool(spread[1] <= 1e-9 * spread[0])
 
 
 def _round_trip(points: Array, normal: Array) -> Array:
-    """The corners of a convex face in counterclockwise order."""
+    """Corners (k, 3) of a convex face in counterclockwise order about its normal (3,)."""
     flat = (points - points.mean(axis=0)) @ triad(normal)[:, :2]
     return points[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))]
 
@@ -361,15 +398,17 @@ def _round_trip(points: Array, normal: Array) -> Array:
 def shared_patch(
     a: Feature, e: Feature, n: Array, witness: Array, width: float, angle: float
 ) -> Array:
-    """(k, 3) points of the patch that features a and e share along the unit normal n.
+    """Points (k, 3) of the patch in which two features overlap, projected along the normal.
 
-    A patch narrower than `width` counts as a line (k = 2), a line shorter as a point (k = 1).
-    Heights along n mean nothing here. `witness` (3,) stands in where, a little apart, the two do
-    not overlap at all.
+    A patch narrower than `width` is a line (k = 2), and a line shorter than `width` a point
+    (k = 1). The components of the points along n are zero.
 
     Args:
-        a, e: features of object and environment. n: (3,) unit vector. witness: (3,) point (m).
-        width: m. angle: tolerance (rad).
+        a, e: features of object and environment.
+        n: (3,) unit normal.
+        witness: (3,) point to be used if the features do not overlap (m).
+        width: least width of a patch (m).
+        angle: largest angle between parallel lines (rad).
     """
     axes = triad(n)[:, :2].T
     flat_a = a.points @ axes.T
@@ -390,7 +429,12 @@ def shared_patch(
 
 
 def _of_lines(a: Array, e: Array, angle: float) -> Array:
-    """Where two line pieces cross, or the piece in which two parallel ones run side by side."""
+    """Intersection (1, 2) of two segments, or the common part (2, 2) of parallel ones.
+
+    Args:
+        a, e: (2, 2) ends of the segments (m).
+        angle: largest angle between parallel segments (rad).
+    """
     along_a = a[1] - a[0]
     along_e = e[1] - e[0]
     lengths = (norm(along_a), norm(along_e))
@@ -403,10 +447,11 @@ def _of_lines(a: Array, e: Array, angle: float) -> Array:
 
 
 def _clip(subject: Array, window: Array) -> Array:
-    """The part of a convex polygon or line piece inside a convex polygon (Sutherland-Hodgman).
+    """Part (n, 2) of a convex polygon or segment inside a convex polygon (Sutherland-Hodgman).
 
     Args:
-        subject: (k, 2) points. window: (m, 2) corners, counterclockwise.
+        subject: (k, 2) corners of the polygon, or ends of the segment (m).
+        window: (m, 2) corners of the other polygon, counterclockwise (m).
     """
     points = list(subject)
     for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
@@ -425,7 +470,7 @@ def _clip(subject: Array, window: Array) -> Array:
 
 
 def _reduced(points: Array, width: float) -> Array:
-    """The points themselves, the two ends of what is but a line, or the middle of what is less."""
+    """Points (k, 2), their two ends if they are narrower than `width`, or their middle if shorter."""
     if len(points) == 1:
         return points
     middle = points.mean(axis=0)
@@ -440,32 +485,33 @@ def _reduced(points: Array, width: float) -> Array:
 
 # --- Normals of contact ---------------------------------------------------------------------------
 #
-# Near touch an iterative solver finds the normal to 1e-5 rad at best, far too coarse for N. So the
-# normal is chosen among those the geometry has exactly: of every direction n the reach of the two
-# shapes gives a lower bound of their signed distance, and the contact normal is the direction of
-# the largest bound. Faces' normals and cross products of edges are tried (the environment's faces
-# come first where two are as good); the solver's own normal only serves where round shapes are
-# involved.
+# Near touch an iterative solver finds the normal with an error of at least 1e-5 rad, too coarse for
+# N. Therefore the normal is selected among exact ones: for every direction n the support functions
+# of the two shapes give a lower bound of their signed distance, and the contact normal is the
+# direction of the largest bound. Candidates are the normals of faces and the cross products of
+# edges (the environment's faces have priority among equal bounds), and the solver's normal only if
+# there are round shapes.
 
 _TIE = 1e-9
-"""Directions whose bounds differ by less are as good (m)."""
+"""Largest difference of bounds that count as equal (m)."""
 
 
 def separation(a: Solid, e: Solid, n: Array) -> Any:
-    """Gap between a and e along the unit vector n out of e: never more than their distance (m).
+    """Gap between two solids along a direction, a lower bound of their signed distance (m).
 
     Args:
-        a, e: shapes of object and environment in world axes. n: (3,) or (m, 3) out of e.
+        a, e: solids of object and environment in world axes.
+        n: (3,) or (m, 3) unit vectors out of e.
     """
     return -a.support(-n) - e.support(n)
 
 
 def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
-    """(3,) the outward normal of e, or the guess, along which a and e are farthest apart.
+    """Unit vector (3,) out of e along which the gap between a and e is largest.
 
     Args:
-        a, e: shapes of object and environment in world axes.
-        guess: (3,) tried besides the normals and the directions across two edges.
+        a, e: solids of object and environment in world axes.
+        guess: (3,) a candidate in addition to the normals and the directions across two edges.
     """
     crosses = cross(a.edges.T[:, :, None], e.edges.T[:, None, :]).reshape(3, -1).T
     length = np.linalg.norm(crosses, axis=1)
@@ -480,11 +526,12 @@ def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
 
 
 def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:
-    """n as the two features fix it: the face's, else across both edges, else between centres.
+    """Normal (3,) of a contact: that of a face, else across both edges, else between centres.
 
     Args:
-        a, e: features of object and environment. n: (3,) unit vector near the normal.
-        angle: tolerance (rad).
+        a, e: features of object and environment.
+        n: (3,) unit vector near the normal, which is the result for parallel lines and rims.
+        angle: largest angle between parallel lines (rad).
     """
     if e.normal is not None:
         return e.normal
@@ -495,7 +542,7 @@ def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:
         if norm(across) <= angle:
             return n
     elif a.axis is not None or e.axis is not None:
-        return n  # of a rim: the solver's
+        return n  # that of the solver
     else:
         across = _nearest(a, e) - _nearest(e, a)
     across = across / norm(across)

@@ -1,4 +1,4 @@
-"""Pairs that functions of the user describe: by the gaps alone, or by all that the law needs."""
+"""Pairs defined by functions of the user: of gaps alone, or of all quantities of a pair."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from osc_contact.law.jit import PLAIN_PYTHON, call_address
 from osc_contact.law.records import FUNCTION
 from osc_contact.spatial import Array, as_array, cross_twist, norm
 
-# Any contact whose gaps can be computed: N and n_γ from derivatives of the gap functions.
+# Contacts defined by gap functions, whose derivatives are N and n_γ.
 
 # Eighth-order central differences at the steps ±1 … ±4.
 _STEPS = np.array([1.0, 2.0, 3.0, 4.0])
@@ -33,22 +33,22 @@ _SECOND = np.array([8064.0, -1008.0, 128.0, -9.0]) / 5040.0
 
 @register_pair()
 class GapFunctions(PackagedPair):
-    """r smooth functions of the relative pose that the contact keeps at zero, 0 ≤ r ≤ 6.
+    """Pair of r smooth functions of the relative pose that are zero in contact, 0 ≤ r ≤ 6.
 
-    N = −∂g/∂ξ for relative displacements ξ at O, and, since g(X_EA) depends on the relative pose
-    only, n_γ = Nᵀ(V_E × V_rel) + d²g/ds² along the motion of constant relative twist V_rel.
-    Both come from central differences of eighth order (48 and 8 evaluations), the object turned
-    about its own origin by `step` (rad) and moved by `step · length` (m). For functions that bend
-    over `length` or more the truncation error is below 1e-15 of g (a tenth of that length: 1e-8),
-    the rounding error 1e-16/step² = 3e-13 of g times (speed/length)². g must be smooth on both
-    sides of contact, 4 steps far.
+    N = −∂g/∂ξ for relative displacements ξ at O and, as g(X_EA) depends on the relative pose only,
+    n_γ = Nᵀ(V_E × V_rel) + d²g/ds² along the motion of constant relative twist V_rel. Both are
+    computed by central differences of eighth order (48 and 8 evaluations), in which the object is
+    turned about its own origin by `step` (rad) and moved by `step · length` (m). For functions
+    with features of size `length` or more the truncation error is below 1e-15 of g (1e-8 for a
+    tenth of that size), and the rounding error is 1e-16/step² = 3e-13 of g times (speed/length)².
+    g must be smooth up to 4 steps on both sides of contact.
 
     Attributes:
-        gap: pose of the object in the environment frame → (r,) gaps (m or rad), shrinking as the
-            object moves into the environment.
-        length: over which the geometry bends (m), for instance the smallest radius of curvature.
-        step: of the differences (rad, and part of `length`).
-        name: used in messages and recordings.
+        gap: function of the pose of the object in the environment frame that returns the gaps (r,)
+            (m or rad), which decrease as the object moves into the environment.
+        length: size of the features of the geometry (m), such as the least radius of curvature.
+        step: step of the differences (rad, and share of `length`).
+        name: name in messages and recordings.
 
     Example:
         >>> def above(X_EA: pin.SE3) -> list[float]:
@@ -75,7 +75,7 @@ class GapFunctions(PackagedPair):
         N = -to_E.T @ (np.array(slopes) / units[:, None])  # at O
         V_rel = b.V_rel
         xi = to_E @ V_rel
-        speed = norm(xi / units)  # how many units of `step` per second
+        speed = norm(xi / units)  # rate along the motion in units of `step` (1/s)
         bend = self._differences(X_EA, xi / speed)[1] * speed**2 if speed else 0.0
         return Contact(N, cross_twist(b.V_E, V_rel) @ N + bend, name=self.name)
 
@@ -83,8 +83,12 @@ class GapFunctions(PackagedPair):
         return as_array(f"{self.name}.gap(X_EA)", self.gap(X_EA), (None,))
 
     def _differences(self, X_EA: SE3, xi: Array) -> tuple[Array, Array]:
-        """First and second derivative of the gaps along the constant twist xi (6,), at A's origin
-        in E's axes."""
+        """First and second derivatives (r,) of the gaps along a motion of constant twist.
+
+        Args:
+            X_EA: pose of the object.
+            xi: (6,) twist at A's origin, E's axes.
+        """
         at_A = SE3(np.eye(3), X_EA.translation)
         turned = SE3(X_EA.rotation, np.zeros(3))
 
@@ -97,28 +101,28 @@ class GapFunctions(PackagedPair):
         return (first, _SECOND @ (ahead + behind - 2.0 * self._gaps(X_EA)) / self.step**2)
 
 
-# A pair whose N and n_γ a function computes, compiled and called inside the law.
+# Pairs defined by a function of N and n_γ, which is compiled and called inside the law.
 
 
 @register_pair()
 class CompiledPair(PackagedPair):
-    """A contact pair as one function that numba compiles; the compiled tick calls it by address.
+    """Pair defined by a function that numba compiles; the compiled tick calls it by its address.
 
     ``function(X_WO, V_O, X_WE, V_E, parameters, N, n_gamma, gaps, points)`` reads the poses X_WO
     and X_WE (4, 4) of object and environment body, their twists V_O and V_E (6,), both at O in
-    world axes, and the pair's parameters, and fills N (6, r), which is given as NaN, n_γ (r,), the
-    gaps (r,) and, of pairs that push, where each magnitude acts: points (3, r), world (m). The
-    latter three are given as zeros. What they mean: see `ContactPair`. The function keeps to what
-    numba compiles without Python objects, allocates nothing if it is to run in real time, and is
-    that of a module if the pair is pickled.
+    world axes, and the pair's parameters. It fills N (6, r), which is NaN before, n_γ (r,), the
+    gaps (r,) and, for pairs that push, the point of application of each magnitude, points (3, r),
+    world (m); these three are zero before. For their definitions see `ContactPair`. numba must be
+    able to compile the function without Python objects. For real time it must not allocate, and to
+    pickle the pair it must be defined in a module.
 
     Attributes:
-        function: see above; plain, or made by `numba.njit`. It is compiled once for all parameters.
-        parameters: numbers of the geometry, in the units that the function takes.
+        function: the function, plain or made by `numba.njit`, compiled once for all parameters.
+        parameters: numbers of the geometry, in the units of the function.
         forces: r, 1 … 6.
-        pushes: whether every magnitude is a force that must not become negative; then points are
-            given, and there may be friction.
-        name: used in messages and recordings.
+        pushes: True if every magnitude is a force that must not become negative; then the function
+            fills `points`, and friction is possible.
+        name: name in messages and recordings.
 
     Example:
         >>> def level(*arrays: np.ndarray) -> None:  # the object's origin at a height
@@ -146,14 +150,14 @@ class CompiledPair(PackagedPair):
         self.row()
 
     def row(self) -> PairRow:
-        """The pair as the compiled law reads it.
+        """Row of the pair for the compiled law.
 
         Raises:
             InvalidInputError: numba cannot compile the function.
         """
         try:
             address = _entry(self.function, self.forces, np.size(self.parameters))[0]
-        except Exception as error:  # of many kinds: syntax, names, types
+        except Exception as error:  # numba raises errors of many kinds: of syntax, names, types
             raise InvalidInputError(f"{self.name}: numba cannot compile it: {error}") from error
         return PairRow(FUNCTION, tuple(self._rows), len(self._rows) - self.forces, address)
 
@@ -167,11 +171,11 @@ class CompiledPair(PackagedPair):
         return self._evaluate(Bodies.at_O(X_EA))[:, 7]
 
     def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
-        """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
+        """Points of application (3, r) of the magnitudes of a pair that pushes, world (m)."""
         return X_WO.translation[:, None] + self._evaluate(Bodies.at_O(X_WO, X_WE=X_WE))[:, 8:].T
 
     def _evaluate(self, b: Bodies) -> Array:
-        """(r, 11) N, n_γ, gap and point from O of each magnitude."""
+        """Column of N (6), n_γ, gap and point from O (3) of each magnitude, (r, 11)."""
         found = np.empty((self.forces, 11))
         given = (b.X_A.homogeneous, b.V_A, b.X_E.homogeneous, b.V_E)
         rows = [np.ascontiguousarray(one, dtype=float) for one in given]
@@ -180,11 +184,16 @@ class CompiledPair(PackagedPair):
 
 
 @cache
-def _entry(function: Any, forces: int, count: int) -> tuple[int, Any]:
-    """The address of the C function that the law calls, and what keeps it there.
+def _entry(function: Callable[..., None], forces: int, count: int) -> tuple[int, object]:
+    """Address of the C function that the law calls, and the object that keeps it in memory.
 
     Args:
-        function, forces: of the pair. count: of its parameters.
+        function: function of the pair.
+        forces: number r of its magnitudes.
+        count: number of its parameters.
+
+    Raises:
+        InvalidInputError: numba is not installed.
     """
     try:
         import numba

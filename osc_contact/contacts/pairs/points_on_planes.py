@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import pi
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pinocchio import SE3
@@ -30,15 +30,15 @@ from osc_contact.spatial import Array, cross, norm
 
 
 class PointsOnPlanes(LawPair):
-    """r points pⱼ of A at the distance ρ from r planes of E with unit directions nⱼ into them.
+    """Pair of r points pⱼ of A at the distance ρ from r planes of E with unit directions nⱼ inward.
 
     Nⱼ = [nⱼ; (pⱼ − O) × nⱼ]. nⱼ is fixed in the environment, pⱼ in the object: ṅ = ω_E × n,
     ṗ = v_O(p), so Ṅ = [ṅ; ṗ × n + (p − O) × ṅ] and n_γ = −ṄᵀV_rel
-    = −ṅ · v_rel(p) − n · (ω_rel × ṗ). The gaps are the distances minus ρ. All this holds with open
-    gaps too.
+    = −ṅ · v_rel(p) − n · (ω_rel × ṗ). The gaps are the distances minus ρ. The formulas hold with
+    open gaps, too.
 
-    A sphere or cylinder touches where its surface meets the plane, but its line of force passes
-    through the centre or axis: `points` are there and only the gap contains the radius ρ.
+    The line of force of a sphere or cylinder passes through its centre or axis: pⱼ is a point of
+    these, and only the gap contains the radius ρ.
     """
 
     _points: Array
@@ -48,12 +48,22 @@ class PointsOnPlanes(LawPair):
     def _hold_points(
         self, points: Array, into: Array, on_plane: Array, radius: float = 0.0
     ) -> None:
-        """Take points of A and unit directions, (3,) or (3, r), and a point (3,) of all planes."""
+        """Set the points and planes of the pair.
+
+        Args:
+            points: (3,) or (3, r) points of A (m).
+            into: (3,) or (3, r) unit directions of E into the planes.
+            on_plane: (3,) point of E in all planes (m).
+            radius: ρ (m).
+        """
         points = points.reshape(3, -1)
         into = np.broadcast_to(into.reshape(3, -1), points.shape)
         heights = (into * on_plane[:, None]).sum(axis=0)
         store(self, _points=points, _into=into, _reach=heights - radius)
-        shapes = map(shape, points.T, into.T, heights)
+        shapes = [
+            shape(point, direction, height)
+            for point, direction, height in zip(points.T, into.T, heights, strict=True)
+        ]
         self._hold(on_plane, POINTS, tuple(shapes))
 
     @property
@@ -62,16 +72,22 @@ class PointsOnPlanes(LawPair):
         return self._into
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """(r,) signed distances (m), negative where the two overlap."""
+        """Signed distances (r,) minus ρ (m), negative in an overlap."""
         n = self._into
         turned = X_EA.rotation @ self._points
         return self._reach - X_EA.translation @ n - np.einsum("ij,ij->j", turned, n)
 
 
-def ends(line: Any) -> Array:
-    """(3, 2) the two ends of a segment of a line, `length` apart around its `point`."""
-    half = 0.5 * line.length * line.direction
-    return np.column_stack((line.point - half, line.point + half))
+def ends(point: Array, direction: Array, length: float) -> Array:
+    """Ends (3, 2) of a segment of a line.
+
+    Args:
+        point: (3,) middle of the segment (m).
+        direction: (3,) unit direction of the line.
+        length: length of the segment (m).
+    """
+    half = 0.5 * length * direction
+    return np.column_stack((point - half, point + half))
 
 
 # A vertex of the object on a face of the environment.
@@ -113,7 +129,7 @@ class VertexOnFace(PointsOnPlanes):
 class SphereOnPlane(PointsOnPlanes):
     """A sphere (or rounded vertex) of the object on a plane of the environment, r = 1.
 
-    The same as a rounded vertex on a face: the line of force passes through the centre.
+    As for a rounded vertex on a face, the line of force passes through the centre.
 
     Example:
         >>> ball = osc.SphereOnPlane([0, 0, 0], 0.02, face_point=[0, 0, 0], face_normal=[0, 0, 1])
@@ -143,9 +159,9 @@ class SphereOnPlane(PointsOnPlanes):
 class EdgeOnFace(PointsOnPlanes):
     """A straight edge of the object on a face of the environment, r = 2.
 
-    Its distributed force is carried by two points of the edge, `length` apart around `point`, each
-    like a vertex on the face: both magnitudes are forces (N), positive while the centre of pressure
-    is between them. Any other length spans the same spaces N and T.
+    The distributed force is represented by the forces at two points of the edge, `length` apart
+    around `point`, each like a vertex on the face: both magnitudes are forces (N), positive while
+    the centre of pressure is between them. Any other length spans the same spaces N and T.
 
     Example:
         >>> edge = osc.EdgeOnFace([0, 0, 0], [1, 0, 0], face_point=[0, 0, 0], face_normal=[0, 0, 1])
@@ -167,7 +183,7 @@ class EdgeOnFace(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        feet = ends(self)
+        feet = ends(self.point, self.direction, self.length)
         self._hold_points(feet, -self.face_normal, self.face_point)
 
 
@@ -178,8 +194,9 @@ class EdgeOnFace(PointsOnPlanes):
 class CylinderOnPlane(PointsOnPlanes):
     """A cylinder of the object on a plane of the environment, r = 2.
 
-    As an edge on a face, with the lines of force through two points of the *axis*, `length` apart;
-    only the gaps know the radius. Rolling is free: where the surface touches does not matter.
+    It is like an edge on a face, with the lines of force through two points of the *axis*, `length`
+    apart; only the gaps contain the radius. Rolling is free: N is independent of the line on the
+    cylinder's surface that touches.
 
     Example:
         >>> roll = osc.CylinderOnPlane(
@@ -205,7 +222,7 @@ class CylinderOnPlane(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        feet = ends(self)
+        feet = ends(self.point, self.direction, self.length)
         self._hold_points(feet, -self.face_normal, self.face_point, self.radius)
 
 
@@ -219,10 +236,10 @@ _CORNERS = np.deg2rad([90.0, 210.0, 330.0])
 class FaceOnFace(PointsOnPlanes):
     """A flat face of the object on a flat face of the environment, r = 3.
 
-    The distributed force is carried by the three corners of an equilateral triangle drawn in the
-    object's face around `point`, each like a vertex on the other face: all three magnitudes are
-    forces (N), positive while the centre of pressure lies in the triangle. Any other triangle
-    spans the same spaces N and T.
+    The distributed force is represented by the forces at the three corners of an equilateral
+    triangle in the object's face around `point`, each like a vertex on the other face: all three
+    magnitudes are forces (N), positive while the centre of pressure is in the triangle. Any other
+    triangle spans the same spaces N and T.
 
     Example:
         >>> foot = osc.FaceOnFace([0, 0, 0], [0, 0, -1], [0, 0, 0], face_normal=[0, 0, 1])
@@ -257,9 +274,8 @@ class CylinderInHole(PointsOnPlanes):
     """A cylinder of the object in a hole of the environment without play, r = 4.
 
     Two points of the cylinder's axis, `length` apart, are each held on the axis of the hole by two
-    perpendicular forces (N): a touch on any side of the wall, so the magnitudes have either sign.
-    The cylinder may turn and slide. Any other length spans the same
-    spaces N and T.
+    perpendicular forces (N). The wall touches on any side, so the magnitudes have either sign. The
+    cylinder can turn and slide. Any other length spans the same spaces N and T.
 
     Example:
         >>> peg = osc.CylinderInHole([0, 0, 0], [0, 0, 1], [0, 0, 0], hole_direction=[0, 0, 1])
@@ -280,7 +296,7 @@ class CylinderInHole(PointsOnPlanes):
     name: str = "cylinder_in_hole"
 
     def _make(self) -> None:
-        points = np.repeat(ends(self), 2, axis=1)
+        points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
         across = triad(self.hole_direction)[:, :2]
         self._hold_points(points, np.hstack((across, across)), self.hole_point)
 
@@ -336,5 +352,5 @@ class CylinderInVGroove(PointsOnPlanes):
         across = np.cos(self.groove_angle / 2) * side
         along = np.sin(self.groove_angle / 2) * cross(side, self.groove_direction)
         into = np.column_stack((across - along, -across - along))
-        points = np.repeat(ends(self), 2, axis=1)
+        points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
         self._hold_points(points, np.hstack((into, into)), self.groove_point, self.radius)

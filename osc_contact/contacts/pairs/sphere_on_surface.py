@@ -22,9 +22,9 @@ class SphereOnSurface(LawPair):
 
     N = [−n; (p − O) × −n], p the centre of the ball, n the normal at the point of the surface
     nearest to p. n is the gradient of the signed distance φ of p, ṅ = ω_E × n + ∇²φ v_rel(p), so
-    n_γ is that of a plane, and v_rel(p)ᵀ∇²φ v_rel(p) more. The gap is φ − ρ. All this holds with
-    open gaps too, as far as one point of the surface is the nearest: the ball's radius and the
-    misplacement of the surface together stay below its radius of curvature where it is hollow.
+    n_γ is that of a plane plus v_rel(p)ᵀ∇²φ v_rel(p). The gap is φ − ρ. The formulas hold with open
+    gaps, too, as long as the nearest point of the surface is unique: where the surface is concave,
+    its radius of curvature must exceed the ball's radius plus the misplacement of the surface.
 
     Example:
         >>> dome = osc.SphereOnSurface([0, 0, 0], radius=0.01, surface=osc.Surface.sphere(0.3))
@@ -65,10 +65,10 @@ class SphereOnSurface(LawPair):
         self._hold(self.surface_point, SURFACE, shapes, len(shapes) - 1)
 
     def nearest(self, points: Array) -> tuple[Array, Array, Array]:
-        """Signed distances (k,), feet (3, k) on the surface and outward normals (3, k) there.
+        """Signed distances (k,) (m), feet (3, k) on the surface and outward normals (3, k) there.
 
         Args:
-            points: (3, k) in the environment frame (m).
+            points: (3, k) points in the environment frame (m).
         """
         R = self.X_ES.rotation
         away, n = distance_and_normal(
@@ -78,11 +78,11 @@ class SphereOnSurface(LawPair):
         return (away, points - away * n, n)
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """(1,) signed distance of the ball (m), negative where it overlaps."""
+        """Signed distance (1,) of the ball (m), negative in an overlap."""
         return self.nearest(X_EA.act(self.centre)[:, None])[0] - self.radius
 
     def feet(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
-        """(3, 1, k) of k instants the point of the surface nearest to the ball, world (m)."""
+        """Points (3, 1, k) of the surface nearest to the ball at k instants, world (m)."""
         p = X_WO.act(self.centre[:, None])
         if X_WE is None:
             return self.nearest(p)[1][:, None]

@@ -1,9 +1,9 @@
-"""Pairs given by T: N annihilates T by construction, n_γ = NᵀṪβ."""
+"""Pairs defined by T: N annihilates T by construction, n_γ = NᵀṪβ."""
 
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from pinocchio import SE3
@@ -21,15 +21,15 @@ _NONE = np.zeros((3, 0))
 
 
 class TangentPair(PointsOnPlanes):
-    """A pair whose T = [t₁ …] is known: n_γ = NᵀṪβ, V_rel = Tβ, ṫⱼ = V_b(j) × tⱼ (paper, sec. 3).
+    """Pair with known T = [t₁ …]: n_γ = NᵀṪβ, V_rel = Tβ, ṫⱼ = V_b(j) × tⱼ (paper, section 3).
 
-    b(j) is the body that carries the axis of tⱼ. N has explicit columns, smooth in the pose, that
-    annihilate T and are the gradients of the gaps:
+    b(j) is the body to which the axis of tⱼ is fixed. N has explicit columns, smooth in the pose,
+    that annihilate T and are the gradients of the gaps:
 
     * points pⱼ of A on planes of E with directions nⱼ: column [n; p × n], gap −n·(p − q);
     * directions aⱼ of A at right angles to directions uⱼ of E: column [0; a × u], gap −a·u.
 
-    Unlike a magnitude of a face, these have either sign.
+    Unlike the magnitude of a face, their magnitudes have either sign.
     """
 
     _arms: Array
@@ -44,14 +44,17 @@ class TangentPair(PointsOnPlanes):
         freedoms: tuple[Array, ...] = (),
         threads: tuple[Array, ...] = (),
     ) -> None:
-        """Take the columns of N and the permitted motions.
+        """Set the columns of N and the permitted motions.
 
         Args:
-            point: (3,) of A. into: (3, k) unit directions of E. on_plane: (3,) a point of E.
-            right_angles: arms (3, m) of A and marks (3, m) of E.
+            point: (3,) point of A (m) on the planes.
+            into: (3, k) unit directions of E into the planes.
+            on_plane: (3,) point of E in all planes (m).
+            right_angles: directions a (3, m) of A and u (3, m) of E that are perpendicular.
             freedoms: shapes of TURN about an axis of A through a point of A; of SLIDE along an
-                axis of E, its rate read at a point of A; of SCREW, the turn and pitch (m/rad) times
-                its rate along the seat's axis of E. threads: columns that hold one to its pitch.
+                axis of E, with the rate at a point of A; of SCREW, a turn and pitch (m/rad) times
+                its rate along an axis of E.
+            threads: shapes of columns that couple the advance of a SCREW to its turn.
         """
         points = np.tile(point[:, None], into.shape[1])
         arms, marks = right_angles
@@ -62,24 +65,54 @@ class TangentPair(PointsOnPlanes):
         self._hold(on_plane, TANGENTS, shapes, len(freedoms))
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """(r,) signed errors: m for the points, rad (to first order) for the directions."""
+        """Signed errors (r,): of the points (m), of the directions (rad, to first order)."""
         angles = -((X_EA.rotation @ self._arms) * self._marks).sum(axis=0)
         return np.concatenate((super()._gaps(X_EA), angles))
 
 
 def held_axis(axis: Array, seat: Array) -> tuple[Array, Array]:
-    """Arms and marks (3, 2) that keep `axis` of A along `seat` of E; couples along triad(seat)."""
+    """Directions a (3, 2) of A and u (3, 2) of E that keep an axis of A along a direction of E.
+
+    The couples are along the first two columns of triad(seat).
+
+    Args:
+        axis: (3,) unit vector of A.
+        seat: (3,) unit vector of E.
+    """
     x, y, _ = triad(seat).T
     return (np.column_stack((axis, axis)), np.column_stack((-y, x)))
 
 
 def held_axes(R_EA: Array) -> tuple[Array, Array]:
-    """Arms and marks (3, 3) that keep A's orientation in E at R_EA; couples along E's axes."""
+    """Directions a (3, 3) of A and u (3, 3) of E that keep A's orientation in E at R_EA (3, 3).
+
+    The couples are along E's axes.
+    """
     return (R_EA.T[:, [1, 2, 0]], np.eye(3)[:, [2, 0, 1]])
 
 
-def assembled_axis(joint: Any) -> tuple[Array, Array]:
-    """The axis of a joint in E, and a point on it, as assembled; of that pose it keeps a copy."""
+class AssembledJoint(Protocol):
+    """Pair with an axis that is known in an assembled pose.
+
+    Attributes:
+        point: (3,) point of the axis in the object frame (m).
+        axis: (3,) unit vector in the object frame.
+        assembled: pose of the object in the environment frame in which the joint is closed.
+    """
+
+    @property
+    def point(self) -> Array: ...
+    @property
+    def axis(self) -> Array: ...
+    @property
+    def assembled(self) -> SE3: ...
+
+
+def assembled_axis(joint: AssembledJoint) -> tuple[Array, Array]:
+    """Axis (3,) of a joint in E, and a point (3,) of it, in the assembled pose.
+
+    The pose is replaced by a copy, as users may change the one that they gave.
+    """
     X = SE3(joint.assembled)
     store(joint, assembled=X)
     return (X.rotation @ joint.axis, X.act(joint.point))
@@ -201,9 +234,9 @@ class Revolute(TangentPair):
 class Screw(TangentPair):
     """A screw: the object turns about an axis of the environment and advances with it (r = 5).
 
-    Gaps: two distances of the point from the axis, two angles of the axis, and the advance that
-    the angle does not account for, to the nearest turn of the thread (m). Their gradient is −N in
-    the assembled screw; N annihilates T in any pose.
+    Gaps: two distances of the point from the axis, two angles of the axis, and the difference of
+    the advance from pitch times angle, modulo whole turns (m). Their gradient is −N in the
+    assembled pose; N annihilates T in any pose.
 
     Attributes:
         point: (3,) a point of the axis in the object frame (m).
@@ -239,7 +272,7 @@ class Screw(TangentPair):
         self._hold_tangents(self.point, axes[:, :2], on_axis, tilts, (freedom,), (thread,))
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """(5,) signed errors, the last one wrapped to ±π |pitch|."""
+        """Signed errors (5,) (m, rad), the last one within ±π |pitch|."""
         x, y, d = self._seat.T
         spoke = X_EA.rotation @ self.assembled.rotation.T @ x  # along x when assembled
         angle = np.arctan2(y @ spoke, x @ spoke)
