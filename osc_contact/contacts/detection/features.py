@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import coal
 import numpy as np
@@ -470,7 +471,12 @@ def _clip(subject: Array, window: Array) -> Array:
 
 
 def _reduced(points: Array, width: float) -> Array:
-    """Points (k, 2), their two ends if they are narrower than `width`, or their middle if shorter."""
+    """Points (k, 2) of a patch; of a narrow one its two ends, of a short one its middle.
+
+    Args:
+        points: (k, 2) corners of the patch (m).
+        width: least width of a patch, and least length of a line (m).
+    """
     if len(points) == 1:
         return points
     middle = points.mean(axis=0)
