@@ -18,7 +18,7 @@ from osc_contact.robots.model import joint_names, position_limits, rotors, slidi
 from osc_contact.spatial import Array, norm
 
 if TYPE_CHECKING:
-    from mujoco import MjModel, MjSpec
+    from osc_contact.robots.mjcf import MjcfSource
 
 PerJoint = float | Sequence[float] | Array  #: a number for all joints, or one for each
 
@@ -246,7 +246,7 @@ class Arm:
     @classmethod
     def from_mjcf(
         cls,
-        mjcf: str | Path | MjSpec | MjModel,
+        mjcf: MjcfSource,
         *,
         name: str,
         tip: str,

@@ -20,6 +20,8 @@ from osc_contact.spatial import Array
 if TYPE_CHECKING:
     from mujoco import MjModel, MjsBody, MjSpec
 
+    MjcfSource = Path | str | MjSpec | MjModel
+
 _UNLIMITED = 1e30  #: limit of a joint without one (N m, N, rad/s, m/s)
 #: MuJoCo's numbers of joint types
 _FREE = 0
@@ -43,7 +45,7 @@ def is_mjcf(path: Path | str) -> bool:
         return False
 
 
-def compile_mjcf(mjcf: Path | str | MjSpec | MjModel) -> MjModel:
+def compile_mjcf(mjcf: MjcfSource) -> MjModel:
     """Compile an MJCF file or a `MjSpec`; a `MjModel` is returned unchanged.
 
     Raises:
@@ -165,7 +167,7 @@ def _moved(kind: int, place: Array, displacement: Array) -> pin.SE3:
 
 
 def load_mjcf(
-    mjcf: Path | str | MjSpec | MjModel,
+    mjcf: MjcfSource,
     tip: str | None = None,
     *,
     limits: Mapping[str, JointLimits] | None = None,
