@@ -211,7 +211,7 @@ class ClosedChain:
         return locate(self.grasps, tips, self.reference_inertia, self.angle_tolerance)
 
     def sensor_poses(self, data: pin.Data | None = None) -> tuple[SE3 | None, ...]:
-        """Pose of each wrist sensor in the world, see `tip_poses`; None of an arm without one."""
+        """Poses of the wrist sensors in the world, see `tip_poses`; None without a sensor."""
         return tuple(None if f is None else self._placement(f, data) for f in self.sensors)
 
     def reference_inertia(self, X_WO: SE3) -> Array:
