@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from xml.etree.ElementTree import ParseError, iterparse
 
 import numpy as np
@@ -20,7 +20,7 @@ from osc_contact.spatial import Array
 if TYPE_CHECKING:
     from mujoco import MjModel, MjsBody, MjSpec
 
-    MjcfSource = Path | str | MjSpec | MjModel
+    MjcfSource: TypeAlias = Path | str | MjSpec | MjModel
 
 _UNLIMITED = 1e30  #: limit of a joint without one (N m, N, rad/s, m/s)
 #: MuJoCo's numbers of joint types
