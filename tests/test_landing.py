@@ -3,8 +3,8 @@
 import numpy as np
 from pytest import approx
 from rigs import rig_of
-from samples import aligned, parametrize
-from scenario_runs import run_of
+from samples import aligned, first, parametrize
+from scenario_runs import run_of, verdict_of, worst_force
 
 import osc_contact as osc
 from osc_contact.lab.rig.rig import landings
@@ -29,10 +29,10 @@ def test_landings_are_as_hard_as_expected(speed):
 
 
 def test_the_peak_grows_with_speed_and_with_the_root_of_the_stiffness():
-    first = landings(rig_of(approach(0.2)))
+    slow = landings(rig_of(approach(0.2)))
     fast = landings(rig_of(approach(0.4)))
     stiff = landings(rig_of(approach(0.2, rate=2.0)))
-    for one, two, three in aligned(first, fast, stiff):
+    for one, two, three in aligned(slow, fast, stiff):
         assert one.peak == approx(one.speed * np.sqrt(one.stiffness * one.mass))
         assert two.peak == approx(2.0 * one.peak) == approx(three.peak)
         assert three.stiffness == approx(4.0 * one.stiffness)
@@ -59,3 +59,26 @@ def test_an_approach_that_has_used_up_its_travel_stands_still():
     assert recording.meta["end_state"] == "RUN" and not recording["closed"].any()
     assert (recording["contact_phase"][-1] == 1).all()
     assert np.ptp(recording["pose"][-500:, :3], axis=0).max() < 1e-4
+
+
+# --- Beside a tare: approached by the motion law, all contacts at once ----------------------------
+
+
+@parametrize("name", ["three_arm_plate", "panda_edge", "two_contact_rod", "scara_peg"])
+def test_references_of_an_approach_meet_no_contact_before_it_ends(name):
+    """Motions that slide and turn on the way would press some contacts before the others."""
+    rig = rig_of(name, "tare={}")
+    end = rig.references.engage_at
+    for t in np.linspace(0.0, end, 60):
+        X_WD = rig.references.at(t).X_WD
+        gaps = np.concatenate([pair.gaps(X_WD) for pair in rig.pairs])
+        assert gaps.min() > -2e-6, t
+    assert np.abs(gaps).max() < 2e-6
+
+
+@parametrize("rotors", first([0.5, 0.15], 1))
+def test_heavy_arms_land_a_plate_on_three_posts_at_once(rotors):
+    arms = (f"arms.{name}.armature={rotors}" for name in ("panda", "ur5_left", "ur5_right"))
+    verdict = verdict_of("three_arm_plate", "gains={}", "tare={}", *arms, "duration=2.5 s")
+    assert max(step["overshoot_rel"] for step in verdict["steps"]) < 0.3
+    assert worst_force(verdict) < 0.03

@@ -608,7 +608,8 @@ class TareSpec(Spec):
     """gap during that time"""
     approach: Positive[Time] = 0.3
     """time from there to contact; where contacts have phases these meet it at their own speed. The
-    motion begins with it and is that of its signals after three times as long"""
+    motion begins once contacts engage, where they have phases with the approach, and is that of
+    its signals after three times as long"""
 
 
 class VerdictSpec(Spec):

@@ -162,7 +162,7 @@ class References:
         begun = _WHOLE  # share of the motion
         twists = []
         if tare is not None:
-            begun = np.array(rise(t, tare.duration, _BEGINNING * tare.approach))
+            begun = np.array(rise(t, self.engage_at, _BEGINNING * tare.approach))
             near = np.array(rise(t, tare.duration, tare.approach))
             twists.append((self.standoff, _WHOLE - near))
         slid = [
