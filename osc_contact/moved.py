@@ -1,14 +1,18 @@
-"""Old names of modules that moved: they are found for one release, with a warning.
+"""Old names of modules, and old places of names, that moved: found for one release, with a warning.
 
-`MOVED` is the only list of them. A module below an old package is found below the new one.
+`MOVED` and `MOVED_NAMES` are the only lists of them. A module below an old package is found below
+the new one.
 """
 
 import sys
 import warnings
+from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec
+from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
+from typing import Any
 
 PACKAGE = "osc_contact."
 
@@ -43,6 +47,46 @@ MOVED = {
     "visual": "lab.visual",
 }
 
+#: Module → names that stood there, and their module now.
+MOVED_NAMES = {
+    "contacts.pairs.pair": {
+        "BodyDirection": "contacts.pairs.keys",
+        "BodyPoint": "contacts.pairs.keys",
+        "Direction": "contacts.pairs.keys",
+        "EdgeOnEdge": "contacts.pairs.vertex_and_edge",
+        "Extent": "contacts.pairs.keys",
+        "FaceDirection": "contacts.pairs.keys",
+        "FaceOnVertex": "contacts.pairs.vertex_and_edge",
+        "FacePoint": "contacts.pairs.keys",
+        "LawPair": "contacts.pairs.law_pair",
+        "PAIRS": "contacts.pairs",
+        "PackagedPair": "contacts.pairs.register",
+        "PairRow": "contacts.pairs.law_pair",
+        "Point": "contacts.pairs.keys",
+        "Radius": "contacts.pairs.keys",
+        "check_geometry": "contacts.pairs.keys",
+        "law_row": "contacts.pairs.law_pair",
+        "make_pair": "lab.scenarios.contact_keys",
+        "normals_over": "contacts.pairs.law_pair",
+        "register_pair": "contacts.pairs.register",
+        "require_object_fits": "contacts.pairs.keys",
+        "shape": "contacts.pairs.law_pair",
+        "store": "contacts.pairs.keys",
+    },
+    "dynamics.closed_chain": {
+        "OutboardLink": "dynamics.merged_model",
+    },
+    "lab.runs.run": {
+        "recover": "lab.runs.recovery",
+        "scenario_of": "lab.runs.recovery",
+        "shown_of": "lab.reports.viewing",
+    },
+    "lab.visual.live": {"Shows": "loop.loop"},
+    "loop.loop": {
+        "latency": "loop.realtime",
+    },
+}
+
 
 def new_name(name: str) -> str | None:
     """The name that a module has now, or None: it did not move.
@@ -66,14 +110,18 @@ class MovedModules(MetaPathFinder, Loader):
     def find_spec(
         self, fullname: str, path: object = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """The spec of a module that moved; None: there is none of this name.
+        """The spec of a module that moved, or that names have left; None: neither.
 
         Args:
-            fullname: name that is imported. path, target: as of other finders; not used.
+            fullname: name that is imported. path, target: as of other finders.
         """
-        if new_name(fullname) is None:
+        if new_name(fullname) is not None:
+            return ModuleSpec(fullname, self, is_package=True)
+        if fullname.removeprefix(PACKAGE) not in MOVED_NAMES:
             return None
-        return ModuleSpec(fullname, self, is_package=True)
+        spec: Any = PathFinder.find_spec(fullname, path, target)  # type: ignore[arg-type]
+        spec.loader.exec_module = partial(_exec_with_old_names, spec.loader.exec_module)
+        return spec
 
     def exec_module(self, module: ModuleType) -> None:
         """Put the module of the new name in place of an empty one, and warn."""
@@ -86,6 +134,29 @@ class MovedModules(MetaPathFinder, Loader):
             stacklevel=2,
         )
         sys.modules[old] = found
+
+
+def _exec_with_old_names(exec_module: Callable[[ModuleType], None], module: ModuleType) -> None:
+    """Fill a module; names that have left it are looked for where they are now."""
+    exec_module(module)
+    module.__getattr__ = partial(_name_elsewhere, module.__name__)  # type: ignore[method-assign]
+
+
+def _name_elsewhere(module: str, name: str) -> Any:
+    """A name that has left a module, with a warning.
+
+    Raises:
+        AttributeError: it never stood there.
+    """
+    new = MOVED_NAMES[module.removeprefix(PACKAGE)].get(name)
+    if new is None:
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+    warnings.warn(
+        f"{module}.{name} is now {PACKAGE}{new}.{name}; the old place goes with the next release",
+        FutureWarning,
+        stacklevel=2,
+    )
+    return getattr(import_module(f"{PACKAGE}{new}"), name)
 
 
 def find_moved_modules() -> None:

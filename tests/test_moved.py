@@ -40,6 +40,20 @@ def test_new_names_exist_and_old_ones_do_not(old, new):
     assert not (ROOT / "osc_contact" / old.replace(".", "/")).exists()
 
 
+@mark.parametrize(
+    "module, name, new",
+    [(module, name, new) for module, own in moved.MOVED_NAMES.items() for name, new in own.items()],
+)
+def test_a_name_that_left_its_module_is_found_with_a_warning(module, name, new):
+    old = importlib.import_module(f"osc_contact.{module}")
+    assert name not in vars(old)
+    with warns(FutureWarning, match=f"{module}.{name} is now osc_contact.{new}.{name}; "):
+        found = getattr(old, name)
+    assert found is getattr(importlib.import_module(f"osc_contact.{new}"), name)
+    with raises(AttributeError, match="has no attribute 'nothing'"):
+        old.nothing  # noqa: B018
+
+
 def test_a_module_below_an_old_package_is_not_loaded_twice():
     program = (
         "from osc_contact.plants.rigid import RigidPlant as old\n"
