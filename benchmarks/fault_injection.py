@@ -10,11 +10,12 @@ contact force; the exit code is 1 where
 
 * a torque was not finite or beyond its limit or its rate;
 * a joint stayed beyond its speed limit or outside its range for 0.3 s without a stop;
-* the true contact force went beyond three times its command (or 30 N, whichever is more), the
-  pushes of the scenario, and what an obstacle adds until a force is seen;
+* the true contact force went beyond three times its command (or 30 N, whichever is more), or the
+  command and what the torque that a faulty motor does not give presses on rigid contacts; beside
+  the pushes of the scenario, and what an obstacle adds until a force is seen;
 * a contact that was commanded and made was open for 0.3 s, and the controller took it as closed;
 * stopped arms whose motors are sound moved faster than 0.1 rad/s (m/s) later than 0.5 s after the
-  stop, or 0.1 rad (m) further than braking took;
+  stop, and 0.3 s after each push of the scenario, or 0.1 rad (m) further than braking took;
 * the mechanical brakes were requested although encoders or speeds were sound, and the motors;
 * the run ended in a state that its kind is not to end in.
 
@@ -25,12 +26,10 @@ interrupted.
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,13 +39,14 @@ from rich.table import Table
 
 import osc_contact as osc
 from benchmarks.faults import FAULTS, HOLD, NAN, POST_SEEN_AFTER, SAFE_STOP, Fault, Trial
+from benchmarks.kept import ROOT, Kept
 from benchmarks.measuring import side_by_side
 from osc_contact.control.status import Phase, SafetyState
 from osc_contact.interface import Reference
 from osc_contact.lab.runs.run import Taring, start
+from osc_contact.spatial import Array
 from paper.study import table_of
 
-ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out/fault_injection"
 STOP_WITHIN = 0.3  #: s
 UNNOTICED = 0.3  #: s that a contact may be open and taken as closed
@@ -56,6 +56,7 @@ REST_AFTER = 0.5  #: s after a stop, when the arms are at rest
 #: rad/s or m/s; rad or m since the stop, beside what braking from the speed at the stop takes
 REST_SPEED = 0.1
 REST_TRAVEL = 0.1
+PUSHED_FOR = 0.3  #: s from the beginning of a push in which it moves a stopped arm
 TRUTH_EVERY = 3  #: ticks from one look at true forces to the next: contacts take 10 ms to form
 SEEDED = {"ur5_wipe": 3, "two_contact_rod": 3, "panda_edge": 3}  #: moments drawn; others have one
 
@@ -115,6 +116,11 @@ class Verdict:
     wrong: list[str] = field(default_factory=list)
     reason: str = ""
 
+    @property
+    def key(self) -> tuple[str, Case]:
+        """The run that it is of."""
+        return self.fault, self.case
+
 
 # --- One run --------------------------------------------------------------------------------------
 
@@ -125,6 +131,7 @@ class Run:
     Attributes:
         references: of the ticks to come. true: the plant behind its sensors. k: ticks done.
         act: joints with motors; fastest: their speed limits. first: tick at which the fault begins.
+        lost: (n_a,) the most that each motor has not given of its torque (N m, N).
     """
 
     def __init__(
@@ -163,6 +170,7 @@ class Run:
         self.limit = rig.model.tau_max
         ticked = self.controller._records.memory.ticked
         self.before = self.controller.last_torques() if ticked else None
+        self.lost = np.zeros(len(self.act))
         rng = case.rng(fault)
         moment = rng.uniform(earliest, scenario.duration if latest is None else latest)
         self.trial = Trial(rng, rig.model, self.dt)
@@ -198,6 +206,7 @@ class Run:
         sent = tau
         if fault is not None and fault.torque is not None:
             sent = fault.torque(trial, tau.copy())
+            self.lost = np.maximum(self.lost, np.abs(tau - sent))
         if fault is not None and fault.world is not None:
             fault.world(trial, self.true)
         try:
@@ -221,6 +230,7 @@ class Run:
         last = self.first + round(min(fault.lasts, 1e6) / self.dt)
         end = self.first + round(fault_for / self.dt)
         watch = _Watch(self, verdict)
+        response = contact_response(self)
         while self.k < end and not verdict.wrong:
             stopped = verdict.stopped
             reference = self.step(verdict, fault if self.k <= last else None)
@@ -230,7 +240,9 @@ class Run:
         verdict.state = self.controller.state
         verdict.reason = verdict.reason or self.controller.reason
         pushes = self.rig.scenario.plant.pushes
-        most = 3.0 * watch.highest + sum(float(np.linalg.norm(push.force)) for push in pushes)
+        most = watch.highest + float((np.abs(response) @ self.lost).max(initial=0.0))
+        most = max(most, 3.0 * watch.highest)
+        most += sum(float(np.linalg.norm(push.force)) for push in pushes)
         most += fault.stiffness * self.trial.kept.get("speed", 0.0) * POST_SEEN_AFTER
         self._judge_end(verdict, fault, most)
         return verdict
@@ -309,7 +321,7 @@ class _Watch:
             verdict.travel = max(
                 verdict.travel, float((np.abs(q - self._stop_q) - self._braking).max())
             )
-            if (run.k - self._stop_k) * run.dt > REST_AFTER:
+            if (run.k - self._stop_k) * run.dt > REST_AFTER and not _is_pushed(run):
                 verdict.rest_speed = max(verdict.rest_speed, float(speeds.max()))
         inside = (q >= model.lowerPositionLimit[run.act]) & (q <= model.upperPositionLimit[run.act])
         self._beyond = self._beyond + 1 if (speeds > run.fastest).any() else 0
@@ -332,6 +344,34 @@ class _Watch:
             unseen = wanted and taken[i] and self._made[i] and not truth.closed[i]
             self._open[i] = self._open[i] + TRUTH_EVERY * run.dt if unseen else 0.0
             verdict.open_s = max(verdict.open_s, float(self._open[i]))
+
+
+def contact_response(run: Run) -> Array:
+    """(r, n_a) change of contact forces with motor torques (N/(N m), N/N), of rigid contacts.
+
+    They keep Nᵀa: with Sᵀ(Λ a + N α) = G τ and a = S η̇ it is (NᵀΦ₀N)⁻¹ NᵀS Λ_S⁻¹ G. Of the start
+    pose where no contact is in N.
+    """
+    if not run.rig.pairs:
+        return np.zeros((0, len(run.act)))
+    signals = run.controller.signals if run.controller.engaged else None
+    if signals is not None and signals.rank:
+        state, N = signals.state, signals.contact.N
+    else:
+        state, N = run.rig.state, run.rig.contact.N
+    accelerations = N.T @ state.S @ np.linalg.solve(state.Lambda_S, state.G)
+    return np.asarray(np.linalg.pinv(N.T @ state.Phi @ N) @ accelerations)
+
+
+def _is_pushed(run: Run) -> bool:
+    """Whether a push of the scenario acts on an arm, or has just acted."""
+    now = run.k * run.dt
+    since = [
+        (now - push.start) % push.every if push.every > 0.0 else now - push.start
+        for push in run.rig.scenario.plant.pushes
+        if now >= push.start
+    ]
+    return min(since, default=np.inf) < PUSHED_FOR
 
 
 def _scenario(name: str, outward: float | None) -> osc.Scenario:
@@ -402,35 +442,8 @@ def _can_occur(fault: Fault, case: Case) -> bool:
     return len(scenario.arms) >= fault.arms
 
 
-class Kept:
-    """Verdicts by fault and case, in a file of these sources."""
-
-    def __init__(self, folder: Path = KEPT) -> None:
-        """Read those that are there."""
-        digest = sha256()
-        for part in ("osc_contact", "benchmarks", "urdf"):
-            for path in sorted((ROOT / part).rglob("*")):
-                if path.is_file() and "__pycache__" not in path.parts:
-                    digest.update(path.read_bytes())
-        folder.mkdir(parents=True, exist_ok=True)
-        self._path = folder / f"{digest.hexdigest()[:16]}.jsonl"
-        self.found: dict[tuple[str, Case], Verdict] = {}
-        if self._path.exists():
-            for line in self._path.read_text().splitlines(keepends=True):
-                if line.endswith("\n"):  # others were cut by a kill
-                    self._note(_read_verdict(json.loads(line)))
-
-    def _note(self, verdict: Verdict) -> None:
-        self.found[verdict.fault, verdict.case] = verdict
-
-    def add(self, verdict: Verdict) -> None:
-        """Keep one."""
-        self._note(verdict)
-        with self._path.open("a") as file:
-            file.write(json.dumps(asdict(verdict)) + "\n")
-
-
-def _read_verdict(row: dict[str, Any]) -> Verdict:
+def read_verdict(row: dict[str, Any]) -> Verdict:
+    """A verdict from the fields that it was kept with."""
     case = Case(**row.pop("case"))
     return Verdict(**{**row, "case": case, "state": SafetyState(row["state"])})
 
@@ -465,7 +478,7 @@ def main(only: str = "", seed: int | None = None, count: int = 0, workers: int =
     if 0 < count < len(wanted):
         drawn = np.random.default_rng(seed).choice(len(wanted), count, replace=False)
         wanted = [wanted[i] for i in sorted(drawn)]
-    kept = Kept()
+    kept = Kept(KEPT, read_verdict)
     verdicts = [kept.found[run] for run in wanted if run in kept.found]
     missing = [run for run in wanted if run not in kept.found]
     for verdict in side_by_side(try_fault, missing, workers):

@@ -52,13 +52,14 @@ LEFT_OUT = (
 MODULES = ("projections.py", "response.py", "control/monitor.py")
 #: The tests of a part itself come first: of the modules named. `law_kkt` judges whole ticks after
 #: them.
+SENSORS = ("plausibility", "agreement", "sensors", "isolation")
 JUDGES = {
     "law_parts": ("vectors", "algebra", "commands", "grasps", "contact"),
     "law_stages": (
         *("reading", "operational", "command_filter", "allocation", "vectors", "tick", "limits"),
     ),
     "law_kkt": (),
-    "law_watch": ("safety", "sensors"),
+    "law_watch": ("safety", *SENSORS),
     "contact_kinds": ("contact",),
     "pairs": ("contact",),
     "chain_state": ("arm_motion", "chain", "operational", "vectors", "grasps"),

@@ -225,7 +225,7 @@ def test_friction_that_is_not_there_any_more_is_forgotten_in_50_ms(residual, mov
     learned.P[:] = 1.0
     write(learned, applied=1.0, theta=[8.0], estimate=[8.0])
     joint = t.memory.joints[0]
-    write(joint, sign=1.0, speed=0.1, residual=residual)
+    write(joint, sign=1.0, speed=0.1, friction=8.0, residual=residual)
     for place, value in {"SIGN": 1.0, "SPEED": 0.1, "V": 0.1 * moving, "FRICTION": 8.0}.items():
         at = getattr(joint_friction, place)
         joint.means[at] = value

@@ -24,8 +24,9 @@ from osc_contact.errors import InvalidInputError, ModelError, as_tuple, brief, r
 from osc_contact.law import records as at
 from osc_contact.law import vectors
 from osc_contact.law.compiled import rows as law_rows
+from osc_contact.law.holding import BRAKE_RATE
 from osc_contact.law.records import Bytes, Rows, new_model, views
-from osc_contact.law.safety import BRAKE_RATE, SURE
+from osc_contact.law.safety import SURE
 from osc_contact.projections import unit_diagonal
 from osc_contact.robots.model import position_limits
 from osc_contact.settings.control import (

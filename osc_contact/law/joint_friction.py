@@ -44,11 +44,14 @@ from osc_contact.law.records import HISTORY, contact_of
 from osc_contact.law.vectors import (
     ZERO,
     add,
+    add3,
     dot6,
     fill,
     fill_free,
     join,
+    linear,
     minus,
+    minus3,
     motion_to_energy,
     plus,
     scaled,
@@ -239,9 +242,10 @@ def _is_contradicted(t, j, missing, moves, dt):
         moves: whether the joint does; one that sticks may need less than F. dt: s.
     """
     learned = t.memory.friction[j]
-    more = believed_friction(t, j) - _modelled_friction(t, j)
+    row = t.memory.joints[j]
+    more = row.friction - _friction_along(row, t.model.joints[j].theta)
     above = moves and abs(more) > t.model.priors[j].noise
-    above = above and abs(t.memory.joints[j].sign) > _FULL
+    above = above and abs(row.sign) > _FULL
     less = above and missing * more < -_LESS * more * more
     learned.contradicted = max(learned.contradicted + (dt if less else -dt), 0.0)
     if learned.contradicted <= _CONTRADICTED:
@@ -459,7 +463,8 @@ def _compensation(t, j):
     row = t.memory.joints[j]
     before = row.friction
     row.friction = believed_friction(t, j)
-    most = _theta(t, j, 0) + _theta(t, j, 1) * abs(row.speed)  # F + D |s|
+    F, D, _ = _theta(t, j)
+    most = F + D * abs(row.speed)
     if t.model.friction_errors:
         most += _LINKS * abs(t.work.joints[j].h)
     elif before * row.friction < 0.0 and row.friction * row.unlearned > 0.0:
@@ -470,35 +475,38 @@ def _compensation(t, j):
 
 
 @leaf
-def _theta(t, j, i):
-    """θ_i of joint j: as learned so far, or as of the model."""
-    known = t.model.joints[j].theta[i]
-    if t.memory.friction_known[j] != UNKNOWN:
+def _theta(t, j):
+    """F, D and A of joint j: as learned so far, or as of the model."""
+    known = t.model.joints[j].theta
+    theta = linear(known)
+    if t.memory.friction_known[j] == LEARNED:  # else they are the model's
         learned = t.memory.friction[j]
-        known += learned.applied * (learned.theta[i] - known)
-    return known
+        theta = add3(theta, learned.applied, minus3(learned.theta, known))
+    return theta
+
+
+@leaf
+def _friction_along(row, theta):
+    """F s/√(s² + s_0²) + D s + A ṡ of a joint in this tick (N m, N).
+
+    Args:
+        row: its JOINT_MEMORY. theta: F, D, A.
+    """
+    return theta[0] * row.sign + theta[1] * row.speed + theta[2] * row.turn
 
 
 @leaf
 def believed_friction(t, j):
-    """F s/√(s² + s_0²) + D s + A ṡ of joint j in this tick, as learned so far.
+    """Friction of joint j in this tick (N m, N), as learned so far.
 
     What is learned differs from the model by `wrist_error` at most, as e does, and by what has been
     learned for long: more may be something that drags at the arm, or a wrist that is wrong.
     """
     row = t.memory.joints[j]
-    friction = _theta(t, j, 0) * row.sign + _theta(t, j, 1) * row.speed + _theta(t, j, 2) * row.turn
-    if t.memory.friction_known[j] != UNKNOWN:
-        modelled = _modelled_friction(t, j)
+    friction = modelled = _friction_along(row, t.model.joints[j].theta)
+    if t.memory.friction_known[j] == LEARNED:
+        friction = _friction_along(row, _theta(t, j))
         trusted = row.trusted[0] + row.trusted[1] * abs(row.speed) + row.trusted[2] * abs(row.turn)
         most = t.model.wrist_error * t.model.joints[j].tau_max + trusted
         friction = min(max(friction, modelled - most), modelled + most)
     return friction
-
-
-@leaf
-def _modelled_friction(t, j):
-    """F s/√(s² + s_0²) + D s + A ṡ of joint j (N m, N), with the model's values."""
-    row = t.memory.joints[j]
-    known = t.model.joints[j].theta
-    return known[0] * row.sign + known[1] * row.speed + known[2] * row.turn

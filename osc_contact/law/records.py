@@ -237,6 +237,11 @@ GIVEN_TWIST = 2
 JOINTS = 1
 WRISTS = 2
 OUTDATED = 4
+#: of a joint's position in this packet: credible; or not, as it jumps, or is another joint's
+NOT_BARRED, JUMP, EXCHANGED = range(3)
+#: of the joints in a hold: braked, or where they are held
+BRAKED = 1
+SETTLED = 2
 #: of a joint
 FAULTY_POSITION = 1
 FAULTY_SPEED = 2
@@ -260,7 +265,7 @@ _MEMORY = _record(
         "overspeed",
         "repeats",
         "cause",
-        "settled",
+        "settled",  # of a hold: BRAKED, SETTLED, or 0 where it begins
         "culprit",  # joint, arm or column of N that the cause is about
         "unbraked",  # joint that is stopped without any sound reading of it, or −1
         "above",  # whether holds that test the encoders stand above where the joints came to rest
@@ -387,6 +392,7 @@ JOINT_MEMORY = _record(
         "q",
         "v",  # last read
         "hold",
+        "way",  # that braking takes, from its speed when a hold began
         "acceleration",
         "pending",  # speed commanded since the position was last read, over lost ticks too
         "gained",  # speed commanded while the position stood still
@@ -440,8 +446,9 @@ FRICTION = _record(
     smooth=6,
 )
 #: ticks since a wrist was read, s for which it has read the very same, and for which motors have
-#: been doubtful
-ARM_MEMORY = _record(whole=("unread",), number=("same", "doubtful"))
+#: been doubtful; of a stopped arm, see `holding`: whether its load was read, whether it has let go
+#: of the object, and the force that its wrist bears (N), low-passed
+ARM_MEMORY = _record(whole=("unread", "weighed", "let_go"), number=("same", "doubtful"), load=3)
 
 # What a tick works out --------------------------------------------------------------------------
 
@@ -449,6 +456,13 @@ ARM_MEMORY = _record(whole=("unread",), number=("same", "doubtful"))
 #: `_t`: these turned so that the first m axes are the locked ones.
 _WORK = _record(
     whole=(
+        # see `plausibility`: whether jumps were looked for, how many positions and speeds jump, and
+        # one joint of each
+        "looked",
+        "jumps",
+        "jumped",
+        "speed_jumps",
+        "speed_jumped",
         "rank",
         "locked",
         "count",

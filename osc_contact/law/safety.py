@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from math import isfinite
-
-from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, turn_axes
+from osc_contact.law.agreement import UNBALANCED
+from osc_contact.law.holding import hold_posture
+from osc_contact.law.isolation import estimate_joints, isolate_packet
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.phases import collect, slew
+from osc_contact.law.phases import collect
 from osc_contact.law.reading import integral_room
 from osc_contact.law.reasons import LASTING, NO_REASON, declare_reason
 from osc_contact.law.records import (
@@ -19,29 +19,7 @@ from osc_contact.law.records import (
     SATURATED,
     WRISTS,
 )
-from osc_contact.law.sensors import (
-    UNBALANCED,
-    check_sensors,
-    estimate_joints,
-    isolate_packet,
-    must_move,
-)
-from osc_contact.law.vectors import (
-    ZERO,
-    add,
-    angular,
-    cross,
-    dot6,
-    fill,
-    fill3,
-    origin,
-    plus3,
-    rotated,
-    rotated_back,
-    scaled3,
-    transformed,
-    velocity_at,
-)
+from osc_contact.law.sensors import check_sensors, must_move
 
 OVERSPEED = declare_reason(
     "OVERSPEED",
@@ -187,11 +165,6 @@ def watch_contacts(t):
 #           faulty, see `sensors`: braked to rest, then held; ends by a reset only
 
 _RECENT = 0.5  #: s, of the low-pass of ticks that are not computed: of those of the last second
-_AT_REST = 0.02  #: rad/s, m/s: below it a braked joint is held where it is
-_BRAKING = 0.3  #: s; a joint that still moves then is held all the same
-_LEAST = 0.1  #: share of the brakes that is left where motors can hardly carry the arm
-BRAKE_RATE = 40.0  #: 1/s: torques of a hold move from the last ones by their limit times this
-_HASTE = 4.0  #: times that, where a joint is above its speed limit
 
 
 @inner
@@ -241,7 +214,7 @@ def guard(t, reason):
         for i in range(model.n_motors):
             work.tau[i] = memory.torques[i]
     else:
-        _hold_posture(t)
+        hold_posture(t)
     return reason
 
 
@@ -253,7 +226,7 @@ def _note_accelerations(t):
         for j in range(arm.first, arm.end):
             known = t.memory.joints[j]
             known.acceleration = t.work.joints[j].acceleration
-            known.driven = 1 if known.rested > 0.0 and must_move(t, arm, j) else 0
+            known.driven = 1 if known.rested > 0.0 and must_move(t, j) else 0
 
 
 @leaf
@@ -272,149 +245,7 @@ def _enter(t, state):
         return
     if state >= HOLD and memory.state < HOLD:
         memory.settled = 0
+        for k in range(t.model.n_arms):
+            memory.arms[k].weighed = 0
     memory.state = state
     memory.age = 1
-
-
-@inner
-def _hold_posture(t):
-    """τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw, h and M with the arms' shares of the object in w.
-
-    While joints are braked, q_hold moves with them; what moves on for longer creeps under a weight
-    that is not quite known. Where motors cannot exert it the second part is scaled down as a whole;
-    q_hold follows there, too, so that it takes energy from the joints. Torques move in a straight
-    line from the last ones, no motor faster than `BRAKE_RATE` allows, or a joint that is above its
-    speed limit, or needs all of its motor, makes necessary.
-    """
-    model = t.model
-    work = t.work
-    memory = t.memory
-    joints = work.joints
-    q = memory.q
-    speed = memory.v
-    if memory.settled == 0:
-        fast = False
-        for j in range(model.n_joints):
-            fast = fast or abs(speed[j]) > _AT_REST
-            memory.joints[j].hold = q[j]
-        memory.settled = 0 if fast and memory.age * model.period < _BRAKING else 1
-    for k in range(model.n_arms):
-        arm = model.arms[k]
-        place_arm(t, arm, q)
-        fill(work.u, ZERO)  # the world's origin
-        move_arm(t, arm, speed, work.u, work.w, work.y, work.z)
-    mass = _carry_weight(t)
-    omega = model.hold_rate
-    fastest = min(BRAKE_RATE, model.torque_rate)
-    for j in range(model.n_joints):
-        if abs(speed[j]) > model.joints[j].speed_max:
-            fastest = min(_HASTE * BRAKE_RATE, model.torque_rate)
-        back = omega * (q[j] - memory.joints[j].hold)
-        joints[j].acceleration = -omega * (2.0 * speed[j] + back)
-    for k in range(model.n_arms):
-        share = _split_torques(t, model.arms[k], mass)
-        rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
-        for j in range(model.arms[k].first, model.arms[k].end):
-            memory.joints[j].acceleration = share * joints[j].acceleration
-            memory.joints[j].driven = 0  # wrong gravity and friction hold it for ever
-            if share < 1.0:
-                memory.joints[j].hold = q[j]
-            motor = model.joints[j].motor
-            most = model.joints[j].tau_max
-            if motor >= 0:
-                s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
-                work.tau[motor] = s if isfinite(s) else memory.torques[motor]
-                work.step[motor] = rate * model.period * most
-    slew(work.tau, memory.torques, work.step, memory.ticked != 0)
-
-
-@inner
-def _split_torques(t, arm, mass):
-    """`tau`: what carries a resting arm and its share of the object; `rest`: what accelerates both
-    by q̈; how much of this the motors bear.
-
-    Where they do not bear it all, `rest` is scaled as a whole, or cut off joint by joint if this
-    takes more power, −restᵀq̇, from the joints: a motor that hardly carries its part of the weight
-    then leaves the brakes of the others alone. q̈ is along −q̇ there: q_hold follows q.
-
-    Args:
-        mass: kg, the arm's share of the object's. work.
-    """
-    table = t.model.joints
-    joints = t.work.joints
-    lo = arm.first
-    share = 1.0
-    pull = _accelerate_object(t, arm, mass)
-    for j in range(lo, arm.end):
-        s = joints[j].h + dot6(joints[j].column, t.work.y)
-        brake = dot6(joints[j].column, pull)
-        for i in range(lo, arm.end):
-            brake += joints[j].M[i - lo] * joints[i].acceleration
-        joints[j].tau = s
-        joints[j].rest = brake
-        if table[j].motor >= 0 and abs(brake) > 0.0:
-            most = table[j].tau_max
-            room = most - s if brake > 0.0 else most + s
-            share = min(share, max(room, 0.0) / abs(brake))
-    share = max(share, _LEAST)
-    gain = 0.0
-    for j in range(lo, arm.end if share < 1.0 else lo):
-        if table[j].motor >= 0:
-            change = _clip_brake(joints[j], table[j].tau_max) - share * joints[j].rest
-            gain += change * joints[j].acceleration
-    for j in range(lo, arm.end if gain > 0.0 else lo):
-        joints[j].rest = _clip_brake(joints[j], table[j].tau_max) / share
-    return share
-
-
-@leaf
-def _clip_brake(joint, most):
-    """As much of `rest` as a motor of `most` N m (N) bears beside `tau`."""
-    low = min(-most - joint.tau, 0.0)
-    high = max(most - joint.tau, 0.0)
-    return min(max(joint.rest, low), high)
-
-
-@inner
-def _accelerate_object(t, arm, mass):
-    """Wrench at the world's origin that lets an arm's share of the object follow q̈, as a tuple."""
-    work = t.work
-    c = work.u
-    R = work.A
-    a = ZERO
-    for j in range(arm.first, arm.end):
-        a = add(a, work.joints[j].acceleration, work.joints[j].column)
-    if mass == 0.0:
-        return ZERO
-    x, y, z = rotated_back(R, angular(a))
-    I = t.model.principal
-    n = t.model.n_arms
-    couple = rotated(R, (I[1] * x / n, I[2] * y / n, I[3] * z / n))
-    force = scaled3(mass, velocity_at(a, c))
-    return force + plus3(couple, cross(c, force))
-
-
-@inner
-def _carry_weight(t):
-    """y (6,) = wrench at the world's origin with which each arm carries its share of the object.
-
-    Its principal axes go to the columns of `work.A`, its centre to `work.u`; returns the share's
-    mass (kg).
-    """
-    model = t.model
-    memory = t.memory
-    work = t.work
-    own = model.X_LP
-    fill(work.y, ZERO)
-    fill(work.u, ZERO)
-    if model.held == 0 or (model.leader < 0 and memory.located == 0):
-        return 0.0
-    if model.leader >= 0:
-        place_frame(work.joints[model.arms[model.leader].tip_joint], own, work.A, work.u)
-    else:
-        fill3(work.u, transformed(origin(memory.X_WO), memory.X_WO, own[9:]))
-        turn_axes(memory.X_WO, own, work.A)
-    mass = model.principal[0] / model.n_arms
-    force = scaled3(-mass, model.gravity)
-    fill(work.y, force + cross(work.u, force))
-    return mass

@@ -17,6 +17,7 @@ from __future__ import annotations
 from math import inf, isfinite, nan
 
 from osc_contact.law import phases
+from osc_contact.law.agreement import check_arms, compare_speeds
 from osc_contact.law.algebra import project_onto_columns
 from osc_contact.law.allocation import (
     allocate_torques,
@@ -53,6 +54,7 @@ from osc_contact.law.commands import (
 from osc_contact.law.contact import place_contacts, take_turns
 from osc_contact.law.jit import entry, inner, leaf, local, prefetch
 from osc_contact.law.joint_friction import compensate_friction
+from osc_contact.law.plausibility import check_readings
 from osc_contact.law.reading import (
     add_friction,
     command_force,
@@ -86,7 +88,6 @@ from osc_contact.law.records import (
     row_of,
 )
 from osc_contact.law.safety import guard, watch_contacts, watch_joints
-from osc_contact.law.sensors import check_arms, check_readings, compare_speeds
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,

@@ -1,0 +1,255 @@
+"""Arms that are braked and held, with torques that are not those of a control law.
+
+Each arm carries itself and its share of the object, and is braked by the joint-space inertia of
+both. An arm whose wrist bears next to nothing has let go of the object: the others carry it then.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, sqrt
+
+from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, turn_axes
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.phases import slew
+from osc_contact.law.reading import read_wrist
+from osc_contact.law.records import BRAKED, SAFE_STOP, SETTLED
+from osc_contact.law.vectors import (
+    ZERO,
+    add,
+    add3,
+    angular,
+    clamped,
+    cross,
+    dot3,
+    dot6,
+    fill,
+    fill3,
+    minus3,
+    origin,
+    plus3,
+    rotated,
+    rotated_back,
+    scaled3,
+    transformed,
+    velocity_at,
+)
+
+_AT_REST = 0.02  #: rad/s, m/s: below it a braked joint is held where it is
+_BRAKING = 0.3  #: s; a joint that still moves then is held all the same
+_LEAST = 0.1  #: share of the brakes that is left where motors can hardly carry the arm
+BRAKE_RATE = 40.0  #: 1/s: torques of a hold move from the last ones by their limit times this
+_HASTE = 4.0  #: times that, where a joint is above its speed limit
+_LIGHT = 0.25  #: of an arm's share of the object's weight; one that bears less has let go of it
+_SHAKES = 0.02  #: s, of the low-pass of what an arm bears
+
+
+@inner
+def hold_posture(t):
+    """τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw, h and M with the arms' shares of the object in w.
+
+    While joints are braked, q_hold moves with them, no further than braking takes: what moves on is
+    pushed, by a weight that is not quite known, or by an object that another arm has let go of.
+    Joints without a motor are not accelerated: only others, through the object, could do that, and
+    one that swings freely must not drive them. Where motors cannot exert it the second part is
+    scaled down as a whole; q_hold follows there, too, so that it takes energy from the joints.
+    Torques move in a straight line from the last ones, no motor faster than `BRAKE_RATE` allows, or
+    a joint that is above its speed limit, or needs all of its motor, makes necessary.
+    """
+    model = t.model
+    work = t.work
+    memory = t.memory
+    joints = work.joints
+    q = memory.q
+    speed = memory.v
+    if memory.settled != SETTLED:
+        _move_holds(t)
+    for k in range(model.n_arms):
+        place_arm(t, model.arms[k], q)
+        fill(work.u, ZERO)  # the world's origin
+        fill(work.z, ZERO)
+        move_arm(t, model.arms[k], speed, work.u, work.w, work.y, work.z)
+        _weigh(t, k)
+    there = _carry_weight(t)
+    holding = _count_holding(t)
+    omega = model.hold_rate
+    fastest = min(BRAKE_RATE, model.torque_rate)
+    for j in range(model.n_joints):
+        if abs(speed[j]) > model.joints[j].speed_max:
+            fastest = min(_HASTE * BRAKE_RATE, model.torque_rate)
+        back = omega * (q[j] - memory.joints[j].hold)
+        driven = model.joints[j].motor >= 0
+        joints[j].acceleration = -omega * (2.0 * speed[j] + back) if driven else 0.0
+    for k in range(model.n_arms):
+        holds = there and (holding == model.n_arms or memory.arms[k].let_go == 0)
+        part = 1.0 / holding if holds else 0.0
+        share = _split_torques(t, model.arms[k], part)
+        rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
+        for j in range(model.arms[k].first, model.arms[k].end):
+            memory.joints[j].acceleration = share * joints[j].acceleration
+            memory.joints[j].driven = 0  # wrong gravity and friction hold it for ever
+            if share < 1.0:
+                memory.joints[j].hold = q[j]
+            motor = model.joints[j].motor
+            most = model.joints[j].tau_max
+            if motor >= 0:
+                s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
+                work.tau[motor] = s if isfinite(s) else memory.torques[motor]
+                work.step[motor] = rate * model.period * most
+    slew(work.tau, memory.torques, work.step, memory.ticked != 0)
+
+
+@inner
+def _move_holds(t):
+    """q_hold of joints that are braked: where they are, within what braking takes.
+
+    They are settled when all are at rest, or have been braked for `_BRAKING`.
+    """
+    model = t.model
+    memory = t.memory
+    fast = False
+    for j in range(model.n_joints):
+        known = memory.joints[j]
+        speed = abs(memory.v[j])
+        if memory.settled == 0:
+            known.begun = memory.q[j]
+            known.way = speed * model.reaction
+        fast = fast or speed > _AT_REST
+        known.hold = known.begun + clamped(memory.q[j] - known.begun, known.way)
+    moves = fast and memory.age * model.period < _BRAKING
+    memory.settled = BRAKED if moves else SETTLED
+
+
+@inner
+def _count_holding(t):
+    """Note which stopped arms have let go of the object; how many have not.
+
+    None has where none bears anything, as if contacts carried the object.
+    """
+    n = t.model.n_arms
+    holding = n
+    if t.memory.state == SAFE_STOP and t.model.held and n > 1:
+        for k in range(n):
+            holding -= t.memory.arms[k].let_go
+    return holding if holding > 0 else n
+
+
+@leaf
+def _weigh(t, k):
+    """Low-pass what the wrist of a stopped arm k bears.
+
+    Less than `_LIGHT` of its share of the object shows that it has let go, until the next stop: an
+    arm that shakes, or a wrist with an error, may seem to bear something afterwards.
+
+    Args:
+        k: arm, after `move_arm` at the world's origin: `work.z` is what the bodies outboard of its
+            wrist need.
+    """
+    model = t.model
+    arm = model.arms[k]
+    own = t.memory.arms[k]
+    if arm.sensor_joint < 0 or t.memory.state != SAFE_STOP:
+        return
+    joint = t.work.joints[arm.sensor_joint]
+    wrench = read_wrist(t.memory.wrenches[k], joint, arm.sensor, t.work.u)
+    share = model.period / (_SHAKES + model.period) if own.weighed else 1.0
+    if own.weighed == 0:
+        own.let_go = 0
+    own.weighed = 1
+    load = add3(own.load, share, minus3(minus3(wrench, t.work.z), own.load))
+    fill3(own.load, load)
+    weight = model.principal[0] * sqrt(dot3(model.gravity, model.gravity)) / model.n_arms
+    if sqrt(dot3(load, load)) < _LIGHT * weight:
+        own.let_go = 1
+
+
+@inner
+def _split_torques(t, arm, part):
+    """`tau`: what carries a resting arm and its share of the object; `rest`: what accelerates both
+    by q̈; how much of this the motors bear.
+
+    Where they do not bear it all, `rest` is scaled as a whole, or cut off joint by joint if this
+    takes more power, −restᵀq̇, from the joints: a motor that hardly carries its part of the weight
+    then leaves the brakes of the others alone. q̈ is along −q̇ there: q_hold follows q.
+
+    Args:
+        arm: ARM. part: the arm's share of the object.
+    """
+    table = t.model.joints
+    joints = t.work.joints
+    lo = arm.first
+    share = 1.0
+    pull = _accelerate_object(t, arm, part)
+    for j in range(lo, arm.end):
+        s = joints[j].h + part * dot6(joints[j].column, t.work.y)
+        brake = dot6(joints[j].column, pull)
+        for i in range(lo, arm.end):
+            brake += joints[j].M[i - lo] * joints[i].acceleration
+        joints[j].tau = s
+        joints[j].rest = brake
+        if table[j].motor >= 0 and abs(brake) > 0.0:
+            most = table[j].tau_max
+            room = most - s if brake > 0.0 else most + s
+            share = min(share, max(room, 0.0) / abs(brake))
+    share = max(share, _LEAST)
+    gain = 0.0
+    for j in range(lo, arm.end if share < 1.0 else lo):
+        if table[j].motor >= 0:
+            change = _clip_brake(joints[j], table[j].tau_max) - share * joints[j].rest
+            gain += change * joints[j].acceleration
+    for j in range(lo, arm.end if gain > 0.0 else lo):
+        joints[j].rest = _clip_brake(joints[j], table[j].tau_max) / share
+    return share
+
+
+@leaf
+def _clip_brake(joint, most):
+    """As much of `rest` as a motor of `most` N m (N) bears beside `tau`."""
+    low = min(-most - joint.tau, 0.0)
+    high = max(most - joint.tau, 0.0)
+    return min(max(joint.rest, low), high)
+
+
+@inner
+def _accelerate_object(t, arm, part):
+    """Wrench at the world's origin that lets an arm's share of the object follow q̈, as a tuple.
+
+    Args:
+        arm: ARM. part: its share of the object.
+    """
+    work = t.work
+    c = work.u
+    R = work.A
+    a = ZERO
+    for j in range(arm.first, arm.end):
+        a = add(a, work.joints[j].acceleration, work.joints[j].column)
+    if part == 0.0:
+        return ZERO
+    x, y, z = rotated_back(R, angular(a))
+    I = t.model.principal
+    couple = scaled3(part, rotated(R, (I[1] * x, I[2] * y, I[3] * z)))
+    force = scaled3(part * I[0], velocity_at(a, c))
+    return force + plus3(couple, cross(c, force))
+
+
+@inner
+def _carry_weight(t):
+    """y (6,) = wrench at the world's origin that carries the object; whether there is one.
+
+    Its principal axes go to the columns of `work.A`, its centre to `work.u`.
+    """
+    model = t.model
+    memory = t.memory
+    work = t.work
+    own = model.X_LP
+    fill(work.y, ZERO)
+    fill(work.u, ZERO)
+    if model.held == 0 or (model.leader < 0 and memory.located == 0):
+        return False
+    if model.leader >= 0:
+        place_frame(work.joints[model.arms[model.leader].tip_joint], own, work.A, work.u)
+    else:
+        fill3(work.u, transformed(origin(memory.X_WO), memory.X_WO, own[9:]))
+        turn_axes(memory.X_WO, own, work.A)
+    force = scaled3(-model.principal[0], model.gravity)
+    fill(work.y, force + cross(work.u, force))
+    return True

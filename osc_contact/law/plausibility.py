@@ -1,0 +1,226 @@
+"""What is judged of the readings before a tick: whether they and the reference are credible.
+
+Refused are rotations that are none, wrenches beyond what the sensors measure or too old, packets
+out of order, joints that move or change their speed faster than they can, and two joints that read
+what the other one read before. Such a tick is not computed, see `safety`; the next one may be.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.reasons import NO_REASON, declare_reason
+from osc_contact.law.records import EXCHANGED, JOINTS, JUMP, NOT_BARRED, OUTDATED, WRISTS
+from osc_contact.law.vectors import cross, dot3
+
+NO_ROTATION = declare_reason(
+    "NO_ROTATION",
+    14,
+    "reference X_WD: its rotation is none (R Rᵀ = 1 and det R = 1 are missed by more than 1e-4)",
+)
+OUT_OF_RANGE = declare_reason(
+    "OUT_OF_RANGE",
+    15,
+    "the wrist of arm '{arm}' reads more than it measures (force_range = {head.force_range:g} "
+    "N, torque_range = {head.torque_range:g} N m)",
+)
+JUMPED = declare_reason(
+    "JUMPED",
+    16,
+    "joint {joint} jumps: it reads faster than plausible_speed = {safety.plausible_speed:g} "
+    "times its speed limit of {speed:.4g} rad/s or m/s",
+)
+WRENCH_TIMEOUT = declare_reason(
+    "WRENCH_TIMEOUT",
+    17,
+    "no wrench was read for longer than wrench_timeout = {safety.wrench_timeout:g} s",
+)
+STALE = declare_reason(
+    "STALE",
+    18,
+    "nothing newer than the last readings of joints or wrists came for longer than "
+    "wrench_timeout = {safety.wrench_timeout:g} s; check the sensors' rate and the network",
+)
+OUT_OF_ORDER = declare_reason(
+    "OUT_OF_ORDER",
+    19,
+    "a packet came after a newer one; it is not used. Read packets in the order of their numbers",
+)
+SPEEDS_JUMPED = declare_reason(
+    "SPEEDS_JUMPED",
+    20,
+    "the speeds of joint {joint} and of others jump in one packet by more than speed_error = "
+    "{safety.speed_error:g} of their limits",
+)
+
+_ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
+_NOISE = 0.02  #: rad, m: joints may jump by as much, whatever their speed limits
+_EXCHANGED = 1e-3  #: rad, m; joints that read one another's positions differ by more
+_SAME = 0.2  #: of their difference; nearer to the other's position it is the other's
+
+
+@inner
+def check_readings(t):
+    """Whether readings and reference are credible; a reason."""
+    model = t.model
+    table = model.joints
+    memory = t.memory
+    if not _is_rotation(t.input.X_WD):
+        return NO_ROTATION
+    if memory.wrench_missing:
+        if memory.has_wrench == 0 or (memory.wrench_age + 1) * model.period > model.wrench_timeout:
+            return WRENCH_TIMEOUT
+    else:
+        for k in range(model.n_arms):
+            if model.arms[k].sensor_joint >= 0 and not is_measurable(t, k):
+                memory.culprit = k
+                return OUT_OF_RANGE
+    if memory.repeated & OUTDATED:
+        return OUT_OF_ORDER
+    for mark, age in ((JOINTS, memory.old_joints), (WRISTS, memory.old_wrists)):
+        if memory.repeated & mark and (age + 1) * model.period > model.wrench_timeout:
+            return STALE
+    for j in range(model.n_joints):
+        if abs(t.input.v[j]) > model.plausible_speed * table[j].rated:
+            memory.culprit = j
+            return JUMPED
+    find_jumps(t)
+    t.work.looked = 1
+    if t.work.jumps > 0:
+        memory.culprit = t.work.jumped
+        return JUMPED
+    if t.work.speed_jumps > 1:
+        memory.culprit = t.work.speed_jumped
+        return SPEEDS_JUMPED
+    return NO_REASON
+
+
+@inner
+def find_jumps(t):
+    """Note how many positions and speeds jump in this packet; to be called once a tick.
+
+    `barred` is whether a joint's position does; `mixed` for how long those of several joints have,
+    or their speeds. A joint that jumps alone has lost its own reading only. Nothing is noted where
+    no reading is new, or none was before.
+    """
+    memory = t.memory
+    work = t.work
+    work.jumps = work.speed_jumps = 0
+    if memory.compared == 0 or memory.repeated & JOINTS:
+        return
+    read = 0
+    off = 0
+    for j in range(t.model.n_joints):
+        now = t.input.q[j]
+        if not isfinite(now):
+            continue
+        read += 1
+        memory.joints[j].barred = _jump(t, j, now)
+        if memory.joints[j].barred != NOT_BARRED:
+            work.jumps += 1
+            work.jumped = j
+        if _speed_jumps(t, j):
+            work.speed_jumps += 1
+            work.speed_jumped = j
+        off += 1 if abs(now - _expected(t, j)) > _EXCHANGED else 0
+    if off > 1 and work.jumps < 2:
+        _find_exchange(t)
+    several = max(work.jumps, work.speed_jumps) > 1
+    if several or (read == 0 and memory.mixed > 0.0):
+        memory.mixed += t.model.period
+    else:
+        memory.mixed = 0.0
+
+
+@leaf
+def _expected(t, j):
+    """Position (m, rad) of joint j, from what was known of it a tick ago."""
+    return t.memory.q[j] + t.memory.v[j] * t.model.period
+
+
+@leaf
+def _jump(t, j, now):
+    """Whether joint j has moved faster than it can since its position was read last.
+
+    After a jump its readings are compared with its predicted position: they do not become
+    plausible by waiting.
+
+    Args:
+        j: joint. now: its position as read at this tick (m, rad).
+
+    Returns:
+        NOT_BARRED, JUMP, EXCHANGED.
+    """
+    known = t.memory.joints[j]
+    room = _NOISE + t.model.plausible_speed * t.model.joints[j].rated * t.model.period
+    moved = abs(now - known.q)
+    if known.barred == EXCHANGED:
+        return EXCHANGED if abs(now - _expected(t, j)) > 0.5 * _EXCHANGED else NOT_BARRED
+    if known.barred == JUMP:
+        moved = abs(now - t.memory.q[j])
+    else:
+        room += (room - _NOISE) * known.unread_q
+    return JUMP if moved > room else NOT_BARRED
+
+
+@inner
+def _find_exchange(t):
+    """Note two joints each of which reads where the other one must be.
+
+    Joints whose positions are nearly the same may be exchanged without a jump of either.
+    """
+    memory = t.memory
+    work = t.work
+    for i in range(t.model.n_joints):
+        for j in range(i):
+            own = t.input.q[i] - _expected(t, i)
+            other = t.input.q[j] - _expected(t, j)
+            near = _SAME * abs(own)
+            crossed = abs(t.input.q[i] - _expected(t, j)) < near
+            crossed = crossed and abs(t.input.q[j] - _expected(t, i)) < near
+            if crossed and min(abs(own), abs(other)) > _EXCHANGED:
+                for which in (i, j):
+                    memory.joints[which].barred = EXCHANGED
+                work.jumps = 2
+                work.jumped = i
+
+
+@leaf
+def _speed_jumps(t, j):
+    """Whether the speed of joint j lies neither at the last one nor on the way that is commanded.
+
+    A joint that is held, or whose motor gives less than it should, changes less than commanded.
+    Speeds that are estimated from positions jump with these.
+
+    Args:
+        j: joint.
+    """
+    known = t.memory.joints[j]
+    room = t.model.speed_error * t.model.joints[j].speed_max * (1 + known.unread_q)
+    last = t.memory.v[j]
+    follows = last + known.acceleration * t.model.period
+    now = t.input.v[j]
+    jumps = now < min(last, follows) - room or now > max(last, follows) + room
+    return t.memory.derived == 0 and jumps
+
+
+@leaf
+def is_measurable(t, k):
+    """Whether the reading of wrist k is finite and within the range of its sensor."""
+    fits = True
+    for i in range(6):
+        fits = fits and abs(t.input.wrenches[k, i]) <= (
+            t.model.force_range if i < 3 else t.model.torque_range
+        )
+    return fits
+
+
+@leaf
+def _is_rotation(X):
+    """R Rᵀ = 1 and det R = 1, but for `_ROUND`."""
+    worst = 0.0
+    for i in range(3):
+        for j in range(i + 1):
+            worst = max(worst, abs(dot3(X[i], X[j]) - (1.0 if i == j else 0.0)))
+    return worst < _ROUND and dot3(cross(X[0], X[1]), X[2]) > 0.0
