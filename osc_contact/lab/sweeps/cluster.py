@@ -1,31 +1,29 @@
-"""The workers of a dask cluster (extra `cluster`)."""
+"""Workers of a dask cluster (extra `cluster`)."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from distributed import Client
 
 from osc_contact import __version__
 from osc_contact.errors import InvalidInputError
 
-_PATIENCE_S = 20.0  #: for a scheduler that does not answer, and for the first worker
+_PATIENCE_S = 20.0  #: time to wait for the scheduler, and for the first worker (s)
 
 
 @contextmanager
 def connect(scheduler: str | Client) -> Iterator[Client]:
-    """The client of a cluster that has workers with this package.
+    """Yield the client of a cluster whose workers have this version of the package.
 
     Args:
-        scheduler: an address such as tcp://10.0.0.1:8786; or a client, left open.
+        scheduler: an address such as tcp://10.0.0.1:8786, or a client, which is not closed.
 
     Raises:
-        InvalidInputError: it does not answer, has no workers, or theirs is another osc_contact.
+        InvalidInputError: the scheduler does not answer, or its workers are missing or have another
+            version of osc_contact.
     """
-    client: Any = scheduler
     try:
-        if isinstance(scheduler, str):
-            client = Client(scheduler, timeout=_PATIENCE_S)
+        client = Client(scheduler, timeout=_PATIENCE_S) if isinstance(scheduler, str) else scheduler
         client.wait_for_workers(1, timeout=_PATIENCE_S)
         versions = set(client.run(_version).values())
     except (OSError, ValueError, ImportError) as error:
@@ -46,4 +44,5 @@ def connect(scheduler: str | Client) -> Iterator[Client]:
 
 
 def _version() -> str:
+    """Version of the package in the worker that runs this function."""
     return __version__

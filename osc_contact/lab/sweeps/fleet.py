@@ -1,4 +1,4 @@
-"""Many plants and their controllers, tick by tick together: rows of two batches."""
+"""Plants and controllers that advance together, as rows of two batches."""
 
 from __future__ import annotations
 
@@ -20,10 +20,13 @@ from osc_contact.spatial import Array
 
 @dataclass(frozen=True)
 class Start:
-    """Where a row begins: plant and controller of a rig, at rest in contact.
+    """Start of a row: plant and controller of a rig, at rest in contact.
 
     Attributes:
-        rig: of it. model, state: MuJoCo's. controller: not touched by the rows that begin with it.
+        rig: the rig.
+        plant: its plant, with the model.
+        state: state of MuJoCo.
+        controller: its controller, which rows copy.
     """
 
     rig: Rig
@@ -33,11 +36,11 @@ class Start:
 
     @classmethod
     def of(cls, rig: Rig) -> Start:
-        """The start of a rig, see `lab.runs.run.start`.
+        """Start of a rig, see `lab.runs.run.start`.
 
         Raises:
-            ScenarioError: it cannot run.
-            InvalidInputError: something in its ticks is Python.
+            ScenarioError: the rig cannot run.
+            InvalidInputError: its ticks contain Python code, so that it cannot be part of a batch.
         """
         import mujoco
 
@@ -53,7 +56,7 @@ class Start:
             "a joint torque loop": scenario.control.joint_torque is not None,
             "pairs, bodies or laws written in Python": controller._custom.needed,
         }
-        why = [words for words, so in obstacles.items() if so]
+        why = [obstacle for obstacle, present in obstacles.items() if present]
         if why:
             raise InvalidInputError(
                 f"plants that advance together are plain ones, and {scenario.name} has: "
@@ -67,21 +70,24 @@ class Start:
 
 
 class Fleet:
-    """B plants of one structure and their controllers; each row is the single run of its rig.
+    """Plants of equal structure and their controllers; each row equals the single run of its rig.
 
     Attributes:
-        rows: B. dt: control period (s). control: the controllers.
+        rows: number B of plants.
+        dt: control period (s).
+        control: the controllers.
     """
 
     def __init__(self, starts: Sequence[Start], threads: int = 1) -> None:
-        """Begin.
+        """Put every row at its start.
 
         Args:
-            starts: of each row (the same one again is shared). threads: of plants and control.
+            starts: start of each row; rows may share one.
+            threads: number of threads of plants, and of controllers.
 
         Raises:
-            InvalidInputError: other structures.
-            PlantError: this MuJoCo has no batches.
+            InvalidInputError: rigs of different structures.
+            PlantError: this version of MuJoCo has no batches.
         """
         try:
             from mujoco.batch import Batch
@@ -102,7 +108,7 @@ class Fleet:
         self.begin(dict(enumerate(starts)))
 
     def begin(self, starts: dict[int, Start]) -> None:
-        """Rows that begin anew, each at its start."""
+        """Put some rows, by number, at their starts."""
         rows = np.array(sorted(starts))
         for row, one in starts.items():
             self.control.replace(row, one.controller)
@@ -113,16 +119,16 @@ class Fleet:
         self._plants.forward(rows)
 
     def measure(self) -> tuple[Array, Array, Array]:
-        """q, v (B, n) and wrist wrenches (B, arms, 6), as `MujocoPlant.measure` gives them."""
+        """Readings of all rows, see `MujocoPlant.measure`: q, v (B, n), wrenches (B, arms, 6)."""
         return self._plant.readings(*self._sensed)
 
     def tick(
         self, X_WD: Array, V_D: Array, A_D: Array, alpha_d: Array, squeeze_d: Array | None = None
     ) -> Array:
-        """One control period; torques (B, n_a). Arguments as of `BatchController.tick`.
+        """Advance all rows by one control period; return their torques (B, n_a).
 
         Args:
-            X_WD, V_D, A_D, alpha_d, squeeze_d: as of `BatchController.tick`.
+            X_WD, V_D, A_D, alpha_d, squeeze_d: see `BatchController.tick`.
         """
         tau = self.control.tick(
             *self.measure(), X_WD, V_D=V_D, A_D=A_D, alpha_d=alpha_d, squeeze_d=squeeze_d
@@ -137,5 +143,5 @@ class Fleet:
         return (self._xpos[:, body], self._xmat[:, body].reshape(-1, 3, 3))
 
     def diverged(self) -> Array:
-        """(B,) whether MuJoCo has warned since the row began."""
+        """Flags (B,) of rows in which MuJoCo has warned since their start."""
         return np.any(np.reshape(self._plants.warning, (self.rows, -1)), axis=1)

@@ -1,7 +1,6 @@
-"""The report of a sweep: one page and its figures, beside the table.
+"""Report of a sweep: a page with figures on success rate, errors, and their dependence on keys."""
 
-It answers how many runs succeed, how large errors get, and what they depend on.
-"""
+from __future__ import annotations
 
 import base64
 import json
@@ -11,7 +10,7 @@ from html import escape
 from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -23,17 +22,22 @@ from osc_contact.lab.sweeps.study import SweepStudy
 from osc_contact.lab.visual.page import POLICY, asset, filled
 from osc_contact.spatial import Array
 
+if TYPE_CHECKING:
+    import pyarrow
+
 REPORT = "report.html"
 SUMMARY = "summary.json"
-_SHOWN = 4  #: errors that are drawn; as many causes of each
-_WORST = 5  #: runs that are named
+_SHOWN = 4  #: most errors that are drawn, and most causes of each
+_WORST = 5  #: most runs that are listed
 
 
-def write_report(table: Any, study: SweepStudy, folder: Path) -> Json:
-    """Write summary, figures (with the extra `plot`) and page; returns the summary.
+def write_report(table: pyarrow.Table, study: SweepStudy, folder: Path) -> Json:
+    """Write summary, figures (with the extra `plot`) and page; return the summary.
 
     Args:
-        table: of `sweep`. study: of it. folder: for the files.
+        table: table of the runs, see `sweep`.
+        study: study of the runs.
+        folder: folder for the files.
     """
     summary = summarise(table, study)
     folder.mkdir(parents=True, exist_ok=True)
@@ -53,7 +57,7 @@ def write_report(table: Any, study: SweepStudy, folder: Path) -> Json:
 
 
 def in_words(summary: Json) -> Iterator[str | Table]:
-    """What became of the runs, errors and what they depend on, the worst; to be printed."""
+    """Texts and a table to be printed: outcomes, errors and their causes, and the worst runs."""
     words = ", ".join(f"{count} {word}" for word, count in summary["words"].items())
     yield f"{summary['rows']} runs, {summary['success_rate']:.1%} without a failed task: {words}"
     table = Table(
@@ -73,12 +77,12 @@ def in_words(summary: Json) -> Iterator[str | Table]:
         yield table
     for one in summary["worst"][:3]:
         value = "" if one["value"] is None else f", {one['column']} {one['value']:.3g}"
-        command = f"\n  {one['command']}" * bool(one["command"])
+        command = f"\n  {one['command']}" if one["command"] else ""
         yield f"row {one['row']}: {one['word']}{value}{command}"
 
 
 def _printed(summary: Json) -> str:
-    """The same as text."""
+    """Text of `in_words`."""
     console = Console(file=StringIO(), width=160)
     for one in in_words(summary):
         console.print(one, highlight=False, markup=False, soft_wrap=isinstance(one, str))
@@ -86,6 +90,7 @@ def _printed(summary: Json) -> str:
 
 
 def _picture(path: Path) -> str:
+    """HTML of a PNG file that is embedded in the page."""
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     return (
         f'<figure><div class="wide"><img src="data:image/png;base64,{data}" '
@@ -93,8 +98,13 @@ def _picture(path: Path) -> str:
     )
 
 
-def _draw(table: Any, study: SweepStudy, summary: Json, folder: Path) -> list[Path]:
-    """How errors are distributed, and over what they depend on; PNG and SVG."""
+def _draw(table: pyarrow.Table, study: SweepStudy, summary: Json, folder: Path) -> list[Path]:
+    """Draw distributions of errors, and errors over what varies; return the PNG files.
+
+    Args:
+        table, study, folder: see `write_report`.
+        summary: summary of the table.
+    """
     from matplotlib.figure import Figure
 
     from osc_contact.lab.visual.plots import save, style
@@ -127,10 +137,10 @@ def _draw(table: Any, study: SweepStudy, summary: Json, folder: Path) -> list[Pa
     return written
 
 
-# --- What the table contains --------------------------------------------------------------------
+# --- Summary of the table -----------------------------------------------------------------------
 
 QUANTILES = (0.5, 0.9, 0.99, 1.0)
-#: Ends of the columns in which errors stand, the most important first.
+#: Ends of the names of columns with errors, the most important first.
 _ERRORS = (
     ".rms_error_rel",
     "overshoot_rel",
@@ -140,11 +150,12 @@ _ERRORS = (
 )
 
 
-def summarise(table: Any, study: SweepStudy) -> Json:
+def summarise(table: pyarrow.Table, study: SweepStudy) -> Json:
     """Success rate, quantiles, sensitivities and the worst runs.
 
     Args:
-        table: of `sweep`. study: of it.
+        table: table of the runs, see `sweep`.
+        study: study of the runs.
 
     Returns:
         rows, success_rate, words {word: runs}, quantiles {column: {"50 %": …}}, sensitivities
@@ -171,23 +182,23 @@ def summarise(table: Any, study: SweepStudy) -> Json:
     }
 
 
-def numbers(table: Any, name: str) -> Array:
-    """(rows,) a column as numbers, NaN where there is none."""
+def numbers(table: pyarrow.Table, name: str) -> Array:
+    """Column of a table as numbers (rows,), NaN for missing ones."""
     return np.array([np.nan if x is None else x for x in table.column(name).to_pylist()], float)
 
 
-def judged_columns(table: Any) -> list[str]:
-    """Names of the columns in which errors stand."""
+def judged_columns(table: pyarrow.Table) -> list[str]:
+    """Names of the columns of errors."""
     return [name for end in _ERRORS for name in table.column_names if name.endswith(end)]
 
 
-def sensitivities(table: Any, study: SweepStudy, name: str) -> dict[str, float | None]:
-    """Spearman's rank correlation of an error with everything that varied; None: not a number.
+def sensitivities(table: pyarrow.Table, study: SweepStudy, name: str) -> dict[str, float | None]:
+    """Spearman's rank correlation of an error with each varied column; None: not a number.
 
     Args:
-        table: of the study, one row a run.
-        study: names what varied.
-        name: the column of the error.
+        table: table of the runs.
+        study: study of the runs.
+        name: column of the error.
     """
     from scipy.stats import spearmanr
 
@@ -201,15 +212,17 @@ def sensitivities(table: Any, study: SweepStudy, name: str) -> dict[str, float |
     return found
 
 
-def variances(table: Any, study: SweepStudy, name: str) -> dict[str, dict[str, float]]:
-    """Sobol's indices: which share of an error's variance each key makes, alone and with others.
+def variances(table: pyarrow.Table, study: SweepStudy, name: str) -> dict[str, dict[str, float]]:
+    """Sobol's indices: shares of an error's variance that keys cause, alone and with others.
 
     Args:
-        table: of the design "saltelli". study: of it. name: column of the error.
+        table: table of the runs.
+        study: study with the design "saltelli".
+        name: column of the error.
 
     Returns:
-        {key: {"first": alone, "total": with all that it works together with}}; empty with other
-        designs, and where some row has no error.
+        {key: {"first": alone, "total": with its interactions}}; empty for other designs, and if a
+        row has no error.
     """
     f = numbers(table, name)
     if study.design != "saltelli" or len(f) != study.rows or not np.isfinite(f).all():
@@ -219,18 +232,19 @@ def variances(table: Any, study: SweepStudy, name: str) -> dict[str, dict[str, f
     A, B, *AB = f.reshape(study.samples, -1).T
     parts = {"f_A": A[None], "f_B": B[None], "f_AB": np.array(AB)[:, None]}
     found = sobol_indices(func=parts, n=study.samples)
-    first, total = (np.ravel(x).tolist() for x in (found.first_order, found.total_order))
+    first = np.ravel(found.first_order).tolist()
+    total = np.ravel(found.total_order).tolist()
     return {
         path: {"first": first[k], "total": total[k]} for k, (path, _) in enumerate(study.variations)
     }
 
 
-def worst_rows(table: Any, study: SweepStudy) -> list[Json]:
-    """Runs that failed first, then those of the largest force errors, each with its command.
+def worst_rows(table: pyarrow.Table, study: SweepStudy) -> list[Json]:
+    """Runs that failed, then those with the largest force errors, with commands to repeat them.
 
     Args:
-        table: of the study, one row a run.
-        study: gives the command that repeats a run.
+        table: table of the runs.
+        study: study of the runs.
     """
     judged = [name for name in judged_columns(table) if name.endswith(".rms_error_rel")]
     found = []
@@ -244,6 +258,7 @@ def worst_rows(table: Any, study: SweepStudy) -> list[Json]:
     return [one | {"command": study.command(one["row"])} for *_, one in found[:_WORST]]
 
 
-def _varies(table: Any, name: str) -> bool:
+def _varies(table: pyarrow.Table, name: str) -> bool:
+    """Return whether a column has different numbers."""
     values = table.column(name).to_pylist()
     return all(isinstance(x, int | float) for x in values) and len(set(values)) > 1

@@ -1,8 +1,7 @@
-"""A study: one scenario, what varies in it, and which numbers each of its runs has.
+"""Study of a scenario: keys that vary, and the values that each run has.
 
-A key of the scenario may be a distribution, in words such as `uniform(5 mm, 10 mm)`. Every word
-maps numbers between 0 and 1 to values, so that grids, random and quasi-random points are all the
-same to it.
+A key of the scenario may vary by a distribution, written as text such as `uniform(5 mm, 10 mm)`. A
+distribution maps numbers between 0 and 1 to values, for grids, random and quasi-random points.
 """
 
 from __future__ import annotations
@@ -26,24 +25,26 @@ from osc_contact.lab.scenarios.loader import Template, read_text
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.spatial import Array, norm
 
-# --- What a key may be --------------------------------------------------------------------------
+# --- Distributions ------------------------------------------------------------------------------
 
 _CALL = re.compile(r"\s*([a-z]+)\s*\((.*)\)\s*")
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 
-Drawn = tuple[str, dict[str, Any]]  #: the text of an override; what stands in the table, by suffix
+Cell = str | int | float  #: value of a column of the table
+Drawn = tuple[str, dict[str, Cell]]  #: text of an override, and columns of the table by suffix
 
 
 @dataclass(frozen=True)
 class Distribution:
-    """Values of one key.
+    """Distribution of the values of one key.
 
     Attributes:
-        dims: how many numbers between 0 and 1 make a value.
-        draw: (numbers (dims,), the scenario's own value of the key where that counts) → value.
-        levels: how many different values there are; 0: any number.
-        ends: whether a grid takes both ends of it; else it takes the middles of equal parts.
-        relative: whether the scenario's own value counts.
+        dims: number of coordinates between 0 and 1 that determine a value.
+        draw: function of the coordinates (dims,) and, if `relative`, of the scenario's own value of
+            the key, that returns the value.
+        levels: number of different values; 0: infinitely many.
+        ends: True if a grid contains both ends; False: the middles of equal intervals.
+        relative: True if values depend on the scenario's own value.
     """
 
     dims: int
@@ -53,14 +54,14 @@ class Distribution:
     relative: bool = False
 
 
-Make = Callable[[Sequence[str]], Distribution]  #: from what stands between the commas
+Make = Callable[[Sequence[str]], Distribution]  #: function of the parts between the commas
 
 
 def parse_distribution(text: str) -> Distribution:
-    """A distribution from its words, see `WORDS`.
+    """Distribution of a text, see `WORDS`.
 
     Raises:
-        InvalidInputError: unknown words, or numbers that do not fit them.
+        InvalidInputError: an unknown word, or unsuitable numbers.
     """
     match = _CALL.fullmatch(text)
     if match is None or match[1] not in WORDS:
@@ -76,11 +77,14 @@ def parse_distribution(text: str) -> Distribution:
 
 
 def _split(text: str) -> list[str]:
-    """Parts between the commas that stand outside of brackets."""
+    """Parts of a text between the commas that are outside of brackets."""
     parts = [""]
     depth = 0
     for letter in text:
-        depth += (letter in "[{(") - (letter in "]})")
+        if letter in "[{(":
+            depth += 1
+        elif letter in "]})":
+            depth -= 1
         if letter == "," and not depth:
             parts.append("")
         else:
@@ -89,7 +93,11 @@ def _split(text: str) -> list[str]:
 
 
 def _quantities(parts: Sequence[str], count: int) -> tuple[list[float], str]:
-    """So many numbers with one unit."""
+    """Numbers, `count` of them, and their common unit.
+
+    Raises:
+        ValueError: another count, texts that are not numbers, or different units.
+    """
     if len(parts) != count:
         raise ValueError(f"{len(parts)} values given, {count} needed")
     values = []
@@ -106,19 +114,20 @@ def _quantities(parts: Sequence[str], count: int) -> tuple[list[float], str]:
 
 
 def _scalar(at: Callable[[float, float, float], float]) -> Make:
-    """Words with two numbers in one unit.
+    """Function that makes distributions of two numbers with a common unit.
 
     Args:
-        at: (u, first, second) → value.
+        at: function of a coordinate between 0 and 1 and the two numbers that returns the value.
     """
 
     def make(parts: Sequence[str]) -> Distribution:
         (first, second), unit = _quantities(parts, 2)
-        at(0.5, first, second)  # refuses what makes no sense
+        at(0.5, first, second)  # refuses unsuitable numbers
+        suffix = f" [{unit}]" if unit else ""
 
         def draw(u: Array, _: Any) -> Drawn:
             x = at(float(u[0]), first, second)
-            return (f"{x!r} {unit}".strip(), {f" [{unit}]" if unit else "": x})
+            return (f"{x!r} {unit}".strip(), {suffix: x})
 
         return Distribution(1, draw, ends=at is not _normal)
 
@@ -126,24 +135,28 @@ def _scalar(at: Callable[[float, float, float], float]) -> Make:
 
 
 def _uniform(u: float, low: float, high: float) -> float:
+    """Value at u of the uniform distribution between two numbers."""
     if low >= high:
         raise ValueError("the first number must be below the second")
     return low + u * (high - low)
 
 
 def _loguniform(u: float, low: float, high: float) -> float:
+    """Value at u of the distribution with a uniform logarithm between two numbers."""
     if not 0.0 < low < high:
         raise ValueError("both ends must be positive, the lower one first")
     return low * (high / low) ** u
 
 
 def _normal(u: float, mean: float, spread: float) -> float:
+    """Value at u of the normal distribution; `spread` is its standard deviation."""
     if spread <= 0.0:
         raise ValueError("the standard deviation must be positive")
     return NormalDist(mean, spread).inv_cdf(min(max(u, 1e-9), 1 - 1e-9))
 
 
 def _factor(parts: Sequence[str]) -> Distribution:
+    """Distribution of the scenario's own value times a uniform factor."""
     uniform = _scalar(_uniform)(parts)
     if _quantities(parts, 2)[1]:
         raise ValueError("give two factors without a unit")
@@ -155,14 +168,20 @@ def _factor(parts: Sequence[str]) -> Distribution:
     return Distribution(1, draw, ends=True, relative=True)
 
 
-def _choice(parts: Sequence[str], values: Sequence[Any] = ()) -> Distribution:
-    """One of the texts; the table shows the values, by default numbers if all texts are."""
+def _choice(parts: Sequence[str], values: Sequence[Cell] = ()) -> Distribution:
+    """Distribution of some texts with equal probability.
+
+    Args:
+        parts: the texts.
+        values: their values in the table; by default numbers, if all texts are numbers.
+    """
     if not all(parts):
         raise ValueError("a value is missing")
-    try:
-        values = values or [float(part) for part in parts]
-    except ValueError:
-        values = parts
+    if not values:
+        try:
+            values = [float(part) for part in parts]
+        except ValueError:
+            values = parts
 
     def draw(u: Array, _: Any) -> Drawn:
         i = min(int(u[0] * len(parts)), len(parts) - 1)
@@ -172,6 +191,7 @@ def _choice(parts: Sequence[str], values: Sequence[Any] = ()) -> Distribution:
 
 
 def _integers(parts: Sequence[str]) -> Distribution:
+    """Distribution of the integers between two numbers, both included."""
     low, high = map(int, parts)
     if low > high:
         raise ValueError(f"{low} is above {high}")
@@ -180,7 +200,11 @@ def _integers(parts: Sequence[str]) -> Distribution:
 
 
 def _times(value: Any, factor: float) -> str:
-    """The text of a number, a quantity or a list of them, times a factor."""
+    """Text of a number, a quantity or a list of them, times a factor.
+
+    Raises:
+        InvalidInputError: a value that is not a number.
+    """
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_times(one, factor) for one in value) + "]"
     match = None if isinstance(value, bool) else _NUMBER.fullmatch(str(value))
@@ -190,6 +214,7 @@ def _times(value: Any, factor: float) -> str:
 
 
 def _tilt(parts: Sequence[str]) -> Distribution:
+    """Distribution of the scenario's own direction, tilted by at most an angle, uniform in area."""
     (most,), unit = _quantities(parts, 1)
     most = np.deg2rad(most) if unit == "deg" else most
     if unit not in ("deg", "rad", "") or not 0.0 < most <= np.pi:
@@ -209,7 +234,7 @@ def _tilt(parts: Sequence[str]) -> Distribution:
     return Distribution(2, draw, relative=True)
 
 
-#: Words, what makes distributions of them, and how they are written.
+#: By word, the function that makes its distributions, and its syntax.
 WORDS: dict[str, tuple[Make, str]] = {
     "uniform": (_scalar(_uniform), "uniform(LOW, HIGH), in one unit"),
     "loguniform": (_scalar(_loguniform), "loguniform(LOW, HIGH), both positive, in one unit"),
@@ -221,38 +246,44 @@ WORDS: dict[str, tuple[Make, str]] = {
 }
 
 
-# --- Which numbers each run has -----------------------------------------------------------------
+# --- Samples ------------------------------------------------------------------------------------
 
 Design = Literal["halton", "sobol", "random", "grid", "saltelli"]
-SEED = "seed"  #: a path that is no key of the scenario: the seed of a run
-_BLOCK = 1024  #: points that are made at once
+SEED = "seed"  #: path of the seed of a run, which is not a key of the scenario
+_BLOCK = 1024  #: points that are computed together
 
 
 @dataclass(frozen=True)
 class Sample:
-    """The numbers of one run.
+    """Values of one run.
 
     Attributes:
-        number: of the row. seed: of everything random. overrides: {path: value} of the scenario.
-        shown: what varies, as the table shows it.
+        number: number of the row.
+        seed: seed of everything random.
+        overrides: values of keys of the scenario by path.
+        shown: columns of the table with the values that vary.
     """
 
     number: int
     seed: int
     overrides: dict[str, str]
-    shown: dict[str, Any]
+    shown: dict[str, Cell]
 
 
 @dataclass(frozen=True)
 class SweepStudy:
-    """What a sweep runs; row i depends on nothing but this and i.
+    """Study of a scenario; row i depends on the study and on i only.
 
     Attributes:
-        text, source: of the scenario. overrides: (path=value, …) of all runs.
-        name: what `osc-contact run` calls the scenario; None: it was made in Python.
-        vary: (path=distribution, …). samples: how many points; on a grid, how many values of each
-            key that can have any; "saltelli" has two more runs of each than keys.
-        design: how the points are placed. seed: of the points, and of the runs if it does not vary.
+        text: text of the scenario.
+        source: file of the scenario; None: none.
+        vary: texts path=distribution.
+        samples: number of points; of a grid, number of values of each key with infinitely many;
+            with the design "saltelli" each point gives as many runs as there are keys, plus two.
+        design: placement of the points.
+        seed: seed of the points, and of the runs if that does not vary.
+        overrides: texts path=value of all runs.
+        name: name of the scenario for `osc-contact run`; None: it was made in Python.
     """
 
     text: str
@@ -274,19 +305,20 @@ class SweepStudy:
         seed: int = 0,
         overrides: Sequence[str] = (),
     ) -> SweepStudy:
-        """A study of a packaged scenario, a file, or a scenario made in Python.
+        """Study of a packaged scenario, a file, or a scenario made in Python.
 
         Args:
             scenario: name, path, or a scenario made in Python.
-            vary: "path.to.key=DISTRIBUTION", or a mapping of the same.
-            samples: how many points; on a grid: values of each key that can have any.
-            design: how the points are placed.
-            seed: of the points and of the runs.
-            overrides: "path.to.key=value" of all runs.
+            vary: texts "path.to.key=DISTRIBUTION", or distributions by path.
+            samples: number of points; of a grid, number of values of each key with infinitely
+                many.
+            design: placement of the points.
+            seed: seed of the points, and of the runs if that does not vary.
+            overrides: texts "path.to.key=value" of all runs.
 
         Raises:
-            ScenarioError: it cannot be read; a path that cannot be set.
-            InvalidInputError: no distribution, or one that is not understood.
+            ScenarioError: the scenario cannot be read, or a path cannot be set.
+            InvalidInputError: no distribution, or a wrong one.
         """
         if isinstance(scenario, Scenario):
             if scenario.laws is not None or any(
@@ -309,14 +341,15 @@ class SweepStudy:
         return study
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """With its points: workers need no scipy.stats, which takes them a second to import."""
+        """Pickle with the points: scipy.stats, which takes a second to import, is not needed."""
         return (type(self), astuple(self), {"_points": self._points})
 
     def require_sound(self) -> None:
-        """Whether all of it can be understood, as far as the first row shows.
+        """Refuse a study that has errors, as far as the first row shows them.
 
         Raises:
-            InvalidInputError, ScenarioError: with what is wrong.
+            InvalidInputError: wrong numbers of keys, samples or runs, or an unknown design.
+            ScenarioError: the scenario of the first row has errors.
         """
         if not self.vary or self.samples < 1:
             raise InvalidInputError(
@@ -340,7 +373,11 @@ class SweepStudy:
 
     @cached_property
     def variations(self) -> tuple[tuple[str, Distribution], ...]:
-        """(path, distribution) of each key that varies."""
+        """Path and distribution of each key that varies.
+
+        Raises:
+            InvalidInputError: a text without "=", or a wrong distribution.
+        """
         found = [text.partition("=") for text in self.vary]
         for path, equals, _ in found:
             if not equals:
@@ -349,41 +386,47 @@ class SweepStudy:
 
     @cached_property
     def template(self) -> Template:
-        """The scenario's text, read."""
+        """Parsed text of the scenario."""
         return Template(self.text, self.source)
 
     @cached_property
     def fingerprint(self) -> str:
-        """Identifies this study; how many samples it has does not matter."""
+        """Identifier of the study, independent of the number of samples (unless on a grid)."""
         content = asdict(self) | {"samples": self.samples if self.design == "grid" else None}
         del content["name"]
         return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
     @cached_property
     def rows(self) -> int:
-        """How many runs there are."""
+        """Number of runs."""
         if self.design == "saltelli":
             return self.samples * (len(self.variations) + 2)
         return prod(self._levels) if self.design == "grid" else self.samples
 
     @cached_property
     def _levels(self) -> list[int]:
-        return [d.levels or self.samples for _, d in self.variations for _ in range(d.dims)]
+        """Number of values of a grid along each coordinate."""
+        levels = []
+        for _, distribution in self.variations:
+            count = distribution.levels if distribution.levels else self.samples
+            levels += [count] * distribution.dims
+        return levels
 
     @cached_property
     def _points(self) -> dict[int, Array]:
+        """Points that were computed, by number of their block."""
         return {}
 
     def sample(self, number: int) -> Sample:
-        """The numbers of one run."""
+        """Values of a run, by its number."""
         overrides, shown = self.at(self._point(number))
         seed = int(overrides.pop(SEED, self.seed))
         return Sample(number, seed, overrides, shown)
 
-    def at(self, u: Array) -> tuple[dict[str, str], dict[str, Any]]:
-        """Overrides and what the table shows at a point: numbers (dims,) between 0 and 1."""
+    def at(self, u: Array) -> tuple[dict[str, str], dict[str, Cell]]:
+        """Overrides by path, and columns of the table, at a point u (dims,) between 0 and 1."""
         overrides = {}
-        shown: dict[str, Any] = {}
+        shown: dict[str, Cell] = {}
         for path, distribution in self.variations:
             own, u = np.split(u, [distribution.dims])
             overrides[path], values = distribution.draw(own, self._stated.get(path))
@@ -391,11 +434,11 @@ class SweepStudy:
         return (overrides, shown)
 
     def scenario(self, sample: Sample) -> Scenario:
-        """The scenario of one run."""
+        """Scenario of a run."""
         return self.template.make([*self.overrides, *texts(sample.overrides)])
 
     def command(self, number: int) -> str | None:
-        """The line of a shell that runs one sample by itself; None: it was made in Python."""
+        """Command line that repeats a run; None for a scenario made in Python."""
         if self.name is None:
             return None
         sample = self.sample(number)
@@ -406,7 +449,7 @@ class SweepStudy:
 
     @cached_property
     def _stated(self) -> dict[str, Any]:
-        """The scenario's own values of keys that vary relative to them."""
+        """Own values of the scenario, by path, of keys that vary relative to them."""
         return {
             path: self.template.value(path, self.overrides)
             for path, distribution in self.variations
@@ -414,7 +457,10 @@ class SweepStudy:
         }
 
     def _point(self, number: int) -> Array:
-        """(dims,) numbers between 0 and 1; "saltelli": A, B, and A with a key of B, one by one."""
+        """Point (dims,) of a run, coordinates between 0 and 1.
+
+        Each sample of the design "saltelli" gives the points A, B, and A with one key of B.
+        """
         dims = [distribution.dims for _, distribution in self.variations]
         if self.design == "grid":
             count = np.array(self._levels)
@@ -431,12 +477,14 @@ class SweepStudy:
         return self._in_block(number)
 
     def _in_block(self, number: int) -> Array:
+        """Point (dims,) of a sample of designs other than the grid."""
         block, place = divmod(number, _BLOCK)
         if block not in self._points:
             self._points[block] = self._block(block)
         return self._points[block][place]
 
     def _block(self, block: int) -> Array:
+        """Points (_BLOCK, dims) of a block, by its number; "saltelli": (_BLOCK, 2 dims)."""
         dims = len(self._levels)
         if not dims or self.design == "random":
             return np.random.default_rng([self.seed, block]).random((_BLOCK, dims))
@@ -452,5 +500,5 @@ class SweepStudy:
 
 
 def texts(overrides: Mapping[str, str]) -> list[str]:
-    """Overrides as path=value."""
+    """Texts path=value of overrides by path."""
     return [f"{path}={value}" for path, value in overrides.items()]

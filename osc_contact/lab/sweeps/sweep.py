@@ -1,7 +1,10 @@
-"""A sweep: every run of a study, on all cores, continued where it was interrupted.
+"""Sweep: all runs of a study, on all cores; an interrupted one can be continued.
 
-A row holds the numbers, the verdict and the errors of a run; rows go to a file, and to a table.
+A row holds the values, the verdict and the errors of a run; rows are written to a file and become
+a table.
 """
+
+from __future__ import annotations
 
 import gc
 import json
@@ -25,7 +28,7 @@ from functools import cached_property
 from itertools import islice
 from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, OscContactError, PlantError
@@ -42,12 +45,16 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.settings.control import ModelErrorSpec
 
-#: Words beside those of `lab.runs.verdict`: it could not be built or is not possible; the
-#: simulation diverged; the process that ran it died.
+if TYPE_CHECKING:
+    import distributed
+    import pyarrow
+
+#: Outcomes in addition to those of `lab.runs.verdict`: the scenario was rejected; the simulation
+#: diverged; the process of the run died.
 REFUSED = "REFUSED"
 DIVERGED = "DIVERGED"
 CRASHED = "CRASHED"
-#: Of a verdict: what a clock measured, and what stands elsewhere in the row.
+#: Fields of a verdict that rows leave out: timings, and values that other columns hold.
 _LEFT_OUT = {
     "scenario",
     "plant",
@@ -67,50 +74,50 @@ Row = Json
 
 # --- Making rows --------------------------------------------------------------------------------
 
-_KEPT = 8  #: chains, and robots; where each run has its own numbers they are not needed again
+_KEPT = 8  #: most chains, and most robots, that are kept; runs with their own masses use none again
 Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, eq=False)
 class RobotAtTask:
-    """The robot and task that runs share when only the controller's model of the robot differs.
+    """Robot and task of runs that differ only in the controller's model of the robot.
 
     Attributes:
-        rig: of the first of them.
+        rig: rig of the first run.
     """
 
     rig: Rig
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """See `judge_rig`."""
+        """Findings on the rig, see `judge_rig`."""
         return judge_rig(self.rig)
 
 
 class RigBuilder(threading.local):
-    """Builds and judges rigs; what is equal in several is built and judged once.
+    """Builder of rigs with a cache of their equal parts.
 
-    Chains of the same arms, object and factors are the same chain, see `build_chain`; rigs that
-    differ in what the controller's model has wrong only are built, and judged, as one robot.
+    Chains of equal arms, object and factors are built once, see `build_chain`; rigs that differ
+    only in the errors of the controller's model are built and judged once.
 
-    Each thread has its own: chains hold scratch memory.
+    Each thread has its own builder, as chains have working memory.
 
     Attributes:
-        study: whose rows this thread made last.
+        study: study whose rows this thread made last.
     """
 
     study: SweepStudy | None = None
 
     def __init__(self) -> None:
-        """Nothing is built yet."""
+        """Make empty caches."""
         self._chains: dict[str, ClosedChain] = {}
         self._robots: dict[str, RobotAtTask] = {}
 
     def rig(self, scenario: Scenario) -> Rig:
-        """See `build_rig`.
+        """Rig of a scenario, see `build_rig`.
 
         Args:
-            scenario: as a file gives it, without laws and pairs written in Python.
+            scenario: scenario without laws and pairs written in Python.
         """
         robot = self._robot(scenario)
         if robot.rig.scenario is scenario:
@@ -118,38 +125,50 @@ class RigBuilder(threading.local):
         return robot.rig.with_error(scenario, self._chain)
 
     def require_ready(self, rig: Rig) -> list[str]:
-        """See `preflight.require_ready`; rig: of `RigBuilder.rig`."""
+        """Doubts about a rig of this builder, see `require_ready`.
+
+        Raises:
+            ScenarioError: the rig cannot run.
+        """
         return require_ready(rig, self._robot(rig.scenario).findings)
 
     def _robot(self, scenario: Scenario) -> RobotAtTask:
+        """Robot and task of a scenario, from the cache if possible."""
         key = robot_key(scenario)
         return _kept(self._robots, key, lambda: RobotAtTask(build_rig(scenario, self._chain)))
 
     def _chain(self, scenario: Scenario, error: ModelErrorSpec) -> ClosedChain:
+        """Chain of a scenario with errors of its model, from the cache if possible."""
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
         key = _key(scenario, content, dict(error))
         return _kept(self._chains, key, lambda: build_chain(scenario, error))
 
 
 def robot_key(scenario: Scenario) -> str:
-    """Text that is equal for scenarios of the same robot at the same task.
+    """Key of the robot and task of a scenario.
 
-    They may differ in what the controller's model has wrong, and in the limits of the verdict: the
-    true robot, and what `judge_rig` looks at, do not depend on either.
+    It is independent of the errors of the controller's model and of the limits of the verdict, as
+    are the true robot and the findings of `judge_rig`.
     """
     content = scenario.model_dump(mode="json", exclude={"model_error", "verdict"})
     return _key(scenario, content, scenario.model_error.hidden_mass)
 
 
 def _key(scenario: Scenario, *content: Any) -> str:
-    """Text that is equal for equal content of scenarios whose files are looked for at one place."""
+    """Key of content of a scenario, JSON data, and of the folder of its files."""
     return json.dumps([content, str(scenario.source)], sort_keys=True)
 
 
 def _kept(store: dict[str, Made], key: str, make: Callable[[], Made]) -> Made:
-    """The entry under a key, made if missing; the least recently used one is dropped."""
+    """Entry of a cache that is made if it is missing; the least recently used one is dropped.
+
+    Args:
+        store: the cache, the most recently used entry last.
+        key: key of the entry.
+        make: function that makes the entry.
+    """
     made = store.pop(key) if key in store else make()
-    store[key] = made  # behind those that were used before
+    store[key] = made  # becomes the last one
     if len(store) > _KEPT:
         del store[next(iter(store))]
     return made
@@ -161,24 +180,26 @@ _rigs = RigBuilder()
 def make_rows(
     study: SweepStudy, numbers: Sequence[int], install: Install | None = None
 ) -> list[Row]:
-    """Run some samples of a study, in this thread; a row for each.
+    """Run some samples of a study in this thread; return a row for each.
 
-    Rows do not depend on which of them are run together, or where.
+    A row is independent of the samples that are run with it, and of the process.
 
     Args:
-        study: of the rows. numbers: of them. install: puts another law into each controller.
+        study: study of the samples.
+        numbers: numbers of the samples.
+        install: function that installs another law in each controller.
     """
     if _rigs.study is not None and _rigs.study.fingerprint == study.fingerprint:
-        study = _rigs.study  # which is read already
+        study = _rigs.study  # its scenario is parsed already
     _rigs.study = study
     with without_logged_doubts():
         rows = [_row(study, study.sample(number), install) for number in numbers]
-    return json.loads(json.dumps(rows))  # as they come out of a file
+    return json.loads(json.dumps(rows))  # equal to rows that were read from a file
 
 
 @contextmanager
 def without_logged_doubts() -> Iterator[None]:
-    """Doubts that stand in rows are not logged a thousand times."""
+    """Suppress the log of doubts, which rows hold already, while the block runs."""
     logger = logging.getLogger("osc_contact.preflight")
     before = logger.level
     logger.setLevel(logging.ERROR)
@@ -189,15 +210,15 @@ def without_logged_doubts() -> Iterator[None]:
 
 
 def record_sample(study: SweepStudy, sample: Sample, install: Install | None = None) -> Recording:
-    """The recording of one run of a study.
+    """Run a sample of a study and return the recording.
 
     Args:
-        study: which the sample belongs to.
-        sample: its changes and its seed.
-        install: puts another law into each controller.
+        study: study of the sample.
+        sample: changes of the scenario, and seed.
+        install: function that installs another law in the controller.
 
     Raises:
-        OscContactError: it cannot be built, is not possible, or diverges.
+        OscContactError: the scenario is rejected, or the simulation diverges.
     """
     return run(
         study.scenario(sample),
@@ -209,10 +230,10 @@ def record_sample(study: SweepStudy, sample: Sample, install: Install | None = N
 
 
 def require_long_enough(study: SweepStudy) -> None:
-    """Refuse runs that end before they are judged.
+    """Refuse a study whose runs end before they are judged.
 
     Raises:
-        InvalidInputError: with the duration of the first.
+        InvalidInputError: the first run is too short.
     """
     duration = study.scenario(study.sample(0)).duration
     if duration <= SETTLE_S:
@@ -223,6 +244,7 @@ def require_long_enough(study: SweepStudy) -> None:
 
 
 def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
+    """Row of a sample, which is run; see `record_sample`."""
     try:
         recording = record_sample(study, sample, install)
         verdict = metrics(recording)
@@ -239,6 +261,14 @@ def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
 
 
 def _head(sample: Sample, word: str, why: str, failed: bool = True) -> Row:
+    """First columns of a row.
+
+    Args:
+        sample: the sample.
+        word: outcome of the run.
+        why: reasons of a failure, as text.
+        failed: True if the task failed.
+    """
     return {
         "row": sample.number,
         "seed": sample.seed,
@@ -250,7 +280,7 @@ def _head(sample: Sample, word: str, why: str, failed: bool = True) -> Row:
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """{"a": {"b": 1}} → ("a.b", 1)"""
+    """Items of nested mappings with joined keys: ("a.b", 1) of {"a": {"b": 1}}."""
     for key, value in values.items():
         name = f"{before}{key}"
         if isinstance(value, Mapping):
@@ -263,21 +293,23 @@ def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, An
 
 
 class RowFile:
-    """Rows that are done, one a line; what is written survives a kill, also amid a line.
+    """File of completed rows, one in a line, which can be continued after a kill.
 
     Attributes:
-        path: of the file. done: rows by number.
+        path: the file.
+        done: completed rows by number.
     """
 
-    def __init__(self, path: Path, study: SweepStudy, laws: Any = None) -> None:
-        """Continue a file, or begin one.
+    def __init__(self, path: Path, study: SweepStudy, laws: object = None) -> None:
+        """Open a file to continue it, or begin one.
 
         Args:
-            path: of the file. study: that the rows belong to; its first line names it.
-            laws: JSON-able, of the controllers that make the rows where they are not the study's.
+            path: the file.
+            study: study of the rows, which the first line identifies.
+            laws: JSON data that identify controllers other than the study's; None: the study's.
 
         Raises:
-            InvalidInputError: another program writes to it, or it holds another study.
+            InvalidInputError: another program writes to the file, or it holds another study.
         """
         self.path = path
         self.done: dict[int, Row] = {}
@@ -290,10 +322,17 @@ class RowFile:
             self._file.close()
             raise
 
-    def _continue(self, text: bytes, study: SweepStudy, laws: Any) -> None:
-        """Read the rows that the file holds, and make it end with a whole line.
+    def _continue(self, text: bytes, study: SweepStudy, laws: object) -> None:
+        """Read the rows of the file and remove an incomplete last line.
 
-        Those of damaged lines are not done: they are made again.
+        Rows of damaged lines do not count as completed.
+
+        Args:
+            text: content of the file.
+            study, laws: see the constructor.
+
+        Raises:
+            InvalidInputError: the file holds another study.
         """
         whole = text[: text.rfind(b"\n") + 1]
         if not whole:
@@ -312,33 +351,38 @@ class RowFile:
         self._file.truncate(len(whole))  # once all of it is sound
 
     def append(self, row: Row) -> None:
-        """Keep a row, now."""
+        """Append a completed row to the file."""
         self.done[row["row"]] = row
         self._write(row)
 
     def _write(self, row: Row) -> None:
+        """Write a line and hand it to the operating system."""
         self._file.write(json.dumps(row).encode() + b"\n")
         self._file.flush()
 
     def close(self) -> None:
-        """Nothing more comes."""
+        """Close the file after its content has reached the disk."""
         os.fsync(self._file.fileno())
         self._file.close()
 
 
 def _parsed(line: bytes) -> Row:
-    """The object of a line, an empty one where it is damaged."""
+    """JSON object of a line, an empty one for a damaged line."""
     try:
         return dict(json.loads(line))
     except (ValueError, TypeError, RecursionError):
         return {}
 
 
-def make_table(rows: Iterable[Row], study: SweepStudy) -> Any:
-    """A `pyarrow.Table`, sorted by row, columns in the order in which they first appear.
+def make_table(rows: Iterable[Row], study: SweepStudy) -> pyarrow.Table:
+    """Table of rows, sorted by number, with columns in the order of their first appearance.
 
     Args:
-        rows: of the study, in any order. study: kept in the table's metadata.
+        rows: rows in any order.
+        study: study of the rows, which the metadata of the table describe.
+
+    Raises:
+        InvalidInputError: a column with values of different types.
     """
     import pyarrow as pa
 
@@ -366,7 +410,7 @@ def make_table(rows: Iterable[Row], study: SweepStudy) -> Any:
 
 ROWS = "rows.jsonl"  #: file of a sweep's folder
 TABLE = "table.parquet"  #: file of a sweep's folder
-_CHUNK = 4  #: runs that a worker is handed at once
+_CHUNK = 4  #: runs of a job
 
 Progress = Callable[[int, int], None]
 Job = tuple[SweepStudy, Sequence[int]]  #: a study, and the numbers of the rows to make
@@ -382,53 +426,60 @@ def sweep(
     seed: int = 0,
     out: str | Path | None = None,
     workers: int | None = None,
-    scheduler: Any = None,
+    scheduler: str | distributed.Client | None = None,
     overrides: Sequence[str] = (),
     progress: Progress | None = None,
-) -> Any:
-    """Run a scenario many times with other numbers; one table of all results.
+) -> pyarrow.Table:
+    """Run a scenario many times with other values; return a table of all results.
 
-    Row i depends on the study and i alone: not on how many workers there are, and not on whether
-    the sweep was interrupted. It equals `osc.run` of its scenario with its seed.
+    Row i depends on the study and on i only: not on the number of workers, and not on an
+    interruption of the sweep. It equals `osc.run` of its scenario with its seed.
 
     Args:
         scenario: packaged name, file, or a scenario made in Python, without Python laws and pairs.
         vary: {"path.to.key": "uniform(0.8, 1.2)"}, see `lab.sweeps.study.WORDS`; the path
             "seed" is the seed of each run.
-        samples: how many points; on a grid, how many values of each key that can have any.
+        samples: number of points; of a grid, number of values of each key with infinitely many.
         design: "halton" or "sobol" (quasi-random), "random" or "grid"; "saltelli" for
             Sobol's indices, with keys + 2 runs of each of 2^m samples.
-        seed: of the points, and of each run where it does not vary.
-        out: a folder for rows and table; rows that are done there are not run again.
-        workers: processes; None: one for each core; 1: none but this one.
-        scheduler: of a dask cluster whose workers do it instead: its address, or a
-            `distributed.Client`.
-        overrides: path=value, of all runs.
-        progress: called with the rows done and all rows, now and then.
+        seed: seed of the points, and of each run if it does not vary.
+        out: folder for rows and table; completed rows in it are not run again.
+        workers: number of processes; None: one for each core; 1: this process only.
+        scheduler: address, or `distributed.Client`, of a dask cluster whose workers run the
+            samples.
+        overrides: texts path=value of all runs.
+        progress: function that is called with the number of completed rows and of all rows.
 
     Returns:
-        A `pyarrow.Table` sorted by row: row, seed, what varied, word, failed, why, and the numbers
-        of `metrics`. Runs that could not be built, diverged or crashed have a word and a reason.
+        A table sorted by row: row, seed, varied values, word, failed, why, and the numbers of
+        `metrics`. Runs that were rejected, diverged or crashed have a word and a reason only.
 
     Raises:
-        ScenarioError, InvalidInputError: the study is not understood; runs too short to be judged;
-            the folder holds another study; the cluster does not answer or does not fit.
+        ScenarioError, InvalidInputError: errors of the study; runs too short to be judged; a folder
+            with another study; a cluster that does not answer or has another version.
     """
     study = SweepStudy.of(scenario, vary, samples, design, seed, overrides)
     return run_study(study, out=out, workers=workers, scheduler=scheduler, progress=progress)
 
 
-def run_study(study: SweepStudy, *, out: str | Path | None = None, **how: Any) -> Any:
-    """Run what is not done yet of a study, see `sweep`.
+def run_study(
+    study: SweepStudy,
+    *,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    scheduler: str | distributed.Client | None = None,
+    progress: Progress | None = None,
+) -> pyarrow.Table:
+    """Run the missing rows of a study and return the table of all rows.
 
     Args:
-        study: what to run. out: as of `sweep`.
-        how: workers, scheduler, progress of `run_rows`.
+        study: study to run.
+        out, workers, scheduler, progress: see `sweep`.
     """
-    from pyarrow import parquet  # refused before the runs, not after them
+    from pyarrow import parquet  # a missing package is reported before the runs
 
     file = None if out is None else Path(out) / ROWS
-    done = run_rows(study, file, **how)
+    done = run_rows(study, file, workers=workers, scheduler=scheduler, progress=progress)
     table = make_table(done.values(), study)
     if out is not None:
         with whole_file(Path(out) / TABLE) as unfinished:
@@ -441,19 +492,19 @@ def run_rows(
     file: Path | None,
     make: MakesRows = make_rows,
     *,
-    laws: Any = None,
+    laws: object = None,
     workers: int | None = None,
-    scheduler: Any = None,
+    scheduler: str | distributed.Client | None = None,
     progress: Progress | None = None,
 ) -> dict[int, Row]:
-    """Rows of a study by number: those of a file, and what is not done yet.
+    """Rows of a study by number, from a file and by running the missing ones.
 
     Args:
-        study: what to run.
-        file: for the rows; None: they are not kept.
-        make: makes rows; other processes import it.
+        study: study to run.
+        file: file of the rows; None: they are not written.
+        make: function that makes rows, which other processes import.
         laws: see `RowFile`.
-        workers, scheduler, progress: as of `sweep`.
+        workers, scheduler, progress: see `sweep`.
     """
     require_long_enough(study)
     with ExitStack() as stack:
@@ -475,10 +526,10 @@ def run_rows(
     return {number: done[number] for number in range(study.rows)}
 
 
-# Who makes rows: this process, processes of this machine, or the workers of a dask cluster.
+# Workers: processes of this machine, or the workers of a dask cluster.
 
 
-_AHEAD = 2  #: jobs that wait for each worker
+_AHEAD = 2  #: jobs that are submitted for each worker
 
 
 @dataclass
@@ -486,9 +537,10 @@ class Workers:
     """Workers in other processes.
 
     Attributes:
-        executor: makes one, and another one where a worker's death broke the first.
-        count: how many workers there are now.
-        deaths: what a job raises that has ended its worker.
+        executor: function that makes an executor, and a new one if the death of a worker has broken
+            the last.
+        count: function that returns the present number of workers.
+        deaths: error of a job that has ended its worker.
     """
 
     executor: Callable[[], Executor]
@@ -499,7 +551,7 @@ class Workers:
         self._executor = self.executor()
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Have a function called, by a new executor where a worker's death broke the last one."""
+        """Submit a call of a function; a broken executor is replaced before."""
         try:
             return self._executor.submit(function, *arguments)
         except BrokenExecutor:
@@ -508,17 +560,20 @@ class Workers:
             return self._executor.submit(function, *arguments)
 
     def close(self) -> None:
-        """Wait for what is under way."""
+        """Wait for the calls in progress and end the workers."""
         self._executor.shutdown()
 
 
 @contextmanager
-def workers_of(workers: int | None, scheduler: Any, most: int) -> Iterator[Workers | None]:
-    """Workers while the block lasts; None: this process does it.
+def workers_of(
+    workers: int | None, scheduler: str | distributed.Client | None, most: int
+) -> Iterator[Workers | None]:
+    """Yield workers for the block; None: this process makes the rows.
 
     Args:
-        workers: processes; None: one for each core. scheduler: see `sweep`.
-        most: how many can have work.
+        workers: number of processes; None: one for each core.
+        scheduler: dask cluster, see `sweep`; None: processes of this machine.
+        most: largest number of workers that have something to do.
 
     Raises:
         InvalidInputError: both are given; the cluster cannot be used, see `cluster.connect`.
@@ -552,14 +607,15 @@ def workers_of(workers: int | None, scheduler: Any, most: int) -> Iterator[Worke
 def make_all(
     workers: Workers | None, jobs: Iterable[Job], make: MakesRows
 ) -> Iterator[tuple[SweepStudy, Row]]:
-    """All rows of all jobs, in the order in which they are done.
+    """Rows of all jobs with their studies, in the order of their completion.
 
-    Where a worker's process ends, its jobs are done again, row by row; a row that ends its worker
-    then, too, becomes a row with this error.
+    The jobs of a worker whose process has died are repeated row by row; a row whose worker dies
+    again becomes a row with this error.
 
     Args:
-        workers: see `workers_of`; None: this process. jobs: what is to be done.
-        make: makes the rows of a job, such as `make_rows`; other processes import it.
+        workers: workers; None: this process.
+        jobs: the jobs.
+        make: function that makes the rows of a job, which other processes import.
     """
     if workers is None:
         for study, numbers in jobs:
@@ -572,21 +628,30 @@ def make_all(
             lost += [(study, [number]) for number in numbers]
         else:
             yield from ((study, row) for row in rows)
-    for job in lost:  # it may have ended a worker: now alone
+    for job in lost:  # it may have ended its worker: it is run alone
         for (study, numbers), rows in _hand_out(workers, [job], make):
             why = "its process died twice; run it alone to find the cause"
             yield (study, rows[0] if rows else _head(study.sample(numbers[0]), CRASHED, why))
 
 
 def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def _hand_out(
     workers: Workers, jobs: Iterable[Job], make: MakesRows
 ) -> Iterator[tuple[Job, list[Row] | None]]:
-    """Jobs with their rows as they come; None: a worker died while the job was under way."""
+    """Jobs with their rows, in the order of their completion; None: the worker of a job has died.
+
+    Args:
+        workers, jobs, make: see `make_all`.
+
+    Raises:
+        OscContactError: the cluster is lost.
+    """
     waiting = iter(jobs)
     under_way: dict[Future[list[Row]], Job] = {}
     try:
@@ -612,7 +677,7 @@ def _hand_out(
 
 
 def end_with_parent() -> None:
-    """Wait until the parent process has ended, which a kill does not let it announce; then end."""
+    """Wait until the parent process has ended, however it ends, and end this process."""
     parent = parent_process()
     if parent is not None:
         parent.join()
@@ -620,13 +685,13 @@ def end_with_parent() -> None:
 
 
 def _begin_work() -> None:
-    """A worker process begins.
+    """Initialise a worker process.
 
-    Ctrl-C goes to all processes of a terminal; workers end when their parent does, however it ends.
-    And at once, not in order as a run does by itself: nobody reads its recording any more.
+    Ctrl-C reaches all processes of a terminal and is ignored here; a worker ends when its parent
+    ends. A signal ends it at once, without a recording, which would not be read.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         signal.signal(number, lambda number, frame: os._exit(128 + number))
     threading.Thread(target=end_with_parent, daemon=True).start()
-    gc.freeze()  # what is imported stays; not looked through again with every run
+    gc.freeze()  # modules stay in memory: collections need not visit them

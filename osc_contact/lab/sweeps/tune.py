@@ -1,10 +1,12 @@
-"""Keys of a scenario tuned by Optuna: shipped values against found ones, under limits."""
+"""Tuning of keys of a scenario by Optuna, under limits, compared with the shipped values."""
+
+from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,13 +15,18 @@ from osc_contact.lab.sweeps.study import SweepStudy, texts
 from osc_contact.lab.sweeps.sweep import (
     Progress,
     Row,
+    Workers,
     make_all,
     make_rows,
     require_long_enough,
     workers_of,
 )
 
-#: Keys that are tuned if none are named, where the scenario states them.
+if TYPE_CHECKING:
+    import distributed
+    import optuna
+
+#: Keys that are tuned by default, if the scenario states them.
 GAINS = (
     "gains.motion.stiffness=factor(0.25, 4)",
     "gains.motion.damping=factor(0.4, 2.5)",
@@ -31,20 +38,23 @@ GAINS = (
     "gains.force.damping_ratio=factor(0.25, 4)",
 )
 _LIMITED = {"overshoot_rel": 0.05, "status.saturated": 0.0}
-"""Columns that are limited if no limits are given, and what is permitted in any case."""
-_SLACK = 1.05  #: limits that are not given are the shipped values times this
-_WORST = 1e3  #: of a run that was refused or diverged: worse than all that ran
+"""Columns that are limited by default, and the lowest limit of each."""
+_SLACK = 1.05  #: default limits over the shipped values
+_WORST = 1e3  #: error of a run that was refused or diverged, larger than that of any other run
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """What tuning found.
+    """Result of tuning.
 
     Attributes:
-        shipped, best: of the objective; 1 is the shipped value of "both". broken: limits that the
-            best of all trials breaks, in words; empty where some trial breaks none.
-        values: path → value of the best. trials: done so far. numbers: columns of the shipped and
-            of the best, the worst over all samples.
+        shipped, best: objective of the shipped values and of the best trial; that of the shipped
+            values is 1 for "both".
+        broken: limits that the best trial breaks, as texts; empty if some trial keeps all.
+        values: values of the best trial by path.
+        trials: number of trials so far.
+        numbers: by column, the largest value over all samples of the shipped values and of the
+            best trial.
     """
 
     shipped: float
@@ -56,7 +66,7 @@ class Tuned:
 
     @property
     def better(self) -> bool:
-        """Whether the best breaks no limit and beats the shipped values."""
+        """True if the best trial keeps all limits and is better than the shipped values."""
         return not self.broken and self.best < self.shipped
 
 
@@ -73,7 +83,7 @@ def tune(
     overrides: Sequence[str] = (),
     out: str | Path | None = None,
     workers: int | None = None,
-    scheduler: Any = None,
+    scheduler: str | distributed.Client | None = None,
     progress: Progress | None = None,
 ) -> Tuned:
     """Find values of keys that make a scenario's errors small, without breaking a limit.
@@ -83,22 +93,24 @@ def tune(
         vary: path=distribution of the keys to tune; default: the gains, see `GAINS`.
         objective: "force" (largest relative rms error), "motion" (rms error of the position),
             "both" (mean of both, relative to the shipped ones), or a column of the table.
-        limits: column → the most it may be; default: overshoot_rel and status.saturated of the
-            shipped values. No task may fail.
-        trials: in all; those that were done in `out` count.
-        over: path=distribution of what is not known, such as masses: a trial is judged by its mean
-            over `samples` of them, limits by the worst.
-        seed: of trials and samples. overrides: path=value, of all runs.
-        out: folder of the trials, which the same call continues.
-        workers, scheduler: see `sweep`; each runs a trial at a time.
-        progress: called with the trials done and all of them.
+        limits: largest value by column; default: overshoot_rel and status.saturated of the shipped
+            values. No task may fail.
+        trials: number of all trials, with those in `out`.
+        over: texts path=distribution of unknown quantities, such as masses: a trial is judged by
+            the mean over `samples` of them, limits by the largest value.
+        samples: number of samples of `over` for each trial.
+        seed: seed of trials and samples.
+        overrides: texts path=value of all runs.
+        out: folder of the trials; a further call continues them.
+        workers, scheduler: see `sweep`; each worker runs a trial at a time.
+        progress: function that is called with the number of trials so far and of all.
 
     Raises:
-        ScenarioError, InvalidInputError: the study is not understood, or the shipped values fail.
+        ScenarioError, InvalidInputError: the study has errors, or the shipped values fail.
     """
     import optuna
 
-    tuned = tuple(vary) or _stated(scenario, overrides)
+    tuned = tuple(vary) if vary else _stated(scenario, overrides)
     keys = SweepStudy.of(scenario, tuned, 1, "halton", seed, overrides)
     require_long_enough(keys)
     base = replace(keys, vary=tuple(over), samples=samples)
@@ -116,49 +128,87 @@ def tune(
         sampler=optuna.samplers.TPESampler(seed=seed, multivariate=True),
         load_if_exists=True,
     )
-    names = [f"{path}:{i}" for path, d in keys.variations for i in range(d.dims)]
-
-    def draw() -> tuple[Any, SweepStudy]:
-        trial = study.ask()
-        values = keys.at(np.array([trial.suggest_float(name, 0.0, 1.0) for name in names]))[0]
-        trial.set_user_attr("values", values)
-        return (trial, replace(base, overrides=(*base.overrides, *texts(values))))
-
-    def ended() -> list[Any]:
-        return study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))
-
+    search = _Search(study, keys, base, judge)
     with workers_of(workers, scheduler, trials) as crew:
-        while (left := trials - len(ended())) > 0:
-            drawn = [draw() for _ in range(min(crew.count() if crew else 1, left))]
-            made = list(make_all(crew, [(one, range(samples)) for _, one in drawn], make_rows))
-            for trial, one in drawn:
-                rows = [row for own, row in made if own is one]
-                for words, excess in judge.excess(rows).items():
-                    trial.set_constraint(words, excess)
-                trial.set_user_attr("numbers", judge.worst(rows))
-                study.tell(trial, judge.value(rows))
+        while (left := trials - len(search.completed())) > 0:
+            count = search.run(crew, left)
             if progress is not None:
-                progress(trials - left + len(drawn), trials)
-    every = ended()
-    best = min(every, key=lambda trial: (sum(trial.constraints.values()), trial.value))
+                progress(trials - left + count, trials)
+    completed = search.completed()
+    best = min(completed, key=lambda trial: (sum(trial.constraints.values()), trial.value))
     after = best.user_attrs["numbers"]
     return Tuned(
         shipped=judge.value(shipped),
-        best=best.value,
+        best=best.values[0],
         broken=tuple(words for words, excess in best.constraints.items() if excess),
         values=best.user_attrs["values"],
-        trials=len(every),
+        trials=len(completed),
         numbers={name: (before, after[name]) for name, before in judge.worst(shipped).items()},
     )
 
 
+@dataclass(frozen=True)
+class _Search:
+    """Trials of Optuna and the runs by which they are judged.
+
+    Attributes:
+        study: study of Optuna.
+        keys: study of the keys that are tuned.
+        base: study of the samples of each trial, without the tuned values.
+        judge: objective and limits.
+    """
+
+    study: optuna.Study
+    keys: SweepStudy
+    base: SweepStudy
+    judge: _Judge
+
+    def completed(self) -> list[optuna.trial.FrozenTrial]:
+        """Trials that are complete, earlier ones of the storage included."""
+        from optuna.trial import TrialState
+
+        return self.study.get_trials(states=(TrialState.COMPLETE,))
+
+    def run(self, crew: Workers | None, most: int) -> int:
+        """Run a trial for each worker, at most `most`; return their number.
+
+        Args:
+            crew: workers, see `workers_of`; None: this process runs a trial.
+            most: largest number of trials.
+        """
+        count = min(1 if crew is None else crew.count(), most)
+        drawn = [self._draw() for _ in range(count)]
+        samples = range(self.base.samples)
+        made = list(make_all(crew, [(study, samples) for _, study in drawn], make_rows))
+        for trial, own_study in drawn:
+            rows = [row for study, row in made if study is own_study]
+            for words, excess in self.judge.excess(rows).items():
+                trial.set_constraint(words, excess)
+            trial.set_user_attr("numbers", self.judge.worst(rows))
+            self.study.tell(trial, self.judge.value(rows))
+        return count
+
+    def _draw(self) -> tuple[optuna.Trial, SweepStudy]:
+        """New trial, and the study of its samples with its values."""
+        trial = self.study.ask()
+        coordinates = [
+            trial.suggest_float(f"{path}:{i}", 0.0, 1.0)
+            for path, distribution in self.keys.variations
+            for i in range(distribution.dims)
+        ]
+        values, _ = self.keys.at(np.array(coordinates))
+        trial.set_user_attr("values", values)
+        return (trial, replace(self.base, overrides=(*self.base.overrides, *texts(values))))
+
+
 def _stated(scenario: str | Path, overrides: Sequence[str]) -> tuple[str, ...]:
-    """The gains that a scenario states and that are not 0."""
+    """Entries of `GAINS` that a scenario states and that are not 0."""
     probe = SweepStudy.of(scenario, ["seed=integers(0, 1)"], 1, overrides=overrides)
     return tuple(gain for gain in GAINS if probe.template.value(gain.partition("=")[0], overrides))
 
 
-def _storage(out: str | Path | None) -> Any:
+def _storage(out: str | Path | None) -> optuna.storages.JournalStorage | None:
+    """Storage of the trials in a folder; None: in memory."""
     if out is None:
         return None
     from optuna.storages import JournalStorage
@@ -169,11 +219,20 @@ def _storage(out: str | Path | None) -> Any:
 
 
 class _Judge:
-    """Objective and limits of the rows of a trial, beside those of the shipped values."""
+    """Objective and limits of a trial, relative to the shipped values."""
 
     def __init__(
         self, objective: str, shipped: Sequence[Row], limits: Mapping[str, float] | None
     ) -> None:
+        """Determine the limits.
+
+        Args:
+            objective, limits: see `tune`.
+            shipped: rows of the shipped values.
+
+        Raises:
+            InvalidInputError: unknown columns.
+        """
         self._objective = objective
         self._limits: Mapping[str, float] = limits or {}
         self._forces = [
@@ -193,9 +252,11 @@ class _Judge:
             self._limits = {n: max(least, _SLACK * now[n]) for n, least in _LIMITED.items()}
 
     def _mean(self, rows: Sequence[Row], name: str) -> float:
+        """Mean of a quantity over rows, see `_one`."""
         return float(np.mean([self._one(row, name) for row in rows]))
 
     def _one(self, row: Row, name: str) -> float:
+        """Quantity of a row: "force", "motion", "both" or a column, see `tune`."""
         if row.get("motion.rms_error_m") is None:
             return _WORST
         if name == "force":
@@ -203,15 +264,16 @@ class _Judge:
         if name == "both":
             parts = [self._one(row, n) / s for n, s in self._shipped.items() if s > 0.0]
             return float(np.mean(parts))
-        value = row["motion.rms_error_m" if name == "motion" else name]
+        column = "motion.rms_error_m" if name == "motion" else name
+        value = row[column]
         return _WORST if value is None else float(value)
 
     def value(self, rows: Sequence[Row]) -> float:
-        """The objective: its mean over the samples."""
+        """Mean of the objective over the rows of a trial."""
         return self._mean(rows, self._objective)
 
     def excess(self, rows: Sequence[Row]) -> dict[str, float]:
-        """Limit, in words → by how much of itself it is broken; first the share of failed tasks."""
+        """Share of failed tasks, and relative excess over each limit, by a text that names them."""
         worst = self.worst(rows)
         found = {"a task fails": float(np.mean([row["failed"] for row in rows]))}
         for name, most in self._limits.items():
@@ -219,7 +281,7 @@ class _Judge:
         return found
 
     def worst(self, rows: Sequence[Row]) -> dict[str, float]:
-        """Objective's parts and limited columns, the worst over the samples."""
+        """Largest values of "force", "motion" and the limited columns over the rows of a trial."""
         found = {name: max(self._one(row, name) for row in rows) for name in ("force", "motion")}
         for name in (*_LIMITED, *self._limits):
             found[name] = max(float(row.get(name) or 0.0) for row in rows)

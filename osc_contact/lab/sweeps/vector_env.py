@@ -1,6 +1,6 @@
-"""A gymnasium vector environment: actions are pose increments and contact forces.
+"""Gymnasium vector environment whose actions are pose increments and contact forces.
 
-Its episodes begin at the starts of a scenario, with other numbers each, as samples of a study.
+Episodes are samples of a study: they begin at the start of a scenario with different values.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike
 
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
@@ -31,12 +32,14 @@ from osc_contact.spatial import Array, moved
 
 @dataclass(frozen=True)
 class Episode:
-    """One of them.
+    """Episode of an environment.
 
     Attributes:
-        number: of the sample. start: of plant and controller.
-        places: (steps + 1, 4, 4) poses that the scenario specifies, at the ends of the steps.
-        forces: (steps + 1, r) contact forces (N) likewise. squeeze: internal force (N).
+        number: number of the sample.
+        start: start of plant and controller.
+        places: (steps + 1, 4, 4) desired poses of the scenario, at the ends of the steps.
+        forces: (steps + 1, r) desired contact forces of the scenario, at the ends of the steps (N).
+        squeeze: desired internal force (N).
     """
 
     number: int
@@ -47,10 +50,11 @@ class Episode:
 
 
 def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
-    """Number of a sample → episode; those made before are kept.
+    """Function that returns the episode of a sample by its number, made once.
 
     Args:
-        study: of the samples. period: of the steps (s).
+        study: study of the samples.
+        period: duration of a step (s).
     """
     rigs = RigBuilder()
 
@@ -62,8 +66,9 @@ def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
         places = np.array([pin.XYZQUATToSE3(x).homogeneous for x in plan.X_WD])
         with without_logged_doubts():
             start = Start.of(rig)
-        follows = start.controller.with_safety(rig.scenario.control.safety)  # ceilings: the actions
-        start = replace(start, controller=follows)
+        # force ceilings that the scenario leaves out follow from the actions
+        controller = start.controller.with_safety(rig.scenario.control.safety)
+        start = replace(start, controller=controller)
         return Episode(number, start, places, plan.alpha_d, plan.squeeze_d)
 
     return make
@@ -74,14 +79,15 @@ def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
 
 @dataclass(frozen=True)
 class SensedRows:
-    """What rewards are made of, of all rows after a step.
+    """Quantities of all rows after a step, from which rewards are computed.
 
     Attributes:
-        force, force_desired: (B, r) contact forces as the robot senses them, and as the scenario
-            specifies them (N).
-        error: (B, 6) from the object to its reference (m, rad), world axes.
-        tau: (B, n_a) motor torques of the last tick (N m, N). action: (B, 6 + r).
-        diverged: (B,) whether simulation or controller gave up.
+        force: (B, r) contact forces that the robot measures (N).
+        force_desired: (B, r) contact forces that the scenario specifies (N).
+        error: (B, 6) displacement from the object to its reference, world axes (m, rad).
+        tau: (B, n_a) motor torques of the last tick (N m, N).
+        action: (B, 6 + r) action of the step.
+        diverged: (B,) flags of rows whose simulation diverged, or whose controller stopped.
     """
 
     force: Array
@@ -93,9 +99,10 @@ class SensedRows:
 
 
 def tracking_reward(seen: SensedRows) -> Array:
-    """(B,) 1 where force and motion follow the scenario, less for each error.
+    """Reward (B,): 1 − mean |Δα| / mean |α| − |Δp| / 10 mm − |Δθ| / 0.1 rad, at least −1.
 
-    1 − mean |Δα| / mean |α| − |Δp| / 10 mm − |Δθ| / 0.1 rad, at least −1.
+    Args:
+        seen: quantities of all rows after a step.
     """
     scale = np.maximum(np.abs(seen.force_desired).mean(axis=1), 1.0)
     force = np.abs(seen.force - seen.force_desired).mean(axis=1) / scale
@@ -105,39 +112,44 @@ def tracking_reward(seen: SensedRows) -> Array:
 
 
 class ContactVectorEnv(VectorEnv[Any, Any, Any]):
-    """Many contact tasks at once, for learning (needs the extras `learn` and `sim`).
+    """Environments of contact tasks that advance together, for learning.
 
-    The controller runs at its own rate. An action lasts 1/rate: it moves the object's set point, at
-    constant velocity, and sets the contact forces, which change evenly over the step.
+    It needs the extras `learn` and `sim`. The controller runs at its own rate. An action lasts
+    1/rate: it moves the object's set point at constant velocity and changes the contact forces at a
+    constant rate.
 
     Actions (6 + r,) from −1 to 1: increments of the set point's position and orientation in units
-    of `move`, world axes at the object; then each contact force, from 0 (−1) to the most (1).
+    of `move`, world axes at the object; then each contact force, from 0 (−1) to `most_force` (1).
 
-    Observations, numbers in the order of `names`: q, v of the joints; wrench of each wrist; sensed
-    contact forces and normal speeds; displacements from the start (m, rad): the set point's, and
-    that of the scenario after the next action; forces likewise.
+    Observations, numbers in the order of `names`: q and v of the joints; wrench of each wrist;
+    measured contact forces and normal speeds; displacement from the start (m, rad) of the set
+    point, and that of the scenario after the next action; desired contact forces of the last
+    action, and those of the scenario after the next action.
 
-    An episode ends (terminated) where the controller has stopped, the simulation diverged or the
-    object is further from its reference than the scenario's `verdict` permits; it is
-    truncated after the scenario's duration. The next step of its row begins another one
-    (gymnasium's `AutoresetMode.NEXT_STEP`). `infos["sample"]` has its numbers.
+    An episode is terminated if the controller has stopped, the simulation has diverged or the
+    object is further from its reference than the scenario's `verdict` permits; it is truncated
+    after the scenario's duration. The next step of its row begins another episode (gymnasium's
+    `AutoresetMode.NEXT_STEP`). `infos["sample"]` holds the numbers of the episodes.
 
     Args:
-        scenario: packaged name, file, or a scenario made in Python; plain ones, see `Fleet`.
-        num_envs: how many at once.
-        vary: what differs from one episode to the next, as in `sweep`; nothing: they are all alike.
-        overrides: path=value, of all episodes.
-        rate: of actions (Hz); the control rate is a multiple of it.
-        move: the largest pose increment of an action along and about each axis (m, rad); default:
-            twice the largest that the scenario's motion needs, at least 1 mm and 5 mrad.
-        most_force: of an action, in each contact (N); default: twice the largest of the scenario's.
-        reward: of all rows after a step.
-        episodes: how many different ones `vary` makes.
-        threads: default: one for each core.
+        scenario: packaged name, file, or a scenario made in Python, without Python code in its
+            ticks, see `Fleet`.
+        num_envs: number of environments.
+        vary: keys that vary from episode to episode, see `sweep`; none: all episodes are equal.
+        overrides: texts path=value of all episodes.
+        rate: rate of actions (Hz), a divisor of the control rate.
+        move: largest pose increments of an action along and about each axis (m, rad); None: twice
+            the largest that the scenario's motion needs, at least 1 mm and 5 mrad.
+        most_force: largest contact force of an action (N); None: twice the scenario's largest.
+        reward: function of the quantities after a step that returns the rewards (B,).
+        episodes: number of different episodes that `vary` makes.
+        threads: number of threads; None: one for each core.
 
     Attributes:
-        names: of the numbers of an observation. fleet: plants and controllers.
-        move: (6,) the largest increments (m, rad). most_force: the largest force (N).
+        names: names of the numbers of an observation.
+        fleet: plants and controllers.
+        move: (6,) largest increments (m, rad).
+        most_force: largest contact force (N).
 
     Example:
         >>> env = osc.make_vector_env("panda_edge", 2, overrides=["duration=1 s"])
@@ -200,6 +212,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(actions, num_envs)
 
     def _name_numbers(self, first: Episode) -> list[str]:
+        """Names of the numbers of an observation."""
         chain = first.start.rig.chain
         forces = range(self._r)
         axes = ("x", "y", "z", "rx", "ry", "rz")
@@ -215,17 +228,18 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             ("desired force", forces),
             ("scenario force", forces),
         )
-        return [f"{what} {one}" for what, every in groups for one in every]
+        return [f"{quantity} {part}" for quantity, parts in groups for part in parts]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """All rows begin anew; see gymnasium."""
+        """Begin an episode in all rows; see gymnasium."""
         super().reset(seed=seed)
         self._begin(range(self.num_envs))
         return (self._observe(), self._infos())
 
     def _begin(self, rows: Sequence[int]) -> None:
+        """Begin a random episode in some rows."""
         if not rows:
             return
         numbers = self.np_random.integers(self._count, size=len(rows))
@@ -237,19 +251,19 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self._step[rows] = 0
         self._over[rows] = False
 
-    def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Every row one action further; see gymnasium."""
-        actions = np.clip(np.asarray(actions, dtype=float), -1.0, 1.0)
-        if actions.shape != (self.num_envs, 6 + self._r):
+    def step(self, actions: ArrayLike) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
+        """Advance all rows by an action (B, 6 + r); see gymnasium."""
+        clipped: Array = np.clip(np.asarray(actions, dtype=float), -1.0, 1.0)
+        if clipped.shape != (self.num_envs, 6 + self._r):
             raise InvalidInputError(
-                f"actions: expected {(self.num_envs, 6 + self._r)}, got {actions.shape}"
+                f"actions: expected {(self.num_envs, 6 + self._r)}, got {clipped.shape}"
             )
         again = self._over.copy()
         going = ~again
-        tau = self._advance(actions, going)
+        tau = self._advance(clipped, going)
         self._begin(np.flatnonzero(again).tolist())
         self._step[going] += 1
-        seen = self._see(actions, tau)
+        seen = self._see(clipped, tau)
         rewards = np.where(going, self._reward(seen), 0.0)
         away = np.linalg.norm(seen.error.reshape(-1, 2, 3), axis=2) > self._away
         terminated = going & (seen.diverged | away.any(axis=1))
@@ -258,7 +272,12 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return (self._observe(), rewards, terminated, truncated, self._infos())
 
     def _advance(self, actions: Array, going: Array) -> Array:
-        """The ticks of one action; rows that are over stand still. Returns the last torques."""
+        """Tick all rows during an action; return their last torques (B, n_a).
+
+        Args:
+            actions: (B, 6 + r) from −1 to 1.
+            going: (B,) flags of rows whose episode has not ended; the others keep their set points.
+        """
         T = self._ticks
         increment = np.where(going[:, None], actions[:, :6] * self.move, 0.0)
         forces = 0.5 * (actions[:, 6:] + 1.0) * self.most_force
@@ -275,6 +294,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return tau
 
     def _see(self, actions: Array, tau: Array) -> SensedRows:
+        """Quantities of all rows after a step, for the actions (B, 6 + r) and torques (B, n_a)."""
         places, forces = self._desired()
         p, R = self.fleet.objects()
         error = np.concatenate(
@@ -286,7 +306,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return SensedRows(force, forces, error, tau, actions, diverged)
 
     def _desired(self, ahead: int = 0) -> tuple[Array, Array]:
-        """(B, 4, 4), (B, r): what the scenario specifies so many actions from now."""
+        """Poses (B, 4, 4) and forces (B, r) of the scenarios, some actions ahead."""
         steps = np.minimum(self._step + ahead, self._last)
         at = list(zip(self._now, steps, strict=True))
         forces = np.array([episode.forces[k] for episode, k in at])
@@ -294,10 +314,11 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     @property
     def _last(self) -> Array:
-        """(B,) the last step of each row's episode."""
+        """Number (B,) of the last step of each row's episode."""
         return np.array([len(episode.places) - 1 for episode in self._now])
 
     def _observe(self) -> Array:
+        """Observations (B, numbers) of all rows, with 0 for NaN."""
         q, v, wrenches = self.fleet.measure()
         control = self.fleet.control
         places, forces = self._desired(1)
@@ -316,24 +337,28 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return np.nan_to_num(np.concatenate(parts, axis=1))
 
     def _infos(self) -> dict[str, Any]:
+        """Numbers of the episodes, in the form of gymnasium."""
         samples = np.array([episode.number for episode in self._now])
         return {"sample": samples, "_sample": np.ones(self.num_envs, dtype=bool)}
 
 
 def _needed(places: Array) -> Array:
-    """(2,) twice the largest increments between poses, one after the other (m, rad)."""
+    """Twice the largest increments (2,) between successive poses (k, 4, 4), with a least value.
+
+    They are along and about an axis (m, rad).
+    """
     largest = np.abs(_displacement(places[:-1], places[1:])).reshape(-1, 2, 3).max(axis=(0, 2))
     return np.maximum((1e-3, 5e-3), 2.0 * largest)
 
 
 def _displacement(start: Array, end: Array) -> Array:
-    """(B, 6) from poses (B, 4, 4) to others: m, rad, world axes."""
+    """Displacements (B, 6) between poses (B, 4, 4), world axes (m, rad)."""
     turn = _turns(end[:, :3, :3] @ start[:, :3, :3].transpose(0, 2, 1))
     return np.concatenate((end[:, :3, 3] - start[:, :3, 3], turn), axis=1)
 
 
 def _turns(R: Array) -> Array:
-    """(B, 3) rotation vectors of rotations (B, 3, 3); NaN where they are none."""
+    """Rotation vectors (B, 3) of rotations (B, 3, 3); NaN of matrices that are not finite."""
     return np.array([pin.log3(one) if np.isfinite(one).all() else [np.nan] * 3 for one in R])
 
 
