@@ -1,7 +1,7 @@
-"""Pictures of pages, still and moving: a Chromium without window or network photographs them.
+"""Still and moving pictures of pages, rendered by a Chromium without window and network.
 
-`python -m osc_contact.lab.visual.browser` prints the browser, or how to get one. It needs no
-package: a browser can be installed while the packages are.
+`python -m osc_contact.lab.visual.browser` prints the path of the browser, or how to install one. It
+needs no packages, so that a browser can be installed at the same time as the packages.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ FLAGS = (
     "--hide-scrollbars",
     "--remote-debugging-pipe",
 )
-"""Software rendering by name: the fallback to it is being withdrawn from Chromium. What is no scene
-in three dimensions is drawn without it, in less time."""
+"""Software rendering is chosen by name, as Chromium will no longer fall back to it. Pages without
+three-dimensional scenes are drawn without it, in less time."""
 READY = "typeof player === 'object' && player.ready"
 """True once a page of `write_page` has drawn its first picture."""
 FRAMES = "new Promise(d => requestAnimationFrame(() => requestAnimationFrame(() => d(1))))"
@@ -73,18 +73,18 @@ def find_browser() -> str:
 
 
 class Browser:
-    """One page, through Chromium's DevTools protocol over pipes: no port, nothing to install.
+    """Page in a Chromium that is controlled by its DevTools protocol over pipes, without a port.
 
     `with Browser(address) as page: page.run("1 + 1")`.
 
     Args:
-        address: of the page, such as ``file:///…#t=1``.
-        size: of the window, CSS pixels.
-        ready: JavaScript that is true once the page can be used.
+        address: address of the page, such as ``file:///…#t=1``.
+        size: width and height of the window (CSS pixels).
+        ready: JavaScript expression that is true when the page can be used.
         density: picture pixels per CSS pixel.
 
     Attributes:
-        errors: of scripts and of the console.
+        errors: errors of scripts and of the console.
 
     Raises:
         ViewerError: no browser, or it does not answer.
@@ -169,6 +169,11 @@ class Browser:
         return answer["result"]
 
     def _next_answer(self) -> dict[str, Any]:
+        """Read the next message of the browser; errors of the page are kept.
+
+        Raises:
+            OSError: no message within ANSWER_S, or the browser has ended.
+        """
         while b"\0" not in self.rest:
             if not select.select([self.answers], [], [], ANSWER_S)[0]:
                 raise TimeoutError(f"nothing within {ANSWER_S:g} s")
@@ -211,16 +216,26 @@ class Browser:
             time.sleep(0.05)
 
     def png(self) -> bytes:
-        """The page as a PNG, after two more of its frames."""
+        """Picture of the page as a PNG, after two further frames."""
         self.run(FRAMES)
         return base64.b64decode(self.request("Page.captureScreenshot", format="png")["data"])
 
 
-def _address(page: str | Path, time: float, words: str) -> str:
+def _address(page: str | Path, time: float, options: str) -> str:
+    """Address of a page at a time (s) of its recording.
+
+    Args:
+        page: file written by `write_page`.
+        time: s.
+        options: further parts of the address's fragment, such as "&bare".
+
+    Raises:
+        InvalidInputError: the page holds no drawing commands.
+    """
     path = Path(page).resolve()
     if b'unfold("' not in path.read_bytes():
         raise InvalidInputError(f"{page} holds no drawing commands: it was not made by write_page")
-    return f"{path.as_uri()}#t={time:g}{words}"
+    return f"{path.as_uri()}#t={time:g}{options}"
 
 
 # --- Still pictures -----------------------------------------------------------------------------
@@ -249,7 +264,7 @@ def write_png(
         ViewerError: no browser, or it gave no picture.
         InvalidInputError: the page holds no drawing commands.
     """
-    address = _address(page, time, "&bare" * bare)
+    address = _address(page, time, "&bare" if bare else "")
     with Browser(address, size, density=density) as browser:
         return write_whole(browser.png(), path)
 
@@ -268,14 +283,14 @@ LEAST_CHANGE = 10  # of 255
 
 
 def moments(begin: float, end: float, most: int = MOST_FRAMES) -> tuple[list[float], int]:
-    """Times (s) of at most so many frames, and how long each is shown (ms, whole centiseconds).
+    """Times of the frames of a moving picture (s), and the duration of each frame (ms).
 
-    Twelve frames per second in real time, or fewer; what lasts longer
-    than 10 s is played faster.
+    There are twelve frames per second in real time, or fewer; a recording longer than 10 s is
+    played faster. The duration is a multiple of 10 ms.
 
     Args:
-        begin, end: of the recording (s).
-        most: how many frames at most.
+        begin, end: beginning and end of the recording (s).
+        most: largest number of frames.
     """
     import numpy as np
 
@@ -356,10 +371,11 @@ def write_mp4(
 def photographs(
     page: str | Path, times: Sequence[float], size: tuple[int, int], camera: str = "whole"
 ) -> Iterator[Image]:
-    """The page at moments of its recording, without its controls.
+    """Pictures of a page at times of its recording, without its controls.
 
     Args:
-        page: see `write_gif`. times: s. size: pixels. camera: see `write_gif`.
+        page, size, camera: see `write_gif`.
+        times: times of the recording (s).
     """
     from PIL import Image
 
@@ -371,9 +387,9 @@ def photographs(
 
 
 def one_palette(frames: Sequence[Image]) -> list[Image]:
-    """The frames in the same 256 colours, without dithering: what rests compresses to nothing.
+    """Frames in common 256 colours, without dithering, so that static pixels compress well.
 
-    Pixels that hardly change keep their colour: flicker that is not seen costs most bytes.
+    Pixels that hardly change keep their colour, as invisible flicker would need most of the bytes.
     """
     import numpy as np
     from PIL import Image

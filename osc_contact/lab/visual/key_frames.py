@@ -1,7 +1,7 @@
-"""Key frames of a page that plays by itself, as one drawing command.
+"""Key frames of a page that plays a recording, as one drawing command.
 
-Most of a page's numbers are key frames. They go from arrays into the bytes of MessagePack, which
-meshcat's viewer reads, without an object of Python for each of them.
+Most of a page's numbers are key frames. They are converted from arrays to the bytes of MessagePack,
+which meshcat's viewer reads, without a Python object for each number.
 """
 
 from collections.abc import Sequence
@@ -14,26 +14,28 @@ from osc_contact.lab.visual.messages import packed, packed_list, packed_map
 
 
 class Animation:
-    """The key frames of all nodes.
-
-    Args:
-        fps: frames per second.
-    """
+    """Key frames of all nodes."""
 
     def __init__(self, fps: float) -> None:
+        """Make an animation without key frames.
+
+        Args:
+            fps: frames per second.
+        """
         self.fps = fps
         self._clips: dict[str, list[bytes]] = {}
 
     def track(self, path: str, name: str, kind: str, values: NDArray[Any]) -> None:
-        """Key frames of one property; keys inside a stretch of equal values are left out.
+        """Append the key frames of a property, without those between equal values.
 
-        The last frame always has its key: tracks of unequal length would drift apart when repeated.
+        The last frame always has a key, as tracks of different length would be repeated at
+        different times.
 
         Args:
-            path: of the node that moves.
-            name: the property, such as `position`.
-            kind: its type in three.js, such as `vector3`.
-            values: (frames, …) one value a frame.
+            path: path of the node that moves.
+            name: name of the property, such as `position`.
+            kind: type of the property in three.js, such as `vector3`.
+            values: (frames, …) value of each frame.
         """
         changed = np.any(values[1:] != values[:-1], axis=tuple(range(1, values.ndim)))
         if not changed.any():
@@ -47,7 +49,7 @@ class Animation:
         self._clips.setdefault(path, []).append(packed_map(track))
 
     def message(self) -> bytes:
-        """The command that plays it again and again, packed."""
+        """Packed command that repeats the animation."""
         return packed_map(
             {
                 "type": packed("set_animation"),
@@ -60,16 +62,17 @@ class Animation:
         )
 
     def _clip(self, path: str, tracks: Sequence[bytes]) -> bytes:
-        """What moves at a node."""
+        """Packed animation of a node, from its path and packed tracks."""
         clip = {"fps": packed(self.fps), "name": packed("default"), "tracks": packed_list(tracks)}
         return packed_map({"path": packed(path), "clip": packed_map(clip)})
 
 
 def packed_keys(frames: NDArray[np.integer], values: NDArray[Any]) -> bytes:
-    """[{"time": frame, "value": value}, …] packed; numbers in single precision.
+    """Packed list [{"time": frame, "value": value}, …], with numbers in single precision.
 
     Args:
-        frames: (k,) their numbers. values: (k,) booleans, or (k, n) numbers, n < 16.
+        frames: (k,) numbers of the frames.
+        values: (k,) booleans, or (k, n) numbers, n < 16.
     """
     if values.dtype == np.bool_:
         value = np.dtype([("mark", "u1")])

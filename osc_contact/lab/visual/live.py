@@ -1,9 +1,9 @@
-"""A live view of a run that cannot disturb it.
+"""Live view of a run, in a separate process that cannot disturb the run.
 
-Drawing and serving happen in a separate process. The control loop's side is one call that
-copies the newest numbers into a socket to that process, without waiting: what the other side has
-no room for is dropped, so a slow, stopped, flooded or ended viewer costs the loop microseconds. The
-viewer's thread of control being another process, it does not compete for the interpreter lock.
+The other process draws and serves. The control loop makes one call that copies the newest numbers
+into a socket to that process without waiting: a tick is dropped if the socket is full, so a slow,
+stopped or ended viewer costs the loop microseconds. As the viewer is another process, it does not
+compete for the interpreter lock.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ CHANNELS: dict[str, tuple[int | str, ...]] = {
     "power_total": (),
     "power_projected": (),
 }
-"""What a scene draws from, and its shape at one tick; all else stays in the loop's process."""
-START_S = 30.0
-STALLED_S = 1.0  #: after which it is logged that the viewer's process takes nothing
-RETRY_S = 0.25  #: from then on it is offered a tick so often
-ROOM = 1 << 15
+"""Channels from which a scene is drawn, with their shapes at one tick; only these are sent."""
+START_S = 30.0  #: time to wait for the viewer's process to start (s)
+STALLED_S = 1.0  #: time without a tick taken after which a warning is logged (s)
+RETRY_S = 0.25  #: interval between attempts to send a tick from then on (s)
+ROOM = 1 << 15  #: buffer of the socket (bytes)
 
 
 class Viewer:
@@ -102,6 +102,11 @@ class Viewer:
         self._link.setblocking(False)
 
     def _answer(self) -> str:
+        """Address of the page, which the other process sends when it has started.
+
+        Raises:
+            OSError: no answer within START_S.
+        """
         ready, _, _ = select.select([self._link], [], [], START_S)
         if not ready:
             raise OSError(f"no answer within {START_S:g} s")
@@ -130,17 +135,17 @@ class Viewer:
             self._fail(f"a tick does not hold numbers: {error!r}")
 
     def _taken(self) -> None:
-        """A tick was taken."""
+        """Note that the other process has taken a tick."""
         self._stalled_since = float("inf")
         if self.stalled:
             self.stalled = False
             LOG.info("the live view continues")
 
     def _wait(self, now: float) -> None:
-        """No tick is taken; reported once, then offered more seldom.
+        """Note that the other process has taken no tick: log that once, and try less often.
 
         Args:
-            now: s, by the clock of `monotonic`.
+            now: present time by `monotonic` (s).
         """
         self._stalled_since = min(self._stalled_since, now)
         if now - self._stalled_since <= STALLED_S:
@@ -155,17 +160,17 @@ class Viewer:
             )
 
     def _fail(self, reason: str) -> None:
-        """Report once; the loop continues."""
+        """End the view with an error that is logged; the run continues."""
         self.error = ViewerError(f"the live view has ended: {reason}; the run continues without it")
         LOG.error("%s", self.error)
 
     def count_browsers(self) -> int:
-        """How many browsers show the page now; does not wait."""
+        """Number of browsers that show the page, as last reported; returns at once."""
         self._read_news()
         return self.browsers
 
     def _read_news(self) -> None:
-        """Read what the other process has sent: how many browsers there are, why it ends."""
+        """Read messages of the other process: number of browsers, and the error that ends it."""
         with contextlib.suppress(OSError, ValueError):  # nothing more to read, or half a message
             while news := self._link.recv(4096):
                 message = json.loads(news)
@@ -190,7 +195,12 @@ class Viewer:
 
 
 def _started(link: socket.socket, complaints: Any) -> subprocess.Popen[bytes]:
-    """A process that inherits one descriptor and does not get the Ctrl-C of this terminal."""
+    """Start the viewer's process, which does not get the Ctrl-C of this terminal.
+
+    Args:
+        link: socket that it inherits.
+        complaints: file of its error output.
+    """
     paths = [str(Path(__file__).parents[3]), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(
         [sys.executable, "-m", "osc_contact.lab.visual.server", str(link.fileno())],

@@ -1,9 +1,9 @@
-"""What a scene marks at contacts: forces and their lines, motions permitted, trails.
+"""Marks of a scene at contacts: forces and their lines, permitted motions, trails.
 
-Arrows are 10 mm per newton (100 mm per N m for a couple), their tip at the contact, pointing the
-way the object pushes into the environment. The true force lies on its line; the commanded one is a
-wide, pale arrow around it; the measured one, thin and black, stands beside it so that it is seen
-where the two agree. A contact that is lost turns grey.
+The length of an arrow is 10 mm per newton (100 mm per N m of a couple); its tip is at the contact,
+and its direction is that in which the object pushes into the environment. The true force is on its
+line; the commanded one is a wide, pale arrow around it; the measured one is thin and black and
+displaced, so that it is visible even if it equals the true force. A lost contact is grey.
 """
 
 from __future__ import annotations
@@ -45,7 +45,16 @@ LEAST_PITCH = 0.005
 
 
 class _Arrow(NamedTuple):
-    """How one of the three forces of a contact is drawn."""
+    """Look of the arrow of one of the three forces of a contact.
+
+    Attributes:
+        name: name of its node.
+        channel: channel of the force.
+        words: text in the legend.
+        look: sample in the legend.
+        radius: radius of the shaft (m).
+        opacity: 0 … 1.
+    """
 
     name: str
     channel: str
@@ -80,7 +89,7 @@ def arrow_states(path: str, lengths: Array) -> Frames:
 
 
 def on_y_axis(y: Array) -> Array:
-    """(F, 7) poses on the y-axis, not turned; y (F,) m."""
+    """Poses (F, 7) without rotation at points y (F,) of the y-axis (m)."""
     poses = np.zeros((len(y), 7))
     poses[:, 1] = y
     poses[:, 6] = 1.0
@@ -88,22 +97,23 @@ def on_y_axis(y: Array) -> Array:
 
 
 def poses_along(points: Array, directions: Array) -> Array:
-    """(F, 7) poses with origins at the points and y-axes in the directions, both (F, 3)."""
+    """Poses (F, 7) with origins at points (F, 3) (m) and y-axes along directions (F, 3)."""
     poses = map(along, points, directions)
     return np.reshape([pin.SE3ToXYZQUAT(pose) for pose in poses], (-1, 7))
 
 
 class ContactForce(Part):
-    """One column of N: the force (or couple) that one contact transmits.
-
-    Args:
-        name: of the node, unique.
-        column: which column of N it is.
-        contact: which contact it belongs to; gives the colour.
-        first: one tick, at which the pitch of the line is drawn.
-    """
+    """Marks of a column of N, a force or couple that a contact transmits."""
 
     def __init__(self, name: str, column: int, contact: int, first: Samples) -> None:
+        """Prepare the marks.
+
+        Args:
+            name: name of the node, unique.
+            column: index of the column of N.
+            contact: index of its contact, which determines the colour.
+            first: a tick, which determines the pitch of the line.
+        """
         self.path = f"contacts/{name}"
         self.words = name.replace("_", " ")
         self.column = column
@@ -132,15 +142,18 @@ class ContactForce(Part):
         for arrow in self.arrows:
             measured = arrow.name == "measured"
             part = node[arrow.name]
-            part.set_transform(at([BESIDE * measured, 0.0, 0.0]).homogeneous)
+            part.set_transform(at([BESIDE if measured else 0.0, 0.0, 0.0]).homogeneous)
             paint = material(BLACK if measured else self.colour, arrow.opacity, glow=0.12)
             cylinder(part["shaft/rod"], paint, (-1.0, 0.0), arrow.radius)
-            for name, tip in (("cone", 0.0), ("second", -0.025))[: 1 + self.couple]:
+            cones = [("cone", 0.0)]
+            if self.couple:
+                cones.append(("second", -0.025))
+            for name, tip in cones:
                 ends = (tip - HEAD_LENGTH, tip)
                 cylinder(part[f"head/{name}"], paint, ends, 2.4 * arrow.radius, top=0.0)
 
     def states(self, samples: Samples) -> Frames:
-        """Poses, lengths and visibility."""
+        """Poses, lengths and visibility of the marks."""
         poses, _ = self._place(samples)
         known, pressed = (flags[:, self.column] for flags in samples["normals"][1:])
         frames = {
@@ -161,9 +174,10 @@ class ContactForce(Part):
         return frames
 
     def corners(self, samples: Samples) -> Array:
-        """(k, 3) tips and labels; none where the contact is not known."""
+        """Positions (k, 3) of tips and labels, at ticks with a known contact (m)."""
         frames = self.states(samples)
-        tips, labels = (frames[path].poses for path in (self.path, f"{self.path}/label"))
+        tips = frames[self.path].poses
+        labels = frames[f"{self.path}/label"].poses
         assert tips is not None and labels is not None
         known = samples["normals"].known[:, self.column]
         ends = []
@@ -173,9 +187,10 @@ class ContactForce(Part):
         return np.reshape(ends, (-1, 3))
 
     def _place(self, samples: Samples) -> tuple[Array, Array]:
-        """(F, 7) poses with the y-axis on the line of force, near the contact point.
+        """Poses (F, 7) with the y-axis on the line of force near the contact point, and pitches.
 
-        Where the contact is not known the last pose stays. Also the pitches (m) where it is known.
+        At ticks without a known contact the last pose is kept. Pitches (m) are those of the other
+        ticks.
         """
         N, known, _ = samples["normals"]
         here = known[:, self.column]
@@ -231,7 +246,7 @@ class TwistAxes(Part):
     """
 
     def __init__(self, first: Samples) -> None:
-        """Pitches of the paths that are drawn: those at the first tick."""
+        """Prepare the axes; the pitches of the drawn paths are those of the first tick."""
         _, (pitches,), _ = _screws(first)
         steep = (np.abs(pitches) > LEAST_TWIST_PITCH) & np.isfinite(pitches)
         self.pitches = np.where(steep, pitches, LEAST_TWIST_PITCH).tolist()
@@ -250,7 +265,7 @@ class TwistAxes(Part):
             cylinder(node["slide/down"], paint, (-half - 0.02, 0.008 - half), 0.0, top=0.007)
 
     def states(self, samples: Samples) -> Frames:
-        """Where the axes are; those that T does not have are hidden."""
+        """Poses and pitches of the axes; axes beyond the dimension of T are hidden."""
         poses, pitches, there = _screws(samples)
         frames: Frames = {}
         for i, reference in enumerate(self.pitches):
@@ -281,10 +296,11 @@ class TwistAxes(Part):
 
 
 def _screws(samples: Samples) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Poses, whose y-axes are the axes, and pitches of the motions that closed contacts permit.
+    """Axes and pitches of a basis of the motions that closed contacts permit.
 
     Returns:
-        (F, 6, 7), (F, 6), and (F, 6) which of the six there are; of the others the pitch is zero.
+        Poses (F, 6, 7) whose y-axes are the axes; pitches (F, 6) (m/rad); flags (F, 6) of the
+        axes that exist. The pitch of the others is zero.
     """
     N, _, pressed = samples["normals"]
     bases = [tangents(one[:, held_by]).T for one, held_by in zip(N, pressed, strict=True)]
@@ -320,7 +336,7 @@ class Trails:
         self.drawn: dict[str, int] = {}
 
     def extend(self, samples: Samples) -> None:
-        """Take ticks in; steps of less than 0.5 mm are left out."""
+        """Append the positions of some ticks; steps of less than 0.5 mm are left out."""
         contacts = np.moveaxis(samples.get("contact_point", np.zeros((0, 0, 3))), 1, 0)
         objects = [samples["pose"][:, :3]] if "pose" in samples else [np.zeros((0, 3))]
         for path, points in zip(self.points.values(), [*objects, *contacts], strict=False):
@@ -331,7 +347,7 @@ class Trails:
                         path[:-1] = path[:-1:2]
 
     def draw(self, scene: Visualizer) -> None:
-        """(Re)draw what has grown since the last call."""
+        """Draw the paths that have grown since the last call."""
         for name, path in self.points.items():
             if len(path) > 1 and self.drawn.get(name) != len(path):
                 paint = plain(self.colours[name], 0.9)

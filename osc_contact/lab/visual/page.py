@@ -53,11 +53,11 @@ camera was placed for, a narrower window shows everything smaller."""
 
 
 class CommandSink:
-    """Stands in for meshcat's ``ViewerWindow``: keeps the lowered commands in order.
+    """Replacement of meshcat's ``ViewerWindow`` that keeps the lowered commands in order.
 
     Attributes:
-        commands: what was sent, as the plain dictionaries that meshcat's viewer understands.
-        animation: what plays once all of it is drawn (`Animation.message`); empty: nothing.
+        commands: commands as dictionaries in the form that meshcat's viewer reads.
+        animation: animation that follows the commands (`Animation.message`); empty: none.
     """
 
     def __init__(self) -> None:
@@ -134,7 +134,12 @@ def asset(name: str) -> str:
 
 @dataclass(frozen=True)
 class Embedded:
-    """What a notebook shows for a page; the page travels with the notebook."""
+    """Page that a notebook shows and contains.
+
+    Attributes:
+        page: HTML of the page.
+        height: height of the view (pixels).
+    """
 
     page: str = field(repr=False)
     height: int

@@ -1,4 +1,4 @@
-"""What a scene is made of: parts that are drawn once and then only move, grow, appear, vanish.
+"""Parts of a scene, which are drawn once and then change pose, scale and visibility only.
 
 A part gives the states of its nodes at recorded ticks. The same states become key frames of a page
 that plays by itself, and drawing commands of a live view. Arms, the held object and faces are
@@ -49,11 +49,15 @@ class States(NamedTuple):
     visible: NDArray[np.bool_] | None = None
 
     def matrix(self, tick: int = 0) -> Array | None:
-        """(4, 4) scaled, then placed; None where neither is given."""
+        """Matrix (4, 4) that scales, then places the node; None without pose and scale."""
         if self.poses is None and self.scale is None:
             return None
-        placed = np.eye(4) if self.poses is None else pin.XYZQUATToSE3(self.poses[tick]).homogeneous
-        return placed if self.scale is None else placed * [*self.scale[tick], 1.0]
+        matrix: Array = np.eye(4)
+        if self.poses is not None:
+            matrix = pin.XYZQUATToSE3(self.poses[tick]).homogeneous
+        if self.scale is not None:
+            matrix = matrix * [*self.scale[tick], 1.0]
+        return matrix
 
 
 Frames = dict[str, States]
@@ -61,11 +65,12 @@ Frames = dict[str, States]
 
 
 def held(known: NDArray[np.bool_], values: Array, before: Array) -> Array:
-    """(F, n) the newest value at each of F ticks.
+    """Newest values (F, n) at F ticks.
 
     Args:
-        known: (F,) at which ticks there is a new value. values: (k, n) those, in their order.
-        before: (n,) the value before the first of them.
+        known: (F,) flags of the k ticks with a new value.
+        values: (k, n) new values in their order.
+        before: (n,) value before the first new one.
     """
     return np.vstack([before, values])[np.cumsum(known)]
 
@@ -87,25 +92,25 @@ class LegendEntry(NamedTuple):
 
 
 class Part(Protocol):
-    """One part of a scene."""
+    """Part of a scene."""
 
     def draw(self, scene: Visualizer) -> None:
-        """Make the nodes."""
+        """Make the nodes of the part."""
 
     def states(self, samples: Samples) -> Frames:
-        """States of the nodes."""
+        """States of the nodes at F ticks."""
 
 
 # --- From states to pages -----------------------------------------------------------------------
 
 
 def animate(scene: Visualizer, animation: Animation, frames: Frames) -> None:
-    """Start at the first frame and animate through all of them; what never changes is set once.
+    """Set all nodes to their first frames, and append key frames of properties that change.
 
     Args:
-        scene: of the page.
-        animation: that takes the key frames.
-        frames: where everything is.
+        scene: root of the scene.
+        animation: animation to which the key frames are appended.
+        frames: states of all moving nodes.
     """
     for path, states in frames.items():
         node = scene[path]
@@ -123,15 +128,17 @@ def animate(scene: Visualizer, animation: Animation, frames: Frames) -> None:
 
 
 def changes(scene: Visualizer, before: Frames, after: Frames) -> None:
-    """Send what differs from the frame before (an empty one: everything).
+    """Send commands for the nodes whose state differs from that before.
 
     Args:
-        scene: of the page.
-        before, after: one tick each, of the same parts.
+        scene: root of the scene.
+        before: states at one tick; empty: all nodes are sent.
+        after: states of the same nodes at a later tick.
     """
     for path, states in after.items():
         old = before.get(path, States())
-        matrix, old_matrix = states.matrix(), old.matrix()
+        matrix = states.matrix()
+        old_matrix = old.matrix()
         if matrix is not None and (old_matrix is None or not np.array_equal(matrix, old_matrix)):
             scene[path].set_transform(matrix)
         if states.visible is not None and (old.visible is None or states.visible != old.visible):
@@ -167,15 +174,15 @@ class Visual(NamedTuple):
 
 @dataclass(frozen=True)
 class Content:
-    """What a scene shows.
+    """Content of a scene.
 
     Attributes:
-        title: heading.
-        arms: moved by the channel ``q``.
-        bodies: faces, and the object (base None), moved by ``pose``.
+        title: heading of the page.
+        arms: arms, which the channel ``q`` moves.
+        bodies: faces, and the object (base None), which the channel ``pose`` moves.
         contacts: names of the contacts.
-        columns: which contact each column of N belongs to; empty: one column per contact.
-        joints: how many q has.
+        columns: index of the contact of each column of N; empty: one column per contact.
+        joints: number of joints in q.
     """
 
     title: str
@@ -224,7 +231,7 @@ class Moving(Part):
         return {path: States(np.array(poses[joint])) for joint, path in self.paths.items()}
 
     def corners(self, samples: Samples) -> Array:
-        """(k, 3) origins, corners of the bounding boxes, or points of meshes."""
+        """Origins, corners of bounding boxes, or points of meshes (k, 3), in the world (m)."""
         corners = [(shape.parentJoint, _corners(shape)) for shape in self.shapes]
         points = []
         for placed in self._placements(samples):
@@ -245,7 +252,7 @@ class Moving(Part):
             yield {joint: X * self.data.oMi[joint] for joint in joints}
 
     def _positions(self, samples: Samples, ticks: int) -> Array:
-        """(F, nq) joint positions."""
+        """Joint positions (F, nq); at ticks without known ones the last are kept."""
         what = self.what
         q = self._channel(samples, "q")[:, what.q_slice] if self.moving else np.zeros((ticks, 0))
         if q.shape[1] != len(self.moving):
@@ -260,7 +267,7 @@ class Moving(Part):
         return positions
 
     def _bases(self, samples: Samples, ticks: int) -> Array:
-        """(F, 7) poses of the base."""
+        """Poses (F, 7) of the base; at ticks without a known one the last is kept."""
         poses = np.full((ticks, 7), np.nan)
         if self.what.face is not None and "face_pose" in samples:
             poses = samples["face_pose"][:, self.what.face]
@@ -280,7 +287,7 @@ class Moving(Part):
 
 
 def _shapes(what: Visual) -> tuple[pin.Model, pin.GeometryModel]:
-    """Kinematics and shapes of a file."""
+    """Kinematics and shapes of an arm or body, from its URDF, MJCF or picture."""
     if isinstance(what.urdf, Mapping):
         return read_picture(what.urdf)
     if is_mjcf(what.urdf):
@@ -289,7 +296,7 @@ def _shapes(what: Visual) -> tuple[pin.Model, pin.GeometryModel]:
 
 
 def _corners(shape: Any) -> Array:
-    """(k, 3) corners of the shape's bounding box, or points of its mesh, in its parent joint."""
+    """Corners of a shape's bounding box, or points of its mesh, (k, 3), in its parent joint (m)."""
     import coal
 
     if isinstance(shape.geometry, coal.BVHModelBase):

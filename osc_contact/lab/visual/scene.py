@@ -1,4 +1,4 @@
-"""The three-dimensional picture of a recording: what is in it, and the page that plays it."""
+"""Three-dimensional scene of a recording, and the page that plays it."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Scene:
             part.draw(scene)
 
     def states(self, samples: Samples) -> Frames:
-        """Where everything is."""
+        """States of all moving nodes at F ticks."""
         samples = self._with_normals(samples)
         return {path: one for part in self.parts for path, one in part.states(samples).items()}
 
@@ -111,7 +111,7 @@ class Scene:
         return cameras
 
     def config(self, **more: Any) -> dict[str, Any]:
-        """What the page's scripts need: legend, labels and plots."""
+        """Configuration of the page's scripts: legend, labels and plots; `more` is added."""
         numbers = {(line["key"], line["index"]): k for k, line in enumerate(self.lines)}
         labels = [
             label(
@@ -275,11 +275,11 @@ def _headings(points: Array, bases: Array, pushes: Array) -> tuple[float, float]
 
 
 def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, Array]:
-    """Where to look and, from there, where the eye is (m), so that the points fill the picture.
+    """Target (3,) of a camera, and offset (3,) of the eye from it, so that points fill the picture.
 
     Args:
-        points: (k, 3) m.
-        view: (3,) unit, from what is looked at to the eye.
+        points: (k, 3) points (m).
+        view: (3,) unit vector from the target to the eye.
         aspect: width / height of the picture.
     """
     axes = np.vstack((picture_axes(view), view))
@@ -294,19 +294,19 @@ def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, A
 
 
 def centre(points: Array) -> Array:
-    """(n,) of the box around points (k, n)."""
+    """Centre (n,) of the bounding box of points (k, n)."""
     return 0.5 * (points.min(axis=0) + points.max(axis=0))
 
 
 def picture_axes(view: Array) -> Array:
-    """(2, 3) right and up of a picture that is looked at against the view."""
+    """Unit vectors (2, 3) to the right and upwards in a picture, for a view (3,) as in `fitted`."""
     right = np.cross([0.0, 0.0, 1.0], view)
     right /= norm(right)
     return np.array([right, np.cross(view, right)])
 
 
 def eye(heading: float, elevation: float = ELEVATION) -> Array:
-    """Unit vector (3,) from what is looked at to the eye; heading from x about z (rad)."""
+    """Unit vector (3,) from a target to the eye; heading (from x about z) and elevation in rad."""
     flat = np.array([np.cos(heading), np.sin(heading), 0.0])
     return np.cos(elevation) * flat + [0.0, 0.0, np.sin(elevation)]
 
@@ -357,7 +357,12 @@ def panels_of(
 
 
 def values(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> Array:
-    """(lines, T) the numbers of all lines."""
+    """Values (lines, T) of all lines.
+
+    Args:
+        lines: lines of the panels.
+        channels: channels of a recording.
+    """
     found = []
     for line in lines:
         channel = channels[line["key"]]
@@ -366,7 +371,7 @@ def values(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> Arra
 
 
 def rounded(numbers: Array) -> list[float | None]:
-    """Four significant digits; JSON has no NaN."""
+    """Numbers (k,) with four significant digits; None for NaN and infinities, which JSON lacks."""
     return [float(f"{x:.4g}") if np.isfinite(x) else None for x in numbers.tolist()]
 
 

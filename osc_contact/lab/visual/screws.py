@@ -146,7 +146,7 @@ def tangents(N: Array) -> Array:
 
 
 def echelon(basis: ArrayLike) -> Array:
-    """The same space (6, k) by its reduced echelon form: translations first, then turns."""
+    """Basis (6, k) of a space in reduced echelon form: translations first, then rotations."""
     rows = np.array(basis, dtype=float).T
     size = 0.1  # m: only orders the pivots, so that translations are preferred over turns
     row = 0
@@ -167,15 +167,15 @@ def echelon(basis: ArrayLike) -> Array:
 
 
 def helix(pitch: float, radius: float, length: float) -> Array:
-    """(48, 3) path of a point `radius` m from the y-axis that turns about it and advances.
+    """Path (48, 3) of a point that turns about the y-axis and advances along it (m).
 
-    The path is `length` m long whatever the pitch (m/rad): a circle's arc for pitch 0, ever closer
-    to a straight line as the pitch grows. The middle of the path is at y = 0.
+    It is a circular arc for pitch 0, and tends to a straight line for large pitches. Its middle is
+    at y = 0.
 
     Args:
-        pitch: advance per turned angle (m/rad).
-        radius: of the helix (m).
-        length: of the path (m).
+        pitch: advance per angle (m/rad).
+        radius: distance of the point from the y-axis (m).
+        length: length of the path (m).
     """
     angle = min(length / np.hypot(radius, pitch), 1.75 * np.pi)
     turn = np.linspace(-0.5 * angle, 0.5 * angle, 48)

@@ -53,7 +53,7 @@ class LivePage:
         self.error: Exception | None = None
 
     def text(self) -> str:
-        """The page, as long as there is no tick one that loads itself again."""
+        """HTML of the page; before the first tick a page that reloads itself."""
         if self.scene is None:
             return WAITING
         lines = self.scene.lines
@@ -77,7 +77,7 @@ class LivePage:
             IOLoop.current().stop()
 
     def _newest(self) -> Samples | None:
-        """The last tick that came, if any has; the loop ends with the run's process."""
+        """Last tick that has arrived, None without one; the loop ends with the run's process."""
         newest = None
         with contextlib.suppress(ConnectionError):
             try:
@@ -90,6 +90,7 @@ class LivePage:
         return None
 
     def _show(self, newest: Samples) -> None:
+        """Draw a tick and send it to all browsers; the first tick makes the scene."""
         if self.scene is None:
             self.scene = Scene(self.content, newest)
             self.scene.draw(self.drawn.visualizer())
@@ -117,17 +118,17 @@ class LivePage:
 
 
 class BrowserLink(WebSocketHandler):
-    """One browser; it gets the next picture when it has taken the last one."""
+    """Connection to a browser, which gets the next picture after it has drawn the last one."""
 
     def initialize(self) -> None:
-        """Called by tornado for every request."""
+        """Prepare a connection; tornado calls this for every request."""
         self.page: LivePage = self.settings["page"]
         self.busy = False
         self.shown: Frames = {}
         self.late: dict[str, dict[str, Any]] = {}
 
     def open(self, *_: str, **__: str) -> None:
-        """A page has opened: it gets everything that is not in its text."""
+        """Handle a new connection: send the drawing that is not part of the page's text."""
         if len(self.page.browsers) >= MOST_BROWSERS:
             self.close(1013, "too many browsers")
             return
@@ -136,13 +137,13 @@ class BrowserLink(WebSocketHandler):
         self.send(self.page.trails.values())
 
     def on_message(self, message: str | bytes) -> None:
-        """Whatever it contains means that the last picture is on its screen."""
+        """Handle a message of any content, by which the browser confirms the last picture."""
         self.busy = False
         if self.shown is not self.page.frame:
             self.send()
 
     def on_close(self) -> None:
-        """The browser has gone."""
+        """Handle the end of the connection."""
         self.page.browsers.discard(self)
         self.page.count()
 

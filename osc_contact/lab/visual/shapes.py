@@ -193,14 +193,12 @@ LOST_SHARE = 0.005
 def vertex_colours(
     file: str | Path, triangles: NDArray[np.integer], vertices: int
 ) -> NDArray[np.float32] | None:
-    """(vertices, 3) colours in 0..1 of a mesh as it was read, None if its file has none.
-
-    Readers of collision libraries leave the colours out.
+    """Colours (vertices, 3) in 0..1 of a mesh, which coal does not read; None without colours.
 
     Args:
-        file: of the mesh.
-        triangles: (k, 3) indices, in the order of the file.
-        vertices: how many there are.
+        file: file of the mesh.
+        triangles: (k, 3) indices of the vertices, in the order of the file.
+        vertices: number of vertices.
     """
     of_triangles = triangle_colours(file, len(triangles))
     if of_triangles is None:
@@ -211,7 +209,7 @@ def vertex_colours(
 
 
 def triangle_colours(file: str | Path, count: int) -> Array | None:
-    """(count, 3) colours in 0..1, None if the file is no COLLADA or has no colours.
+    """Colours (count, 3) in 0..1 of the triangles of a COLLADA file; None without colours.
 
     White is drawn at 0.88 and black at 0.14: their shapes are seen by light and shade.
     """
