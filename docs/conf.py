@@ -31,6 +31,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "docstrings",
     "glossary",
+    "law_lines",
     "mathml",
     "notebooks",
     "pairs",

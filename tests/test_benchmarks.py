@@ -1,6 +1,7 @@
 """The benchmarks run as programs, write what they print, and time what they say they time."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 from time import process_time, sleep
@@ -16,7 +17,7 @@ from rigs import assert_near, largest, ticked
 from samples import ROOT, aligned, first, parametrize
 
 import osc_contact as osc
-from benchmarks import many_runs, peers
+from benchmarks import many_runs, peers, stack
 from benchmarks.__main__ import BENCHMARKS, run_benchmark
 from benchmarks.cases import CASES, KINDS, SPECIAL_CASES, BatchCase, OwnFace
 from benchmarks.measuring import take_turns
@@ -267,3 +268,12 @@ def test_calls_take_turns():
     assert "".join(order) == "ab|" * (len(order) // 3)
     assert found["a"].shape == found["b"].shape == (4,)
     assert found["b"].min() >= 2000.0 > np.median(found["a"])
+
+
+def test_stack_of_a_tick_is_what_the_manual_states(tmp_path):
+    """Arms of ten joints and of seven; a pattern finds the deepest byte that a tick overwrites."""
+    call = stack.harness(tmp_path)
+    text = (ROOT / "docs/without_python.md").read_text()
+    stated = 1000 * int(re.search(r"needs (\d+) kB of stack", text)[1])
+    for name in ("two_contact_rod", "one_panda"):
+        assert 0.5 * stated < stack.stack_of(CASES[name](), call) <= stated

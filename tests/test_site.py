@@ -1,12 +1,15 @@
 """The site and the notebooks: they build and run, links lead somewhere, nothing is fetched."""
 
 import re
+import runpy
 import subprocess
 import sys
+from html import unescape
 from urllib.parse import unquote, urlsplit
 
 from headless import Browser
 from html_pages import Page
+from pytest import raises
 from samples import ROOT, chosen, made_once, module_fixture, parametrize
 
 import osc_contact as osc
@@ -195,3 +198,19 @@ def test_pictures_of_doors_reach_their_edges_on_phones(site):
             "})"
         )
         assert len(cut) == 4 and max(cut) < 4.0, cut
+
+
+def test_each_equation_of_the_law_has_its_lines_beside_it(site):
+    """Taken from the source when the site is built; a function that is missing is an error."""
+    code_of = runpy.run_path(str(ROOT / "docs/_ext/law_lines.py"))["code_of"]
+    shown = unescape(re.sub(r"<[^>]+>", "", text_of(site, "docs/law")))
+    named = re.findall(r"(osc_contact/law/\w+\.py)::(\w+)", (ROOT / "docs/law.md").read_text())
+    assert len(named) > 40
+    for path, name in named:
+        code = code_of(ROOT, path, name)
+        assert code and "local(" not in code and code in shown, name
+    assert "gram(answer, r, work.pushed, r, D)" in code_of(
+        ROOT, "osc_contact/law/reading.py", "_solve_magnitudes"
+    )
+    with raises(LookupError, match="no function measure_nothing"):
+        code_of(ROOT, "osc_contact/law/reading.py", "measure_nothing")
