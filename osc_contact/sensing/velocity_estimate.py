@@ -26,6 +26,8 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
+_EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
+
 
 @dataclass
 class VelocityEstimate:
@@ -42,10 +44,12 @@ class VelocityEstimate:
     beta: Array
     dt: float
     sample: float = 0.0
+    gamma: Array | float = 0.0
 
     def __post_init__(self) -> None:
         self.alpha = np.atleast_1d(self.alpha)
         self.beta = np.atleast_1d(self.beta)
+        self.gamma = np.zeros(len(self.alpha)) + self.gamma
         stable = (self.alpha > 0) & (self.beta > 0) & (2 * self.alpha + self.beta < 4)
         self.sample = self.sample or self.dt
         if not stable.all() or not self.dt > 0.0 or not self.sample > 0.0:
@@ -55,6 +59,7 @@ class VelocityEstimate:
             )
         self.x: Array | None = None
         self.v = np.zeros(len(self.alpha))
+        self.unknown = np.zeros(len(self.alpha))
 
     @classmethod
     def optimal(
@@ -85,6 +90,45 @@ class VelocityEstimate:
         return cls(beta * np.sqrt(u), beta, dt, sample)
 
     @classmethod
+    def learning(
+        cls, noise: Array, acceleration: Array, dt: float, sample: float = 0.0
+    ) -> VelocityEstimate:
+        """As much noise in v̂ as `optimal`, but unknown accelerations that last are learned.
+
+        Three equal poles at exp(−w dt). On continuous white noise of density σ_n² dt, v̂ has the
+        variance 1.75 w³ σ_n² dt, that of `optimal` ω_e³ σ_n² dt/√8, ω_e² = σ_a/σ_n: w = 0.587 ω_e
+        (E. Brookner, Tracking and Kalman filtering made easy, 1998: fading-memory filter).
+
+        Args:
+            noise, acceleration, dt, sample: as of `optimal`.
+
+        Raises:
+            InvalidInputError: likewise.
+        """
+        cls.optimal(noise, acceleration, dt, sample)  # refuses what is not > 0
+        period = max(sample, dt)
+        pole = np.exp(-_EQUAL_NOISE * np.sqrt(np.divide(acceleration, noise)) * period)
+        pole = np.atleast_1d(pole)
+        back = 1.0 - pole
+        beta = 1.5 * back**2 * (1.0 + pole)
+        return cls(1.0 - pole**3, beta, dt, period, back**3)
+
+    @property
+    def noise_gain(self) -> Array:
+        """(k,) rms of v̂ per rms of white noise of the readings (1/s), at rest."""
+        T = self.sample
+        predict = np.array([[1.0, T, 0.5 * T**2], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
+        found = []
+        for K in np.column_stack([self.alpha, self.beta / T, self.gamma / T**2]):
+            size = 3 if K[2] > 0.0 else 2
+            A = (predict - np.outer(K, predict[0]))[:size, :size]
+            P = np.linalg.solve(
+                np.eye(size**2) - np.kron(A, A), np.outer(K, K)[:size, :size].ravel()
+            )
+            found.append(np.sqrt(P[size + 1]))
+        return np.array(found)
+
+    @classmethod
     def with_bandwidth(cls, bandwidth: Array, dt: float) -> VelocityEstimate:
         """Critically damped estimate with both poles at exp(−bandwidth · dt).
 
@@ -109,10 +153,12 @@ class VelocityEstimate:
         if self.x is None:
             self.x = np.array(x, dtype=float)
             return (self.x, self.v)
-        self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * acceleration
-        self.v = self.v + self.dt * acceleration
+        total = acceleration + self.unknown
+        self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * total
+        self.v = self.v + self.dt * total
         if fresh:
             innovation = np.where(np.isfinite(x), x - self.x, 0.0)
             self.x = self.x + self.alpha * innovation
             self.v = self.v + self.beta / self.sample * innovation
+            self.unknown = self.unknown + self.gamma / self.sample**2 * innovation
         return (self.x, self.v)

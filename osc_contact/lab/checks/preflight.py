@@ -40,6 +40,7 @@ from osc_contact.loop.start_rules import judge_motion, judge_robot, pulls, task_
 from osc_contact.spatial import Array, norm
 
 MOST_TICKS = 100_000  #: references that are taken from an iterator
+NOISY = 0.05  #: of a mean command; more of it by the noise of encoders is doubtful
 BESIDE_M = 0.005  #: a contact further than this beside body or object is refused
 PROBE_M = 0.002  #: how far in front of and behind a contact geometry is looked for
 OUTWARD = {"body": ("face_normal", "edge_outward"), "object": ("normal", "edge_outward")}
@@ -386,8 +387,48 @@ def inside(rig: Rig) -> Values:
             yield depth, {"name": name}
 
 
+@doubt(
+    "noise and steps of the encoders ({step:.2g} rad rms) let force {name} vary by {percent:.2g} % "
+    "of {command:.3g} N, by the velocities that its brake is of; {enough:.2g} rad would do, or set "
+    "control.estimate.joint_angular={angular:.2g} rad/s²",
+    NOISY,
+)
+def encoders(rig: Rig) -> Values:
+    """Rms force that the brake makes of the encoders' noise, of the mean command.
+
+    The contacts answer by δα = (NᵀΦN)⁻¹κ NᵀδV on faces that do not yield, δV the mean of the arms'.
+    """
+    brake = getattr(rig.gains.force, "brake", 0.0)
+    if rig.scenario.sensors.encoder is None or not rig.pairs or not brake:
+        return
+    estimate, error = hardware.joint_estimate(rig.scenario, rig.chain)
+    N = rig.contact.N
+    if N.shape[1] != len(rig.force_names):  # dependent contacts share their forces
+        return
+    M = np.linalg.inv(N.T @ rig.state.Phi @ N)
+    speeds = estimate.noise_gain * error
+    arms = zip(rig.state.arms, rig.chain.slices, strict=True)
+    made = np.hstack([M @ N.T @ arm.J * speeds[own] for arm, own in arms])
+    forces = brake * np.sqrt((made**2).sum(axis=1)) / len(rig.chain.arms)
+    commands = np.abs(rig.references.overview[1].alpha_d).mean(axis=0)
+    for name, force, command in zip(rig.force_names, forces, commands, strict=True):
+        value = force / command if command > 0.0 else 0.0
+        less = min(NOISY / value, 1.0) if value > 0.0 else 1.0
+        yield (
+            value,
+            {
+                "name": name,
+                "step": error.max(),
+                "percent": 100.0 * value,
+                "command": command,
+                "enough": error.max() * less**4,  # speeds are as (error σ_a³)^¼
+                "angular": rig.scenario.control.estimate.joint_angular * less ** (4.0 / 3.0),
+            },
+        )
+
+
 PLACE_RULES = (normals, inverted, inside, start, beside)
 #: What a scenario has to follow; a new rule is entered here. For those of every task and of a
 #: robot see `osc_contact.loop.start_rules`.
-RIG_RULES = (sensors, springs, swinging, *PLACE_RULES, friction, carts, landing)
+RIG_RULES = (sensors, springs, swinging, *PLACE_RULES, friction, encoders, carts, landing)
 MODEL_RULES = (tare,)  #: of a scenario; they look at what the controller's model has wrong

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from osc_contact.control.accelerations import expected_acceleration
 from osc_contact.control.controller import Controller
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.dynamics.assembly import object_pose
@@ -144,6 +145,22 @@ def torque_loop(
     return JointTorqueLoop(joints.stiffness, joints.motor_inertia, chain.tau_max, spec)
 
 
+def joint_estimate(scenario: Scenario, chain: ClosedChain) -> tuple[VelocityEstimate, Array]:
+    """What estimates the velocities of joints, and (n,) the rms error of their readings (rad, m).
+
+    Args:
+        scenario: with encoders. chain: of the arms.
+    """
+    spec = scenario.sensors.encoder
+    assert spec is not None
+    estimate = scenario.control.estimate
+    noise, step = (_joint_errors(chain, spec, attrgetter(e)) for e in ("noise", "resolution"))
+    error = np.maximum(np.hypot(noise, step / np.sqrt(12.0)), 1e-9)
+    unknown = np.where(sliding(chain.model), estimate.joint_linear, estimate.joint_angular)
+    dt = 1.0 / scenario.control.rate
+    return VelocityEstimate.learning(error, unknown, dt, 1.0 / spec.rate), error
+
+
 class TorqueLoopRobot:
     """A plant behind its joint torque loop, which makes the joints carry what is commanded."""
 
@@ -192,7 +209,7 @@ class ObservedRobot:
         self.controller = controller
         self.stop = robot.stop
         chain = controller.chain
-        self._acceleration = np.zeros(chain.nq)  #: of the joints, as commanded last
+        self._acceleration = np.zeros(chain.nq)  #: of the joints, as expected since the last tick
         self.dt = 1.0 / scenario.control.rate
         self._read = -1.0  #: when encoders were sampled last
         self._ticks = 0
@@ -200,10 +217,6 @@ class ObservedRobot:
         estimate = scenario.control.estimate
         self._joints: VelocityEstimate | None = None
         if spec.encoder is not None:
-            noise, step = (
-                _joint_errors(chain, spec.encoder, attrgetter(e)) for e in ("noise", "resolution")
-            )
-            unknown = np.where(sliding(chain.model), estimate.joint_linear, estimate.joint_angular)
             limit = chain.model.velocityLimit
             limit = np.where(limit > 0.0, limit, np.inf)
             period = max(self.dt, 1.0 / spec.encoder.rate)
@@ -211,12 +224,7 @@ class ObservedRobot:
             self._delay = spec.encoder.delay
             self._accepted = np.full(chain.nq, np.nan)
             self._missed = np.zeros(chain.nq)
-            self._joints = VelocityEstimate.optimal(
-                np.maximum(np.hypot(noise, step / np.sqrt(12.0)), 1e-9),
-                unknown,
-                self.dt,
-                1.0 / spec.encoder.rate,
-            )
+            self._joints, _ = joint_estimate(scenario, chain)
         self.vision: VisionFusion | None = None
         if (camera := spec.vision) is not None:
             self.vision = VisionFusion(
@@ -268,5 +276,5 @@ class ObservedRobot:
     def command(self, tau: Array, duration: float) -> None:
         """See `Robot.command`."""
         if self._joints is not None:  # accelerations are of use
-            self._acceleration = self.controller.joint_acceleration()
+            self._acceleration = expected_acceleration(self.controller)
         self.robot.command(tau, duration)

@@ -1,0 +1,194 @@
+"""Velocities estimated from encoders, on walls that spring: docs/tuning.md#estimated-velocities."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.linalg import norm, solve
+from pytest import approx
+from rigs import rig_of
+from samples import first, parametrize
+
+import osc_contact as osc
+from benchmarks.random_tasks import Errors, RandomTask, draw, spring_wall
+from osc_contact.contacts.pairs.pair import triad
+from osc_contact.control.accelerations import expected_acceleration
+from osc_contact.lab.checks.preflight import encoders
+from osc_contact.sensing.velocity_estimate import VelocityEstimate
+
+DT = 1e-3
+GAINS = osc.Gains().force
+
+
+def noise_of(bits):
+    """Rms error (rad) of an encoder with noise of half a step."""
+    return 2.0 * np.pi / 2**bits * np.hypot(0.5, 12**-0.5)
+
+
+def growth(rate, late, bits, expected=True):
+    """Largest growth (1/s) of a contact's modes: unit mass on an undamped spring of rate² N/m.
+
+    Args:
+        rate: √(k/m) (1/s). late: ticks from a force to its reading. bits: of the encoder.
+        expected: whether the estimate knows the acceleration by measured forces.
+    """
+    estimate = VelocityEstimate.learning([noise_of(bits)], [0.8], DT)
+    steps = 20
+    h = DT / steps
+
+    def tick(state):
+        x, v, integral, drift, known, x_hat, v_hat, unknown, *forces = state
+        estimate.x, estimate.v = np.array([x_hat]), np.array([v_hat])
+        estimate.unknown = np.array([unknown])
+        (x_hat,), (v_hat,) = estimate.update(np.array([x]), known)
+        felt = forces[0]
+        integral -= GAINS.integral * DT * felt
+        brake = GAINS.brake * (v_hat - drift)
+        drift += GAINS.drift * DT * (v_hat - drift)
+        known = -brake + (integral - felt if expected else 0.0)
+        for _ in range(steps):
+            v += h * (integral - brake - rate**2 * x)
+            x += h * v
+        return [
+            x,
+            v,
+            integral,
+            drift,
+            known,
+            x_hat,
+            v_hat,
+            *estimate.unknown,
+            *forces[1:],
+            rate**2 * x,
+        ]
+
+    n = 8 + late
+    A = np.transpose([tick(row) for row in np.eye(n)])
+    return np.log(np.abs(np.linalg.eigvals(A)).max()) / DT
+
+
+LATE = 3
+
+
+@parametrize("bits", [14, 16, 18, 20])
+def test_contacts_are_damped_up_to_a_quarter_period_of_delay_whatever_the_encoder(bits):
+    quarter = 0.5 * np.pi / ((LATE + 1.5) * DT)  # torques are held for a tick
+    for rate in np.linspace(60.0, 0.9 * quarter, 12):
+        assert growth(rate, LATE, bits) < 0.0, rate
+
+
+def test_without_measured_forces_the_same_contacts_grow():
+    assert growth(100.0, LATE, 16, expected=False) > 5.0
+    assert growth(100.0, LATE, 20, expected=False) < 0.0
+
+
+def test_what_is_expected_is_how_the_chain_answers_measured_forces():
+    """One arm: (M + JᵀΛ_oJ)⁻¹JᵀN(α_u − α)."""
+    for name in ("ur5_wipe", "panda_edge"):
+        rig = rig_of(name, "gains={}")
+        controller = rig.controller()
+        plant = rig.plant()
+        for k in range(40):
+            controller.tick(plant.measure(), rig.references.at(k * DT))
+            plant.command(controller.last_torques(), DT)
+        measured = plant.measure()
+        wrenches = measured.wrenches + np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
+        controller.tick(replace(measured, wrenches=wrenches), rig.references.at(40 * DT))
+        signals = controller.signals
+        work = controller._records.work
+        push = work.alpha_u[: work.rank] - signals.alpha_meas
+        assert norm(push) > 0.5
+        state = rig.chain.state(measured.q)
+        data = rig.chain.model.createData()
+        pin.crba(rig.chain.model, data, measured.q)
+        M = np.triu(data.M) + np.triu(data.M, 1).T
+        (tip,) = rig.chain.tips
+        J = pin.computeFrameJacobian(
+            rig.chain.model, data, measured.q, tip, pin.LOCAL_WORLD_ALIGNED
+        )
+        to_O = state.X_WO.translation - data.oMf[tip].translation
+        J[:3] -= pin.skew(to_O) @ J[3:]
+        Lambda_o = rig.chain.payload.terms(state.X_WO, np.zeros(6), np.zeros(3)).Lambda
+        found = expected_acceleration(controller) - controller.joint_acceleration()
+        answer = solve(M + J.T @ Lambda_o @ J, J.T @ signals.contact.N @ push)
+        assert norm(found - answer) < 0.01 * norm(answer)  # friction of the model is in it
+
+
+@parametrize("rate, sample", [(1000, 1000), (250, 1000), (1000, 250)])
+def test_noise_of_an_estimate_is_what_it_is_said_to_be(rate, sample):
+    rng = np.random.default_rng(0)
+    estimate = VelocityEstimate.optimal(noise_of(16), 0.8, 1.0 / rate, 1.0 / sample)
+    every = max(rate // sample, 1)
+    readings = noise_of(16) * rng.normal(size=40_000)
+    found = []
+    for k, x in enumerate(readings):
+        found.append(estimate.update(np.array([x]), 0.0, k % every == 0)[1][0])
+    assert np.std(found[2000:]) == approx(noise_of(16) * estimate.noise_gain[0], rel=0.1)
+
+
+def test_what_encoders_are_said_to_cost_is_what_they_cost_on_a_rigid_wall():
+    """Faster than 5 Hz, where noise is all there is; the contact of MuJoCo passes less of it."""
+    scenario = coarse(16, 0.0)
+    ((said, words),) = encoders.quantity(osc.build_rig(scenario))
+    recording = osc.run(scenario)
+    force = recording["alpha_true"][recording["t"] > 2.0, 0]
+    fast = force - np.convolve(force, np.full(200, 1.0 / 200), "same")
+    assert 0.2 * said < np.std(fast[200:-200]) / words["command"] < 1.2 * said
+
+
+def test_encoders_that_are_too_coarse_are_doubted_with_what_would_do():
+    def doubts(resolution, *more):
+        angle = f"{{angle: {{resolution: {resolution}}}, rate: 1 kHz}}"
+        given = ("gains={}", "tare={}", f"sensors.encoder={angle}", *more)
+        rig = rig_of("panda_edge", *given)
+        return [one.text for one in osc.preflight(rig) if "encoders" in one.text]
+
+    (text,) = doubts(0.05)
+    enough = re.search(r"; ([\d.e+-]+) rad would do", text)[1]
+    angular = re.search(r"joint_angular=([\d.e+-]+)", text)[1]
+    assert not doubts(0.99 * float(enough) * 12**0.5)
+    assert not doubts(0.05, f"control.estimate.joint_angular={0.98 * float(angular)}")
+
+
+# --- MuJoCo ---------------------------------------------------------------------------------------
+
+
+def coarse(number, stiffness):
+    """10 N on a wall, a circle of 20 mm at 0.5 Hz, in the posture of a random task.
+
+    Encoders have 16 bits, wrists are 3 ms late, and nothing else is wrong.
+    """
+    task = draw(7, number)
+    normal = np.array(task.load().contacts[0].face.normal)
+    moves = ", ".join(
+        f"{{kind: linear, direction: {along.tolist()}, signals: [{{type: sine, ramp: 1 s, "
+        f"amplitude: 20 mm, frequency: 0.5 Hz, phase: {phase} deg}}]}}"
+        for along, phase in zip(triad(normal).T[:2], (0, 90), strict=True)
+    )
+    step = 2.0 * np.pi / 2**16
+    sensors = (
+        f"sensors={{encoder: {{rate: 1 kHz, angle: {{resolution: {step}, noise: {0.5 * step}}}}},"
+        f" wrist: {{rate: 1 kHz, delay: 3 ms}}}}"
+    )
+    changes = [*task.changes, "control.rate=1000", sensors, "duration=4 s", "tare=null"]
+    changes += [f"motion=[{moves}]", "force.ball=[{type: constant, value: 10 N}]"]
+    task = RandomTask(7, number, task.name, task.scenario, changes, {}, Errors())
+    if stiffness:
+        wall = spring_wall(task.load(), stiffness)
+        task = replace(task, wrong={"wall": wall}, errors=Errors(told=False))
+    return task.load()
+
+
+#: Draws of `benchmarks.random_tasks` with seed 7: one of each arm, then others.
+NUMBERS = (16, 7, 11, 0, 34, 10, 13, 29)
+
+
+@parametrize("stiffness", [3e4, 1e5, 3e5])
+@parametrize("number", first(NUMBERS, 1))
+def test_encoders_of_16_bits_on_springy_walls(number, stiffness):
+    recording = osc.run(coarse(number, stiffness))
+    judged = recording["t"] > 2.0
+    command = recording["alpha_cmd"][judged, 0]
+    error = recording["alpha_true"][judged, 0] - command
+    assert np.sqrt(np.mean(error**2)) < 0.05 * np.mean(command)
