@@ -65,11 +65,11 @@ class Ended:
     """How a run ended.
 
     Attributes:
-        errors: of it. stopped: s at which it did; None: it did not. reason: of the stop.
+        errors: of it. stopped: whether it was; a stop lasts to the end. reason: of the stop.
     """
 
     errors: Errors
-    stopped: float | None = None
+    stopped: bool = False
     reason: str = ""
 
     @property
@@ -102,11 +102,10 @@ def try_errors(errors: Errors, duration: float | None = None) -> Ended:
         errors: see there. duration: s; None: the scenario's own.
     """
     scenario = osc.load_scenario(errors.scenario, errors.overrides())
-    recording = osc.run(scenario, duration=duration)
-    stops = np.flatnonzero(recording["state"] == int(SafetyState.SAFE_STOP))
-    if not len(stops):
+    meta = osc.run(scenario, duration=duration).meta
+    if meta["end_state"] != SafetyState.SAFE_STOP.name:
         return Ended(errors)
-    return Ended(errors, float(recording["t"][stops[0]]), str(recording.meta["end_reason"]))
+    return Ended(errors, True, str(meta["first_reason"]))
 
 
 def table(ended: Sequence[Ended]) -> Table:
@@ -114,7 +113,7 @@ def table(ended: Sequence[Ended]) -> Table:
     rows = []
     for name in dict.fromkeys(one.errors.scenario for one in ended):
         mine = [one for one in ended if one.errors.scenario == name]
-        rows.append((name, len(mine), sum(one.stopped is not None for one in mine)))
+        rows.append((name, len(mine), sum(one.stopped for one in mine)))
     return table_of("", "scenario; runs; stopped", rows)
 
 
@@ -137,10 +136,10 @@ def main(only: str = "", seed: int = 0, count: int = 0, workers: int = 2) -> Non
         kept.add(ended)
     found = [kept.found[one] for one in wanted]
     for ended in found:
-        if ended.stopped is not None:
-            print(f"{ended.errors}: stopped at {ended.stopped:.3f} s: {ended.reason}")
+        if ended.stopped:
+            print(f"{ended.errors}: stopped: {ended.reason}")
     Console(width=120).print(table(found))
-    stopped = sum(ended.stopped is not None for ended in found)
+    stopped = sum(ended.stopped for ended in found)
     print(f"{len(found)} runs, {stopped} of them stopped")
     sys.exit(bool(stopped))
 

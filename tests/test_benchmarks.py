@@ -17,9 +17,11 @@ from rigs import assert_near, largest, ticked
 from samples import ROOT, aligned, first, parametrize
 
 import osc_contact as osc
-from benchmarks import many_runs, peers, stack
+from benchmarks import false_stops, many_runs, peers, stack
 from benchmarks.__main__ import BENCHMARKS, run_benchmark
 from benchmarks.cases import CASES, KINDS, SPECIAL_CASES, BatchCase, OwnFace
+from benchmarks.false_stops import try_errors
+from benchmarks.kept import Kept
 from benchmarks.measuring import take_turns
 from benchmarks.peers import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
@@ -95,6 +97,21 @@ def test_programs_write_what_they_measure(judge, tmp_path):
         for row in rows if isinstance(rows, list) else ():
             if set(row) >= SPREAD:
                 assert row["p50"] <= row["p99"] <= row["p99_9"] <= row["max"]
+
+
+def test_false_stops_finds_a_stop_and_keeps_it(monkeypatch, tmp_path):
+    """Wrists that lose a fifth of their readings are too much for a limit of 1 %."""
+    some = false_stops.Errors("two_contact_rod", 0.01, 16, True)
+    assert some in false_stops.runs()
+    assert try_errors(some, duration=0.05) == false_stops.Ended(some)
+    lost = "sensors.wrist={rate: 1 kHz, dropout: 0.5}"
+    changes = [lost, "control.safety.wrench_timeout=1 ms", "control.safety.missed_share=0.01"]
+    monkeypatch.setattr(false_stops.Errors, "overrides", lambda self: changes)
+    ended = try_errors(some, duration=0.3)
+    assert ended.stopped and ended.reason
+    kept = Kept(tmp_path, false_stops.read_ended)
+    kept.add(ended)
+    assert Kept(tmp_path, false_stops.read_ended).found == {some: ended}
 
 
 @mark.slow
