@@ -258,6 +258,11 @@ class Reference:
             (k − 1, k), see `law.grasps`, or a number for all of them; the number 0 leaves the
             internal forces to the torques of least effort. Steps are smoothed like those of
             alpha_d, see `ForceGains`.
+        active: (contacts,) 1 for contacts that are active in this tick, else 0. An active one is
+            part of N, also where its desired force is 0: with phases a contact that pushes is
+            approached until it is made. One that is not active is free motion, whether it holds or
+            pushes. None: a contact that pushes is active while a force is desired of it, and one
+            that holds always is.
 
     Example:
         >>> goal = osc.Reference(pin.SE3.Identity(), V_D=[0.1, 0, 0, 0, 0, 0], alpha_d=[5.0])
@@ -270,6 +275,7 @@ class Reference:
     A_D: Array
     alpha_d: Array
     squeeze_d: float | Array
+    active: Array | None = None
 
     def __init__(
         self,
@@ -278,6 +284,7 @@ class Reference:
         A_D: ArrayLike | None = None,
         alpha_d: ArrayLike = (),
         squeeze_d: float | ArrayLike = 0.0,
+        active: ArrayLike | None = None,
     ) -> None:
         """Convert lists, arrays of other types and a plain number for alpha_d.
 
@@ -289,6 +296,7 @@ class Reference:
             A_D: (6,) m/s², rad/s²; None: zero.
             alpha_d: (r,) N; a number if r = 1.
             squeeze_d: a number, or an array (k(k − 1)/2,) (N).
+            active: (contacts,) of truth values, or None.
 
         Raises:
             InvalidInputError: wrong shapes, no numbers, or a matrix that is not a pose.
@@ -301,6 +309,7 @@ class Reference:
             A_D=np.zeros(6) if A_D is None else _command("A_D", A_D, (6,)),
             alpha_d=_forces(alpha_d),
             squeeze_d=squeeze_d,
+            active=None if active is None else _command("active", active, None),
         )
 
 

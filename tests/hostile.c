@@ -46,6 +46,7 @@ static struct call call_of(osc_controller *c) {
     one.r.V_D = part(&at, 6);
     one.r.A_D = part(&at, 6);
     one.r.alpha_d = part(&at, n.forces);
+    one.r.active = part(&at, n.contacts);
     one.out.torques = at;
     one.out.count = n.motors;
     return one;

@@ -93,7 +93,8 @@ class Guarded:
             flags |= tick.COMMANDED
         X = reference.X_WD.homogeneous
         alpha = np.asarray(reference.alpha_d, dtype=float)
-        given = (m.q, m.v, m.wrenches, X, reference.V_D, reference.A_D, alpha, touched)
+        active = np.zeros(0) if reference.active is None else reference.active
+        given = (m.q, m.v, m.wrenches, X, reference.V_D, reference.A_D, alpha, touched, active)
         job = records.JOB.view(self.job)
         job.switches = flags
         rows()(self.job, 0, tuple(guarded(x, self.at_end, writable=False) for x in given))

@@ -3,8 +3,8 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from law_calls import active_set, records
 from law_calls import phases as law
-from law_calls import records
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
@@ -67,7 +67,7 @@ class Phases:
         self.work.goal[:] = commanded
         changed = judge and law.advance_phases(self.tick)
         if judge:
-            law.remap_force_sums(self.tick)
+            active_set.separate_integrals(self.tick)
         law.set_goals(self.tick)
         return (changed, self.work.goal.copy())
 
@@ -91,8 +91,20 @@ class Phases:
 
     @property
     def sums(self):
-        """(r,) the force integrals."""
+        """(r,) the force integrals, of the columns in N where these have changed."""
+        if self.memory.by_column:
+            return self.columns.integral[self.here].copy()
         return self.memory.force_sum[: self.memory.force_rank].copy()
+
+    @sums.setter
+    def sums(self, values):
+        """As a tick leaves them, of the first columns in N."""
+        kept = np.flatnonzero(self.here)[: len(values)]
+        self.memory.force_rank = len(values)
+        self.memory.force_sum[: len(values)] = values
+        self.columns.integral = 0.0
+        self.columns.integral[kept] = values[: len(kept)]
+        self.memory.by_column = 0
 
 
 # --- stories --------------------------------------------------------------------------------------
@@ -224,18 +236,18 @@ SHARED = ([0, 0, 1, 2], [CLOSED, APPROACHING, OPEN], [1.5, -2.5])
         ([0, 1, 2, 2, 0], [OPEN, CLOSED, CLOSED], [1, 2, 3], [5, 0, 5, 5, 5], [0, 2, 3, 0]),
         # those that are not one for each column are left until a contact comes or goes
         *[([0, 1], [CLOSED] * 2, [7] * rank, [5, 5], [7] * rank) for rank in (0, 1, 3)],
-        *[([0, 1], [CLOSED] * 2, [7] * rank, [5, 0], []) for rank in (0, 1, 3)],
+        *[([0, 1], [CLOSED] * 2, [7] * rank, [5, 0], [7] * min(rank, 1)) for rank in (1, 3)],
         (*SHARED, [5, 5, 5, 0], [1.5, -2.5]),
-        (*SHARED, [5, 5, 0, 0], []),
-        (*SHARED, [5, 5, 5, 5], []),
-        # more columns than there is room for
-        *[(range(n), [OPEN] * n, [], [5] * n, []) for n in (7, 9)],
+        (*SHARED, [5, 5, 0, 0], [1.5, -2.5]),
+        (*SHARED, [5, 5, 5, 5], [1.5, -2.5, 0, 0]),
+        # more columns than are independent
+        *[(range(n), [OPEN] * n, [], [5] * n, [0] * n) for n in (7, 9)],
+        (range(8), [CLOSED] * 8, range(1, 7), [5, 0, *[5] * 6], [1, 3, 4, 5, 6, 0, 0]),
     ],
 )
 def test_force_integrals_follow_their_columns(owners, phase, sums, commanded, after):
     phases = Phases(owners, [True] * len(phase), phase=phase)
-    phases.memory.force_rank = len(sums)
-    phases.memory.force_sum[: len(sums)] = sums
+    phases.sums = np.array(sums, dtype=float)
     phases.begin(np.array(commanded, dtype=float))
     assert phases.sums.tolist() == after
 
@@ -244,8 +256,7 @@ def test_the_integral_of_a_contact_that_was_lost_starts_anew():
     """It is approached again, and stays in N."""
     phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
     phases.columns.closed[0] = 0
-    phases.memory.force_rank = 2
-    phases.memory.force_sum[:2] = (7.0, 8.0)
+    phases.sums = np.array([7.0, 8.0])
     phases.begin([5.0, 5.0])
     assert phases.sums.tolist() == [0.0, 8.0]
 
@@ -253,8 +264,8 @@ def test_the_integral_of_a_contact_that_was_lost_starts_anew():
 def test_contacts_that_come_back_as_closed_start_without_integrals():
     """Taken out of N from outside, `active` set to 0, they keep their phases."""
     phases = Phases([0, 1], [True] * 2, phase=[CLOSED, CLOSED])
+    phases.sums = np.array([7.0, 7.0])
     phases.contacts.active = 0
-    phases.memory.force_sum[:] = 7.0
     assert phases.begin([5.0, 5.0])[0]
     assert phases.sums.tolist() == [0.0, 0.0] and phases.kept.all()
 
@@ -383,8 +394,7 @@ def run_story(seed):
         independent = rng.random() < 0.95 or count < 2
         phases.end(alpha * here, speed * here, D, independent, limited=rng.random() < 0.05)
         rank = rng.integers(0, 7) if rng.random() < 0.05 else count
-        phases.memory.force_rank = rank
-        phases.memory.force_sum[:rank] = rng.standard_normal(rank)
+        phases.sums = rng.standard_normal(rank)
     return happened
 
 

@@ -5,6 +5,7 @@ What whole ticks show (the motion filter, commanded forces, yielding bodies) `te
 Continues `test_law_parts.py`, in the same way.
 """
 
+from dataclasses import replace
 from math import inf
 from types import SimpleNamespace as Record
 
@@ -286,7 +287,8 @@ def a_tick():
     run = own.run
     seen = []
     own.run = lambda given, *how: seen.append(given) or run(given, *how)
-    controller.tick(*inputs(chain, q, v, rng, 2, motion_of(rng, 2)))
+    measurement, reference = inputs(chain, q, v, rng, 2, motion_of(rng, 2))
+    controller.tick(measurement, replace(reference, active=np.ones(2)))
     assert own.memory.reason == NO_REASON and own.memory.engaged
     own.rows.job.switches = MOVING
     return (rows(), (own.rows.raw, 0, seen[-1]), own.memory)
@@ -363,6 +365,7 @@ def test_laws_and_integrals_of_a_tick():
     assert_near(work.alpha_u[:2], [8.0 - 1.0, 7.0])  # approached; the user's own
     assert_near(work.force_next[:2], [0.5, -0.5])
     assert_near(command_of(tick.OWN_FORCE, {"force_rank": 1})[0].force_next, 0.0)
+    assert_near(command_of(tick.OWN_FORCE, {"by_column": 1})[0].force_next, 0.0)
     assert_near(command_of(tick.OWN_MOTION)[0].a_u, 7.0)
 
 

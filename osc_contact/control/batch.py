@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from osc_contact.control.controller import Controller
-from osc_contact.control.records import STILL, TickRecords
+from osc_contact.control.records import STILL, UNNAMED, TickRecords
 from osc_contact.control.status import Status
 from osc_contact.control.torque_limits import MotorLimits, relieve
 from osc_contact.dynamics.assembly import object_pose
@@ -116,6 +116,7 @@ class BatchController:
         alpha_d: npt.ArrayLike | None = None,
         squeeze_d: npt.ArrayLike | None = None,
         touched: npt.ArrayLike | None = None,
+        active: npt.ArrayLike | None = None,
         wrench_valid: npt.ArrayLike | None = None,
     ) -> Array:
         """Motor torques (B, n_a) for one control period; rows as in `Controller.tick`.
@@ -127,6 +128,8 @@ class BatchController:
             squeeze_d: (B,) desired internal force, or (B, bars) with three arms and more; default
                 0 (None leaves bar forces at least effort).
             touched: (B, contacts, 28) X_WE by rows, V_E, A_E of the touched bodies; None: at rest.
+            active: (B, contacts) which contacts are active, see `Reference`; None: as forces are
+                desired.
             wrench_valid: (B,) whether wrenches are new ones; rows without it use their last.
 
         Raises:
@@ -155,6 +158,7 @@ class BatchController:
             _table("A_D", A_D, (B, 6)),
             _table("alpha_d", alpha_d, (B, r)),
             motion,
+            UNNAMED if active is None else _table("active", active, (B, c)).ravel(),
         )
         if wrench_valid is not None:
             self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any, Self, cast
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from osc_contact.contacts.pairs import ContactPair
@@ -25,6 +26,7 @@ from osc_contact.control.inputs import (
 from osc_contact.control.reasons import explain, unbraked_joint
 from osc_contact.control.records import (
     STILL,
+    UNNAMED,
     Reading,
     Settings,
     TickRecords,
@@ -98,7 +100,7 @@ FORGOTTEN = (
 FORGOTTEN_TABLES: dict[str, tuple[str, ...]] = {
     "joints": (),
     "arms": (),
-    "columns": ("underforce", "overforce", "time_since_loss", "has_desired"),
+    "columns": ("underforce", "overforce", "time_since_loss", "has_desired", "integral"),
 }
 
 
@@ -152,6 +154,7 @@ class Controller:
         bodies: Sequence[Body | None] | None = None,
         posture: ArrayLike | None = None,
         engaged: bool = True,
+        in_contact: bool = True,
         friction: Friction | None = None,
         reading: Reading | None = None,
         life: PhaseSettings | None = None,
@@ -173,7 +176,9 @@ class Controller:
                 be seen to move. The same object twice: both contacts are on one body.
             posture: (n,) where redundant arms return to (default: neutral). A goal, which may lie
                 somewhat outside the joints' limits: the posture task keeps the joints inside.
-            engaged: start in contact.
+            engaged: whether the contacts are part of the model from the start.
+            in_contact: whether contacts that push are made at the start; False: they begin open,
+                and are approached once they are active. Without `life` they are made.
             friction: what is known of the contacts' friction; None: nothing.
             reading: how contact forces are read off the wrists, 'filter' (fig. 5) or
                 'least_squares', which friction and tilted faces do not fool; None: the latter
@@ -230,7 +235,7 @@ class Controller:
         contact.least[:] = -np.inf
         contact.since[:] = np.inf  # as if for ever
         memory.columns.closed[:] = 1
-        if life is not None and not engaged:
+        if life is not None and not (engaged and in_contact):
             contact.phase[self._records.model.bodies.pushes != 0] = Phase.OPEN
             memory.columns.closed[:] = 0
 
@@ -297,6 +302,7 @@ class Controller:
             ):
                 squeeze[0] = reference.squeeze_d
                 alpha_d = reference.alpha_d
+                active = reference.active
                 given = (
                     measurement.q,
                     measurement.v,
@@ -306,6 +312,7 @@ class Controller:
                     reference.A_D,
                     alpha_d if alpha_d.size else NO_FORCES,
                     STILL,
+                    UNNAMED if active is None else active,
                 )
                 done = call(raw, 0, given)
                 return torques.copy() if done == 2 else self._end(measurement, reference)
@@ -544,6 +551,11 @@ class Controller:
         phase = contacts.phase if self.life is not None else Phase.CLOSED
         return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
 
+    @property
+    def active(self) -> npt.NDArray[np.bool_]:
+        """(contacts,) which of them were active in the last tick: in N, approached or closed."""
+        return np.array(self._memory.contacts.active != 0)
+
     f_tare = _six_numbers(
         "f_tare", "(6,) constant error of the wrist readings at O (N, N m), removed from each."
     )
@@ -634,6 +646,10 @@ class Controller:
             raise InvalidInputError(f"force integral: {len(value)} values; N has 6 columns at most")
         memory.force_sum[: len(value)] = value
         memory.force_rank = len(value)
+        memory.by_column = 0
+        kept = self._records.kept()
+        memory.columns.integral[:] = 0.0
+        memory.columns.integral[kept] = value if len(value) == len(kept) else 0.0
 
     # --- copies -----------------------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from osc_contact.control.records import STILL, Settings, TickRecords
+from osc_contact.control.records import STILL, UNNAMED, Settings, TickRecords
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference, Touched, as_numbers
 from osc_contact.law import tick as law
@@ -51,6 +51,8 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
         raise InvalidInputError(f"reference squeeze_d: {k} arms take a number, got an array")
     squeeze = as_numbers("reference squeeze_d", reference.squeeze_d, k * (k - 1) // 2)
     _require_force("squeeze_d", squeeze)
+    if reference.active is not None:
+        as_array("reference active", reference.active, (c,))
     as_array("reference X_WD", reference.X_WD.homogeneous, (4, 4))
 
 
@@ -118,6 +120,7 @@ def read_tick(
         reference.A_D,
         reference.alpha_d if reference.alpha_d.size else NO_FORCES,
         table,
+        UNNAMED if reference.active is None else reference.active,
     )
     return given, flags
 

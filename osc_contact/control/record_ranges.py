@@ -147,7 +147,7 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             *_ticks("wrench_age", "old_joints", "old_wrists", "balanced", "instant", "stamped"),
             *_flags("fresh", "engaged", "hand_over", "wrench_missing", "has_wrench"),
             f"0 <= settled <= {at.SETTLED}",
-            *_flags("compared", "derived", "above"),
+            *_flags("compared", "derived", "above", "chosen_set", "by_column"),
             *_REASON,
             f"0 <= cause <= {max(CODES.values())}",
             f"{at.RUN} <= state <= {at.SAFE_STOP}",
@@ -194,7 +194,7 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
         "kept": ("0 <= kept <= n_columns - 1",),
         "owners": ("0 <= owners <= n_arms - 1",),
     },
-    "INPUT": {"": _flags("moving")},
+    "INPUT": {"": _flags("moving", "chosen_set")},
     "PROGRAM": {
         "": (
             "size_a == n_motors",

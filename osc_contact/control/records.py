@@ -369,12 +369,8 @@ def pack_gains(settings: Settings, head: Any) -> None:
     head.metric = kinds[B] if isinstance(B, str) else at.BY_MATRIX
     head.B_inv[:] = np.eye(6) if isinstance(B, str) else np.linalg.inv(B)
     head.phased = settings.life is not None
-    if settings.life is not None:
-        _copy(
-            settings.life,
-            head,
-            **PHASE_NAMES,
-        )
+    # torques go gently after the active set has changed, without phases, too
+    _copy(settings.life or PhaseSettings(), head, **PHASE_NAMES)
 
 
 def pack_safety(settings: Settings, head: Any) -> None:
@@ -481,6 +477,7 @@ def _copy(settings: Spec, head: Any, **names: str) -> None:
 
 
 STILL = np.zeros((0, 28))  #: motion of the touched bodies where all of them rest
+UNNAMED = np.zeros(0)  #: the active set of a reference that names none
 _WHOLE_TICK = 0, at.LOOK, at.END
 
 
@@ -509,7 +506,8 @@ class TickRecords:
         """Parts of a tick; what the law's call returns, of one row 2 where it ended OK.
 
         Args:
-            given: q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched. flags: switches of `law.tick`.
+            given: q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active.
+            flags: switches of `law.tick`.
             begin, stop: first part, and the one before which it ends.
         """
         self._job[:3] = flags, begin, stop
@@ -527,7 +525,7 @@ class TickRecords:
         """
         wrenches = np.full((len(self.model.arms), 6), reading)
         six = np.zeros(6)
-        self.run((q, v, wrenches, np.eye(4), six, six, np.zeros(0), STILL), begin=begin)
+        self.run((q, v, wrenches, np.eye(4), six, six, np.zeros(0), STILL, UNNAMED), begin=begin)
 
     def places(self, *parts: Array) -> Array:
         """(k,) where in `rows.numbers` the numbers of some views stand, one after the other.

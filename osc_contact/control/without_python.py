@@ -225,7 +225,11 @@ def _rows() -> list[str]:
     """Offsets in rows of MEMORY's tables, and of the joints in MODEL, that getters read."""
     lines = []
     for name, kind, wanted in (
-        ("MEMORY", records.MEMORY, {"contacts": ("active", "phase"), "columns": ("alpha",)}),
+        (
+            "MEMORY",
+            records.MEMORY,
+            {"contacts": ("active", "phase"), "columns": ("alpha", "integral")},
+        ),
         ("MEMORY", records.MEMORY, {"friction": ("theta",)}),
         ("MODEL", records.MODEL, {"joints": ("theta",)}),
     ):

@@ -565,7 +565,8 @@ def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | No
         memory.V_O = 0.0 if V_O is None else V_O
     rows.job.stop = at.MEASURE
     six = np.zeros(6)
-    given = (q, v, np.zeros((len(head.arms), 6)), np.eye(4), six, six, _NONE, np.zeros((0, 28)))
+    wrenches = np.zeros((len(head.arms), 6))
+    given = (q, v, wrenches, np.eye(4), six, six, _NONE, np.zeros((0, 28)), _NONE)
     law_rows()(rows.raw, 0, given)
     return work
 

@@ -52,11 +52,11 @@ def osc_law_rows(raw, at, arrays, sizes):
     """`tick.rows`.
 
     Args:
-        raw: address. at: where the JOB is. arrays: address of the eight addresses of what is given.
+        raw: address. at: where the JOB is. arrays: address of the nine addresses of what is given.
         sizes: address of the number of elements or rows of each.
     """
-    x = words_at(arrays, 8)
-    n = words_at(sizes, 8)
+    x = words_at(arrays, 9)
+    n = words_at(sizes, 9)
     given = (
         numbers_at(x[0], n[0]),
         numbers_at(x[1], n[1]),
@@ -66,6 +66,7 @@ def osc_law_rows(raw, at, arrays, sizes):
         numbers_at(x[5], n[5]),
         numbers_at(x[6], n[6]),
         numbers_at(x[7], (n[7], 28)),
+        numbers_at(x[8], n[8]),
     )
     return _rows(bytes_at(raw), at, given)
 

@@ -361,8 +361,10 @@ def keep_steps(t):
             row.desired = row.scale = row.predicted = 0.0
             row.drift = row.driven = row.deflection = row.eased = row.eased_rate = 0.0
             row.yielded = row.alpha_mean = row.eased_mean = row.correlation = row.excitation = 0.0
-            row.unexplained = row.residual = row.normal_std = 0.0
             row.to_come[:] = 0.0
+            if t.input.chosen_set:  # a face that is known is met again
+                continue
+            row.unexplained = row.residual = row.normal_std = 0.0
             row.turn[:] = 0.0
             row.covariance[:] = 0.0
             continue

@@ -38,7 +38,7 @@ def rows() -> Any:
     empty.job.last = 0
     wrenches = np.zeros((0, 6))
     X_WD = np.zeros((0, 4))
-    given = none, none, wrenches, X_WD, none, none, none, np.zeros((0, 28))
+    given = none, none, wrenches, X_WD, none, none, none, np.zeros((0, 28)), none
     return _made(law.rows, empty.raw, 0, given)
 
 

@@ -14,7 +14,7 @@
 #include <numpy/arrayobject.h>
 #include <stdint.h>
 
-#define GIVEN 8 /* arrays of a tick */
+#define GIVEN 9 /* arrays of a tick */
 
 typedef uintptr_t A;
 int32_t osc_law_rows(int64_t *, void **, A, int64_t, A, A);
@@ -48,8 +48,8 @@ static int given(Py_ssize_t count, Py_ssize_t expected)
 
 static PyObject *rows(PyObject *self, PyObject *const *args, Py_ssize_t count)
 {
-    static const int dimensions[] = {1, 1, 2, 2, 1, 1, 1, 2};
-    static const int columns[] = {0, 0, 6, 4, 0, 0, 0, 28};
+    static const int dimensions[] = {1, 1, 2, 2, 1, 1, 1, 2, 1};
+    static const int columns[] = {0, 0, 6, 4, 0, 0, 0, 28, 0};
     const npy_intp *shape;
     A raw, at[GIVEN];
     int64_t sizes[GIVEN], result = 0;

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from osc_contact.errors import SolverError
+from osc_contact.law.active_set import keep_integrals
 from osc_contact.law.algebra import (
     add_scaled,
     back_substitute,
@@ -576,6 +577,6 @@ def settle(raw, at, i, program):
     limit_changes(t, memory.ticked > 1)
     for a in range(work.rank):
         memory.force_sum[a] = work.force_next[a] - work.gain[a] * work.dt * p.lost_force[a]
-    memory.force_rank = work.rank
+    keep_integrals(t)
     for bar in range(model.n_bars):
         work.bars[bar] -= dot(work.basis[bar], p.lost_squeeze, work.n_internal)

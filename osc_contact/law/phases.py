@@ -13,8 +13,9 @@ contact is made. One that was lost goes back faster to where it was: what it has
 known. So N does not change at the moment of impact, and every magnitude of a contact to be made is
 measured by the filter of fig. 5.
 
-A tick ends with `low_pass`; the next begins with `advance_phases`, which judges what that left,
-`remap_force_sums` and `set_goals`; where no tick was computed since, only `set_goals` is called.
+A tick ends with `low_pass`; the next begins with `advance_phases`, which judges what that left, and
+`set_goals`; where no tick was computed since, only `set_goals` is called. Which contacts are active
+may be given instead of following from desired forces, see `active_set`.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from osc_contact.law.vectors import fill
 #: Out of N; in N, in a guarded approach; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
 _CHANGES = 0.1  #: s after a change of phase for which torques go gently
+_GENTLER = 0.45  #: times the rate after that, where active contacts are named: they change often
 APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
 _SLOW = 0.25  #: share of their speed limits below which joints are not fast
 #: 1/s, m/s: the way back to where contact was lost
@@ -179,8 +181,11 @@ def advance_phases(t):
             some_closed = some_closed or row.closed != 0
             light = goal <= model.force_on  # too little to be distinguished from nothing
             all_closed = all_closed and (light or row.closed != 0)
+        wanted = desired or not pushes
+        if t.input.chosen_set:  # which `active_set` opens and takes in
+            wanted = before != OPEN
         phase = CLOSED
-        if pushes and not desired:
+        if not wanted:
             phase = OPEN
         elif pushes and not (some_closed and all_closed):
             phase = APPROACHING
@@ -198,39 +203,6 @@ def advance_phases(t):
                 lost = known and (row.time_since_loss > 0.0 or left)
                 row.time_since_loss = row.time_since_loss + dt if lost else 0.0
     return changed
-
-
-@inner
-def remap_force_sums(t):
-    """Hand the force integrals to the columns that are in N now, after `advance_phases`.
-
-    Those of columns not kept start at 0. None is left (rank 0) where they were not one for each
-    column in N, or more columns come than there is room for.
-    """
-    memory = t.memory
-    n = t.model.n_columns
-    kept = t.work.here
-    scratch = t.work.alpha
-    sums = memory.force_sum
-    before = 0
-    after = 0
-    same = True
-    for j in range(n):
-        contact = contact_of(t, j)
-        here = contact.active != 0
-        same = same and here == (contact.phase != OPEN) and (kept[j] != 0 or not here)
-        carried = here and kept[j] != 0 and before < len(sums)
-        scratch[j] = sums[before] if carried else 0.0
-        before += 1 if here else 0
-        after += 1 if contact.phase != OPEN else 0
-    if same:  # dependent columns, too: they have fewer integrals
-        return
-    memory.force_rank = after if before == memory.force_rank and after <= len(sums) else 0
-    after = 0
-    for j in range(n):
-        if contact_of(t, j).phase != OPEN and after < memory.force_rank:
-            sums[after] = scratch[j]
-            after += 1
 
 
 @inner
@@ -290,9 +262,13 @@ def torque_rate(t, share):
     model = t.model
     rate = model.torque_rate
     slow = min((1.0 - share) / (1.0 - _SLOW), 1.0)
-    for c in range(model.n_contacts if model.phased and slow > 0.0 else 0):
+    gently = model.phase_rate
+    if t.memory.chosen_set:
+        gently *= _GENTLER
+    changes = model.phased or t.memory.chosen_set
+    for c in range(model.n_contacts if changes and slow > 0.0 else 0):
         if t.memory.contacts[c].since < _CHANGES:
-            rate = min(rate, model.phase_rate / (slow * slow))
+            rate = min(rate, gently / (slow * slow))
     return rate
 
 

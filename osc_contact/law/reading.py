@@ -247,9 +247,18 @@ def integral_room(most, desired):
 def last_integral(t, a):
     """Force integral of kept column a (N) after the last tick; 0 if the number of columns changed.
 
-    Reads `force_sum` and `force_rank` of MEMORY.
+    Where other contacts are in force than in the last tick, the sum over the columns that stay.
+    Reads `force_sum`, `force_rank`, `by_column` and `integral` of the columns of MEMORY, `share`.
     """
-    return t.memory.force_sum[a] if t.memory.force_rank == t.work.rank else 0.0
+    memory = t.memory
+    work = t.work
+    if memory.by_column:
+        s = 0.0
+        for i in range(work.count):
+            j = work.chosen[i]
+            s += work.columns[j].share[a] * memory.columns[j].integral
+        return s
+    return memory.force_sum[a] if memory.force_rank == work.rank else 0.0
 
 
 @inner

@@ -284,6 +284,10 @@ _MEMORY = _record(
         "late",  # ticks by which wrenches are older than the readings of the joints
         "derived",  # whether speeds are estimated from positions: no second reading of a joint
         "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
+        # see `active_set`: whether the reference of the last tick named the active contacts;
+        # whether force integrals stand in the columns, since others were in N
+        "chosen_set",
+        "by_column",
         "status",  # how the last tick ended
     ),
     number=(
@@ -361,6 +365,7 @@ COLUMN_MEMORY = _record(
         "gap",
         "time_since_loss",  # see `phases`: N to be read, m and s since it was lost
         "noise",  # N
+        "integral",  # N, of the force law
         "unexplained",  # m/s, low-passed speed that the estimate of the normal does not explain
         "residual",  # (m/s)², its mean square
         "normal_std",  # rad, of that estimate where it is least certain; 0: none
@@ -706,7 +711,8 @@ WORK = Nested(
 #: What came in at a tick.
 INPUT = Nested(
     _record(
-        whole=("moving",),  # whether motions of the touched bodies were measured
+        # whether motions of the touched bodies were measured, and active contacts are named
+        whole=("moving", "chosen_set"),
         X_WD=(4, 4),
         V_D=6,
         A_D=6,  # the reference
@@ -716,6 +722,7 @@ INPUT = Nested(
     wrenches=("k", 6),
     alpha_d="r",
     touched=("c", 28),  # X_WE by rows, V_E, A_E of the bodies
+    active="c",  # 1: in the active set, 0: not
 )
 #: What a call of `tick.rows` is to do: parts of the tick, rows; where their bytes are.
 JOB = Nested(

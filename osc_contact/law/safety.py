@@ -135,7 +135,7 @@ def watch_contacts(t):
         size = abs(desired)
         missing = size > _LIGHT and (alpha if desired > 0.0 else -alpha) < _SHARE * size
         missing = missing and model.phased == 0
-        if memory.force_rank == work.rank:
+        if memory.force_rank == work.rank and memory.by_column == 0:
             room = _FULL * integral_room(model.integral_force, desired)
             missing = missing or abs(memory.force_sum[a]) > room
         fair = memory.state == RUN or memory.faults > 0

@@ -17,6 +17,7 @@ from __future__ import annotations
 from math import inf, isfinite, nan
 
 from osc_contact.law import phases
+from osc_contact.law.active_set import keep_integrals, update_contacts
 from osc_contact.law.agreement import check_arms, compare_speeds
 from osc_contact.law.algebra import project_onto_columns
 from osc_contact.law.allocation import (
@@ -174,13 +175,8 @@ def look(t, flags):
     if model.leader < 0 and memory.located == 0:
         return OBJECT_UNKNOWN
     take_in(t, engaged, work.moving != 0)
-    if model.phased and engaged:
-        if memory.fresh != 0:  # what a tick measured is judged once, by the next one computed
-            memory.fresh = 0
-            if phases.advance_phases(t):
-                memory.hand_over = 1
-            phases.remap_force_sums(t)
-        phases.set_goals(t)
+    if engaged and (model.phased or t.input.chosen_set or memory.chosen_set):
+        update_contacts(t)
     choose_columns(t)
     return solve_chain(t)
 
@@ -208,6 +204,9 @@ def is_finite(t, engaged, moving):
     if engaged:
         for j in range(model.n_columns):
             s += given.alpha_d[j] * _BEYOND * 0.0
+    if given.chosen_set:
+        for c in range(model.n_contacts):
+            s += given.active[c] * 0.0
     return isfinite(s)
 
 
@@ -465,7 +464,7 @@ def remember(t):
     if work.status != SATURATED:
         for a in range(work.rank):
             memory.force_sum[a] = work.force_next[a]
-        memory.force_rank = work.rank
+        keep_integrals(t)
         if work.status == OK:
             fill(memory.motion_sum, work.motion_next)
     for j in range(t.model.n_columns):
@@ -533,12 +532,13 @@ def rows(raw, at, given):
         raw: bytes of `records.Rows`. at: where its JOB is: `first`, `last`, `begin`, `stop`;
             `switches` MOVING, COMMANDED, OWN_FORCE, OWN_MOTION.
         given: q, v, wrenches (rows · arms, 6), X_WD (rows · 4, 4), V_D, A_D, alpha_d, touched
-            (rows · contacts, 28; MOVING), each of all rows, one behind the other.
+            (rows · contacts, 28; MOVING), active (rows · contacts; or none: see `active_set`),
+            each of all rows, one behind the other.
 
     Returns:
         Twice the next row (`last` when all are done), plus 1 if some row did not end OK.
     """
-    q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched = given
+    q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active = given
     job = _job(raw, at)
     flags = job.switches
     count = job.count
@@ -558,6 +558,8 @@ def rows(raw, at, given):
     fits = fits_q and fits_v and fits_wrenches and X_WD.shape == (4 * count, 4)
     fits = fits and V_D.size == 6 * count and A_D.size == 6 * count
     fits = fits and (not moving or touched.shape == (count * c, 28))
+    chosen_set = active.size > 0
+    fits = fits and (not chosen_set or active.size == count * c)
     has_desired = alpha_d.size == count * head.n_columns
     if not fits:
         flags |= MISFIT
@@ -574,6 +576,7 @@ def rows(raw, at, given):
         own = t.input
         if job.begin == LOOK:
             own.moving = moving
+            own.chosen_set = chosen_set
             _copy(q, i * n, fits_q, own.q)
             _copy(v, i * n, fits_v, own.v)
             if t.memory.wrench_missing:
@@ -590,6 +593,7 @@ def rows(raw, at, given):
                     _copy(alpha_d, i * head.n_columns, True, own.alpha_d)
                 if moving:
                     copy_rows(touched[i * c :], own.touched)
+                _copy(active, i * c, chosen_set, own.active)
         status = _row(t, flags, job.begin, job.stop)
         if job.begin != HAND_OVER:
             t.memory.status = status

@@ -107,7 +107,8 @@ def work_out(
     monitor = ContactMonitor(len(of.owners), of.dt)
     for first, rows in _blocks(parts):
         if of.phased:  # the controller had a monitor
-            closed = (rows["closed"] > 0.0) | ~pushing  # what can pull stays in contact
+            holding = ~pushing & (rows["active"][:, of.owners] > 0.0)
+            closed = (rows["closed"] > 0.0) | holding  # what can pull stays in contact
             collision = (rows["collision"] > 0.0) & pushing
         else:
             alpha = np.where(pushing, rows["alpha"], np.abs(rows["alpha"]))
@@ -142,10 +143,7 @@ def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
 
 def _phases(of: Subject, rows: Array) -> Array:
     """(k, contacts)"""
-    if of.phased:
-        phase = rows["phase"] * rows["active"]  # OPEN is 0
-    else:  # all of them at once
-        phase = np.repeat(rows["engaged"] * Phase.CLOSED, len(of.pairs), axis=1)
+    phase = rows["active"] * (rows["phase"] if of.phased else Phase.CLOSED)  # OPEN is 0
     return phase.astype(np.int64)
 
 

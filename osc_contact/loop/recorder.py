@@ -25,7 +25,6 @@ from osc_contact.control.signals import TickResult, internal_forces
 from osc_contact.control.status import SafetyState, Status
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.interface import Measurement, Reference
-from osc_contact.law import records as at
 from osc_contact.law.library import law_hash
 from osc_contact.loop.channels import Subject, channels, recording_of
 from osc_contact.loop.judge import Judge, Pictured
@@ -142,9 +141,9 @@ class Recorder:
         if self.truth is None:
             unknown["X_WE"] = 16 * contacts
         numbers = {"tick_s": 1, "status": 1, "squeeze_d": squeezes, "given_up": r}
-        whole = {"engaged": 1}
+        whole = {"active": contacts}
         if of.phased:
-            whole |= {"phase": contacts, "active": contacts, "closed": r, "collision": r}
+            whole |= {"phase": contacts, "closed": r, "collision": r}
         sizes = {**unknown, "tau": chain.n_a, **numbers, "normal_std": r, **whole}
         self._names = tuple(found)
         self._fields = [(name, "<f8", (size,)) for name, size in sizes.items()]
@@ -256,10 +255,9 @@ class Recorder:
         columns = records.memory.columns
         contacts = records.memory.contacts
         found = [columns.alpha, columns.speed, *(getattr(result, name) for name in self._names)]
-        head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
-        whole = [head["engaged"]]
+        whole = [contacts.active]
         if self.of.phased:
-            whole += [contacts.phase, contacts.active, columns.closed, columns.collision]
+            whole += [contacts.phase, columns.closed, columns.collision]
         self._words = records.rows.raw.view(np.int64)
         self._read_at = records.places(*found, columns.normal_std)
         self._whole_at = records.places(*whole)

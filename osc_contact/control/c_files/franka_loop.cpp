@@ -58,7 +58,7 @@ struct Motion {
     X[11] = height + kLift * (1.0 - std::cos(w * t)) / 2.0;
     V[2] = kLift * w * std::sin(w * t) / 2.0;
     A[2] = kLift * w * w * std::cos(w * t) / 2.0;
-    return {{X.data(), 16}, {V.data(), 6}, {A.data(), 6}, {nullptr, 0}, {nullptr, 0}};
+    return {{X.data(), 16}, {V.data(), 6}, {A.data(), 6}, {nullptr, 0}, {nullptr, 0}, {nullptr, 0}};
   }
 
   std::array<double, 16> X{};

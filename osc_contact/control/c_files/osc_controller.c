@@ -258,6 +258,7 @@ static int fits_all(const osc_dimensions *n, const osc_measurement *m, const osc
         fits(r->X_WD, 16),              fits(r->V_D, 6),
         fits(r->A_D, 6),                r->alpha_d.count ? fits(r->alpha_d, n->forces) : 0,
         r->squeeze_d.count ? fits(r->squeeze_d, n->bars) : 0,
+        r->active.count ? fits(r->active, n->contacts) : 0,
     };
     for (size_t i = 0; i < sizeof codes / sizeof *codes; i++)
         if (codes[i] != OSC_DONE) return codes[i];
@@ -271,9 +272,10 @@ static void run(osc_controller *c, const osc_measurement *m, const osc_reference
     const osc_dimensions *n = &c->dimensions;
     const double *alpha = r->alpha_d.count ? r->alpha_d.data : c->missing;
     const double *given[] = {m->q.data, m->v.data, w, r->X_WD.data, r->V_D.data, r->A_D.data, alpha,
-                             m->touched.data};
+                             m->touched.data, r->active.data};
     const int64_t sizes[] = {(int64_t)n->joints, (int64_t)n->joints, (int64_t)n->arms, 4, 6, 6,
-                             (int64_t)n->forces, switches & MOVING ? (int64_t)n->contacts : 0};
+                             (int64_t)n->forces, switches & MOVING ? (int64_t)n->contacts : 0,
+                             (int64_t)r->active.count};
     set_whole(c->raw, JOB_switches, switches);
     set_whole(c->raw, JOB_begin, begin);
     osc_law_rows(&done, &unused, (uintptr_t)c->raw, 0, (uintptr_t)given, (uintptr_t)sizes);
@@ -379,7 +381,7 @@ int osc_get_tare(const osc_controller *c, double wrench[6]) {
 static void hand_over(osc_controller *c) {
     osc_numbers none = {c->missing, 0};
     osc_measurement m = {none, none, none, {NULL, 0}, 0, 0, 0, -1};
-    osc_reference r = {none, none, none, none, none};
+    osc_reference r = {none, none, none, none, none, none};
     run(c, &m, &r, c->missing, 0, HAND_OVER);
 }
 
@@ -462,6 +464,15 @@ int osc_get_phases(const osc_controller *c, int32_t *phases, size_t contacts) {
     return OSC_DONE;
 }
 
+int osc_get_active(const osc_controller *c, int32_t *active, size_t contacts) {
+    if (c == NULL || active == NULL) return OSC_NULL;
+    if (contacts != c->dimensions.contacts) return OSC_WRONG_SIZE;
+    const unsigned char *row = table(c->memory, MEMORY_contacts);
+    for (size_t i = 0; i < contacts; i++, row += MEMORY_contacts_BYTES)
+        active[i] = whole(row, MEMORY_contacts_active) != 0;
+    return OSC_DONE;
+}
+
 int osc_get_motion_integral(const osc_controller *c, double integral[6]) {
     if (c == NULL || integral == NULL) return OSC_NULL;
     memcpy(integral, c->memory + MEMORY_motion_sum, 6 * sizeof(double));
@@ -504,6 +515,10 @@ int osc_engage(osc_controller *c) {
     if (!whole(c->memory, MEMORY_ticked)) return OSC_NO_TICK;
     hand_over(c);
     set_whole(c->memory, MEMORY_force_rank, 0);
+    set_whole(c->memory, MEMORY_by_column, 0);
+    unsigned char *column = table(c->memory, MEMORY_columns);
+    for (size_t j = 0; j < c->dimensions.forces; j++, column += MEMORY_columns_BYTES)
+        memset(column + MEMORY_columns_integral, 0, sizeof(double));
     set_whole(c->memory, MEMORY_engaged, 1);
     if (!whole(c->model, MODEL_phased)) {
         unsigned char *row = table(c->memory, MEMORY_contacts);

@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { MEMORY = 1, TOUCHED = 2, WRENCH_MISSING = 4, ESTIMATED = 8, SQUEEZE = 16, REPEATED = 5 };
+enum { MEMORY = 1, TOUCHED = 2, WRENCH_MISSING = 4, ESTIMATED = 8, SQUEEZE = 16, ACTIVE = 32, REPEATED = 6 };
 
 static void fail(const char *what, const char *why) {
     fprintf(stderr, "%s: %s\n", what, why);
@@ -40,7 +40,7 @@ static const char *path_of(int number, const char *name, int count, char **words
 
 void rewind_recording(recording *tape) {
     tape->at = 0;
-    if (memcmp(take(tape, 8), "OSCTAPE2", 8) != 0) fail("recording", "the file is none");
+    if (memcmp(take(tape, 8), "OSCTAPE3", 8) != 0) fail("recording", "the file is none");
     tape->count = take_whole(tape);
     tape->memory_bytes = (size_t)take_whole(tape);
     if (tape->count < 1) fail("recording", "it has no ticks");
@@ -77,6 +77,7 @@ recorded_tick next_tick(recording *tape, osc_controller *c) {
     t.r.alpha_d = take_numbers(tape, n->forces);
     t.r.squeeze_d = take_numbers(tape, flags & SQUEEZE ? n->bars : 0);
     t.m.touched = take_numbers(tape, flags & TOUCHED ? 28 * n->contacts : 0);
+    t.r.active = take_numbers(tape, flags & ACTIVE ? n->contacts : 0);
     t.m.wrench_missing = (flags & WRENCH_MISSING) != 0;
     t.m.estimated = (flags & ESTIMATED) != 0;
     t.m.repeated = (int32_t)(flags >> REPEATED);

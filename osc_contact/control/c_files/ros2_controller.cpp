@@ -97,7 +97,7 @@ class HybridController : public controller_interface::ControllerInterface {
                                {at + 2 * n_.joints, 6 * n_.arms}, {nullptr, 0}, 0, 0, 0, -1};
     const osc_reference r = {{X_WD_.data(), 16}, {kRest, 6}, {kRest, 6},
                              {alpha_d_.data(), alpha_d_.size()},
-                             {squeeze_d_.data(), squeeze_d_.size()}};
+                             {squeeze_d_.data(), squeeze_d_.size()}, {nullptr, 0}};
     osc_command out = {torques_.data(), torques_.size(), 0, 0, 0, 0, 0, 0};
     if (osc_tick(controller_.get(), &m, &r, &out) != OSC_DONE) return return_type::ERROR;
     bool sent = true;

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, combinations
 from typing import Any
@@ -132,6 +132,17 @@ class References:
         signals = self.scenario.force
         return np.reshape([total(signals[name], t)[0] for name in names], (len(names), len(t)))
 
+    def active(self, t: Array) -> Array | None:
+        """(k, contacts) which contacts are active at times t (k,), 1 or 0; None: none are named."""
+        spans = self.scenario.active
+        if not spans:
+            return None
+        always = ((-np.inf, np.inf),)
+        named = [spans.get(contact.name, always) for contact in self.scenario.contacts]
+        return np.column_stack(
+            [np.any([(t >= begin) & (t < end) for begin, end in own], axis=0) for own in named]
+        ).astype(float)
+
     @cached_property
     def largest_commands(self) -> tuple[float, float]:
         """Largest command of one contact or squeeze in the run, and largest sum of all (N)."""
@@ -189,7 +200,8 @@ class References:
         for twist, s in twists:
             x += twist[:3, None] * s[:, None]
             turn = turn.then(twist[3:], s)
-        return Plan.of(place + x, turn, self.X_start, self.forces(t), self.scenario.squeeze)
+        plan = Plan.of(place + x, turn, self.X_start, self.forces(t), self.scenario.squeeze)
+        return replace(plan, active=self.active(t))
 
 
 def _way(move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3) -> Array | SurfaceMotion:
@@ -219,6 +231,7 @@ class Plan:
         X_WD: (k, 7) desired poses: position and quaternion x, y, z, w.
         V_D, A_D: (k, 6) their derivatives, as in `Reference`.
         alpha_d: (k, r) desired magnitudes. squeeze_d: the same at all times.
+        active: (k, contacts) which contacts are active, 1 or 0; None: none are named.
     """
 
     X_WD: Array
@@ -226,6 +239,7 @@ class Plan:
     A_D: Array
     alpha_d: Array
     squeeze_d: float
+    active: Array | None = None
 
     @classmethod
     def of(
@@ -247,9 +261,10 @@ class Plan:
         )
 
     def __iter__(self) -> Iterator[Reference]:
-        fields = (self.X_WD, self.V_D, self.A_D, self.alpha_d)
-        for X, V, A, alpha in zip(*fields, strict=True):
-            yield Reference(pin.XYZQUATToSE3(X), V, A, alpha, self.squeeze_d)
+        active = [None] * len(self.X_WD) if self.active is None else self.active
+        fields = (self.X_WD, self.V_D, self.A_D, self.alpha_d, active)
+        for X, V, A, alpha, here in zip(*fields, strict=True):
+            yield Reference(pin.XYZQUATToSE3(X), V, A, alpha, self.squeeze_d, here)
 
 
 @dataclass(frozen=True)

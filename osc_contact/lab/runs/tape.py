@@ -18,10 +18,10 @@ from osc_contact.lab.runs.run import Taring, start
 from osc_contact.loop.loop import run_loop
 from osc_contact.spatial import Array
 
-MAGIC = b"OSCTAPE2"
+MAGIC = b"OSCTAPE3"
 #: flags of a tick, as in replay.c; from REPEATED on: which readings are those of the last tick
-MEMORY, TOUCHED, WRENCH_MISSING, ESTIMATED, SQUEEZE = 1, 2, 4, 8, 16
-REPEATED = 5
+MEMORY, TOUCHED, WRENCH_MISSING, ESTIMATED, SQUEEZE, ACTIVE = 1, 2, 4, 8, 16, 32
+REPEATED = 6
 
 
 class Tape:
@@ -64,7 +64,8 @@ class Tape:
         missing = measurement.wrench_valid is not None and not measurement.wrench_valid
         flags = MEMORY * (memory is not None) + TOUCHED * (measurement.touched is not None)
         flags += WRENCH_MISSING * missing + ESTIMATED * bool(measurement.estimated)
-        flags += SQUEEZE * bool(given) + (controller._freshness.flags << REPEATED)
+        flags += SQUEEZE * bool(given) + ACTIVE * (reference.active is not None)
+        flags += controller._freshness.flags << REPEATED
         forces = np.zeros(model.n_columns)
         alpha = np.ravel(reference.alpha_d)
         forces[: len(alpha)] = alpha
@@ -81,6 +82,7 @@ class Tape:
             forces,
             np.broadcast_to(squeeze, model.n_bars) if given else (),
             () if measurement.touched is None else touched_rows(measurement.touched),
+            () if reference.active is None else reference.active,
             tau,
         ]
         parts += [np.ascontiguousarray(x, dtype=float) for x in numbers]

@@ -35,6 +35,10 @@ def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
         forces = dict(zip(on, map(_forces, contacts), strict=True))
         example = "[{type: constant, value: 0 N}]"
         yield from _entries("force", "contact", data.get("force", {}), forces, example)
+    if on is not None and isinstance(data.get("active"), dict):
+        for name in data["active"]:
+            if name not in on:
+                yield ("active", name), f"no contact has this name; {did_you_mean(name, on)}"
     if bodies is not None and isinstance(contacts, list | tuple):
         on_body = [_value(contact, "body") for contact in contacts]
         for index, name in enumerate(bodies):

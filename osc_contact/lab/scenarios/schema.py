@@ -213,6 +213,10 @@ class Scenario(Spec):
     force: dict[str, NotEmpty[ForceSignal]] = Field(default_factory=dict)
     """by contact name, a list of signals that are summed; a contact with several forces has an
     entry for each: `pad.1`, `pad.2`, …"""
+    active: dict[Name, tuple[tuple[Time, Time], ...]] = Field(default_factory=dict)
+    """by contact name, the times `[from, to]` in which it is
+    [active](contact_phases.md#active-sets); others always are. Without any, contacts that push are
+    active while a force is desired of them"""
     motion: tuple[MotionSpec, ...] = ()
     """moves away from the start pose"""
     squeeze: Force = 0.0

@@ -1,0 +1,193 @@
+"""Contacts that come and go: the active set of a tick, judged by the KKT oracle of that set."""
+
+from dataclasses import replace
+
+import numpy as np
+from active_set_cases import KNOWN, sequence, torques, worst
+from numpy.random import default_rng
+from numpy.testing import assert_array_equal
+from processes import python
+from pytest import mark, raises
+from rigs import UNLIMITED, assert_near, held_tick, largest, panda_pair, posed, rig_of
+from samples import parametrize
+from test_without_python import files, library, run  # noqa: F401
+
+import osc_contact as osc
+from osc_contact.lab.runs.run import start
+from osc_contact.lab.runs.tape import Tape
+from osc_contact.law.jit import HAS_LIBRARY
+from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
+
+# --- the oracle -----------------------------------------------------------------------------------
+
+
+def judged(seed, count):
+    errors, sets = worst(seed, count)
+    assert max(errors.values()) < 1e-9, errors
+    return len(sets)
+
+
+@parametrize("seed", range(3))
+def test_torques_bring_the_commanded_forces_and_motion_of_the_active_set(seed):
+    """Readings, forces with their integrals by column, and motion, of twelve known contacts."""
+    assert judged(seed, 25) > 2
+
+
+@mark.slow
+@parametrize("seed", [3])
+def test_a_thousand_ticks_of_active_sets(seed):
+    assert judged(seed, 1000) > 100
+
+
+@parametrize("count", [60])
+def test_plain_python_and_batches_are_equal_to_the_bit(count, tmp_path):
+    words = "import sys, numpy as np; from active_set_cases import torques; "
+    words += f"np.save(sys.argv[1], torques(4, {count}))"
+    file = tmp_path / "tau.npy"
+    python("-c", words, file, NUMBA_DISABLE_JIT="1")
+    expected = torques(4, count)
+    assert_array_equal(np.load(file), expected)
+    scene, ticks = sequence(4, count)
+    batch = osc.BatchController([scene.controller()] * 2, threads=2)
+    for one, tau in zip(ticks, expected, strict=True):
+        m, r = (one.measured, one.reference)
+        given = (m.q, m.v, m.wrenches, r.X_WD.homogeneous)
+        more = {"V_D": r.V_D, "A_D": r.A_D, "alpha_d": r.alpha_d, "active": r.active}
+        found = batch.tick(
+            *(np.stack([x, x]) for x in given),
+            **{name: np.stack([x, x]) for name, x in more.items()},
+        )
+        assert_array_equal(found, [tau, tau])
+
+
+@mark.skipif(not HAS_LIBRARY, reason="no library of the law is used here")
+def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path):  # noqa: F811
+    scene, ticks = packaged(5, 80)
+    controller = scene.controller()
+    controller.save(tmp_path / "controller.osc")
+    tape = Tape(controller)
+    for one in ticks:
+        controller.tick(one.measured, one.reference)
+    (tmp_path / "recording.osc").write_bytes(tape.content())
+    printed = run(library / "replay", *files(tmp_path))
+    assert printed.startswith("80 of 80 ticks bit-equal") and " 0 HELD" in printed
+
+
+def packaged(seed, count):
+    """A sequence whose pairs a file can hold."""
+    while True:
+        scene, ticks = sequence(seed, count)
+        if not any("compiled" in contact.name for contact in scene.contacts):
+            return (scene, ticks)
+        seed += 100
+
+
+# --- what is active -------------------------------------------------------------------------------
+
+
+def vertices(count, life=None):
+    """Two Pandas whose object stands on a plane with so many vertices."""
+    chain = panda_pair()
+    q, _, X = posed(chain, default_rng(1))
+    at_once = osc.ForceGains(rise=0.0)
+    rng = default_rng(2)
+    spots = np.column_stack((rng.uniform(-0.2, 0.2, (count, 2)), np.full(count, -0.05)))
+    up = X.rotation @ np.array([0.0, 0.0, 1.0])
+    pairs = [osc.VertexOnFace(spot, X.act(spot), up) for spot in spots]
+    how = {"life": life, "posture": q, "safety": UNLIMITED}
+    controller = osc.Controller(chain, pairs, osc.Gains(force=at_once), **how)
+    measured = osc.Measurement(q, 0.0 * q, 10.0 * rng.standard_normal((2, 6)))
+    return (controller, measured, X)
+
+
+def test_active_with_no_desired_force_and_not_active_are_two_things():
+    controller, measured, X = vertices(3, osc.PhaseSettings())
+    none = np.zeros(3)
+    controller.tick(measured, osc.Reference(X, alpha_d=none, active=[1, 0, 1]))
+    assert controller.active.tolist() == [True, False, True]
+    for _ in range(2):
+        controller.tick(measured, osc.Reference(X, alpha_d=none, active=[1, 1, 0]))
+    assert controller.phases()[1:].tolist() == [APPROACHING, OPEN]
+    controller.tick(measured, osc.Reference(X, alpha_d=none))
+    assert controller.phases().tolist() == [OPEN] * 3
+    controller.tick(measured, osc.Reference(X, alpha_d=[5.0, 0.0, 5.0]))
+    assert controller.active.tolist() == [True, False, True]
+
+
+def test_pairs_that_hold_come_and_go_with_and_without_phases():
+    chain = panda_pair()
+    q, _, X = posed(chain, default_rng(1))
+    hole = osc.Prismatic([0, 0, 0], [0, 0, 1], assembled=X)
+    still = osc.Measurement(q, 0.0 * q, np.zeros((2, 6)))
+    for life in (None, osc.PhaseSettings()):
+        controller = osc.Controller(chain, [hole], life=life, reading="filter", safety=UNLIMITED)
+        seen = []
+        for active in (None, [0], [0], [1], None):
+            controller.tick(still, osc.Reference(X, alpha_d=np.zeros(5), active=active))
+            seen.append(int(controller.phases()[0]))
+            assert len(controller.force_integral) == 5 * (seen[-1] != OPEN)
+        assert seen == [CLOSED, OPEN, OPEN, CLOSED, CLOSED]
+
+
+def test_integrals_of_more_than_six_columns_stay_when_contacts_leave():
+    """The wrench of those that stay is the sum over their columns."""
+    controller, measured, X = vertices(9)
+    alpha_d = np.linspace(2.0, 10.0, 9)
+    stay = np.array([1, 1, 0, 1, 1, 1, 1, 1, 1])
+    for _ in range(30):
+        controller.tick(measured, osc.Reference(X, alpha_d=alpha_d, active=np.ones(9)))
+    own = controller._records
+    before = own.memory.columns.integral.copy()
+    assert largest(before) > 0.1 and np.count_nonzero(before) == 3
+    N = own.work.columns.N.copy()
+    controller.tick(measured, osc.Reference(X, alpha_d=alpha_d, active=stay))
+    r = int(own.work.rank)
+    gain = controller.gains.force.integral * controller.dt
+    step = gain * own.work.integral_scale * (own.work.alpha_d[:r] - own.work.alpha_meas[:r])
+    found = (own.memory.force_sum[:r] - step) @ own.work.columns.N[own.kept()]
+    assert_near(found, (before * stay) @ N, atol=1e-9)
+
+
+def test_learned_normals_stay_with_their_contacts():
+    """Also those of contacts that are not active for a while; without a named set they are lost."""
+    rig = rig_of("two_contact_rod")
+    plant, controller = start(rig)
+    one = rig.references.at(0.0)
+    controller.tick(plant.measure(), one)
+    turn = controller._records.memory.columns.turn
+    turn[:] = [[0.01, 0.02, 0.0], [0.02, 0.01, 0.0]]
+    known = turn.copy()
+    for active in ([1, 0], [0, 1], [1, 1]):
+        controller.tick(plant.measure(), replace(one, active=np.array(active, dtype=float)))
+        assert_near(turn, known, atol=1e-3)
+
+
+def test_what_is_no_active_set_is_held_with_its_reason():
+    controller, measured, X = vertices(3)
+    good = osc.Reference(X, alpha_d=np.ones(3), active=np.ones(3))
+    controller.tick(measured, good)
+    wrong = replace(good, active=np.ones(4))
+    held_tick(controller, "reference active: expected shape (3), got (4,)", measured, wrong)
+    wrong = replace(good, active=np.array([1.0, np.nan, 0.0]))
+    held_tick(controller, "reference active", measured, wrong)
+    with raises(osc.InvalidInputError, match="reference active"):
+        osc.Reference(X, active="edge")
+
+
+def test_torques_go_gently_after_the_set_has_changed():
+    controller, measured, X = vertices(3)
+    desired = np.full(3, 8.0)
+    last = None
+    steps = []
+    for k in range(40):
+        active = [1.0, 1.0, k % 20 < 10]
+        tau = controller.tick(measured, osc.Reference(X, alpha_d=desired, active=active))
+        if last is not None:
+            steps.append(largest((tau - last) / controller.chain.tau_max))
+        last = tau
+    assert 0.005 < max(steps[9:]) < 0.01
+
+
+def test_every_contact_may_be_known():
+    scene, ticks = sequence(6, 1)
+    assert len(scene.contacts) == KNOWN and len(ticks) == 1
