@@ -211,14 +211,8 @@ class Arm:
         Raises:
             ModelError: unreadable or impossible URDF, unknown frame or joint, no moving joint.
         """
-        if isinstance(urdf, pin.Model):
-            pairs = zip(urdf.mimicking_joints, urdf.mimicked_joints, strict=True)
-            model = urdf
-            follows = {urdf.names[a]: urdf.names[b] for a, b in pairs}
-        else:
-            model, follows = robots.load_robot(urdf, tip)
+        whole, follows = _whole_robot(urdf, tip)
         held = {} if locked is None else locked
-        whole = model
         _require_joints(whole, (*passive_joints, *held))
         model = _path_to(whole, robots.frame_id(whole, tip), held)
         _require_uncoupled(model, follows)
@@ -276,6 +270,21 @@ class Arm:
         _require_uncoupled(arm.model, follows)
         _warn_of_followers(arm, follows)
         return arm
+
+
+def _whole_robot(urdf: str | Path | pin.Model, tip: str) -> tuple[pin.Model, Mapping[str, str]]:
+    """Model of all joints of a robot, and its dependent joints with their masters.
+
+    Args:
+        urdf, tip: see `Arm.from_urdf`.
+
+    Raises:
+        ModelError: the file cannot be used.
+    """
+    if not isinstance(urdf, pin.Model):
+        return robots.load_robot(urdf, tip)
+    pairs = zip(urdf.mimicking_joints, urdf.mimicked_joints, strict=True)
+    return (urdf, {urdf.names[a]: urdf.names[b] for a, b in pairs})
 
 
 def stretched_length(arm: Arm) -> float:

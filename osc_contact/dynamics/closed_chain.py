@@ -131,11 +131,8 @@ class ClosedChain:
         self.payload = _payload_of(payload)
         rigid = [i for i, grasp in enumerate(self.grasps) if grasp.is_rigid]
         self.leader = rigid[0] if rigid else None
-        if self.payload is None and len(rigid) < len(self.grasps):
-            raise ModelError(
-                "an object without mass cannot be held by grasps that permit motions: nothing "
-                "resists these. Give a payload, or put the joint into the URDF, with a link"
-            )
+        if self.payload is None:
+            _require_rigid(self.grasps)
         self.reference = RigidObject(_REFERENCE) if self.payload is None else self.payload
         self.rank_tolerance = rank_tolerance
         self.angle_tolerance = angle_tolerance
@@ -153,12 +150,7 @@ class ClosedChain:
             for arm in self.arms
         )
         self.tips = [robots.frame_id(self.model, f"{arm.name}/{arm.tip}") for arm in self.arms]
-        self.sensors = [
-            robots.frame_id(self.model, f"{arm.name}/{arm.wrist_sensor}")
-            if arm.wrist_sensor
-            else None
-            for arm in self.arms
-        ]
+        self.sensors = [_sensor_frame(self.model, arm) for arm in self.arms]
         self.outboard = [
             [] if sensor is None else outboard_links(self.model, sensor, tip)
             for sensor, tip in zip(self.sensors, self.tips, strict=True)
@@ -361,6 +353,26 @@ def _grasps_of(grasps: SE3 | Grasp | Sequence[SE3 | Grasp] | None, arms: int) ->
     if len(several) != arms:
         raise ModelError(f"{arms} arms but {len(several)} grasps; give X_TO for each")
     return tuple(grasp if isinstance(grasp, Grasp) else Grasp.rigid(grasp) for grasp in several)
+
+
+def _require_rigid(grasps: Sequence[Grasp]) -> None:
+    """Refuse grasps that permit motions of an object without mass.
+
+    Raises:
+        ModelError: a grasp is not rigid.
+    """
+    if not all(grasp.is_rigid for grasp in grasps):
+        raise ModelError(
+            "an object without mass cannot be held by grasps that permit motions: nothing "
+            "resists these. Give a payload, or put the joint into the URDF, with a link"
+        )
+
+
+def _sensor_frame(model: pin.Model, arm: Arm) -> int | None:
+    """Number of the frame of an arm's wrist sensor in the merged model; None without a sensor."""
+    if not arm.wrist_sensor:
+        return None
+    return robots.frame_id(model, f"{arm.name}/{arm.wrist_sensor}")
 
 
 def _payload_of(payload: RigidObject | pin.Inertia | None) -> RigidObject | None:
@@ -614,9 +626,6 @@ def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> Chai
     reference = at.MODEL.view(chain.law_row(led=False)).reference
     X_WO = pin.SE3(work.X_WO)
     V_O = work.V_O.copy()
-    payload = _NOTHING
-    if chain.payload is not None:
-        payload = chain.payload.terms(X_WO, V_O, chain.model.gravity.linear)
     return ChainState(
         X_WO=X_WO,
         V_O=V_O,
@@ -636,7 +645,7 @@ def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> Chai
             _arm_terms(own, grasp, work.joints[s], rest.joints.h[s], M[s, s], motion, wrench)
             for own, grasp, s in zip(work.arms, chain.grasps, chain.slices, strict=True)
         ),
-        payload=payload,
+        payload=_payload_terms(chain, X_WO, V_O),
         metric=wrench @ wrench.T,
         grasp_points=np.array([tip.translation for tip in chain.tip_poses(data)]),
         sensors=chain.sensor_poses(data),
@@ -650,6 +659,13 @@ def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> Chai
             _singular_directions(chain, work.arms, reference, motion, wrench)
         ),
     )
+
+
+def _payload_terms(chain: ClosedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
+    """Terms of the held object at its pose and twist (6,); zero without an object."""
+    if chain.payload is None:
+        return _NOTHING
+    return chain.payload.terms(X_WO, V_O, chain.model.gravity.linear)
 
 
 def _filters(

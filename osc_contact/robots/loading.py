@@ -126,8 +126,8 @@ def load_model(
         package_dirs: folders of the meshes, besides the URDF's own.
 
     Raises:
-        ModelError: what is wrong, each with file, line, element, reason and cure; the list is in
-            `ModelError.findings`.
+        ModelError: errors of the file, each with file, line, element, reason and cure; the list is
+            in `ModelError.findings`.
         InvalidInputError: limits for joints that do not exist.
     """
     found = load(path, limits=limits, inertias=inertias, package_dirs=package_dirs)

@@ -114,12 +114,7 @@ def tune(
     keys = SweepStudy.of(scenario, tuned, 1, "halton", seed, overrides)
     require_long_enough(keys)
     base = replace(keys, vary=tuple(over), samples=samples)
-    shipped = make_rows(base, range(samples))
-    if any(row["failed"] for row in shipped):
-        raise InvalidInputError(
-            f"the task fails with the values of the scenario: {shipped[0]['why'] or 'see sweep'}; "
-            "tuning begins where it does not"
-        )
+    shipped = _shipped_rows(base)
     judge = _Judge(objective, shipped, limits)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
@@ -134,17 +129,22 @@ def tune(
             count = search.run(crew, left)
             if progress is not None:
                 progress(trials - left + count, trials)
-    completed = search.completed()
-    best = min(completed, key=lambda trial: (sum(trial.constraints.values()), trial.value))
-    after = best.user_attrs["numbers"]
-    return Tuned(
-        shipped=judge.value(shipped),
-        best=best.values[0],
-        broken=tuple(words for words, excess in best.constraints.items() if excess),
-        values=best.user_attrs["values"],
-        trials=len(completed),
-        numbers={name: (before, after[name]) for name, before in judge.worst(shipped).items()},
-    )
+    return search.result(shipped)
+
+
+def _shipped_rows(base: SweepStudy) -> list[Row]:
+    """Rows of all samples with the scenario's own values.
+
+    Raises:
+        InvalidInputError: a task fails.
+    """
+    rows = make_rows(base, range(base.samples))
+    if any(row["failed"] for row in rows):
+        raise InvalidInputError(
+            f"the task fails with the values of the scenario: {rows[0]['why'] or 'see sweep'}; "
+            "tuning begins where it does not"
+        )
+    return rows
 
 
 @dataclass(frozen=True)
@@ -188,6 +188,21 @@ class _Search:
             self.study.tell(trial, self.judge.value(rows))
         return count
 
+    def result(self, shipped: Sequence[Row]) -> Tuned:
+        """Best of all completed trials, compared with the rows of the shipped values."""
+        completed = self.completed()
+        best = min(completed, key=lambda trial: (sum(trial.constraints.values()), trial.value))
+        after = best.user_attrs["numbers"]
+        before = self.judge.worst(shipped)
+        return Tuned(
+            shipped=self.judge.value(shipped),
+            best=best.values[0],
+            broken=tuple(words for words, excess in best.constraints.items() if excess),
+            values=best.user_attrs["values"],
+            trials=len(completed),
+            numbers={name: (value, after[name]) for name, value in before.items()},
+        )
+
     def _draw(self) -> tuple[optuna.Trial, SweepStudy]:
         """New trial, and the study of its samples with its values."""
         trial = self.study.ask()
@@ -202,9 +217,20 @@ class _Search:
 
 
 def _stated(scenario: str | Path, overrides: Sequence[str]) -> tuple[str, ...]:
-    """Entries of `GAINS` that a scenario states and that are not 0."""
-    probe = SweepStudy.of(scenario, ["seed=integers(0, 1)"], 1, overrides=overrides)
-    return tuple(gain for gain in GAINS if probe.template.value(gain.partition("=")[0], overrides))
+    """Entries path=distribution of `GAINS` whose keys a scenario states with a value other than 0.
+
+    Args:
+        scenario: packaged name or file.
+        overrides: texts path=value.
+    """
+    some_variation = ["seed=integers(0, 1)"]  # a study needs one, only its template is used
+    template = SweepStudy.of(scenario, some_variation, 1, overrides=overrides).template
+    stated = []
+    for gain in GAINS:
+        path, _, _ = gain.partition("=")
+        if template.value(path, overrides):
+            stated.append(gain)
+    return tuple(stated)
 
 
 def _storage(out: str | Path | None) -> optuna.storages.JournalStorage | None:

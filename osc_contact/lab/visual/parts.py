@@ -279,6 +279,11 @@ class Moving(Part):
         return bases
 
     def _channel(self, samples: Samples, key: str) -> Array:
+        """Channel at F ticks, by its name.
+
+        Raises:
+            InvalidInputError: the channel was not recorded.
+        """
         if key not in samples:
             raise InvalidInputError(
                 f"{self.what.name!r} moves with the channel {key!r}: it is not recorded"

@@ -334,11 +334,15 @@ def _scale_errors(ax: Axes, error: Array, linear: float) -> None:
 
 
 def _peak(values: Array) -> float:
+    """Largest absolute value, without NaN; 0 of no values."""
     return float(np.nanmax(np.abs(values), initial=0.0))
 
 
 def _rms(values: Array) -> float:
-    return float(np.sqrt(np.nanmean(np.square(values)))) if np.isfinite(values).any() else 0.0
+    """Root mean square, without NaN; 0 of no finite values."""
+    if not np.isfinite(values).any():
+        return 0.0
+    return float(np.sqrt(np.nanmean(np.square(values))))
 
 
 def _limits(values: Array) -> tuple[float, float]:

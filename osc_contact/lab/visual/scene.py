@@ -57,6 +57,7 @@ class Scene:
         self.lines = [line for panel in self.panels for line in panel["lines"]]
 
     def _with_normals(self, samples: Samples) -> Samples:
+        """Channels with the further entry "normals" (`Normals`), if there are contacts."""
         if not self.owners:
             return samples
         return {**samples, "normals": contact_normals(samples, self.owners)}

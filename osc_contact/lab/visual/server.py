@@ -112,8 +112,9 @@ class LivePage:
         """Report to the run's process how many browsers there are."""
         self._report({"browsers": len(self.browsers)})
 
-    def _report(self, news: dict[str, Any]) -> None:
-        with contextlib.suppress(OSError):  # the run has ended, or does not read: it need not know
+    def _report(self, news: dict[str, int | str]) -> None:
+        """Send a message to the run's process, which may have ended or may not read."""
+        with contextlib.suppress(OSError):
             self.link.send(json.dumps(news).encode())
 
 

@@ -243,8 +243,17 @@ def _groups(root: ET.Element) -> Iterator[tuple[list[float], int]]:
 
 
 def _colour(root: ET.Element, material: str) -> list[float]:
-    """Diffuse colour of a material."""
+    """Diffuse colour r, g, b (0 … 1) of a material; light grey without one.
+
+    Args:
+        root: root of a COLLADA file.
+        material: identifier of the material.
+    """
     effect = root.find(f".//c:material[@id='{material}']/c:instance_effect", SPACE)
-    url = "" if effect is None else effect.get("url", "")[1:]
-    diffuse = root.findtext(f".//c:effect[@id='{url}']//c:diffuse/c:color", None, SPACE)
-    return [float(word) for word in diffuse.split()[:3]] if diffuse else [0.8, 0.8, 0.8]
+    if effect is None:
+        return [0.8, 0.8, 0.8]
+    name = effect.get("url", "").removeprefix("#")
+    diffuse = root.findtext(f".//c:effect[@id='{name}']//c:diffuse/c:color", None, SPACE)
+    if not diffuse:
+        return [0.8, 0.8, 0.8]
+    return [float(word) for word in diffuse.split()[:3]]
