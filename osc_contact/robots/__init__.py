@@ -1,11 +1,12 @@
 """Robots: the files of their models, and the checks before a model is used.
 
-A URDF passes, in this order: strict XML with line numbers, words, numbers and tree
+A URDF passes, in this order: strict XML with line numbers (`elements`), words, numbers and tree
 (`urdf`), shapes and mesh addresses, limits, inertias (`checks`), Pinocchio and its mass matrix
 (`model`). docs/robots.md: refusals and reasons.
 """
 
 from osc_contact.robots.checks import Inertias, JointLimits
+from osc_contact.robots.elements import ModelFinding
 from osc_contact.robots.loading import (
     ROBOT_DATA,
     Loaded,
@@ -21,7 +22,6 @@ from osc_contact.robots.loading import (
 from osc_contact.robots.mjcf import compile_mjcf, couplings, is_mjcf, load_mjcf
 from osc_contact.robots.model import check_mass_matrix, ends_of, frame_id, random_configurations
 from osc_contact.robots.summary import RobotReport, RobotSummary, check_robot, summarise
-from osc_contact.robots.urdf import ModelFinding
 
 __all__ = [
     "ROBOT_DATA",

@@ -16,8 +16,9 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, did_you_mean
+from osc_contact.robots.elements import Element, ModelFinding
 from osc_contact.robots.model import joint_names
-from osc_contact.robots.urdf import LIMITS, Document, Element, Joint, ModelFinding
+from osc_contact.robots.urdf import LIMITS, Document, Joint
 from osc_contact.spatial import Array
 
 # Limits -------------------------------------------------------------------------------------------

@@ -23,17 +23,10 @@ from osc_contact.robots.checks import (
     matching_limits,
     require_level,
 )
+from osc_contact.robots.elements import read_bytes, refuse, refuse_file
 from osc_contact.robots.mjcf import compile_mjcf, couplings, is_mjcf, load_mjcf
 from osc_contact.robots.model import build_model, check_mass_matrix, joint_names
-from osc_contact.robots.urdf import (
-    Document,
-    check_mimics,
-    check_tree,
-    read_bytes,
-    read_document,
-    refuse,
-    refuse_file,
-)
+from osc_contact.robots.urdf import Document, check_mimics, check_tree, read_document
 
 
 class Loaded(NamedTuple):

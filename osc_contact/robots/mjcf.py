@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from osc_contact.errors import ModelError, did_you_mean, missing
 from osc_contact.robots.checks import JointLimits, matching_limits
+from osc_contact.robots.elements import MAX_BYTES, read_bytes
 from osc_contact.robots.model import check_mass_matrix, joint_names
-from osc_contact.robots.urdf import MAX_BYTES, read_bytes
 from osc_contact.spatial import Array
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.errors import ModelError, did_you_mean
-from osc_contact.robots.urdf import LIMITS, Document, refuse, refuse_file
+from osc_contact.robots.elements import refuse, refuse_file
+from osc_contact.robots.urdf import LIMITS, Document
 from osc_contact.spatial import Array, norm
 
 SAMPLES = 20  #: random configurations at which a mass matrix is checked

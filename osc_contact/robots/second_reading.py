@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike
 
 from osc_contact.errors import ModelError, missing
 from osc_contact.robots.checks import Inertias, JointLimits, matching_limits
+from osc_contact.robots.elements import Element
 from osc_contact.robots.loading import load
 from osc_contact.robots.model import frame_id, joint_names, position_limits, random_configurations
-from osc_contact.robots.urdf import LIMITS, Document, Element
+from osc_contact.robots.urdf import LIMITS, Document
 from osc_contact.spatial import Array, norm
 
 if TYPE_CHECKING:

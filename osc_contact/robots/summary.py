@@ -11,6 +11,7 @@ from pydantic_core import to_jsonable_python
 
 from osc_contact.errors import ModelError
 from osc_contact.robots.checks import Inertias, JointLimits, check_mesh_files
+from osc_contact.robots.elements import ModelFinding
 from osc_contact.robots.loading import load
 from osc_contact.robots.mjcf import is_mjcf, load_mjcf
 from osc_contact.robots.model import (
@@ -23,7 +24,6 @@ from osc_contact.robots.model import (
     rotors,
     sliding,
 )
-from osc_contact.robots.urdf import ModelFinding
 from osc_contact.spatial import Array, columns_of
 
 POSTURES = 200  #: random postures over which a tip is described

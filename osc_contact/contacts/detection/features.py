@@ -17,8 +17,8 @@ from osc_contact.contacts.pairs.pair import triad
 from osc_contact.contacts.surface import triangles_of
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots import load_geometry
+from osc_contact.robots.elements import read_bytes
 from osc_contact.robots.model import joint_names
-from osc_contact.robots.urdf import read_bytes
 from osc_contact.spatial import Array, cross, norm
 
 # --- Solids of a collision geometry ---------------------------------------------------------------
