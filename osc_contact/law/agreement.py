@@ -15,7 +15,7 @@ from osc_contact.law.joint_friction import SPEED, V, observe_arm
 from osc_contact.law.phases import APPROACHING, collect
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import OTHER, contact_of
-from osc_contact.law.vectors import clamped, dot3, dot6, fill, minus3, origin, scaled, transformed
+from osc_contact.law.vectors import clamped, dot3, dot6, minus3, origin, scaled, transformed
 
 UNBALANCED = declare_reason(
     "UNBALANCED",
@@ -54,10 +54,9 @@ def compare_speeds(t):
     """
     memory = t.memory
     work = t.work
-    V = work.y
     dt = t.model.period * (1 + memory.gap)
     k = dt / (_LAG + dt)
-    fill(V, scaled(1.0 / dt, pose_error(work.X_WO, memory.X_WO)))
+    V = scaled(1.0 / dt, pose_error(work.X_WO, memory.X_WO))
     for a in range(work.rank):
         j = work.kept[a]
         row = memory.columns[j]

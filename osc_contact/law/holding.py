@@ -9,12 +9,13 @@ from __future__ import annotations
 from math import isfinite, sqrt
 
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, turn_axes
-from osc_contact.law.jit import inner, leaf
+from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.phases import slew
 from osc_contact.law.reading import read_wrist
 from osc_contact.law.records import BRAKED, SAFE_STOP, SETTLED
 from osc_contact.law.vectors import (
     ZERO,
+    ZERO_3,
     add,
     add3,
     angular,
@@ -24,6 +25,7 @@ from osc_contact.law.vectors import (
     dot6,
     fill,
     fill3,
+    join,
     minus3,
     origin,
     plus3,
@@ -63,13 +65,20 @@ def hold_posture(t):
     speed = memory.v
     if memory.settled != SETTLED:
         _move_holds(t)
+    world = local(3)  # the world's origin
+    twist = local(6)
+    drift = local(6)
+    outboard = local(6)
+    R = local(3, 3)
+    centre = local(3)
+    weight = local(6)
+    fill3(world, ZERO_3)
     for k in range(model.n_arms):
         place_arm(t, model.arms[k], q)
-        fill(work.u, ZERO)  # the world's origin
-        fill(work.z, ZERO)
-        move_arm(t, model.arms[k], speed, work.u, work.w, work.y, work.z)
-        _weigh(t, k)
-    there = _carry_weight(t)
+        fill(outboard, ZERO)
+        move_arm(t, model.arms[k], speed, world, twist, drift, outboard)
+        _weigh(t, k, world, outboard)
+    there = _carry_weight(t, R, centre, weight)
     holding = _count_holding(t)
     omega = model.hold_rate
     fastest = min(BRAKE_RATE, model.torque_rate)
@@ -82,7 +91,7 @@ def hold_posture(t):
     for k in range(model.n_arms):
         holds = there and (holding == model.n_arms or memory.arms[k].let_go == 0)
         part = 1.0 / holding if holds else 0.0
-        share = _split_torques(t, model.arms[k], part)
+        share = _split_torques(t, model.arms[k], part, R, centre, weight)
         rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
         for j in range(model.arms[k].first, model.arms[k].end):
             memory.joints[j].acceleration = share * joints[j].acceleration
@@ -134,15 +143,15 @@ def _count_holding(t):
 
 
 @leaf
-def _weigh(t, k):
+def _weigh(t, k, world, outboard):
     """Low-pass what the wrist of a stopped arm k bears.
 
     Less than `_LIGHT` of its share of the object shows that it has let go, until the next stop: an
     arm that shakes, or a wrist with an error, may seem to bear something afterwards.
 
     Args:
-        k: arm, after `move_arm` at the world's origin: `work.z` is what the bodies outboard of its
-            wrist need.
+        k: arm, after `move_arm`. world: (3,) the world's origin, to which wrenches are carried.
+        outboard: (6,) wrench there that the bodies outboard of its wrist need.
     """
     model = t.model
     arm = model.arms[k]
@@ -150,12 +159,12 @@ def _weigh(t, k):
     if arm.sensor_joint < 0 or t.memory.state != SAFE_STOP:
         return
     joint = t.work.joints[arm.sensor_joint]
-    wrench = read_wrist(t.memory.wrenches[k], joint, arm.sensor, t.work.u)
+    wrench = read_wrist(t.memory.wrenches[k], joint, arm.sensor, world)
     share = model.period / (_SHAKES + model.period) if own.weighed else 1.0
     if own.weighed == 0:
         own.let_go = 0
     own.weighed = 1
-    load = add3(own.load, share, minus3(minus3(wrench, t.work.z), own.load))
+    load = add3(own.load, share, minus3(minus3(wrench, outboard), own.load))
     fill3(own.load, load)
     weight = model.principal[0] * sqrt(dot3(model.gravity, model.gravity)) / model.n_arms
     if sqrt(dot3(load, load)) < _LIGHT * weight:
@@ -163,24 +172,25 @@ def _weigh(t, k):
 
 
 @inner
-def _split_torques(t, arm, part):
-    """`tau`: what carries a resting arm and its share of the object; `rest`: what accelerates both
-    by q̈; how much of this the motors bear.
+def _split_torques(t, arm, part, R, centre, weight):
+    """Torques of one arm and its share of the object; returns the share of the brakes that is left.
+
+    Fills of its joints `tau`, which carries both at rest, and `rest`, which accelerates both by q̈.
 
     Where they do not bear it all, `rest` is scaled as a whole, or cut off joint by joint if this
     takes more power, −restᵀq̇, from the joints: a motor that hardly carries its part of the weight
     then leaves the brakes of the others alone. q̈ is along −q̇ there: q_hold follows q.
 
     Args:
-        arm: ARM. part: the arm's share of the object.
+        arm: ARM. part: the arm's share of the object. R, centre, weight: from `_carry_weight`.
     """
     table = t.model.joints
     joints = t.work.joints
     lo = arm.first
     share = 1.0
-    pull = _accelerate_object(t, arm, part)
+    pull = _accelerate_object(t, arm, part, R, centre)
     for j in range(lo, arm.end):
-        s = joints[j].h + part * dot6(joints[j].column, t.work.y)
+        s = joints[j].h + part * dot6(joints[j].column, weight)
         brake = dot6(joints[j].column, pull)
         for i in range(lo, arm.end):
             brake += joints[j].M[i - lo] * joints[i].acceleration
@@ -192,12 +202,14 @@ def _split_torques(t, arm, part):
             share = min(share, max(room, 0.0) / abs(brake))
     share = max(share, _LEAST)
     gain = 0.0
-    for j in range(lo, arm.end if share < 1.0 else lo):
-        if table[j].motor >= 0:
-            change = _clip_brake(joints[j], table[j].tau_max) - share * joints[j].rest
-            gain += change * joints[j].acceleration
-    for j in range(lo, arm.end if gain > 0.0 else lo):
-        joints[j].rest = _clip_brake(joints[j], table[j].tau_max) / share
+    if share < 1.0:
+        for j in range(lo, arm.end):
+            if table[j].motor >= 0:
+                change = _clip_brake(joints[j], table[j].tau_max) - share * joints[j].rest
+                gain += change * joints[j].acceleration
+    if gain > 0.0:
+        for j in range(lo, arm.end):
+            joints[j].rest = _clip_brake(joints[j], table[j].tau_max) / share
     return share
 
 
@@ -210,46 +222,47 @@ def _clip_brake(joint, most):
 
 
 @inner
-def _accelerate_object(t, arm, part):
+def _accelerate_object(t, arm, part, R, centre):
     """Wrench at the world's origin that lets an arm's share of the object follow q̈, as a tuple.
 
     Args:
-        arm: ARM. part: its share of the object.
+        arm: ARM. part: its share of the object. R, centre: from `_carry_weight`.
     """
     work = t.work
-    c = work.u
-    R = work.A
     a = ZERO
     for j in range(arm.first, arm.end):
         a = add(a, work.joints[j].acceleration, work.joints[j].column)
     if part == 0.0:
         return ZERO
-    x, y, z = rotated_back(R, angular(a))
+    (x, y, z) = rotated_back(R, angular(a))
     I = t.model.principal
     couple = scaled3(part, rotated(R, (I[1] * x, I[2] * y, I[3] * z)))
-    force = scaled3(part * I[0], velocity_at(a, c))
-    return force + plus3(couple, cross(c, force))
+    force = scaled3(part * I[0], velocity_at(a, centre))
+    return join(force, plus3(couple, cross(centre, force)))
 
 
 @inner
-def _carry_weight(t):
-    """y (6,) = wrench at the world's origin that carries the object; whether there is one.
+def _carry_weight(t, R, centre, weight):
+    """Wrench at the world's origin that carries the object; returns whether there is an object.
 
-    Its principal axes go to the columns of `work.A`, its centre to `work.u`.
+    Reads R and p of the joints, or `X_WO` of MEMORY where no arm holds the object rigidly.
+
+    Args:
+        R: (3, 3), filled with its principal axes. centre: (3,), filled with its centre (m).
+        weight: (6,), filled with the wrench; zero if there is none.
     """
     model = t.model
     memory = t.memory
-    work = t.work
     own = model.X_LP
-    fill(work.y, ZERO)
-    fill(work.u, ZERO)
+    fill(weight, ZERO)
     if model.held == 0 or (model.leader < 0 and memory.located == 0):
         return False
     if model.leader >= 0:
-        place_frame(work.joints[model.arms[model.leader].tip_joint], own, work.A, work.u)
+        tip = t.work.joints[model.arms[model.leader].tip_joint]
+        place_frame(tip, own, R, centre)
     else:
-        fill3(work.u, transformed(origin(memory.X_WO), memory.X_WO, own[9:]))
-        turn_axes(memory.X_WO, own, work.A)
+        fill3(centre, transformed(origin(memory.X_WO), memory.X_WO, own[9:]))
+        turn_axes(memory.X_WO, own, R)
     force = scaled3(-model.principal[0], model.gravity)
-    fill(work.y, force + cross(work.u, force))
+    fill(weight, join(force, cross(centre, force)))
     return True

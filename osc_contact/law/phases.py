@@ -23,7 +23,7 @@ from __future__ import annotations
 from math import inf
 
 from osc_contact.law.algebra import lu_solve
-from osc_contact.law.jit import inner, leaf
+from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.records import body_of, contact_of
 from osc_contact.law.vectors import fill
 
@@ -61,14 +61,15 @@ def low_pass(t, independent):
     columns = t.memory.columns
     r = work.rank if independent else 0
     dt = work.dt
-    b = work.E
+    D = local(6, 6)
+    b = local(1, 6)
     k = dt / (t.model.lag + dt)
     for a in range(r):
         j = work.chosen[a]
         row = columns[j]
         b[0, a] = k * (work.speeds[j] - row.filtered_speed) / dt if row.known else 0.0
-        fill(work.D[a], work.mobility[a])
-    solved = lu_solve(work.D, r, b, 1)
+        fill(D[a], work.mobility[a])
+    solved = lu_solve(D, r, b, 1)
     for j in range(t.model.n_columns):
         row = columns[j]
         if row.known == 0:
@@ -78,8 +79,9 @@ def low_pass(t, independent):
         row.filtered_speed += k * (row.speed - row.filtered_speed)
         row.known = 1 if work.here[j] else 0
         row.net = row.force if work.here[j] else 0.0
-    for a in range(r if solved else 0):
-        columns[work.chosen[a]].net -= b[0, a]
+    if solved:
+        for a in range(r):
+            columns[work.chosen[a]].net -= b[0, a]
     for j in range(t.model.n_columns):
         row = columns[j]
         pulls = max(row.force - row.net - row.alpha, 0.0) if work.here[j] else 0.0

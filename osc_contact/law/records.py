@@ -533,10 +533,6 @@ _WORK = _record(
         "a_u",
         "acceleration_t",  # commanded to the object: S η̇_c + σ
         "f_S",
-        "u",
-        "w",
-        "y",
-        "z",
     ),
     matrix=(
         "Lambda",
@@ -557,9 +553,6 @@ _WORK = _record(
         "mobility",
         "B_inv_t",
         "yields",  # NᵀΦ_e, at O
-        "A",
-        "D",
-        "E",
     ),
 )
 ARM_WORK = _record(
