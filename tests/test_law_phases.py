@@ -128,6 +128,17 @@ def test_a_story_approach_contact_loss_and_contact_again():
     assert steady(phases, [9.0, 5.0, 0.0, 0.0], 1, commanded=0.0) == [OPEN, OPEN, CLOSED]
 
 
+@parametrize("touch, phase", [(2.0, APPROACHING), (3.9, CLOSED)])
+def test_what_friction_of_closed_contacts_explains_makes_no_contact(touch, phase):
+    phases = Phases([0, 1], [True, True], phase=[CLOSED, APPROACHING])
+    for _ in range(60):
+        phases.begin(np.array([6.0, 2.0]))
+        phases.work.columns.touch = (0.0, touch)
+        phases.work.columns.explained = (0.0, 3.0)
+        phases.end([6.0, touch], np.zeros(2))
+    assert phases.contacts.phase.tolist() == [CLOSED, phase]
+
+
 def test_torques_go_gently_around_a_change_but_for_fast_joints():
     def rate(since, share=0.0, phased=1):
         t = records(contacts=2, torque_rate=200.0, phase_rate=20.0, phased=phased)

@@ -77,6 +77,10 @@ def low_pass(t, independent):
             row.filtered_speed = row.speed
         row.force += k * (row.alpha - row.force)
         row.filtered_speed += k * (row.speed - row.filtered_speed)
+        touch = work.columns[j].touch if work.here[j] else 0.0
+        explained = work.columns[j].explained if work.here[j] else 0.0
+        row.touch = row.touch + k * (touch - row.touch) if row.known else touch
+        row.explained = row.explained + k * (explained - row.explained) if row.known else explained
         row.known = 1 if work.here[j] else 0
         row.net = row.force if work.here[j] else 0.0
     if solved:
@@ -172,6 +176,8 @@ def advance_phases(t):
                 flies = row.speed > _SLOWED * model.approach_speed and row.high_for < _SOFT
                 dwell = inf if flies else model.dwell
                 force = min(row.net, _FELT * row.force) - row.noise
+                if row.explained > 0.0:  # others are closed: more than their friction
+                    force = min(force, row.touch - row.explained)
             monitor(model, row, force, row.speed, dt, dwell, more)
             if before == OPEN:
                 row.closed = 0

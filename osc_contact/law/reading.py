@@ -346,7 +346,7 @@ def weigh_magnitudes(t):
     """Least squares α = (HᵀR⁻¹H)⁻¹HᵀR⁻¹f, H = N_μ and what touched bodies yield to it.
 
     f is the reading less bias and less Λ_out a. Reads `reading_e`, `pushed`, `Phi_mu`, the columns
-    in force and what `_desired_inertia_force` and `_likely_errors` read. Fills `alpha_meas`,
+    in force and what `desired_inertia_force` and `_likely_errors` read. Fills `alpha_meas`,
     `reading_rest` (R⁻¹(f − Hα)), `weightless` and, with contact phases, `mobility`.
 
     Returns:
@@ -362,7 +362,7 @@ def weigh_magnitudes(t):
     alpha = local(1, 6)
     yields = local(6)
     rest = local(6)
-    fill(rest, minus(work.reading_e, _desired_inertia_force(t)))
+    fill(rest, minus(work.reading_e, desired_inertia_force(t)))
     largest = _likely_errors(t, R)
     for a in range(r):
         h = six(work.pushed[a])
@@ -447,7 +447,7 @@ def learn_friction(t):
         w = _likely_force(work, chosen)
         along = dot3(s, s)
         share = (_ALONG**2 - _ACROSS**2) * along + _ACROSS**2
-        found += w * w * w * share * dot6(_push_on(t, linear(s), chosen), work.reading_rest)
+        found += w * w * w * share * dot6(push_on(t, linear(s), chosen), work.reading_rest)
         pressed = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
         slid += w * pressed * along
         whole += w * w
@@ -532,7 +532,7 @@ def _find_tangential(t, column, chosen, past):
     work = t.work
     shown = local(3)
     for k in range(3):
-        shown[k] = dot6(_push_on(t, _across(column.N, k), chosen), work.reading_rest)
+        shown[k] = dot6(push_on(t, across(column.N, k), chosen), work.reading_rest)
     w = _likely_force(work, chosen)
     along = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, shown)
     k = work.dt / (_LAG + work.dt)
@@ -548,7 +548,7 @@ def outboard_times(work, x):
 
 
 @inner
-def _desired_inertia_force(t):
+def desired_inertia_force(t):
     """Λ_out a, six numbers; a: the desired acceleration, as far as the contacts permit it.
 
     Reads `A_D`, `V_O`, `n_gamma`, `b_N`, `N_factor`, `N_basis`, `out_T`.
@@ -592,22 +592,22 @@ def _likely_errors(t, R):
         w = _likely_force(work, chosen)
         largest = max(largest, w)
         for k in range(3):
-            across = scaled3(w * _ACROSS, _across(column.N, k))
-            add_square(1.0, _push_on(t, across, chosen), R)
+            sideways = scaled3(w * _ACROSS, across(column.N, k))
+            add_square(1.0, push_on(t, sideways, chosen), R)
         along = scaled3(w * sqrt(_ALONG**2 - _ACROSS**2), column.slip)
-        add_square(1.0, _push_on(t, along, chosen), R)
+        add_square(1.0, push_on(t, along, chosen), R)
     return largest
 
 
 @inner
-def _across(N, k):
+def across(N, k):
     """Column k of 1 − nnᵀ, n the direction of a column of N, as a tuple."""
     n = divided3(N, sqrt(dot3(N, N)))
     return add3(axis3(k), -n[k], n)
 
 
 @inner
-def _push_on(t, force, chosen):
+def push_on(t, force, chosen):
     """Reading (six numbers, energy coordinates) that a force at one contact causes.
 
     That is the force and, where its body moves, what the reading gains as this body yields.

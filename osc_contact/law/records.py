@@ -149,6 +149,7 @@ _MODEL = _record(
         "window",
         "dwell",
         "leaving",
+        "friction_bound",
         # see `ceilings`: N, N, m/s; s; times the largest command so far
         "contact_ceiling",
         "wrist_ceiling",
@@ -366,6 +367,8 @@ COLUMN_MEMORY = _record(
         "time_since_loss",  # see `phases`: N to be read, m and s since it was lost
         "noise",  # N
         "integral",  # N, of the force law
+        "touch",
+        "explained",  # N, low-passed, of an approached column: see `witness`
         "unexplained",  # m/s, low-passed speed that the estimate of the normal does not explain
         "residual",  # (m/s)², its mean square
         "normal_std",  # rad, of that estimate where it is least certain; 0: none
@@ -606,6 +609,8 @@ COLUMN_WORK = _record(
         "drift",
         "unexplained",
         "lever",
+        "touch",
+        "explained",  # N, see `witness`
     ),
     to_come=3,
     point=3,

@@ -105,6 +105,7 @@ from osc_contact.law.vectors import (
     turned_back,
     wrench_to_world,
 )
+from osc_contact.law.witness import witness_contacts
 
 BAD_INPUT = declare_reason("BAD_INPUT", 1, "")
 DEGENERATE_PAIR = declare_reason(
@@ -284,6 +285,8 @@ def measure(t):
         accumulate(work.f_c, work.alpha_meas[a], N)
     if model.phased:
         compare_speeds(t)
+        if model.reading == LEAST_SQUARES:
+            witness_contacts(t)
     spread_magnitudes(t)
     return require_reachable(t)
 

@@ -287,6 +287,9 @@ class PhaseSettings(MonitorLimits):
     """the force must stay high for so long before contact counts as made (sensor noise)"""
     leaving: VelocityLimit = 0.03
     """an object that leaves its face faster has no contact, whatever the force"""
+    friction_bound: NotNegative[float] = 0.5
+    """an approached contact is made by what friction of the closed ones cannot explain, their
+    coefficient at most that"""
 
     @property
     def push(self) -> float:

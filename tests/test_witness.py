@@ -1,0 +1,71 @@
+"""Contact made beside others: not by what friction of the closed contacts explains."""
+
+import numpy as np
+import pinocchio as pin
+from numpy.random import default_rng
+from rigs import UNLIMITED, panda_pair, posed, shift, vector
+from samples import parametrize
+
+import osc_contact as osc
+from osc_contact.law.phases import APPROACHING, CLOSED
+
+PRESSED = 6.0  # N, of the closed contact
+BOUND = osc.PhaseSettings().friction_bound
+
+
+def touched(line, tangential, second):
+    """Force read beyond the closed contact, and how much of it friction explains (N).
+
+    Args:
+        line: (3,) where the second line of force, along x, passes, from the first contact (m).
+        tangential: force along x at the first contact (N). second: of the second contact (N).
+    """
+    chain = panda_pair()
+    q, _, X = posed(chain, default_rng(1))
+    R = X.rotation
+    first = vector(0.0, 0.0, -0.05)
+    up, along = (R @ vector(0.0, 0.0, 1.0), R @ vector(1.0, 0.0, 0.0))
+    other = first + line
+    pairs = [
+        osc.VertexOnFace(first, X.act(first), up),
+        osc.VertexOnFace(other, X.act(other), -along),
+    ]
+    how = {"life": osc.PhaseSettings(), "posture": q, "safety": UNLIMITED}
+    controller = osc.Controller(chain, pairs, reading="least_squares", joint_friction=False, **how)
+    memory = controller._records.memory
+    memory.contacts.phase[:] = (CLOSED, APPROACHING)
+    memory.columns.closed[:] = (1, 0)
+    state = chain.state(q)
+    pushes = ((first, -PRESSED * up + tangential * along), (other, second * along))
+    wrench = np.zeros(6)  # that the object exerts on the faces
+    for point, force in pushes:
+        arm = R @ point
+        wrench += np.append(force, np.cross(arm, force))
+    read = state.sensors[0].inverse() * shift(X.translation)
+    still = controller.tick(
+        osc.Measurement(q, 0.0 * q, np.zeros((2, 6))), osc.Reference(X, alpha_d=[6.0, 2.0])
+    )
+    assert np.isfinite(still).all()
+    bias = controller.result().bias_out
+    wrenches = np.array([read.act(pin.Force(wrench + bias)).vector, np.zeros(6)])
+    controller.tick(osc.Measurement(q, 0.0 * q, wrenches), osc.Reference(X, alpha_d=[6.0, 2.0]))
+    found = controller._records.work.columns[1]
+    return (float(found.touch), float(found.explained))
+
+
+@parametrize("share", [-1.0, 0.3, 1.0])
+def test_friction_is_no_contact_where_lines_of_action_do_not_meet(share):
+    """It is not seen at all; a contact of 1 N is."""
+    apart = vector(0.05, 0.06, 0.04)
+    touch, explained = touched(apart, share * BOUND * PRESSED, 0.0)
+    assert abs(touch) < 0.2 and explained < 0.3
+    touch, explained = touched(apart, share * BOUND * PRESSED, 1.0)
+    assert touch - explained > 0.6
+
+
+def test_lines_that_meet_are_told_apart_by_the_bound_only():
+    meeting = vector(0.05, 0.0, 0.0)
+    touch, explained = touched(meeting, 0.9 * BOUND * PRESSED, 0.0)
+    assert touch > 1.0 and touch - explained < 0.6
+    touch, explained = touched(meeting, 0.0, BOUND * PRESSED + 1.0)
+    assert touch - explained > 0.6
