@@ -71,12 +71,18 @@ def write_library(folder: Path) -> None:
     Args:
         folder: is made.
     """
+    write_sources(folder)
+    write_whole(object_file(), folder / "law.o")
+
+
+def write_sources(folder: Path) -> None:
+    """Write the C sources around the law, daqp's, and what builds them.
+
+    Args:
+        folder: is made.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    contents: dict[str, str | bytes] = {
-        "osc_layout.h": _layout(),
-        "osc_ranges.h": _ranges(),
-        "law.o": object_file(),
-    }
+    contents: dict[str, str | bytes] = {"osc_layout.h": _layout(), "osc_ranges.h": _ranges()}
     for item in (files("osc_contact.control") / "c_files").iterdir():
         if item.name.endswith(".tar.xz"):
             with item.open("rb") as stream, tarfile.open(fileobj=stream) as archive:

@@ -2,7 +2,9 @@
 
 By the calling convention of `units` a C program declares them as
 
-    int32_t name(int64_t *result, void **unused, uintptr_t or int64_t …)
+    int32_t name(int64_t *result, void **unused, uint64_t or int64_t …)
+
+the first for addresses, also where a pointer has 32 bits.
 
 Sizes of arrays are those of MODEL; nobody checks them here.
 """

@@ -6,6 +6,10 @@ its symbol, and LLVM links, optimises and emits all parts of an entry at once, f
 the platform. Translated parts are kept (`store`) under the hash of all they are made of
 (`ingredients`), so that an edit of the law translates again only what it changed.
 
+A part is kept twice: simplified, for 64-bit platforms, and as numba wrote it, for WebAssembly. LLVM
+simplifies with the size of this machine's pointers; where pointers have 32 bits the object made of
+that is wrong without an error, so `link` refuses it.
+
 This, with `nested_tables`, is all that rests on undocumented numba (`compile_extra` and its flags,
 passes, function descriptors, the calling convention, libraries and their modules). Where it is
 missing, `jit` compiles with public numba instead, to the same results.
@@ -18,20 +22,22 @@ import os
 import pickle
 import platform
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
+from zlib import compress, decompress
 
 import llvmlite
 import numba
 import numpy as np
 from llvmlite import binding as llvm
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils, typed_passes, untyped_passes
-from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary
+from numba.core.codegen import CPUCodeLibrary, JITCodeLibrary, JITCPUCodegen
 from numba.core.compiler import CompilerBase, Flags, compile_extra
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import PassManager
@@ -47,14 +53,23 @@ from osc_contact.law.store import Store
 
 for _class, _names in (
     (Flags, ("no_compile", "no_cpython_wrapper", "no_cfunc_wrapper", "error_model", "nrt")),
-    (CPUCodeLibrary, ("_get_module_for_linking", "_optimize_functions")),
+    (CPUCodeLibrary, ("_get_module_for_linking", "_optimize_functions", "add_llvm_module")),
+    (JITCPUCodegen, ("_library_class",)),
 ):
     for _name in _names:
         getattr(_class, _name)  # another numba may have others: an AttributeError, see `jit`
 
 #: Processors that code is made for, by the platform: what every processor of it has.
-BASELINE = {"x86_64": "x86-64", "AMD64": "x86-64", "aarch64": "generic", "arm64": "generic"}
-#: Translated parts that stay in the user's cache, some 10 kB each.
+BASELINE = {
+    "x86_64": "x86-64",
+    "AMD64": "x86-64",
+    "aarch64": "generic",
+    "arm64": "generic",
+    "wasm32": "generic",
+}
+#: Platforms whose pointers are not those of the machines that numba compiles for.
+PLAIN = ("wasm32",)
+#: Translated parts that stay in the user's cache, some 20 kB each.
 KEPT = 4_000
 #: Modules that translate parts and hold none: an edit of these files makes all parts anew.
 _MACHINERY = (
@@ -87,13 +102,24 @@ class Part(NamedTuple):
 
     Attributes:
         symbol: name of its function. returned: type of the result. code: bitcode of the function
-            and of helpers of numba that it calls. calls: other parts that it calls.
+            and of helpers of numba that it calls, simplified. calls: other parts that it calls.
+        plain: the same bitcode as numba wrote it, compressed; empty where this process had compiled
+            one of the helpers before.
     """
 
     symbol: str
     returned: Any
     code: bytes
     calls: tuple[Call, ...]
+    plain: bytes
+
+    def module(self, plain: bool) -> Any:
+        """Its code.
+
+        Args:
+            plain: as numba wrote it, not simplified.
+        """
+        return llvm.parse_bitcode(decompress(self.plain) if plain else self.code)
 
 
 class Unit:
@@ -123,7 +149,8 @@ class Unit:
             kept = part is not None
             if part is None:
                 part = self._translate(kinds, symbol)
-                _store().keep(key, pickle.dumps(tuple(part)))
+                if part.plain:
+                    _store().keep(key, pickle.dumps(tuple(part)))
             self.known[kinds] = _parts[symbol] = part
             for watch in watchers:
                 watch(sum(bool(unit.known) for unit in _units.values()) / len(_units), kept)
@@ -141,17 +168,18 @@ class Unit:
         flags.nrt = False  # the law makes no arrays, so nothing needs to be counted
         flags.forceinline = self.inlined
         context = cpu_target.target_context
-        made = compile_extra(
-            cpu_target.typing_context,
-            context,
-            self.py_func,
-            kinds,
-            None,
-            flags,
-            {},
-            library=_Library(context.codegen(), symbol),
-            pipeline_class=_Pipeline,
-        )
+        with _helpers_kept_plain(context.codegen()):
+            made = compile_extra(
+                cpu_target.typing_context,
+                context,
+                self.py_func,
+                kinds,
+                None,
+                flags,
+                {},
+                library=_Library(context.codegen(), symbol),
+                pipeline_class=_Pipeline,
+            )
         module = llvm.parse_assembly("")
         module.link_in(made.library._final_module, preserve=True)
         for used in dict.fromkeys(made.library._linking_libraries):
@@ -159,7 +187,8 @@ class Unit:
         module.get_function(made.fndesc.llvm_func_name).name = symbol
         module = _simplified(module, symbol)
         calls = [_call_of(_parts[one.name]) for one in module.functions if one.name in _parts]
-        return Part(symbol, made.signature.return_type, module.as_bitcode(), tuple(calls))
+        plain = _plain(made.library, made.fndesc.llvm_func_name, symbol)
+        return Part(symbol, made.signature.return_type, module.as_bitcode(), tuple(calls), plain)
 
 
 def all_units() -> list[Unit]:
@@ -207,11 +236,70 @@ class _Pipeline(CompilerBase):
         return [passes]
 
 
-class _Library(JITCodeLibrary):
+class _Helper(JITCodeLibrary):
+    """Modules of a helper of numba, optimised as numba does it.
+
+    Attributes:
+        plain: bitcode of each as numba wrote it.
+    """
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.plain: list[bytes] = []
+
+    def add_llvm_module(self, module: Any) -> None:
+        """Keep the bitcode of a module before it is optimised.
+
+        Args:
+            module: of LLVM.
+        """
+        self.plain.append(module.as_bitcode())
+        super().add_llvm_module(module)
+
+
+class _Library(_Helper):
     """Modules of one part, which are optimised later, with those of the helpers that they call."""
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
+
+
+@contextmanager
+def _helpers_kept_plain(codegen: Any) -> Iterator[None]:
+    """Within it helpers that numba compiles are kept as it wrote them, too.
+
+    Args:
+        codegen: numba's maker of libraries.
+    """
+    usual = codegen._library_class
+    codegen._library_class = _Helper
+    try:
+        yield
+    finally:
+        codegen._library_class = usual
+
+
+def _plain(library: Any, name: str, symbol: str) -> bytes:
+    """Bitcode of a part and its helpers as numba wrote them; empty: one was compiled before.
+
+    Args:
+        library: of the part. name: of its function there. symbol: its name from now on.
+    """
+    libraries = [library]
+    for one in libraries:  # it grows meanwhile
+        if not isinstance(one, _Helper):
+            return b""
+        libraries += [used for used in one._linking_libraries if used not in libraries]
+    linked = llvm.parse_assembly("")
+    for code in [code for one in libraries for code in one.plain]:
+        module = llvm.parse_bitcode(code)
+        module.data_layout = ""
+        for one in _defined(module):
+            if one.linkage == llvm.Linkage.external and one.name != name:
+                one.linkage = "linkonce_odr"
+        linked.link_in(module)
+    linked.get_function(name).name = symbol
+    return compress(_with_own_helpers(linked, symbol).as_bitcode())
 
 
 def _call_of(part: Part) -> Call:
@@ -297,7 +385,7 @@ def _find(key: str, symbol: str) -> Part | None:
     if content is None:
         return None
     try:
-        _, returned, code, calls = pickle.loads(content)
+        _, returned, code, calls, plain = pickle.loads(content)
     except KeyError:  # a record that it takes or hands on has another layout now
         return None
     for call in calls:
@@ -307,7 +395,7 @@ def _find(key: str, symbol: str) -> Part | None:
                 return None
         except NumbaError:  # it no longer takes such arguments
             return None
-    return Part(symbol, returned, code, calls)
+    return Part(symbol, returned, code, calls, plain)
 
 
 # --- Machine code ---------------------------------------------------------------------------------
@@ -359,6 +447,15 @@ def _simplified(linked: Any, symbol: str) -> Any:
     """
     builder = _pass_builder(_own_target())
     builder.getFunctionPassManager().run(linked.get_function(symbol), builder)
+    return _with_own_helpers(linked, symbol)
+
+
+def _with_own_helpers(linked: Any, symbol: str) -> Any:
+    """A part with the helpers that it calls and no others, under names of its own.
+
+    Args:
+        linked: see `_simplified`. symbol: name of the part's function.
+    """
     for one in _defined(linked):
         if one.name != symbol:
             one.linkage = "linkonce_odr"  # then only those that are used come into a module
@@ -389,15 +486,27 @@ def _needed(roots: dict[str, Part]) -> list[Part]:
     return [found[symbol] for symbol in sorted(found)]
 
 
-def link(roots: dict[str, Part]) -> Any:
+def link(roots: dict[str, Part], target: Any, plain: bool) -> Any:
     """A module of some parts and all that they call, which offers nothing else.
 
     Args:
-        roots: parts by the symbols that the module shall offer.
+        roots: parts by the symbols that the module shall offer. target: see `target_of`.
+        plain: whether it is made of parts as numba wrote them.
+
+    Raises:
+        OscContactError: a part was simplified for pointers of another size than the target's.
     """
     module = llvm.parse_assembly("")
+    own = _pointer_bytes(str(target.target_data))
     for part in _needed(roots):
-        module.link_in(llvm.parse_bitcode(part.code))
+        code = part.module(plain)
+        if code.data_layout and _pointer_bytes(code.data_layout) != own:
+            raise OscContactError(
+                f"{part.symbol} was simplified for pointers of "
+                f"{_pointer_bytes(code.data_layout)} bytes, and those of {target.triple} have "
+                f"{own}: the object would be wrong without an error; link plain parts"
+            )
+        module.link_in(code)
     for one in _defined(module):
         one.linkage = "internal"
     for name, part in roots.items():
@@ -405,6 +514,11 @@ def link(roots: dict[str, Part]) -> Any:
         function.linkage = "external"
         function.name = name
     return module
+
+
+def _pointer_bytes(layout: str) -> int:
+    """Size of a pointer in a data layout of LLVM."""
+    return int(ir.IntType(8).as_pointer().get_abi_size(llvm.create_target_data(layout)))
 
 
 @global_compiler_lock
@@ -419,16 +533,22 @@ def emit(
         roots: see `link`. target: see `target_of`.
         report: is called after each stage with the share of the time that is usually over then.
     """
+    plain = target.triple.partition("-")[0] in PLAIN
     made_of = sha256(f"{_machinery()} {target.triple} {target.target_data}".encode())
     for part in _needed(roots):
-        made_of.update(sha256(part.code).digest())
+        if plain and not part.plain:
+            raise OscContactError(
+                f"{part.symbol} was translated after numba had compiled other functions, so it is "
+                f"not there as {target.triple} needs it: translate it in a process of its own"
+            )
+        made_of.update(sha256(part.plain if plain else part.code).digest())
     for name, part in roots.items():
         made_of.update(f"{name} {part.symbol}".encode())
     key = f"object-{made_of.hexdigest()}"
     kept = _store().find(key)
     if kept is not None:
         return kept
-    module = link(roots)
+    module = link(roots, target, plain)
     module.triple = target.triple
     module.data_layout = str(target.target_data)
     module.verify()

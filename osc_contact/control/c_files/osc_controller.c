@@ -14,11 +14,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-extern int32_t osc_law_rows(int64_t *, void **, uintptr_t, int64_t, uintptr_t, uintptr_t);
-extern int32_t osc_law_fill(int64_t *, void **, uintptr_t, int64_t, int64_t, uintptr_t);
-extern int32_t osc_law_prepare(int64_t *, void **, uintptr_t, int64_t);
-extern int32_t osc_law_finish(int64_t *, void **, uintptr_t, int64_t);
-extern int32_t osc_law_settle(int64_t *, void **, uintptr_t, int64_t, int64_t, uintptr_t);
+/* The law takes addresses as whole numbers of 64 bits, WebAssembly with its pointers of 32 included. */
+extern int32_t osc_law_rows(int64_t *, void **, uint64_t, int64_t, uint64_t, uint64_t);
+extern int32_t osc_law_fill(int64_t *, void **, uint64_t, int64_t, int64_t, uint64_t);
+extern int32_t osc_law_prepare(int64_t *, void **, uint64_t, int64_t);
+extern int32_t osc_law_finish(int64_t *, void **, uint64_t, int64_t);
+extern int32_t osc_law_settle(int64_t *, void **, uint64_t, int64_t, int64_t, uint64_t);
+
+static uint64_t address(const void *at) { return (uint64_t)(uintptr_t)at; }
 
 struct osc_controller {
     osc_dimensions dimensions;
@@ -271,14 +274,15 @@ static void run(osc_controller *c, const osc_measurement *m, const osc_reference
     void *unused;
     const osc_dimensions *n = &c->dimensions;
     const double *alpha = r->alpha_d.count ? r->alpha_d.data : c->missing;
-    const double *given[] = {m->q.data, m->v.data, w, r->X_WD.data, r->V_D.data, r->A_D.data, alpha,
-                             m->touched.data, r->active.data};
+    const uint64_t given[] = {address(m->q.data),    address(m->v.data),   address(w),
+                              address(r->X_WD.data), address(r->V_D.data), address(r->A_D.data),
+                              address(alpha),        address(m->touched.data), address(r->active.data)};
     const int64_t sizes[] = {(int64_t)n->joints, (int64_t)n->joints, (int64_t)n->arms, 4, 6, 6,
                              (int64_t)n->forces, switches & MOVING ? (int64_t)n->contacts : 0,
                              (int64_t)r->active.count};
     set_whole(c->raw, JOB_switches, switches);
     set_whole(c->raw, JOB_begin, begin);
-    osc_law_rows(&done, &unused, (uintptr_t)c->raw, 0, (uintptr_t)given, (uintptr_t)sizes);
+    osc_law_rows(&done, &unused, address(c->raw), 0, address(given), address(sizes));
     set_whole(c->raw, JOB_switches, 0);
     set_whole(c->raw, JOB_begin, LOOK);
 }
@@ -287,7 +291,7 @@ static void run(osc_controller *c, const osc_measurement *m, const osc_reference
 static int relieve(osc_controller *c) {
     int64_t k, ready;
     void *unused;
-    uintptr_t raw = (uintptr_t)c->raw, program = (uintptr_t)c->program;
+    uint64_t raw = address(c->raw), program = address(c->program);
     unsigned char *p = c->program;
     int n = (int)c->dimensions.motors;
     osc_law_fill(&k, &unused, raw, 0, 0, program);

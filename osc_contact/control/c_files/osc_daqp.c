@@ -1,37 +1,55 @@
-/* daqp in memory that was taken before: its malloc takes from an arena that each call begins anew. */
+/* daqp in memory that was taken before: its malloc takes from an arena that each call begins anew.
+ *
+ * daqp looks at no result of malloc. Where the arena is full, which osc_create makes large enough for
+ * every problem of the law, it is given memory of the heap, so that it comes to its end; the call then
+ * returns an error. */
 #include "osc_daqp.h"
-#include <setjmp.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
+enum { ARENA_FULL = -100 }; /* beside daqp's own exit flags */
+
+struct block { /* of the heap; what was asked for stands behind it */
+    struct block *next;
+    size_t unused; /* so that what stands behind it begins at a multiple of 16 bytes */
+};
+
 static _Thread_local struct {
     unsigned char *next, *end;
-    jmp_buf full;
+    struct block *blocks; /* taken since the arena was full */
 } arena;
 
 static void *take(size_t bytes) {
     unsigned char *at = arena.next;
     bytes = (bytes + 15) / 16 * 16;
-    if (bytes > (size_t)(arena.end - at)) longjmp(arena.full, 1);
-    arena.next += bytes;
-    return at;
+    if (bytes <= (size_t)(arena.end - at)) {
+        arena.next += bytes;
+        return at;
+    }
+    struct block *block = malloc(16 + bytes);
+    if (block == NULL) abort();
+    block->next = arena.blocks;
+    arena.blocks = block;
+    return (unsigned char *)block + 16;
+}
+
+/* Whether the arena was full; the heap gets its memory back. */
+static int was_full(void) {
+    int full = arena.blocks != NULL;
+    while (arena.blocks != NULL) {
+        struct block *block = arena.blocks;
+        arena.blocks = block->next;
+        free(block);
+    }
+    return full;
 }
 
 static void *take_zeros(size_t count, size_t bytes) { return memset(take(count * bytes), 0, count * bytes); }
 
-static void *take_more(void *old, size_t bytes) {
-    void *at = take(bytes);
-    if (old != NULL) {
-        size_t behind = (size_t)((unsigned char *)at - (unsigned char *)old);
-        memcpy(at, old, bytes < behind ? bytes : behind);
-    }
-    return at;
-}
-
 #define malloc take
 #define calloc take_zeros
-#define realloc take_more
+#define realloc daqp_does_not_call_this
 #define free(x) ((void)(x))
 #include "daqp/src/api.c"
 #include "daqp/src/auxiliary.c"
@@ -53,7 +71,6 @@ int osc_solve(int n, int k, double *H, double *f, double *A, double *upper, doub
     unsigned char *first = (unsigned char *)(((uintptr_t)memory + 15) / 16 * 16);
     arena.next = first;
     arena.end = (unsigned char *)memory + bytes;
-    if (setjmp(arena.full)) return -100;
     memset(&result, 0, sizeof result);
     memset(&problem, 0, sizeof problem);
     problem.n = n;
@@ -70,5 +87,5 @@ int osc_solve(int n, int k, double *H, double *f, double *A, double *upper, doub
     result.x = z;
     result.lam = lam;
     daqp_quadprog(&result, &problem, &settings);
-    return result.exitflag;
+    return was_full() ? ARENA_FULL : result.exitflag;
 }
