@@ -1,4 +1,4 @@
-# Needs python3 (with venv) and make; everything else goes into .venv. Tests also need Chromium.
+# Needs python3 (with venv) and make; everything else goes into .venv. Tests also need Chromium, Node.js.
 SHELL := /bin/bash
 PYTHON ?= python3
 BIN := .venv/bin
@@ -40,7 +40,8 @@ demo:
 
 demo_venv = $(MAKE) --no-print-directory .venv/.demo
 
-# Pages are rendered and tested with Chromium. Root gets it by apt-get; for others the way is printed.
+# Pages are rendered and tested with Chromium, the law for web pages in Node.js; npm brings MuJoCo's
+# WebAssembly build. Root gets them by apt-get; for others the way is printed.
 find_chromium = $(PYTHON) -m osc_contact.lab.visual.browser
 chromium = $(find_chromium) || { \
 		test "$$(id -u)" = 0 && command -v apt-get > /dev/null && echo "installing chromium" && \
@@ -48,8 +49,15 @@ chromium = $(find_chromium) || { \
 			--no-install-recommends chromium fonts-liberation > /dev/null && \
 		$(find_chromium); }
 
+node = { command -v node && command -v npm; } > /dev/null || { \
+		test "$$(id -u)" = 0 && command -v apt-get > /dev/null && echo "installing node" && \
+		nice apt-get update -qq && DEBIAN_FRONTEND=noninteractive nice apt-get install -y -qq \
+			--no-install-recommends nodejs npm > /dev/null; } || { \
+		echo "the tests need Node.js and npm (Debian, Ubuntu: apt-get install nodejs npm)"; exit 1; }
+
 browser: venv
 	@$(chromium)
+	@$(node)
 
 # Side by side, each one's lines together; all are run, though one fails.
 CHECKS := check-code check-format check-types check-layers

@@ -10,6 +10,7 @@ import re
 import sys
 import sysconfig
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
@@ -20,15 +21,15 @@ OLDEST = (2, 17)  # glibc of manylinux2014
 
 
 class CustomBuildHook(BuildHookInterface):
-    """Adds the two files of `osc_contact.law.library` to a wheel."""
+    """Adds the two files of `osc_contact.law.library` and law.wasm to a wheel."""
 
     def dependencies(self):
         """What pip brings into the environment that a wheel is built in."""
         if os.environ.get("OSC_CONTACT_LAW") == "jit":
             return []
         core = self.metadata.core
-        arrays = [one for one in core.dependencies if one.startswith("numpy")]
-        return [*arrays, *core.optional_dependencies["law"]]
+        extras = core.optional_dependencies
+        return [*core.dependencies, *extras["law"], *extras["web"]]
 
     def initialize(self, version, build_data):
         """Take both files in; where they cannot be made the wheel is one without them."""
@@ -42,6 +43,8 @@ class CustomBuildHook(BuildHookInterface):
         except Exception as error:
             self.app.display_warning(f"wheel without the compiled law: {error}")
             return
+        else:
+            self._bring_web(build_data)
         finally:
             sys.path.remove(self.root)
         for name in (library.LIBRARY, library.OBJECT):
@@ -49,6 +52,20 @@ class CustomBuildHook(BuildHookInterface):
         build_data["pure_python"] = False
         build_data["tag"] = f"cp311-abi3-{platform_of(folder / library.LIBRARY)}"
         self.app.display_info("wheel with the compiled law")
+
+    def _bring_web(self, build_data):
+        """Take law.wasm in; where it cannot be made the wheel is one without it."""
+        try:
+            from osc_contact.control import web_assembly
+
+            content = web_assembly.law_wasm()
+        except Exception as error:
+            self.app.display_warning(f"wheel without the law for web pages: {error}")
+            return
+        self._folder = TemporaryDirectory()  # until the wheel is written
+        file = Path(self._folder.name) / web_assembly.MODULE
+        file.write_bytes(content)
+        build_data["force_include"][str(file)] = f"osc_contact/law/{file.name}"
 
 
 def platform_of(library):

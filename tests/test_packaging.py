@@ -15,6 +15,7 @@ from processes import python
 from samples import ROOT, module_fixture, parametrize
 
 from hatch_build import absolute
+from osc_contact.control import web_assembly
 from osc_contact.law import jit, library
 
 
@@ -105,7 +106,8 @@ def test_source_archive_builds_the_same_wheel(wheel, tmp_path, monkeypatch):
     assert f"tests/{Path(__file__).name}" in inside
     (tmp_path / "wheel").mkdir()
     with wheel_of(sdist, tmp_path / "wheel") as second:
-        law = {f"osc_contact/law/{name}" for name in (library.LIBRARY, library.OBJECT)}
+        names = (library.LIBRARY, library.OBJECT, web_assembly.MODULE)
+        law = {f"osc_contact/law/{name}" for name in names}
         assert (law <= set(wheel.namelist())) == jit.HAS_LIBRARY
         assert set(second.namelist()) == set(wheel.namelist()) - law
 

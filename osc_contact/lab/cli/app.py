@@ -45,6 +45,7 @@ from osc_contact.lab.cli.console import (
 )
 from osc_contact.lab.reports import report, viewing
 from osc_contact.lab.reports.viewing import shown_of
+from osc_contact.lab.reports.web_page import write_web_page
 from osc_contact.lab.rig.rig import build_rig
 from osc_contact.lab.runs.tape import build as build_library
 from osc_contact.lab.scenarios.loader import list_scenarios
@@ -260,6 +261,25 @@ def _require_writable(
         require("av")
     if gif or mp4:
         require("PIL")
+
+
+@app.command()
+def page(
+    scenario: ScenarioArgument,
+    folder: Annotated[Path, Option("--out", help="folder for the page and its files")],
+    without: Annotated[
+        str, Option(metavar="NAME,…", help="leave out what a page cannot have: tare, noise, …")
+    ] = "",
+    mujoco: Annotated[
+        Path | None, Option(help="archive of npm pack @mujoco/mujoco, where npm is not here")
+    ] = None,
+    set_: SetOption = None,
+) -> None:
+    """Write a web page that runs plant and law in the browser; any static server will do."""
+    names = [name for name in without.split(",") if name]
+    sizes = write_web_page(load_task(scenario, set_), folder, names, mujoco)
+    say(f"{len(sizes)} files, {sum(sizes.values()) / 1e6:.1f} MB, written to {folder}")
+    say(f"look at it: python -m http.server -d {folder} 8000, then http://localhost:8000")
 
 
 @app.command()

@@ -17,7 +17,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.files import write_whole
@@ -52,6 +52,23 @@ EMPTY: dict[str, Any] = {
 camera was placed for, a narrower window shows everything smaller."""
 
 
+class Around(NamedTuple):
+    """What a page has besides scene and plots, where it is moved by something of its own.
+
+    Attributes:
+        script: name of the asset in the place of live.js, which defines `live()`.
+        style: name of an asset, added to the page's. panel: HTML over the scene.
+        head: HTML that comes first, such as a script that begins at once.
+        policy: Content-Security-Policy of the page.
+    """
+
+    script: str
+    style: str
+    panel: str
+    head: str
+    policy: str
+
+
 class CommandSink:
     """Replacement of meshcat's ``ViewerWindow`` that keeps the lowered commands in order.
 
@@ -73,13 +90,16 @@ class CommandSink:
         return _meshcat().Visualizer(window=self)
 
 
-def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
+def page_text(
+    sink: CommandSink, title: str, config: dict[str, Any], around: Around | None = None
+) -> str:
     """The page that draws the sink's commands, with everything it needs inside.
 
     Args:
         sink: the drawing commands.
         title: heading of the page.
         config: what the page's scripts need (see `Scene.config`); JSON-able.
+        around: what moves a live page; default: the server of the live view.
 
     Raises:
         InvalidInputError: a colour is not of the form ``#RRGGBB``.
@@ -90,13 +110,16 @@ def page_text(sink: CommandSink, title: str, config: dict[str, Any]) -> str:
                 f"{entry['text']!r} has the colour {entry['colour']!r}: write it as #RRGGBB"
             )
     viewer = Path(_meshcat().viewer_assets_path()) / "dist" / "main.min.js"
-    scripts = ("plot.js", "flat.js", "player.js", *(("live.js",) if config["live"] else ()))
+    mover = "live.js" if around is None else around.script
+    scripts = ("plot.js", "flat.js", "player.js", *((mover,) if config["live"] else ()))
     messages = [*map(packed, sink.commands), sink.animation]
     commands = b"".join(len(one).to_bytes(4, "little") + one for one in messages if one)
     parts = {
-        "policy": POLICY + (" 'self'" if config["live"] else ""),
+        "policy": around.policy if around else POLICY + (" 'self'" if config["live"] else ""),
         "title": html.escape(title),
-        "style": asset("page.css"),
+        "style": asset("page.css") + (asset(around.style) if around else ""),
+        "head": around.head if around else "",
+        "panel": around.panel if around else "",
         "viewer": viewer.read_text(encoding="utf-8"),
         "config": json.dumps(config, allow_nan=False).replace("<", "\\u003c"),
         "scripts": "\n".join(asset(name).replace('"use strict";\n', "", 1) for name in scripts),

@@ -1,0 +1,442 @@
+"""A task as a web page: plant and law run in the browser, from files that any host can serve.
+
+The plant is MuJoCo's official WebAssembly build, the law `law.wasm`, the picture the scene of the
+live view. Nothing of law, signals or scene is written a second time: references are sampled here
+into a table that the page plays, and what Python computes step by step is refused.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.feet import feet
+from osc_contact.control.saving import controller_bytes
+from osc_contact.control.status import SafetyState, Status
+from osc_contact.control.web_assembly import MODULE, law_wasm
+from osc_contact.errors import InvalidInputError
+from osc_contact.files import write_whole
+from osc_contact.lab.checks.preflight import require_ready
+from osc_contact.lab.plants.mujoco import MujocoPlant
+from osc_contact.lab.reports.mujoco_web import mujoco_files
+from osc_contact.lab.reports.viewing import content_of
+from osc_contact.lab.rig.contacts import environment_bodies, rails
+from osc_contact.lab.rig.rig import Rig, build_rig
+from osc_contact.lab.runs.run import run
+from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.lab.visual.marks import (
+    HEAD_LENGTH,
+    METRES_PER_NEWTON,
+    METRES_PER_NEWTON_METRE,
+)
+from osc_contact.lab.visual.page import Around, CommandSink, asset, filled, page_text
+from osc_contact.lab.visual.parts import changes
+from osc_contact.lab.visual.scene import Scene, samples_at
+from osc_contact.spatial import Array, cross, norm
+
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'self' 'wasm-unsafe-eval' 'unsafe-eval'; "
+    "style-src 'unsafe-inline'; img-src data: blob:; worker-src 'self' blob:; "
+    "connect-src 'self' data: blob:"
+)
+BEGIN = """<script>
+window.early = [];
+window.task = new Worker("worker.mjs", { type: "module" });
+window.task.onmessage = (message) => window.early.push(message);
+window.task.postMessage({ kind: "open", files: null });
+</script>"""
+PUSH = 20.0  #: N, of the pointer at most
+SAMPLES = 100.0  #: 1/s, of the curves
+WINDOW = 10.0  #: s, of the curves
+TICKS = 60_000  #: of the table of references, at most
+_DIGITS = 2**27  #: a column of the table in units of its largest number over this
+_POWERS = ("power_total", "power_projected")
+
+
+class Hindrance(NamedTuple):
+    """What Python computes step by step, so that a page cannot have it.
+
+    Attributes:
+        name: for `without`. words: what it is. found: whether a scenario has it.
+        left_out: keys of the scenario that leave it out; None: that cannot be.
+    """
+
+    name: str
+    words: str
+    found: Callable[[Scenario], bool]
+    left_out: Callable[[Scenario], dict[str, Any]] | None
+
+
+def _plant_without(key: str, value: Any) -> Callable[[Scenario], dict[str, Any]]:
+    return lambda s: {"plant": {**dict(s.plant), key: value}}
+
+
+def _has_moving_bodies(scenario: Scenario) -> bool:
+    return any(rail.joints for rail in rails(environment_bodies(scenario)))
+
+
+HINDRANCES = (
+    Hindrance("tare", "a tare", lambda s: s.tare is not None, lambda s: {"tare": None}),
+    Hindrance(
+        "noise", "errors of sensors", lambda s: not s.sensors.ideal, lambda s: {"sensors": {}}
+    ),
+    Hindrance(
+        "motors",
+        "errors of motors",
+        lambda s: s.plant.motors is not None,
+        _plant_without("motors", None),
+    ),
+    Hindrance("pushes", "pushes", lambda s: bool(s.plant.pushes), _plant_without("pushes", ())),
+    Hindrance(
+        "springs",
+        "flexible joints",
+        lambda s: s.plant.flexible_joints is not None,
+        _plant_without("flexible_joints", None),
+    ),
+    Hindrance(
+        "torque loop", "a joint torque loop", lambda s: s.control.joint_torque is not None, None
+    ),
+    Hindrance("bodies", "bodies that move", _has_moving_bodies, None),
+    Hindrance("laws", "laws in Python", lambda s: s.laws is not None, None),
+    Hindrance("plant", "a plant other than MuJoCo's", lambda s: s.plant.type != "mujoco", None),
+)
+
+
+def playable(scenario: Scenario, without: Collection[str] = ()) -> Scenario:
+    """A scenario without what a page cannot have.
+
+    Args:
+        scenario: to play. without: names of what is to be left out, of `HINDRANCES`.
+
+    Raises:
+        InvalidInputError: a name that is none, or something else that a page cannot have.
+    """
+    optional = [one.name for one in HINDRANCES if one.left_out is not None]
+    if unknown := sorted(set(without) - set(optional)):
+        raise InvalidInputError(
+            f"--without {','.join(unknown)} names nothing that can be left out: give some of "
+            f"{', '.join(optional)}"
+        )
+    for one in HINDRANCES:
+        if one.found(scenario) and one.name in without and one.left_out is not None:
+            scenario = scenario.replaced(**one.left_out(scenario))
+    found = [one for one in HINDRANCES if one.found(scenario)]
+    if found:
+        cure = ",".join(one.name for one in found if one.left_out is not None)
+        raise InvalidInputError(
+            f"{scenario.name} has {', '.join(one.words for one in found)}, which Python computes "
+            "step by step and a page cannot"
+            + (f"; --without {cure} leaves that out" if cure else "")
+        )
+    return scenario
+
+
+def write_web_page(
+    scenario: Scenario, folder: Path, without: Collection[str] = (), mujoco: Path | None = None
+) -> dict[str, int]:
+    """Write the page index.html and all its files into a folder.
+
+    Args:
+        scenario: to play. folder: is made. without: see `playable`.
+        mujoco: the archive of MuJoCo's npm package; None: npm brings it, or brought it before.
+
+    Returns:
+        Bytes of each file.
+
+    Raises:
+        InvalidInputError: the scenario needs what a page cannot have.
+        OscContactError: there is no `law.wasm`, or no WebAssembly build of MuJoCo.
+    """
+    scenario = playable(scenario, without)
+    rig = build_rig(scenario)
+    require_ready(rig)
+    controller = rig.controller()
+    plant = rig.plant()
+    assert isinstance(plant, MujocoPlant)
+    drawn = _Drawn(rig, plant)
+    columns, table = folded(_references(rig))
+    task = _task(rig, plant, columns)
+    contents: dict[str, str | bytes] = {
+        "index.html": drawn.page(without),
+        "task.json": json.dumps(task | {"nodes": drawn.bodies}, allow_nan=False),
+        "worker.mjs": asset("web_worker.mjs"),
+        "controller.mjs": (
+            files("osc_contact.control") / "web_files" / "controller.mjs"
+        ).read_bytes(),
+        MODULE: law_wasm(),
+        "plant.xml": plant.spec.to_xml(),
+        "controller.osc": controller_bytes(controller),
+        "references.bin": table,
+        **mujoco_files(mujoco),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in contents.items():
+        write_whole(content, folder / name)
+    return {name: len(content) for name, content in contents.items()}
+
+
+# --- What the worker reads ------------------------------------------------------------------------
+
+
+def _references(rig: Rig) -> Array:
+    """(ticks, 28 + forces) the desired pose by rows, twist, its rate, and forces of each tick.
+
+    Raises:
+        InvalidInputError: the task is too long for a page.
+    """
+    period = 1.0 / rig.scenario.control.rate
+    ticks = round(rig.scenario.duration / period)
+    if ticks > TICKS:
+        raise InvalidInputError(
+            f"{rig.scenario.name} has {ticks} ticks, and a page holds references of {TICKS}: give "
+            "--set duration=… s, or a lower control.rate"
+        )
+    plan = rig.references.over(np.arange(ticks) * period)
+    poses = [pin.XYZQUATToSE3(X).homogeneous.ravel() for X in plan.X_WD]
+    return np.column_stack((np.array(poses), plan.V_D, plan.A_D, plan.alpha_d))
+
+
+def folded(table: Array) -> tuple[dict[str, Any], bytes]:
+    """A table as third differences of whole numbers, which compress well; what changes only.
+
+    Args:
+        table: (ticks, columns).
+
+    Returns:
+        The first row, and of each column that changes its number and its unit; then (changing
+        columns × ticks) whole numbers of 32 bits, column by column.
+    """
+    changing = [k for k in range(table.shape[1]) if np.ptp(table[:, k]) > 0.0]
+    columns, parts = [], []
+    for k in changing:
+        unit = float(np.abs(table[:, k]).max()) / _DIGITS
+        whole = np.rint(table[:, k] / unit).astype(np.int64)
+        for _ in range(3):
+            whole = np.diff(whole, prepend=0)
+        columns.append({"index": k, "unit": unit})
+        parts.append(whole.astype("<i4").tobytes())
+    about = {"ticks": len(table), "constant": table[0].tolist(), "columns": columns}
+    return about, b"".join(parts)
+
+
+def _task(rig: Rig, plant: MujocoPlant, references: dict[str, Any]) -> dict[str, Any]:
+    """What the worker needs beside the files; JSON-able."""
+    model = plant.model
+    names = rig.chain.joint_names
+    joints = [model.joint(name) for name in names]
+    sensed = {arm.name for arm in rig.chain.arms if arm.wrist_sensor is not None}
+    first = [
+        int(model.sensor(f"{arm.name}/force").adr[0]) if arm.name in sensed else -6
+        for arm in rig.chain.arms
+    ]
+    rate = rig.scenario.control.rate
+    chain = rig.model
+    bars = len(chain.arms) * (len(chain.arms) - 1) // 2
+    return {
+        "period": 1.0 / rate,
+        "steps": plant.steps_in(1.0 / rate),
+        "start": plant.data.qpos.tolist(),
+        "object": model.body(plant.object_body).name,
+        "places": {
+            "positions": [int(joint.qposadr[0]) for joint in joints],
+            "velocities": [int(joint.dofadr[0]) for joint in joints],
+            "sensors": [at + i for at in first for i in range(6)],
+        },
+        "squeeze": rig.scenario.squeeze if bars else 0.0,
+        "thinned": max(1, round(rate / SAMPLES)),
+        "references": references | {"start": rig.references.X_start.translation.tolist()},
+        "sizes": {
+            "q": chain.nq,
+            "wrenches": 6 * len(chain.arms),
+            "torques": len(chain.actuated),
+            "forces": len(rig.owners),
+        },
+        "forces": [{"name": force["name"], "wall": force["wall"]} for force in _forces(rig)],
+        "walls": _walls(rig, plant),
+    }
+
+
+def _forces(rig: Rig) -> list[dict[str, Any]]:
+    """Of each force its name, mean and largest command, and where MuJoCo alone gives its true
+    magnitude the number of its wall."""
+    owners, on = rig.owners.tolist(), rig.on
+    commands = rig.references.overview[1].alpha_d
+    couples = _couples(rig)
+    found = []
+    for column, (name, owner) in enumerate(zip(rig.force_names, owners, strict=True)):
+        wall = on[owner]
+        alone = owners.count(owner) == 1 and on.count(wall) == 1
+        largest = float(np.abs(commands[:, column]).max())
+        found.append(
+            {
+                "name": name.replace("_", " "),
+                "mean": float(commands[0, column]),
+                "most": float(np.ceil(max(3.0 * largest, 1.0 if couples[column] else 10.0))),
+                "step": 0.05 if couples[column] else 0.5,
+                "unitName": "N m" if couples[column] else "N",
+                "wall": wall if alone else -1,
+                "turnsWith": wall,
+            }
+        )
+    return found
+
+
+def _couples(rig: Rig) -> list[bool]:
+    """Whether each column of N is a couple."""
+    return [bool(norm(column[:3]) < 1e-9) for column in rig.contact.N.T]
+
+
+def _walls(rig: Rig, plant: MujocoPlant) -> list[dict[str, Any]]:
+    """Of each body of the environment its name, a point that is touched, and axes to move along."""
+    found = []
+    N = rig.contact.N
+    for i, body in enumerate(rig.bodies):
+        owner = body.contacts[0]
+        push = N[:3, rig.owners.tolist().index(owner)]
+        normal = -push / norm(push) if norm(push) > 0.0 else np.array([0.0, 0.0, 1.0])
+        axis = cross(normal, np.array([0.0, 0.0, 1.0]))
+        if norm(axis) < 0.1:
+            axis = np.array([1.0, 0.0, 0.0])
+        point = feet(rig.pairs[owner], rig.state.X_WO)[0][0]
+        found.append(
+            {
+                "name": body.name.replace("_", " "),
+                "body": plant.model.body(f"face{i}/root").name,
+                "point": np.asarray(point).tolist(),
+                "axis": (axis / norm(axis)).tolist(),
+                "normal": normal.tolist(),
+            }
+        )
+    return found
+
+
+# --- The page -------------------------------------------------------------------------------------
+
+
+class _Drawn:
+    """The scene at the start, and how each of its nodes moves with a body of MuJoCo.
+
+    Attributes:
+        bodies: of each node that moves, the name of its body.
+    """
+
+    def __init__(self, rig: Rig, plant: MujocoPlant) -> None:
+        self._rig = rig
+        self._plant = plant
+        first = samples_at(
+            run(rig.scenario, duration=2.0 / rig.scenario.control.rate).channels, slice(1)
+        )
+        self._forces = _forces(rig)
+        unknown = () if any(one["wall"] >= 0 for one in self._forces) else ("alpha_true",)
+        kept = {name: value for name, value in first.items() if name not in (*_POWERS, *unknown)}
+        self._scene = Scene(content_of(rig), kept)
+        self._sink = CommandSink()
+        top = self._sink.visualizer()
+        self._scene.draw(top)
+        self._frames = self._scene.states(kept)
+        changes(top, {}, self._frames)
+        for path in self._frames:
+            if path.startswith("twists/") and path.count("/") == 1:
+                top[path].set_property("visible", False)
+        self._cameras = self._scene.look(top, kept)
+        self._nodes = [self._node(path) for path in self._frames if self._body(path)]
+        self.bodies = [{"body": node["body"]} for node in self._nodes]
+
+    def _body(self, path: str) -> str:
+        """Name of the body of MuJoCo that a node moves with; "": of none."""
+        folder, *parts = path.split("/")
+        if folder == "bodies" and parts[-1] == "base":
+            names = [body.name for body in self._rig.bodies]
+            return "object/root" if parts[0] == "object" else f"face{names.index(parts[0])}/root"
+        if folder == "arms" and parts[-1] != "base":
+            model = self._plant.model
+            joint = f"{parts[0]}/{parts[1]}"
+            if joint in self._rig.chain.joint_names:
+                return str(model.body(int(model.joint(joint).bodyid[0])).name)
+        return ""
+
+    def _node(self, path: str) -> dict[str, Any]:
+        """A node with its place in its body."""
+        name = self._body(path)
+        body = self._plant.data.body(name)
+        X_WB = pin.SE3(body.xmat.reshape(3, 3).copy(), body.xpos.copy())
+        poses = self._frames[path].poses
+        assert poses is not None
+        X_WN = pin.XYZQUATToSE3(poses[0])
+        return {
+            "path": path,
+            "body": name,
+            "object": name == "object/root",
+            "offset": X_WB.actInv(X_WN).homogeneous.ravel().tolist(),
+        }
+
+    def _marks(self) -> list[dict[str, Any]]:
+        """Of each force where its arrows are in the object, and their rotation at the start."""
+        place = next(node for node in self._nodes if node["object"])
+        found = []
+        for force, about in zip(self._scene.forces, self._forces, strict=True):
+            poses = self._frames[force.path].poses
+            assert poses is not None
+            X_WN = pin.XYZQUATToSE3(poses[0])
+            base = self._frames[place["path"]].poses
+            assert base is not None
+            rotation = pin.SE3(X_WN.rotation, np.zeros(3)).homogeneous
+            found.append(
+                about
+                | {
+                    "path": force.path,
+                    "point": pin.XYZQUATToSE3(base[0]).actInv(X_WN).translation.tolist(),
+                    "rotation": rotation.ravel().tolist(),
+                    "arrows": [arrow.name for arrow in force.arrows],
+                    "unit": METRES_PER_NEWTON_METRE if force.couple else METRES_PER_NEWTON,
+                }
+            )
+        return found
+
+    def page(self, without: Collection[str]) -> str:
+        """Text of index.html."""
+        rig = self._rig
+        keys = {"alpha_cmd": "commanded", "alpha_true": "true", "alpha_meas": "measured"}
+        plan = rig.references.overview[1]
+        task = {
+            "nodes": self._nodes,
+            "forces": self._marks(),
+            "walls": _walls(rig, self._plant),
+            "lines": [
+                {"key": keys[line["key"]], "index": line["index"]} for line in self._scene.lines
+            ],
+            "moves": bool(np.ptp(plan.X_WD, axis=0).max() > 0.0),
+            "slides": bool(
+                np.ptp(plan.X_WD[:, :3], axis=0).max() > 0.0
+                and np.ptp(plan.X_WD[:, 3:], axis=0).max() == 0.0
+            ),
+            "head": HEAD_LENGTH,
+            "push": PUSH,
+            "states": {state.value: state.name for state in SafetyState},
+            "statuses": {status.value: status.name for status in Status},
+        }
+        config = self._scene.config(
+            live=True,
+            window=WINDOW,
+            curves={"t": [], "y": [[] for _ in self._scene.lines]},
+            cameras=self._cameras,
+            task=task,
+        )
+        words = "Plant and law run in this browser. The law does not know of what you do to a wall."
+        if without:
+            words += f" Left out of this task: {', '.join(sorted(without))}."
+        around = Around(
+            script="web.js",
+            style="web.css",
+            panel=filled("web.html", {"words": words}),
+            head=BEGIN,
+            policy=POLICY,
+        )
+        title = rig.scenario.name.replace("_", " ")
+        return page_text(self._sink, title, config, around)
