@@ -84,9 +84,9 @@ catch (error) { console.log(error.message); }
 @parametrize(
     "at, words",
     {
-        "whole": ("", "taken"),
-        "a number": ("5000", "the file is damaged: its checksum does not fit"),
-        "no file of ours": ("0", "the file is no controller"),
+        "": "taken",
+        "5000": "the file is damaged: its checksum does not fit",
+        "0": "the file is no controller",
     },
 )
 def test_a_damaged_file_is_refused_in_words(module, tmp_path, at, words):

@@ -110,6 +110,9 @@ int32_t EXPORT(osc_web_set_memory)(osc_web *w, const void *memory, size_t bytes)
     return osc_set_memory(w->controller, memory, bytes);
 }
 
+/* Hash of the sources of the law; by it Python finds out whether a module is of its own law. */
+const char *EXPORT(osc_web_law)(void) { return OSC_LAW; }
+
 const char *EXPORT(osc_web_error_text)(int32_t error) { return osc_error_text(error); }
 
 const char *EXPORT(osc_web_reason_text)(int32_t reason) { return osc_reason_text(reason); }

@@ -8,7 +8,7 @@ into a table that the page plays, and what Python computes step by step is refus
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -428,6 +428,8 @@ class _Drawn:
             cameras=self._cameras,
             task=task,
         )
+        for part, key in (("legend", "paths"), ("labels", "path")):
+            config[part] = [one for one in config[part] if not _is_of_recordings(one[key])]
         words = "Plant and law run in this browser. The law does not know of what you do to a wall."
         if without:
             words += f" Left out of this task: {', '.join(sorted(without))}."
@@ -440,3 +442,9 @@ class _Drawn:
         )
         title = rig.scenario.name.replace("_", " ")
         return page_text(self._sink, title, config, around)
+
+
+def _is_of_recordings(paths: str | Sequence[str]) -> bool:
+    """Whether nodes mark what a page does not compute: motions permitted, and trails."""
+    first = [paths] if isinstance(paths, str) else paths
+    return any(path.split("/")[0] in ("twists", "trails") for path in first)
