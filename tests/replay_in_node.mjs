@@ -3,7 +3,7 @@
 import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
-const MEMORY = 1, TOUCHED = 2, WRENCH_MISSING = 4, ESTIMATED = 8, SQUEEZE = 16, REPEATED = 5n;
+const MEMORY = 1, TOUCHED = 2, WRENCH_MISSING = 4, ESTIMATED = 8, SQUEEZE = 16, ACTIVE = 32, REPEATED = 6n;
 const [, , module, wrapper, ...folders] = process.argv;
 const { loadLaw, Controller } = await import(pathToFileURL(wrapper));
 const law = await loadLaw(readFileSync(module));
@@ -30,8 +30,9 @@ function replay(folder) {
     }
     if (flags & SQUEEZE) controller.squeeze_d.set(numbers(controller.sizes.squeeze_d));
     if (flags & TOUCHED) controller.touched.set(numbers(controller.sizes.touched));
+    if (flags & ACTIVE) controller.active.set(numbers(controller.sizes.active));
     controller.set({
-      squeezed: flags & SQUEEZE, touching: flags & TOUCHED, wrenchMissing: (flags & WRENCH_MISSING) !== 0,
+      squeezed: flags & SQUEEZE, switched: flags & ACTIVE, touching: flags & TOUCHED, wrenchMissing: (flags & WRENCH_MISSING) !== 0,
       estimated: (flags & ESTIMATED) !== 0, repeated: word >> REPEATED, wrenchAge: age,
     });
     const recorded = numbers(controller.sizes.torques);

@@ -276,7 +276,8 @@ static void run(osc_controller *c, const osc_measurement *m, const osc_reference
     const double *alpha = r->alpha_d.count ? r->alpha_d.data : c->missing;
     const uint64_t given[] = {address(m->q.data),    address(m->v.data),   address(w),
                               address(r->X_WD.data), address(r->V_D.data), address(r->A_D.data),
-                              address(alpha),        address(m->touched.data), address(r->active.data)};
+                              address(alpha),        address(m->touched.data),
+                              address(r->active.data)};
     const int64_t sizes[] = {(int64_t)n->joints, (int64_t)n->joints, (int64_t)n->arms, 4, 6, 6,
                              (int64_t)n->forces, switches & MOVING ? (int64_t)n->contacts : 0,
                              (int64_t)r->active.count};

@@ -1,7 +1,7 @@
 // Controllers of law.wasm, one for each .osc file; the same in a page, in a worker and in Node.js.
 
-const ARRAYS = ["q", "v", "wrenches", "X_WD", "V_D", "A_D", "alpha_d", "squeeze_d", "touched", "torques", "forces"];
-const INPUTS = ["squeezed", "touching", "wrenchMissing", "repeated", "estimated", "wrenchAge"];
+const ARRAYS = ["q", "v", "wrenches", "X_WD", "V_D", "A_D", "alpha_d", "squeeze_d", "active", "touched", "torques", "forces"];
+const INPUTS = ["squeezed", "switched", "touching", "wrenchMissing", "repeated", "estimated", "wrenchAge"];
 const RESULTS = ["status", "reason", "state", "cause", "culprit", "unbraked"];
 
 /** The module's exports. source: its bytes, or the promise of a response that has them. */

@@ -11,9 +11,9 @@
 #define EXPORT(name) __attribute__((export_name(#name))) name
 
 /* Arrays that a program around the module fills before a tick, then reads; osc_web_array. */
-enum array { Q, V, WRENCHES, X_WD, V_D, A_D, ALPHA_D, SQUEEZE_D, TOUCHED, TORQUES, FORCES, ARRAYS };
+enum array { Q, V, WRENCHES, X_WD, V_D, A_D, ALPHA_D, SQUEEZE_D, ACTIVE, TOUCHED, TORQUES, FORCES, ARRAYS };
 /* What came with a tick; osc_web_input. */
-enum input { SQUEEZED, TOUCHING, WRENCH_MISSING, REPEATED, ESTIMATED, WRENCH_AGE, INPUTS };
+enum input { SQUEEZED, SWITCHED, TOUCHING, WRENCH_MISSING, REPEATED, ESTIMATED, WRENCH_AGE, INPUTS };
 /* How a tick ended; osc_web_result. */
 enum result { STATUS, REASON, STATE, CAUSE, CULPRIT, UNBRAKED, RESULTS };
 
@@ -57,7 +57,7 @@ osc_web *EXPORT(osc_web_open)(const void *file, size_t bytes, int32_t *error) {
     const size_t counts[ARRAYS] = {
         [Q] = n->joints,        [V] = n->joints,      [WRENCHES] = 6 * n->arms,
         [X_WD] = 16,            [V_D] = 6,            [A_D] = 6,
-        [ALPHA_D] = n->forces,  [SQUEEZE_D] = n->bars, [TOUCHED] = 28 * n->contacts,
+        [ALPHA_D] = n->forces,  [SQUEEZE_D] = n->bars, [ACTIVE] = n->contacts, [TOUCHED] = 28 * n->contacts,
         [TORQUES] = n->motors,  [FORCES] = n->forces,
     };
     memcpy(w->counts, counts, sizeof counts);
@@ -91,7 +91,7 @@ int32_t EXPORT(osc_web_tick)(osc_web *w) {
     m.estimated = in[ESTIMATED];
     m.wrench_age = in[WRENCH_AGE];
     osc_reference r = {GIVEN(X_WD, 1), GIVEN(V_D, 1), GIVEN(A_D, 1), GIVEN(ALPHA_D, 1),
-                       GIVEN(SQUEEZE_D, in[SQUEEZED])};
+                       GIVEN(SQUEEZE_D, in[SQUEEZED]), GIVEN(ACTIVE, in[SWITCHED])};
     osc_command out = {.torques = w->arrays[TORQUES], .count = w->counts[TORQUES]};
     int32_t code = osc_tick(w->controller, &m, &r, &out);
     if (code != OSC_DONE) return code;

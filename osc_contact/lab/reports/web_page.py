@@ -102,6 +102,7 @@ HINDRANCES = (
     Hindrance(
         "torque loop", "a joint torque loop", lambda s: s.control.joint_torque is not None, None
     ),
+    Hindrance("active", "active sets of contacts", lambda s: bool(s.active), None),
     Hindrance("bodies", "bodies that move", _has_moving_bodies, None),
     Hindrance("laws", "laws in Python", lambda s: s.laws is not None, None),
     Hindrance("plant", "a plant other than MuJoCo's", lambda s: s.plant.type != "mujoco", None),
