@@ -48,7 +48,7 @@ def learned(Phi, r, noise, dt=0.0):
     row.P[:] = np.diag(PRIOR)
     row.noise = noise
     for phi, one in aligned(Phi, r):
-        joint_friction._regress(prior, row, phi, np.zeros(10), one, 1.0, dt)
+        joint_friction._regress(prior, row, phi, one, 1.0, dt)
     joint_friction._keep_bounds(prior, row, np.zeros((5, 5)))
     return (row.theta, row)
 

@@ -156,9 +156,10 @@ def test_the_library_needs_libc_and_libm_only(library):
     assert names <= {"libc", "libm"}, linked
 
 
-def test_the_compiled_law_calls_five_functions_and_none_that_allocates_or_locks(library):
-    called = run("nm", "-u", library / "law.o").split()[1::2]
-    assert {*called, "memmove"} == {"atan2", "floor", "memmove", "memset", "sincos"}
+def test_the_compiled_law_calls_few_functions_and_none_that_allocates_or_locks(library):
+    called = {*run("nm", "-u", library / "law.o").split()[1::2]}
+    copies = {"memcpy", "memmove", "memset"}  # which of them, LLVM chooses
+    assert called - copies == {"atan2", "floor", "sincos"}
 
 
 def test_no_tick_allocates(library, tmp_path):
@@ -198,7 +199,7 @@ class Measurement(ctypes.Structure):
 
 
 class Reference(ctypes.Structure):
-    _fields_ = [(name, Numbers) for name in ("X_WD", "V_D", "A_D", "alpha_d", "squeeze_d")]
+    _fields_ = [(name, Numbers) for name in ("X_WD", "V_D", "A_D", "alpha_d", "squeeze_d", "active")]
 
 
 class Command(ctypes.Structure):
