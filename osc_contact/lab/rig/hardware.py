@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from osc_contact.control.accelerations import expected_acceleration
+from osc_contact.control.accelerations import ExpectedAcceleration
 from osc_contact.control.controller import Controller
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.dynamics.assembly import object_pose
@@ -211,6 +211,7 @@ class ObservedRobot:
         chain = controller.chain
         self._acceleration = np.zeros(chain.nq)  #: of the joints, as expected since the last tick
         self.dt = 1.0 / scenario.control.rate
+        self._expected = ExpectedAcceleration(self.dt)
         self._read = -1.0  #: when encoders were sampled last
         self._ticks = 0
         spec = scenario.sensors
@@ -276,5 +277,5 @@ class ObservedRobot:
     def command(self, tau: Array, duration: float) -> None:
         """See `Robot.command`."""
         if self._joints is not None:  # accelerations are of use
-            self._acceleration = expected_acceleration(self.controller)
+            self._acceleration = self._expected.update(self.controller)
         self.robot.command(tau, duration)
