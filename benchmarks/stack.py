@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import CASES, SPECIAL_CASES, TickCase
-from osc_contact.control.records import STILL
+from osc_contact.control.records import STILL, UNNAMED
 from osc_contact.law import library
 from osc_contact.law.c_object import object_file
 
-ALL = np.zeros(0)  #: contacts are active where forces are desired
 ROOM = 1 << 20  #: bytes of the thread's stack
 #: Cases whose tick is one call of the law.
 PLAIN = [*CASES, "near_singular", "saturated", "three_arms", "contact_phases"]
@@ -103,7 +102,7 @@ def stack_of(case: TickCase, call: Any) -> int:
     controller = case.controller()
     (m, r) = case.given
     controller.tick(m, r)
-    given = (m.q, m.v, m.wrenches, r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, STILL, ALL)
+    given = (m.q, m.v, m.wrenches, r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, STILL, UNNAMED)
     arrays = [np.ascontiguousarray(one, dtype=float) for one in given]
     addresses = np.array([one.ctypes.data for one in arrays])
     sizes = np.array([len(one) if one.ndim > 1 else one.size for one in arrays])

@@ -5,7 +5,7 @@ from functools import partial
 
 from benchmarks.cases import BATCHES, CASES, SPECIAL_CASES, BatchCase, TickCase, repeatable
 from benchmarks.measuring import Call, Rows, spread, take_turns
-from osc_contact.control.records import STILL
+from osc_contact.control.records import STILL, UNNAMED
 from osc_contact.law.compiled import rows as law_on_rows
 
 ALL_CASES: dict[str, Callable[[], TickCase | BatchCase]] = {**CASES, **SPECIAL_CASES, **BATCHES}
@@ -52,5 +52,5 @@ def law_of(case: TickCase) -> Call:
     controller = repeatable(case.controller())
     m, r = case.given
     controller.tick(m, r)
-    given = (m.q, m.v, m.wrenches, r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, STILL)
+    given = (m.q, m.v, m.wrenches, r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, STILL, UNNAMED)
     return partial(law_on_rows(), controller._records.rows.raw, 0, given)

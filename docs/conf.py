@@ -45,6 +45,7 @@ nitpick_ignore_regex = [
     ("py:class", r"FieldInfo|NoneType|Outward|(Body)?(Point|Direction)"),  # of pairs' fields
     ("py:class", r"(pin\.)?(SE3|Inertia|Model|Data)|Path|Sequence|Callable|Mapping|Any"),
     ("py:class", r"(numpy|pinocchio|coal|enum|os|pathlib|collections|typing)\..*"),
+    ("py:class", r"MjcfSource|MjModel|Progress|Design|ArmOptions|(np|npt|pyarrow|distributed)\..*"),
     ("py:class", r"osc_contact\..*"),  # types in signatures that have no page
     ("py:obj", r".*"),  # arguments and formulas stand between single backticks too
 ]

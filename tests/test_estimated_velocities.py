@@ -171,7 +171,8 @@ def coarse(number, stiffness):
         f"sensors={{encoder: {{rate: 1 kHz, angle: {{resolution: {step}, noise: {0.5 * step}}}}},"
         f" wrist: {{rate: 1 kHz, delay: 3 ms}}}}"
     )
-    changes = [*task.changes, "control.rate=1000", sensors, "duration=4 s", "tare=null"]
+    estimate = "control.estimate.measured_forces=true"
+    changes = [*task.changes, "control.rate=1000", estimate, sensors, "duration=4 s", "tare=null"]
     changes += [f"motion=[{moves}]", "force.ball=[{type: constant, value: 10 N}]"]
     task = RandomTask(7, number, task.name, task.scenario, changes, {}, Errors())
     if stiffness:

@@ -241,14 +241,15 @@ def test_a_force_that_is_far_too_large_stops_it_and_so_does_one_that_is_not_felt
 
 
 def stop_of(case, v, known=True):
-    """Torques (n,) that carry arms and object and that brake both by q̈ = −40 v, and this q̈.
+    """Torques (n,) that carry arms and object and that brake both by q̈ = −40 v of motors, and this q̈.
 
     Each arm carries its share of the object, where it is `known`.
     """
     chain = case.chain
     data = terms_at(chain.model, case.q, v)
     carry = np.array(data.nle)
-    q_dd = -40.0 * v
+    q_dd = np.zeros(chain.nq)
+    q_dd[chain.actuated] = -40.0 * v[chain.actuated]
     brake = data.M @ q_dd
     rest = case.at_rest()
     for arm, s in zip(rest.arms if known else (), chain.slices, strict=known):

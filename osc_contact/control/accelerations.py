@@ -12,41 +12,6 @@ from osc_contact.spatial import Array
 
 _SLOW = 0.03  #: rad/s, m/s; joints that swing with a contact are not faster
 _SWINGS = 0.01  #: s, 1/ω of contacts
-_LEAST = 1.0  #: N, N m; a contact of no desired force swings by less
-_SETTLES = 0.1  #: s after an impact in which wrists do not show how contacts swing
-
-
-class ExpectedAcceleration:
-    """Accelerations of the joints from tick to tick, see `expected_acceleration`.
-
-    A contact that swings about its desired force misses it by no more than this force, or it would
-    open. Where a force is missed by more, the object is struck or pushed, and a wrist shows a force
-    that no contact exerts: until `_SETTLES` after it accelerations are those commanded.
-    """
-
-    def __init__(self, dt: float) -> None:
-        """Begin with contacts that swing.
-
-        Args:
-            dt: period of the ticks (s).
-        """
-        self._dt = dt
-        self._calm_for = _SETTLES
-
-    def update(self, controller: Controller) -> Array:
-        """(n,) q̈ of all joints (rad/s², m/s²).
-
-        Args:
-            controller: after a tick.
-        """
-        work: Any = controller._records.work
-        r = int(work.rank)
-        missed = np.abs(work.alpha_u[:r] - work.alpha_meas[:r])
-        struck = bool((missed > np.maximum(np.abs(work.alpha_d[:r]), _LEAST)).any())
-        self._calm_for = 0.0 if struck else self._calm_for + self._dt
-        if self._calm_for < _SETTLES:
-            return controller.joint_acceleration()
-        return expected_acceleration(controller)
 
 
 def expected_acceleration(controller: Controller) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from osc_contact.control.accelerations import ExpectedAcceleration
+from osc_contact.control.accelerations import expected_acceleration
 from osc_contact.control.controller import Controller
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.dynamics.assembly import object_pose
@@ -158,7 +158,10 @@ def joint_estimate(scenario: Scenario, chain: ClosedChain) -> tuple[VelocityEsti
     error = np.maximum(np.hypot(noise, step / np.sqrt(12.0)), 1e-9)
     unknown = np.where(sliding(chain.model), estimate.joint_linear, estimate.joint_angular)
     dt = 1.0 / scenario.control.rate
-    return VelocityEstimate.learning(error, unknown, dt, 1.0 / spec.rate), error
+    made = VelocityEstimate.optimal
+    if estimate.measured_forces:
+        made = VelocityEstimate.learning
+    return made(error, unknown, dt, 1.0 / spec.rate), error
 
 
 class TorqueLoopRobot:
@@ -211,11 +214,11 @@ class ObservedRobot:
         chain = controller.chain
         self._acceleration = np.zeros(chain.nq)  #: of the joints, as expected since the last tick
         self.dt = 1.0 / scenario.control.rate
-        self._expected = ExpectedAcceleration(self.dt)
         self._read = -1.0  #: when encoders were sampled last
         self._ticks = 0
         spec = scenario.sensors
         estimate = scenario.control.estimate
+        self._measured_forces = estimate.measured_forces
         self._joints: VelocityEstimate | None = None
         if spec.encoder is not None:
             limit = chain.model.velocityLimit
@@ -277,5 +280,7 @@ class ObservedRobot:
     def command(self, tau: Array, duration: float) -> None:
         """See `Robot.command`."""
         if self._joints is not None:  # accelerations are of use
-            self._acceleration = self._expected.update(self.controller)
+            self._acceleration = self.controller.joint_acceleration()
+            if self._measured_forces:
+                self._acceleration = expected_acceleration(self.controller)
         self.robot.command(tau, duration)
