@@ -10,11 +10,13 @@ from complaints import scenario_error
 from numpy.linalg import lstsq, norm
 from numpy.random import default_rng
 from pair_kinds import snake
+from processes import python
 from pytest import approx
 from rigs import STILL, assert_near, placed, pose_of, vector
-from samples import parametrize
+from samples import ROOT, parametrize
 
 from osc_contact.contacts.feet import feet, force_owners
+from osc_contact.contacts.pairs.pair import axes_are_chosen
 from osc_contact.lab.rig.contacts import build_pairs, environment_bodies
 from osc_contact.lab.rig.references import References, force_names
 from osc_contact.lab.scenarios.contact_keys import (
@@ -90,8 +92,7 @@ def test_each_kind_is_the_pair_of_its_name_seen_in_the_world(kind):
         ours = pair.contact(X, V)
         theirs = own.contact(X, V, X_WB)
         assert ours.r == contact_types()[kind].forces == len(force_names(scenario))
-        # the cross axes of a hole are a choice: compare spaces there
-        if kind == "cylinder_in_hole":
+        if axes_are_chosen(pair):  # compare spaces
             projected = theirs.N @ lstsq(theirs.N, ours.N, rcond=None)[0]
             assert_near(projected, ours.N, atol=1e-9)
             continue
@@ -205,3 +206,12 @@ def test_only_contacts_that_push_are_kept_from_pulling():
 
     assert not found("cylinder_in_hole")
     assert "pad.2 is −1 N at t = 0 s; this contact cannot pull" in found("edge_on_face")[0]
+
+
+def test_a_new_pair_whose_axes_are_a_choice_passes_the_tests_of_all_pairs():
+    """Those of tests/test_pairs.py and of this file, on the pair of tests/scratch_pair.py."""
+    files = [str(ROOT / "tests" / name) for name in ("test_pairs.py", "test_contact_kinds.py")]
+    plugins = ("-p", "scratch_pair", "-p", "no:cacheprovider")
+    done = python("-m", "pytest", "-q", *plugins, "-k", "ball_in_tube", *files, cwd=ROOT)
+    passed = int(re.search(r"(\d+) passed", done.stdout)[1])
+    assert passed >= 18, done.stdout

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from complaints import scenario_error
+from numpy.testing import assert_array_equal
 from pytest import raises
 from rigs import unit, vector
 from samples import ROOT, parametrize
@@ -13,7 +14,7 @@ from scenario_runs import assert_same_run, rig_of, run_of
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Conveyor
-from osc_contact.lab.scenarios.loader import load_scenario, parse_scenario
+from osc_contact.lab.scenarios.loader import FILES, load_scenario, parse_scenario
 from osc_contact.lab.scenarios.signals import MinimumJerk
 
 GOOD = """\
@@ -452,3 +453,16 @@ def test_a_scenario_from_a_dict_is_that_of_the_file():
 def test_what_does_not_fit_is_reported_as_for_a_file(parts, words):
     with scenario_error(words):
         osc.load_scenario("two_contact_rod").replaced(**parts)
+
+
+def test_scenarios_are_taken_by_name_and_by_path():
+    """By every public function that takes one, as by `load_scenario`; unknown names have a cure."""
+    by_name = osc.run("two_contact_rod", duration=0.02)
+    by_path = osc.run(FILES / "two_contact_rod.yaml", duration=0.02)
+    made = osc.run(osc.load_scenario("two_contact_rod"), duration=0.02)
+    assert_array_equal(by_name["tau"], made["tau"])
+    assert_array_equal(by_path["tau"], made["tau"])
+    assert osc.build_rig("two_contact_rod").scenario == osc.load_scenario("two_contact_rod")
+    for take in (osc.run, osc.build_rig, osc.open_viewer):
+        with scenario_error("no packaged scenario 'two_contact_rodd'; did you mean"):
+            take("two_contact_rodd")

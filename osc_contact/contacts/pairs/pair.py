@@ -25,6 +25,8 @@ class ContactPair(Protocol):
     A pair may have more, else the value in brackets counts:
 
     * pushes: whether every magnitude is a force that must not become negative (False);
+    * axes_are_chosen: whether the directions of its columns are one choice of several that span the
+      same space, made anew from axes that are turned (False: N turns with both bodies);
     * points_of_contact(X_WO, X_WE): (3, r) where each magnitude of a pair that pushes acts, world
       (m); there it slides, with friction (None: its friction is not known);
     * surface_point: (3,) a point of the environment's feature, in its frame (m), and
@@ -79,6 +81,15 @@ def pushes_only(pair: ContactPair) -> bool:
     Those of pairs given by T (hinges, holes, grooves) and of gap functions have either sign.
     """
     return bool(getattr(pair, "pushes", False))
+
+
+def axes_are_chosen(pair: ContactPair) -> bool:
+    """Whether the columns of N are one choice of several with the same span.
+
+    Two pairs of equal geometry, one given in axes that are turned against those of the other, then
+    have columns of equal span that are not equal, and magnitudes of other directions.
+    """
+    return bool(getattr(pair, "axes_are_chosen", False))
 
 
 def has_place(pair: ContactPair) -> bool:

@@ -294,6 +294,7 @@ class CylinderInHole(PointsOnPlanes):
     length: Extent = 0.1
     """between the two points of the axis at which forces are commanded"""
     name: str = "cylinder_in_hole"
+    axes_are_chosen = True
 
     def _make(self) -> None:
         points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)

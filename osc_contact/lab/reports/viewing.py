@@ -151,11 +151,12 @@ def _content_of_rig(rig: Rig) -> Content:
     )
 
 
-def open_viewer(what: Scenario | MujocoRobot | Content, rate: float = 30.0) -> Viewer:
+def open_viewer(what: str | Path | Scenario | MujocoRobot | Content, rate: float = 30.0) -> Viewer:
     """Open a live view of runs, for ``run(scenario, viewer=...)`` or ``run_loop(...)``.
 
     Args:
-        what: will be run: a scenario, or a robot in a MuJoCo scene.
+        what: will be run: a scenario, its name or path as for `load_scenario`, or a robot in a
+            MuJoCo scene.
         rate: pictures per second at most, 1 … 60.
 
     Returns:
@@ -164,7 +165,7 @@ def open_viewer(what: Scenario | MujocoRobot | Content, rate: float = 30.0) -> V
     Raises:
         ViewerError: the page's server does not start.
     """
-    content = content_of(build_rig(what) if isinstance(what, Scenario) else what)
+    content = content_of(build_rig(what) if isinstance(what, str | Path | Scenario) else what)
     return Viewer(content, rate)
 
 

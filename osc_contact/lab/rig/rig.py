@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from hashlib import sha256
 from math import sqrt
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -47,6 +48,7 @@ from osc_contact.lab.rig.contacts import (
 from osc_contact.lab.rig.references import References, force_names, least_motion, showing_twist
 from osc_contact.lab.scenarios.bodies import CartSpec, GraspSpec
 from osc_contact.lab.scenarios.hardware import PLANT_TYPES
+from osc_contact.lab.scenarios.loader import as_scenario
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.loop.channels import Subject
 from osc_contact.loop.judge import NotedTruths, Plant, ReadsTruth
@@ -398,16 +400,17 @@ def _mujoco(rig: Rig, seed: int) -> Plant:
     )
 
 
-def build_rig(scenario: Scenario, chains: MakesChain | None = None) -> Rig:
+def build_rig(scenario: str | Path | Scenario, chains: MakesChain | None = None) -> Rig:
     """Load the parts, close the loops, put the object onto the faces.
 
     Args:
-        scenario: from `load_scenario`.
+        scenario: name or path as for `load_scenario`, or a scenario.
         chains: makes the chains in place of `build_chain`, such as one that keeps them.
 
     Raises:
         ScenarioError, ModelError, ContactError: with what does not fit together.
     """
+    scenario = as_scenario(scenario)
     make = chains or build_chain
     chain = make(scenario, _true(scenario.model_error))
     model = _model(scenario, chain, make)

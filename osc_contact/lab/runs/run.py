@@ -16,6 +16,7 @@ from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.checks.preflight import require_ready
 from osc_contact.lab.rig.references import force_steps, known_to
 from osc_contact.lab.rig.rig import Rig, build_rig
+from osc_contact.lab.scenarios.loader import as_scenario
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.loop.judge import Plant
 from osc_contact.loop.loop import Shows, run_loop
@@ -28,7 +29,7 @@ Install = Callable[[Controller], Controller]
 
 
 def run(
-    scenario: Scenario,
+    scenario: str | Path | Scenario,
     *,
     plant: str | None = None,
     duration: float | None = None,
@@ -46,7 +47,7 @@ def run(
     recording stay on disk.
 
     Args:
-        scenario: from `load_scenario`.
+        scenario: name or path as for `load_scenario`, or a scenario.
         plant: "mujoco" or "rigid" instead of the scenario's own.
         duration: s, instead of the scenario's own.
         seed: of everything random in the run (sensors and plants without noise use none).
@@ -61,11 +62,12 @@ def run(
         The recording; `metrics(recording)` judges it.
 
     Raises:
-        ScenarioError: it cannot run, see `preflight`. What is doubtful is logged, and kept in
-            `meta["doubts"]`.
+        ScenarioError: it cannot be read, or cannot run, see `preflight`. What is doubtful
+            is logged, and kept in `meta["doubts"]`.
         PlantError: the simulation diverged; `error.recording` holds what came before.
         Interrupted: Ctrl-C, SIGTERM or SIGHUP ended it; likewise.
     """
+    scenario = as_scenario(scenario)
     if duration is not None:
         scenario = scenario.replaced(duration=duration)
     if plant is not None:
