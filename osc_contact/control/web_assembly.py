@@ -1,6 +1,6 @@
 """The compiled law as WebAssembly: one module for browsers and Node.js, for every `.osc` file.
 
-`law.wasm` is the law for 32-bit addresses, the C sources of `without_python` and `osc_web.c`. It
+law.wasm is the law for 32-bit addresses, the C sources of `without_python` and `osc_web.c`. It
 needs nothing from its surroundings. Wheels bring it; elsewhere it is made when it is first asked
 for, and kept in the store of parts under the hash of all that it is made of. The compiler is that
 of the package `ziglang` (extra `web`), or clang with lld and wasi-libc.

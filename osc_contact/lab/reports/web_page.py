@@ -1,6 +1,6 @@
 """A task as a web page: plant and law run in the browser, from files that any host can serve.
 
-The plant is MuJoCo's official WebAssembly build, the law `law.wasm`, the picture the scene of the
+The plant is MuJoCo's official WebAssembly build, the law law.wasm, the picture the scene of the
 live view. Nothing of law, signals or scene is written a second time: references are sampled here
 into a table that the page plays, and what Python computes step by step is refused.
 """
@@ -152,7 +152,7 @@ def write_web_page(
 
     Raises:
         InvalidInputError: the scenario needs what a page cannot have.
-        OscContactError: there is no `law.wasm`, or no WebAssembly build of MuJoCo.
+        OscContactError: there is no law.wasm, or no WebAssembly build of MuJoCo.
     """
     scenario = playable(scenario, without)
     rig = build_rig(scenario)
