@@ -241,9 +241,10 @@ def test_a_force_that_is_far_too_large_stops_it_and_so_does_one_that_is_not_felt
 
 
 def stop_of(case, v, known=True):
-    """Torques (n,) that carry arms and object and that brake both by q̈ = −40 v of motors, and this q̈.
+    """Torques (n,) that carry arms and object and that brake both by q̈ = −40 v, and this q̈.
 
-    Each arm carries its share of the object, where it is `known`.
+    Each arm carries its share of the object, where it is `known`. Joints without a motor drive
+    nothing: q̈ = 0.
     """
     chain = case.chain
     data = terms_at(chain.model, case.q, v)

@@ -199,7 +199,9 @@ class Measurement(ctypes.Structure):
 
 
 class Reference(ctypes.Structure):
-    _fields_ = [(name, Numbers) for name in ("X_WD", "V_D", "A_D", "alpha_d", "squeeze_d", "active")]
+    _fields_ = [
+        (name, Numbers) for name in ("X_WD", "V_D", "A_D", "alpha_d", "squeeze_d", "active")
+    ]
 
 
 class Command(ctypes.Structure):

@@ -528,8 +528,8 @@ class EstimateSpec(Spec):
     body_linear: Positive[Acceleration] = 0.05
     """of tracked bodies"""
     measured_forces: bool = False
-    """whether measured contact forces give accelerations of the joints: for coarse encoders on walls
-    that spring; blows upon the object are then estimated worse"""
+    """whether measured contact forces give accelerations of the joints: for coarse encoders on
+    walls that spring; where the object is struck, velocities are then estimated worse"""
 
 
 class Dither(Spec):
