@@ -88,7 +88,7 @@ def test_bodies_do_not_yield_while_their_motion_is_unknown():
     pushes = []
     for found in (0.0, 1.0):
         t.work.yields[:] = found
-        pushes.append(reading._push_on(t, (1.0, 2.0, 3.0), 0))
+        pushes.append(reading.push_on(t, (1.0, 2.0, 3.0), 0))
     assert_array_equal(*pushes)
 
 

@@ -201,6 +201,48 @@ def test_an_edit_changes_the_keys_of_the_parts_that_it_concerns_and_of_no_others
     assert sum(map(bool, edits.values())) > 500
 
 
+#: For every table of every record that parts take, whether the key of a part changes with it.
+TABLES = """
+import json
+import numpy as np
+from osc_contact.law import c_object, jit, nested_type, records
+from osc_contact.law.nested import Nested
+
+def record_of(kind, tables):
+    head = [(name, kind.dtype[name]) for name in kind.dtype.names if name != "layout"]
+    nested_type._records.clear()
+    Nested(np.dtype(head, align=True), **tables)
+    [record] = nested_type._records.values()
+    return record
+
+unit = next(iter(jit.UNITS.all_units()))
+found = {}
+for name, kind in vars(records).items():
+    if not isinstance(kind, Nested):
+        continue
+    tables = {table: (dtype, *sizes) for table, (dtype, sizes) in kind.tables.items()}
+    usual = unit.key((record_of(kind, tables),))
+    found[name] = [unit.key((record_of(kind, tables),)) == usual]
+    for table, (dtype, *sizes) in tables.items():
+        fields = [(field, dtype[field]) for field in dtype.names or ()] or [("number", dtype)]
+        edited = np.dtype([*fields, ("edited", float)], align=True)
+        key = unit.key((record_of(kind, {**tables, table: (edited, *sizes)}),))
+        found[name].append(key != usual)
+print(json.dumps(found))
+"""
+
+
+def test_the_keys_see_every_table_of_a_record_that_a_part_takes():
+    """Also of a part that calls none and returns no record, so that nothing else in it shows them.
+
+    One of these was kept with rows of 584 bytes where they had 600: old code ran.
+    """
+    done = python("-c", TABLES, NUMBA_DISABLE_JIT="0", OSC_CONTACT_LAW="compile")
+    found = json.loads(done.stdout)
+    assert {"MODEL", "MEMORY", "WORK"} <= {*found} and all(map(all, found.values())), found
+    assert sum(map(len, found.values())) > 20
+
+
 def test_the_keys_see_no_comment_and_no_docstring():
     sources = {
         "usual": 'def f(x):\n    """A."""\n    return LEAST * x\n',

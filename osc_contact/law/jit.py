@@ -55,7 +55,6 @@ if COMPILES:
     try:
         from llvmlite import ir
         from numba import carray, config, njit, types  # type: ignore[attr-defined]
-        from numba.core import cgutils
         from numba.extending import intrinsic
     except ImportError as error:
         raise ImportError(f"the law is not compiled here, and {missing(error)}") from error
@@ -161,8 +160,8 @@ def _no_prefetch(raw: Any, start: int, count: int) -> None:
 
 
 def _empty(rows: int, columns: int | None = None) -> Any:
-    """A new array (rows,) or (rows, columns), not initialised."""
-    return np.empty(rows if columns is None else (rows, columns))
+    """A new array (rows,) or (rows, columns) of NaN, which shows what reads it uninitialised."""
+    return np.full(rows if columns is None else (rows, columns), np.nan)
 
 
 #: Python functions in place of the compiled ones that work with addresses.
@@ -199,7 +198,8 @@ else:
         kind = types.NestedArray(types.float64, shape)
 
         def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-            place = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))
+            with builder.goto_entry_block():
+                place = builder.alloca(ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))
             array = context.make_array(kind)(context, builder)
             context.populate_array(
                 array,

@@ -62,6 +62,10 @@ def pointer_to(kind: Any) -> Any:
         def __reduce__(self) -> Any:
             return record_named, (self.name,)
 
+        def __repr__(self) -> str:
+            """Its name: keys of translated parts are made of it, and numba's own leaves tables out."""
+            return str(self.name)
+
     register_model(Record)(_Pointer)
     record = Record()
     _records[record.name] = record

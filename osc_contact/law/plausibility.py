@@ -125,7 +125,7 @@ def find_jumps(t):
             work.speed_jumped = j
         off += 1 if abs(now - _expected(t, j)) > _EXCHANGED else 0
     if off > 1 and work.jumps < 2:
-        _find_exchange(t)
+        _find_exchange(t, off)
     several = max(work.jumps, work.speed_jumps) > 1
     if several or (read == 0 and memory.mixed > 0.0):
         memory.mixed += t.model.period
@@ -165,25 +165,40 @@ def _jump(t, j, now):
 
 
 @inner
-def _find_exchange(t):
-    """Note two joints each of which reads where the other one must be.
+def _find_exchange(t, off):
+    """Note pairs of joints each of which reads where the other one must be.
 
-    Joints whose positions are nearly the same may be exchanged without a jump of either.
+    Joints whose positions are nearly the same may be exchanged without a jump of either. Encoders
+    with much noise cross by chance, too, but then others are off that are in no such pair.
+
+    Args:
+        off: number of joints that do not read what is expected of them.
     """
-    memory = t.memory
-    work = t.work
-    for i in range(t.model.n_joints):
+    n = t.model.n_joints
+    crossed = 0
+    for i in range(n):
         for j in range(i):
-            own = t.input.q[i] - _expected(t, i)
-            other = t.input.q[j] - _expected(t, j)
-            near = _SAME * abs(own)
-            crossed = abs(t.input.q[i] - _expected(t, j)) < near
-            crossed = crossed and abs(t.input.q[j] - _expected(t, i)) < near
-            if crossed and min(abs(own), abs(other)) > _EXCHANGED:
-                for which in (i, j):
-                    memory.joints[which].barred = EXCHANGED
-                work.jumps = 2
-                work.jumped = i
+            crossed += 2 if _cross(t, i, j) else 0
+    if crossed != off:
+        return
+    for i in range(n):
+        for j in range(i):
+            if _cross(t, i, j):
+                t.memory.joints[i].barred = EXCHANGED
+                t.memory.joints[j].barred = EXCHANGED
+                t.work.jumps = 2
+                t.work.jumped = i
+
+
+@leaf
+def _cross(t, i, j):
+    """Whether joints i and j each read where the other one must be, and not where they must be."""
+    own = t.input.q[i] - _expected(t, i)
+    other = t.input.q[j] - _expected(t, j)
+    near = _SAME * abs(own)
+    crossed = abs(t.input.q[i] - _expected(t, j)) < near
+    crossed = crossed and abs(t.input.q[j] - _expected(t, i)) < near
+    return crossed and min(abs(own), abs(other)) > _EXCHANGED
 
 
 @leaf

@@ -48,7 +48,7 @@ from osc_contact.lab.rig.contacts import (
 from osc_contact.lab.rig.references import References, force_names, least_motion, showing_twist
 from osc_contact.lab.scenarios.bodies import CartSpec, GraspSpec
 from osc_contact.lab.scenarios.hardware import PLANT_TYPES
-from osc_contact.lab.scenarios.loader import as_scenario
+from osc_contact.lab.scenarios.named import as_scenario
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.loop.channels import Subject
 from osc_contact.loop.judge import NotedTruths, Plant, ReadsTruth

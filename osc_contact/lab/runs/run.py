@@ -16,7 +16,7 @@ from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.checks.preflight import require_ready
 from osc_contact.lab.rig.references import force_steps, known_to
 from osc_contact.lab.rig.rig import Rig, build_rig
-from osc_contact.lab.scenarios.loader import as_scenario
+from osc_contact.lab.scenarios.named import as_scenario
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.loop.judge import Plant
 from osc_contact.loop.loop import Shows, run_loop

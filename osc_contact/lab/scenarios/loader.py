@@ -34,15 +34,6 @@ def load_scenario(name_or_path: str | Path, overrides: Overrides = ()) -> Scenar
     return Template.open(name_or_path).make(overrides)
 
 
-def as_scenario(scenario: str | Path | Scenario) -> Scenario:
-    """Return a scenario made already, or load it by name or path, see `load_scenario`.
-
-    Raises:
-        ScenarioError: see `load_scenario`.
-    """
-    return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-
-
 def list_scenarios() -> dict[str, str]:
     """Return name → description of the packaged scenarios, sorted by name."""
     return {path.stem: load_scenario(path).description for path in sorted(FILES.glob("*.yaml"))}
