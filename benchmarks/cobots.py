@@ -91,7 +91,7 @@ class Outcome:
 
     @property
     def wrong_ok(self) -> str:
-        """What the verdict does not say; empty where it is right."""
+        """Faults of a run that its verdict leaves out; empty if it leaves out none."""
         if self.failed:
             return ""
         found = {

@@ -18,7 +18,7 @@ class Keyed(Protocol):
 
     @property
     def key(self) -> Hashable:
-        """What tells the runs of a benchmark apart."""
+        """Identity of the run among those of its benchmark."""
 
 
 V = TypeVar("V", bound=Keyed)

@@ -68,7 +68,7 @@ _CART_KG = 0.2
 
 @dataclass(frozen=True)
 class Errors:
-    """What the plant of a task does beyond its scenario.
+    """Errors of the plant of a task that its scenario cannot state.
 
     Attributes:
         stribeck: whether joint friction falls to 60 % as a joint moves (0.03 rad/s).
@@ -103,7 +103,7 @@ class RandomTask:
     words: dict[str, str] = field(default_factory=dict)
 
     def without(self, group: str) -> RandomTask:
-        """The same task with one group of errors left out."""
+        """A copy of this task with one group of errors left out."""
         errors = self.errors
         if group == "joints":
             errors = replace(errors, stribeck=False)

@@ -58,7 +58,7 @@ def law_wasm() -> bytes:
 
 
 def _hash_of(folder: Path) -> str:
-    """Of the sources in a folder, the law's included, and of how they are compiled."""
+    """SHA-256 of the sources in a folder, those of the law, and the options of the compiler."""
     found = sha256(" ".join((library.law_hash(), TRIPLE, *SOURCES, *_FLAGS)).encode())
     for path in sorted(folder.rglob("*")):
         if path.is_file():

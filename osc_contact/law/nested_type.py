@@ -63,7 +63,7 @@ def pointer_to(kind: Any) -> Any:
             return record_named, (self.name,)
 
         def __repr__(self) -> str:
-            """Its name: keys of translated parts are made of it, and numba's own leaves tables out."""
+            """Name with the hash of the layout: keys of parts use it; numba's own omits tables."""
             return str(self.name)
 
     register_model(Record)(_Pointer)

@@ -29,7 +29,7 @@ class OfBody(Enum):
     DIRECTION = "direction"
 
 
-#: Mark of a field that is read from the face that a contact brings, not from a key of its own.
+#: Marks a field whose value comes from the contact's face, which has a key of its own.
 OF_FACE = "of a face"
 
 
@@ -71,7 +71,7 @@ Extent = Annotated[float, ">", Positive[Length]]
 
 @cache
 def declared_geometry(pair: type) -> dict[str, tuple[Any, ...]]:
-    """Of each field whose annotation states them, its kind and what it is as a key."""
+    """Map each annotated field of a pair to its kind of geometry and its types as a key of YAML."""
     hints = get_type_hints(pair, include_extras=True).items()
     return {key: hint.__metadata__ for key, hint in hints if hasattr(hint, "__metadata__")}
 

@@ -60,7 +60,11 @@ def shape(*parts: Array | float) -> Array:
 
 
 def law_row(pair: ContactPair) -> PairRow | None:
-    """What a pair is to the compiled law; None: nothing, or a subclass changes what it does."""
+    """Description of a pair for the compiled law.
+
+    Returns:
+        None where it has none, or a subclass overrides a method that the description stands for.
+    """
     row = getattr(pair, "row", None)
     if row is None:
         return None
@@ -84,9 +88,16 @@ class LawPair(PackagedPair):
     _row: PairRow
     _numbers: tuple[Any, Shapes]
 
-    def _hold(self, surface_point: Array, *given: Any) -> None:
-        """Take the geometry of a pair that is being made; `given`: kind, shapes … of its row."""
-        row = PairRow(*given)
+    def _hold(
+        self, surface_point: Array, kind: int, shapes: tuple[Array, ...], freedoms: int = 0
+    ) -> None:
+        """Keep the geometry of a pair that is being made.
+
+        Args:
+            surface_point: (3,) see `ContactPair` (m).
+            kind, shapes, freedoms: as of `PairRow`.
+        """
+        row = PairRow(kind, shapes, freedoms)
         head = SimpleNamespace(**row._asdict(), first=0, shape_at=0)
         head.count = len(row.shapes) - row.freedoms
         store(self, _row=row, _numbers=(head, Shapes(row.shapes)), surface_point=surface_point)
