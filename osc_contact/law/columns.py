@@ -1,4 +1,4 @@
-"""Columns of N in force, their dependence, and how the touched bodies answer along them."""
+"""Active columns of N, their linear dependence, and the motion of touched bodies along them."""
 
 from __future__ import annotations
 
@@ -43,20 +43,21 @@ DIFFERENT_BODIES = declare_reason(
     "move, and no equation determines the split. Put them on one body, or drop one of them",
 )
 
-# --- Which columns of N count, which are independent, how the others follow -----------------------
+# --- Active columns of N, an independent subset of them, the others as combinations ---------------
 
-#: A column of unit size with less than this outside the others depends on them.
+#: Largest part of a unit column outside the span of others with which it counts as dependent.
 DEPENDENT = 3e-7
-_PIVOT = 0.3
-_CONSISTENT = 1e-5
-_STILL = 1e-9  # rounding error of n_γ when the bodies hardly move (m/s², rad/s²)
+_PIVOT = 0.3  #: a column is preferred if its rest is at least this share of the longest rest
+_CONSISTENT = 1e-5  #: largest relative error of n_γ of a dependent column
+_STILL = 1e-9  #: rounding error of n_γ when the bodies hardly move (m/s², rad/s²)
 
 
 @inner
 def choose_columns(t):
-    """The columns of N whose contacts are in force.
+    """List the columns of N of active contacts.
 
-    Fills `chosen` (numbers of these columns), `count` (how many) and `here` (1 for each, else 0).
+    Fills `chosen` (indices of these columns), `count` (their number) and `here` (1 for each of
+    them, 0 for the others).
     """
     work = t.work
     work.count = 0
@@ -70,10 +71,11 @@ def choose_columns(t):
 
 @inner
 def keep_columns(t):
-    """N (r, 6) of the independent columns as rows, and n_γ of these; returns a reason.
+    """Select independent columns of N and compute their orthonormal basis; return a reason.
 
-    Reads `chosen`, `count` and N, n_γ of the columns in force. Fills `rank`, `kept`, `n_gamma`, in
-    energy coordinates `N`, `N_factor`, `N_basis`; `energy`, `extent`, `share` of the columns.
+    Reads `chosen`, `count` and N, n_γ of the active columns. Fills `rank` (r), `kept` (indices of
+    the independent columns), their `n_gamma`, and in energy coordinates, with columns as rows,
+    `N_e`, `N_factor` and `N_basis`; `energy`, `extent` and `share` of the columns.
     """
     work = t.work
     columns = work.columns
@@ -107,11 +109,11 @@ def keep_columns(t):
 
 @inner
 def _reduce(t):
-    """A well-conditioned subset of the columns in force; returns a reason.
+    """Select a well-conditioned, independent subset of the active columns; return a reason.
 
-    Kept is, again and again, the first column of which not much less lies outside the kept ones
-    than of any other. Reads `energy` and `extent` of the columns. Fills `rank`, `kept`, and `rest`
-    and `share` of the columns.
+    Each step selects the first column whose part outside the span of the selected ones is at least
+    0.3 times the largest such part. Reads `energy` and `extent` of the columns. Fills `rank`,
+    `kept`, and `rest` and `share` of the columns.
     """
     work = t.work
     columns = work.columns
@@ -149,7 +151,7 @@ def _reduce(t):
 
 @inner
 def _remove(t, first):
-    """Remove the direction of column `first` from `rest` of every column, twice."""
+    """Remove the direction of column `first` from `rest` of all columns (twice, for accuracy)."""
     columns = t.work.columns
     q = columns[first].rest
     length = sqrt(dot6(q, q))
@@ -164,9 +166,9 @@ def _remove(t, first):
 
 @inner
 def _express(t):
-    """Each column in force as a combination of the kept ones, N_all = N share.
+    """Express each active column as a combination of the kept ones, N_all = N share.
 
-    Reads `rank`, `kept`, and `energy` and `extent` of the columns; fills `share` (rank,) of each.
+    Reads `rank`, `kept`, and `energy` and `extent` of the columns; fills `share` (r,) of each.
     """
     work = t.work
     columns = work.columns
@@ -193,10 +195,10 @@ def _express(t):
 
 @inner
 def _consistent(t):
-    """Whether n_γ of every column in force follows from the kept ones, but for rounding.
+    """Whether n_γ of every active column follows from the kept ones, except for rounding.
 
-    Reads `n_gamma`, `share`, `extent` of the columns. Where it does not, fills `where` (the column)
-    and `reason_amount` (its n_γ as the others imply it).
+    Reads `n_gamma`, `share`, `extent` of the columns. If one does not, fills `where` (the column)
+    and `reason_amount` (n_γ of this column as implied by the others).
     """
     work = t.work
     columns = work.columns
@@ -221,9 +223,9 @@ def _consistent(t):
 
 @inner
 def _same_body(t):
-    """Reason unless all columns in force are on one body, or on bodies that move as one.
+    """Return a reason unless all active columns are on one body, or on unyielding bodies in unison.
 
-    The latter must not yield. Reads `answer` of the bodies.
+    Bodies are in unison if their bias and twist are equal. Reads `answer` of the bodies.
     """
     work = t.work
     first = body_of(t, work.chosen[0]).same
@@ -241,11 +243,11 @@ def _same_body(t):
 
 @inner
 def spread_magnitudes(t):
-    """Magnitudes and speeds of all columns, from those of the kept ones; 0 of columns not in force.
+    """Distribute forces and speeds of the kept columns to all columns; inactive ones get zero.
 
-    Where columns depend on others that is the split with the least sum of squares:
-    α_all = Rᵀ(RRᵀ)⁻¹α, and Rᵀ speed, R the shares. Reads `alpha_meas`, `speed` and `share`; fills
-    `alpha` (N) and `speeds` (m/s).
+    The distribution of dependent columns has the least sum of squares: α_all = Rᵀ(RRᵀ)⁻¹α, where R
+    has the shares. The speeds are Rᵀ times those of the kept columns. Reads `alpha_meas`, `speed`
+    and `share`; fills `alpha` (N) and `speeds` (m/s).
     """
     work = t.work
     r = work.rank
@@ -266,10 +268,10 @@ def spread_magnitudes(t):
 
 @inner
 def square_shares(work, out):
-    """out ← RRᵀ (r, r), R (r, count) the shares of the columns in force.
+    """Compute RRᵀ (r, r), where R (r, count) has the shares of the active columns.
 
     Args:
-        work: WORK, of which `share` is read. out: (6, 6).
+        work: WORK, of which `share` is read. out: (6, 6), filled.
     """
     out[:] = 0.0
     for j in range(work.count):
@@ -279,16 +281,17 @@ def square_shares(work, out):
                 out[a, b] += share[a] * share[b]
 
 
-# --- What the touched bodies do along N: Φ_μ = NᵀΦ_eN_μ, b_N = Nᵀb_e, V_N = NᵀV_e -----------------
+# --- Motion of the touched bodies along N: Φ_μ = NᵀΦ_eN_μ, b_N = Nᵀb_e, V_N = NᵀV_e ---------------
 
 
 @inner
 def _answer(kind, parameters, E, O, answer):
-    """Inverse inertia Φ_e, bias b_e and twist V_e of one body at O, in world axes.
+    """Fill inverse inertia Φ_e, bias b_e and twist V_e of one touched body at O, in world axes.
 
     Args:
-        kind: of the body. parameters: (8,) of a cart: direction u (0:3), mass, stiffness, damping,
-            preload, u·g. E: (28,) its pose by rows, twist and acceleration. O: (3,) point (m).
+        kind: CART, CONVEYOR or another kind of body. parameters: (8,) of a cart: direction u (0:3),
+            mass, stiffness, damping, preload, u·g. E: (28,) pose of the body by rows, its twist and
+            acceleration. O: (3,) point (m).
         answer: (48,), filled: Φ_e by rows (36), b_e (6), V_e (6).
     """
     Phi = answer[:36]
@@ -319,7 +322,7 @@ def _answer(kind, parameters, E, O, answer):
 
 @inner
 def answer_bodies(t):
-    """Φ_e, b_e and V_e at O of every touched body, from its measured motion.
+    """Compute Φ_e, b_e and V_e at O of every touched body from its measured motion.
 
     Reads `p_O` and `touched` of INPUT; fills `answer` of the bodies.
     """
@@ -332,10 +335,11 @@ def answer_bodies(t):
 
 @inner
 def project_bodies(t):
-    """The touched bodies along the kept columns; all zero where bodies rest.
+    """Project inverse inertia, bias and twist of the touched bodies on the kept columns.
 
     Reads `answer` of the bodies and `friction_wrenches`. Fills `Phi_mu` = NᵀΦ_eN_μ (r, r), `b_N` =
-    Nᵀb_e (r,), `V_N` = NᵀV_e (r,) and `yields` = NᵀΦ_e (r, 6) at O.
+    Nᵀb_e (r,), `V_N` = NᵀV_e (r,) and `yields` = NᵀΦ_e (r, 6) at O. Without measured motions of
+    bodies the first three are zero.
     """
     work = t.work
     work.b_N[:] = 0.0

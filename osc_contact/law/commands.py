@@ -1,4 +1,4 @@
-"""The motion law, and how steps of desired forces enter without a jump."""
+"""Motion law; shaping of steps of desired forces; brake on oscillating contacts."""
 
 from __future__ import annotations
 
@@ -34,15 +34,19 @@ from osc_contact.law.vectors import (
 
 @inner
 def rotation_vector(R):
-    """log₃ R (rad) as a tuple, R in the first rows and columns of a matrix."""
+    """Rotation vector log₃ R (rad, three numbers) of a rotation matrix.
+
+    Args:
+        R: matrix, at least 3×3, with the rotation in its first three rows and columns.
+    """
     v = (0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1]))
     sine = sqrt(dot3(v, v))
     cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
     angle = atan2(sine, cosine)
     if cosine > -0.99:
         return scaled3(angle / sine if sine > 1e-6 else 1.0 + sine * sine / 6.0, v)
-    # near a half turn the axis comes from the symmetric part, (1 − cos) aaᵀ + cos 1: its longest
-    # column, whose sign is known best
+    # Near a half turn the axis a is taken from the symmetric part (1 − cos) aaᵀ + cos 1, from its
+    # longest column: the largest component of a has the most reliable sign.
     k = 0
     for i in range(1, 3):
         if R[i, i] > R[k, k]:
@@ -66,7 +70,11 @@ def pose_error(X_WD, X_WO):
 
 @inner
 def command_motion(t):
-    """a_u (6,) at O: p̈_d + K_d ė + K_p e + K_i ∫e, less ω × v."""
+    """Fill `a_u` (6,), the commanded spatial acceleration of the object at O.
+
+    a_u = a_D + K_d(V_D − V) + K_p e + K_i ∫Ω_m e dt − [ω × v; 0]. Reads `error` e and
+    `motion_next` ∫Ω_m e dt.
+    """
     V_O = t.work.V_O
     a = add(t.input.A_D, t.model.damping, minus(t.input.V_D, V_O))
     a = add(a, t.model.stiffness, t.work.error)
@@ -74,56 +82,62 @@ def command_motion(t):
     fill(t.work.a_u, join(minus3(a, cross(V_O[3:], V_O)), angular(a)))
 
 
-# --- Steps of desired forces, and the brake on a contact that swings ------------------------------
+# --- Steps of desired forces, and the brake on oscillating contacts -------------------------------
 #
-# A force that is commanded at once would set a contact swinging, with its own stiffness and the
-# mass behind it, and move the others along. What a step leaves to be done is therefore taken off
-# the desired force at first, and let go within the rise time T along the quintic of least jerk:
+# A step of the commanded force would excite an oscillation of the contact (its stiffness with the
+# mass behind it) and, through it, of the other contacts. Therefore the remainder w of a step is
+# subtracted from the desired force; w vanishes within the rise time T along the minimum-jerk
+# quintic:
 #
 #     α_s = α_d − w,   w(x) = (1 − x)³(a + bx + cx²),   x = t / T
 #
-# a, b and c continue from w's value, slope and curvature when the next step comes. Forces that
-# change more slowly pass unchanged. A contact that is new to the law starts from the force that
-# is measured there, in the first tick of all from none: nothing has been measured under control
-# yet. While much of a step is still to come the integral rests, which would take it for an error.
+# When another step follows before T has passed, a, b and c continue the value, slope and curvature
+# of w. Slow changes of α_d pass unchanged. A contact that becomes active starts from its measured
+# force; in the very first tick it starts from zero, because no force has been measured under
+# control yet. While |w| is a large part of the force the integral is paused: it would treat w as
+# an error.
 #
-# Internal forces are shaped in the same way, but timed independently: a grasp that is tightened
-# leaves the contact forces as they are. In the first tick of all they are what is desired, as an
-# object that friction at the grasps carries must not fall.
+# Internal forces are shaped in the same way with a timer of their own, so that tightening a grasp
+# leaves the contact forces unchanged. In the very first tick they equal the desired ones, because
+# an object held by friction at the grasps must not fall.
 #
-# The brake commands the normal acceleration −κ(NᵀV_rel − v̄) in place of none, v̄ the part that
-# lasts: an object that slides along a tilted face is not braked. In accelerations the same κ
-# serves every mass, and any basis of N; the force that it takes is (NᵀΦN)⁻¹ times as much.
+# The brake commands the normal acceleration −κ(NᵀV_rel − v̄) instead of zero. v̄ is the lasting part
+# of the speed, so an object that slides along a tilted face is not braked. As an acceleration the
+# same κ suits every mass and every basis of N; the force is larger by the factor (NᵀΦN)⁻¹.
 #
-# On a face that yields, by s per unit of force, that is too little where the contact moves slowly,
-# and nothing where its motion is measured. There
+# On a face that yields by s per unit of force, this brake is too weak where the contact moves
+# slowly, and zero where the motion of the face is measured. There the brake is
 #
 #     b = κ(u + (K_i − w) p) − s α̈_s,   u = NᵀV − v̂ − s α̇_s,   ṗ = u − w p
 #
-# with v̂ how the face is driven, a low pass of V_N − s α̇ where its motion is measured, else 0; w is
-# the rate of v̄ and of this low pass. s is learned, from s_0 as declared: with x̃, α̃ and α̃_s the
-# position of the contact, its force and the commanded one, each without what is slower than w,
+# v̂ is the speed at which the face is driven: a low-pass of V_N − s α̇ where its motion is measured,
+# else 0. w is the rate of v̄ and of this low-pass. s is estimated from its declared value s_0: with
+# x̃, α̃ and α̃_s the position of the contact, its force and the commanded force, each after a
+# high-pass with the rate w,
 #
 #     s = (∫x̃ α̃_s + w_0 s_0) / (∫α̃ α̃_s + w_0)
 #
-# where old products are forgotten. Noise and sliding on a tilted face are not correlated with α̃_s.
+# with exponential forgetting. Noise and sliding on a tilted face are not correlated with α̃_s.
 
-_SUDDEN = 20.0  #: 1/s; a force that changes faster than its size times this makes a step
-_FADES = 0.5  #: 1/s; how fast the size of a force that has gone is forgotten
-_PRESSES = 0.3  #: of its desired force; with less a contact does not show the tilt of its face
-_RESTS = 0.1  #: of the size; where more of a step is to come the integral rests
-_YIELDS = 0.01  #: s, of the low-pass of α̈_s
-_RECALLS = 2.0  #: s, in which products of s are forgotten
-_PRIOR = 0.002  #: s; w_0 is so long a time of a force of its size
-_SOFTEST = 20.0  #: times s_0
+_SUDDEN = 20.0  #: 1/s; a desired force that changes faster than this times its size is a step
+_FADES = 0.5  #: 1/s; rate at which the size of a former force is forgotten
+_PRESSES = 0.3  #: share of its desired force from which on a contact shows the tilt of its face
+_RESTS = 0.1  #: share of a force's size; with a larger remainder of a step the integral pauses
+_YIELDS = 0.01  #: s, time constant of the low-pass of α̈_s
+_RECALLS = 2.0  #: s, time constant of forgetting in the estimate of s
+_PRIOR = 0.002  #: s; w_0 is this time multiplied by the squared size of the force
+_SOFTEST = 20.0  #: largest estimate of s, as a multiple of s_0
 
 
 @inner
 def shape_steps(t, own):
-    """Fill `goal` of the columns in force with α_s (N); `integral_scale`: how far it integrates.
+    """Fill `goal` of the active columns with shaped forces α_s = α_d − w (N).
+
+    Fills also `scale`, `shaped` and `to_come` of these columns, and `integral_scale` (0 … 1), the
+    factor of the integral gain, which is 0 while a large part of a step remains.
 
     Args:
-        own: whether the force law is the user's: its steps are not smoothed.
+        own: whether the force law is the user's own, for which steps are not shaped.
     """
     memory = t.memory
     work = t.work
@@ -148,10 +162,10 @@ def shape_steps(t, own):
         if last.has_desired:
             before = last.desired
         elif t.model.phased and goal > 0.0:
-            before = min(before, goal)  # an impact is not held
+            before = min(before, goal)  # the force of an impact is not maintained
             if body_of(t, j).pushes:
-                before = max(before, 0.0)  # no face pulls
-        row.to_come[0] = goal - before  # the step, for now
+                before = max(before, 0.0)  # a face does not pull
+        row.to_come[0] = goal - before  # holds the step until the second loop
         sudden = sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
     sudden = sudden and time > 0.0
     largest = 0.0
@@ -176,10 +190,12 @@ def shape_steps(t, own):
 
 @inner
 def shape_squeeze(t):
-    """Fill `goal` of the internal forces (N) from `squeeze`, whose steps are shaped.
+    """Fill `goal` of the internal forces (N) from the desired `squeeze`, with shaped steps.
 
-    Forces that three arms and more leave at least effort count as none: a step from there begins
-    with none, one to there ends with none before they are left at least effort.
+    With three or more arms, internal forces that are not commanded follow from least effort. A step
+    from there begins at zero force, and a step to there reaches zero before least effort takes
+    over. Fills `goal`, `scale` and `to_come` of `internal`, `squeeze_left` and `squeeze_time`; sets
+    `commanded` while a step lasts.
     """
     memory = t.memory
     work = t.work
@@ -197,7 +213,7 @@ def shape_squeeze(t):
         before = last.desired
         if memory.ticked == 0:
             before = desired
-        own.goal = desired - before  # the step, for now
+        own.goal = desired - before  # holds the step until the second loop
         own.scale = max(abs(desired), last.scale * (1.0 - _FADES * dt))
         sudden = sudden or abs(own.goal) > _SUDDEN * dt * own.scale
     sudden = sudden and time > 0.0
@@ -218,7 +234,11 @@ def shape_squeeze(t):
 
 @leaf
 def _still_to_come(to_come, left):
-    """w of a step (N), a share `left` of whose time is left."""
+    """Remainder w (N) of a step.
+
+    Args:
+        to_come: a, b, c of the quintic (N). left: remaining share 1 − x of the rise time.
+    """
     a, b, c = to_come
     x = 1.0 - left
     return left * left * left * (a + x * (b + x * c))
@@ -226,18 +246,26 @@ def _still_to_come(to_come, left):
 
 @inner
 def _add_step(to_come, step, left, stretch):
-    """a, b, c of what is to come of a former step and a new one (N), from x = 0 on.
+    """Coefficients a, b, c (N) of the quintic for the remainder of a former step and a new step.
 
     Args:
-        to_come: of the former step. step: the new one (N). left: share of the former one's time.
-        stretch: times as long as the former one takes.
+        to_come: a, b, c of the former step (N). step: size of the new step (N).
+        left: remaining share of the former step's rise time.
+        stretch: ratio of the new rise time to the former one.
     """
     return add3(_continue(to_come, left, stretch), step, (1.0, 3.0, 6.0))
 
 
 @inner
 def _continue(to_come, left, stretch):
-    """a, b, c of the quintic that continues at x = 1 − left, and takes `stretch` times as long."""
+    """Coefficients a, b, c (N) of a quintic that continues another one with a new rise time.
+
+    Value, slope and curvature of w are continuous.
+
+    Args:
+        to_come: a, b, c of the former quintic (N). left: its remaining share 1 − x.
+        stretch: ratio of the new rise time to the former one.
+    """
     a, b, c = to_come
     x = 1.0 - left
     P = a + x * (b + x * c)
@@ -251,7 +279,11 @@ def _continue(to_come, left, stretch):
 
 @inner
 def brake_contacts(t):
-    """`brake` (r,) ← κ(NᵀV_rel − v̄), in m/s² for columns that are forces; of yielding faces b."""
+    """Multiply `brake` κ (r,) by the speed to be braked: NᵀV_rel − v̄, or that of a yielding face.
+
+    The result is a deceleration, in m/s² for columns that are forces. On a yielding face it is
+    b = κ(u + (K_i − w) p) − s α̈_s.
+    """
     work = t.work
     for a in range(work.rank):
         j = work.kept[a]
@@ -263,20 +295,20 @@ def brake_contacts(t):
         acceleration = (rate - t.memory.columns[j].eased_rate) / _YIELDS
         work.brake[a] -= _compliance(t, j) * acceleration
         column = work.columns[j]
-        if work.V_N[a] == 0.0:  # its yield would seem to be a tilt
+        if work.V_N[a] == 0.0:  # an unmeasured yield would be mistaken for a tilt of the face
             column.slides = 0.0
             fill3(column.turned, column.turn)
 
 
 @leaf
 def _washout(t):
-    """w (1/s)."""
+    """Rate w (1/s) of v̄ and of the high-passes in the estimate of the compliance."""
     return t.model.drift_share / t.model.period
 
 
 @leaf
 def _compliance(t, j):
-    """s (m/N) of the face of column j, as learned so far."""
+    """Estimated compliance s (m/N) of the yielding face that column j presses on."""
     row = t.memory.columns[j]
     s = body_of(t, j).parameters[0]
     weight = _PRIOR * row.scale * row.scale
@@ -288,13 +320,18 @@ def _compliance(t, j):
 
 @leaf
 def _deflection(t, a, j):
-    """u (m/s), p (m), v̂ (m/s) and α̇_s of column j, kept as a; NᵀV_e = 0 is not measured."""
+    """Variables of the brake on a yielding face: u (m/s), p (m), v̂ (m/s) and α̇_s (N/s).
+
+    Args:
+        t: Tick. a: index among the kept columns, with V_N[a] = 0 where the motion of the face is
+            not measured. j: index among all columns.
+    """
     work = t.work
     column = work.columns[j]
     last = t.memory.columns[j]
     s = _compliance(t, j)
     face = work.V_N[a]
-    if column.shaped == 0:  # not in contact yet
+    if column.shaped == 0:  # the contact is still approached
         return work.speed[a], 0.0, face, last.eased_rate
     yielding = _washout(t) * s * (work.alpha_meas[a] - last.alpha_mean)
     driven = last.driven - yielding if face != 0.0 else 0.0
@@ -304,7 +341,7 @@ def _deflection(t, a, j):
 
 @leaf
 def _keep_deflections(t):
-    """What v̂, p, α̇_s and s of yielding faces are made of, for the next tick."""
+    """Update the states of v̂, p, α̇_s and s of yielding faces in MEMORY."""
     work = t.work
     dt = work.dt
     w = _washout(t)
@@ -347,9 +384,13 @@ def _keep_squeeze(t):
 
 @inner
 def keep_steps(t):
-    """What the next tick must know of the desired forces, v̄ and the turn of each column."""
+    """Update the steps of forces, v̄ and the turn of the normal of each column in MEMORY.
+
+    Columns that are not in N are reset. Where active contacts are named by the user, the turn and
+    its covariance are retained for the next contact with the same face.
+    """
     work = t.work
-    _keep_deflections(t)  # before what they begin from is overwritten
+    _keep_deflections(t)  # reads `has_desired`, which is overwritten below
     t.memory.step_left = work.step_left
     t.memory.step_time = work.step_time
     _keep_squeeze(t)
@@ -362,7 +403,7 @@ def keep_steps(t):
             row.drift = row.driven = row.deflection = row.eased = row.eased_rate = 0.0
             row.yielded = row.alpha_mean = row.eased_mean = row.correlation = row.excitation = 0.0
             row.to_come[:] = 0.0
-            if t.input.chosen_set:  # a face that is known is met again
+            if t.input.chosen_set:  # the next contact is with the same face
                 continue
             row.unexplained = row.residual = row.normal_std = 0.0
             row.turn[:] = 0.0

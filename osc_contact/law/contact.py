@@ -50,28 +50,33 @@ from osc_contact.law.vectors import (
 
 # --- Estimation of contact normals from sliding ---------------------------------------------------
 #
-# A point that slides at v_t along a face whose normal n is wrong by ε leaves the face that is
-# believed in at v = εᵀv_t. Where one point touches one face, n is turned until it does not; what is
-# left, where nothing slides, is v̄ of `commands`. Where edges cross, that of the body is turned: its
-# part g along n shows. docs/tuning.md: what it brings, and why it is stable.
+# If the assumed normal n of a face is wrong by ε, a point that slides along the true face at v_t
+# has the speed v = εᵀv_t along n. Where a pair has a single point on a single face, n is turned
+# until this speed vanishes; a speed that remains without sliding is v̄ of `commands`. Where two
+# edges cross, the edge of the touched body is turned, and g (`_shown_by_edges`) takes the place of
+# v_t. docs/tuning.md has the benefit of the estimate and the proof of its stability.
 #
-# The covariance P of the error goes with the estimate. What n does not explain, such as a face that
-# yields, is new every 1/c; r is its mean square, without what is faster than 4c. With ĝ along v_t,
+# P is the covariance of ε. The part of v that an error of n does not explain (for example the
+# speed of a yielding face) is modelled as independent after 1/c; r is its mean square, computed
+# after a low-pass at 4c. With ĝ along v_t,
 #
 #     κ = c dt σ λ,   λ = p/(p + r),   p = |v_t|² ĝᵀPĝ
 #     P ← (1 − κĝĝᵀ) P (1 − κĝĝᵀ) + κ²/(c dt) r/|v_t|² ĝĝᵀ
 #
-# from P_0 of a cone of the half angle `tilt`, its square over 4 in each direction. What n has no
-# share in, 1 − σλ, v̄ takes.
+# P starts from P_0 = (tilt²/4)(1 − nnᵀ), the covariance in a cone of half angle `tilt`; for crossed
+# edges from (tilt²/4) nnᵀ. The share 1 − σλ of v, which does not turn n, changes v̄.
 
-_LEAST_SQUARE = 1e-30  # (m/s)²
-_FASTER = 4.0  # c, of the low-pass
-_SLIDES = 0.01  #: v_1 (m/s): faster than that a point shows the tilt of its face
+_LEAST_SQUARE = 1e-30  # (m/s)², keeps quotients finite
+_FASTER = 4.0  # corner frequency of the low-pass of v, in multiples of c
+_SLIDES = 0.01  #: v_1 (m/s), sliding speed at which half of v is attributed to the normal
 
 
 @inner
 def take_turns(t):
-    """v̄ and the turns of assumed normals, as the last tick left them."""
+    """Copy v̄ and the turns of the assumed normals from MEMORY to the columns of WORK.
+
+    Fills `drift`, `turn`, `turned` (equal to `turn`), and zeroes `slides`, `lever` and `prior`.
+    """
     for j in range(t.model.n_columns):
         row = t.work.columns[j]
         last = t.memory.columns[j]
@@ -85,18 +90,25 @@ def take_turns(t):
 
 @inner
 def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
-    """Fill `turned` and `slides` (0 … 1): the face turned to what is seen to slide on it.
+    """Turn the assumed normal of a face by the speed along it while a point slides.
 
         n ← n − κ (NᵀV_rel − v̄) v_t / v_t²,   σ = v_t⁴ / (v_t⁴ + v_1⁴)
 
-    v_t is the velocity desired of the point along the face: noise turns nothing, nor does
-    what stands still. n stays within `tilt` of what is assumed, in the axes that carry the face;
-    what is beyond v̄ takes. Where the face is curved n is that of the place where it is touched: a
-    ball that is misplaced by δ is so turned by −δ/R everywhere.
+    v_t is the desired velocity of the point along the face, so neither measurement noise nor a
+    point at rest turns the normal. n stays within the angle `tilt` of the declared normal, in the
+    axes of the object or body that carries the face; a larger deviation changes v̄ instead. On a
+    curved face n is the normal at the point touched: an error δ of a ball's position turns it by
+    −δ/R everywhere.
+
+    Fills `turned` (the normal after this tick less the declared one), `slides` (σλ, 0 … 1),
+    `shown`, `lever`, `prior` and `unexplained` of the column.
 
     Args:
-        pair: of one column, its N, `turn` and `drift` known. X_WO: of the object. R_E: of the body.
-        V_rel, V_goal: (6,) at O, measured and desired, against the body.
+        pair: PAIR row with one column, whose N, `turn` and `drift` are filled.
+        X_WO: (4, 4) pose of the object.
+        R_E: (4, 4) pose of the touched body.
+        V_rel: (6,) measured twist of the object relative to the body, at O.
+        V_goal: (6,) desired twist of the object relative to the body, at O.
     """
     model = t.model
     shapes = model.shapes
@@ -114,7 +126,7 @@ def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
     n = rotated_back(axes, scaled3(1.0 / size, N))
     fill3(column.shown, scaled3(1.0 / sqrt(max(square, _LEAST_SQUARE)), v))
     for i in range(3):
-        for j in range(3):  # of the turn of a face across n, of an edge along n
+        for j in range(3):  # a face turns about axes across n, an edge changes n along n
             across = (1.0 if i == j else 0.0) - n[i] * n[j]
             share = n[i] * n[j] if pair.kind == EDGES else across
             column.prior[3 * i + j] = 0.25 * model.tilt * model.tilt * share
@@ -134,13 +146,22 @@ def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
 
 @leaf
 def _tangential(v, N):
-    """v less its part along the force of N."""
+    """Component of a velocity v (m/s) perpendicular to the line of force N (6,)."""
     return add3(v, -dot3(N, v) / dot3(N, N), N)
 
 
 @inner
 def _shown_by_edges(row, X_WO, R_E, column, v):
-    """g = ±(v_t × e)/|e × f|: turning E's edge f by δ turns n so that NᵀV_rel changes by gᵀδ."""
+    """Sensitivity g (m/s) of NᵀV_rel to a turn δ of the body's edge f: NᵀV_rel changes by gᵀδ.
+
+    g = ±(v_t × e)/|e × f|, with e the edge of the object.
+
+    Args:
+        row: (16,) shape of the edges, see `_edges`.
+        X_WO, R_E: (4, 4) poses of the object and the touched body.
+        column: COLUMN_WORK, of which N and `turn` are read.
+        v: velocity of the crossing along the face (m/s).
+    """
     e = rotated(X_WO, row[3:])
     m = cross(e, _turned_edge(row, R_E, column.turn))
     return scaled3(1.0 / dot3(column.N, m), cross(v, e))
@@ -148,16 +169,18 @@ def _shown_by_edges(row, X_WO, R_E, column, v):
 
 @inner
 def _quadratic(P, u):
-    """uᵀPu."""
+    """Quadratic form uᵀPu of a 3×3 matrix P (9 numbers, by rows) and a vector u."""
     return dot3(u, rotated9(P, u))
 
 
 @leaf
 def learn_normal(share, last, column):
-    """Covariance, largest standard deviation and residual after a tick.
+    """Update the covariance P, `normal_std` and the mean square `residual` of an assumed normal.
 
     Args:
-        share: c dt of the estimate. last: COLUMN_MEMORY, changed. column: COLUMN_WORK.
+        share: c dt, the share of a tick in the estimate; 0 where it is not updated.
+        last: COLUMN_MEMORY, changed.
+        column: COLUMN_WORK after `follow_face`.
     """
     P = last.covariance
     u = column.shown
@@ -177,14 +200,18 @@ def learn_normal(share, last, column):
     for i in range(3):
         for j in range(3):
             P[3 * i + j] += s * u[i] * u[j] - k * (w[i] * u[j] + u[i] * w[j])
-    half = 0.5 * (P[0] + P[4] + P[8])  # of a matrix of rank two
+    half = 0.5 * (P[0] + P[4] + P[8])  # largest eigenvalue of P, which has rank two
     minors = P[0] * P[4] - P[1] * P[3] + P[0] * P[8] - P[2] * P[6] + P[4] * P[8] - P[5] * P[7]
     last.normal_std = sqrt(half + sqrt(max(half * half - minors, 0.0)))
 
 
 @inner
 def _tracked(pair, shapes, X_WO, R_E, column):
-    """The point whose motion shows how its face is turned, from O; `believed` ← that normal."""
+    """Return the point (m, from O) that slides on the face of a pair with one column.
+
+    Fills `believed` of the column with the declared normal, in the axes of the object or body that
+    carries the face. The normals of a SURFACE, a GIVEN and a FUNCTION pair are filled elsewhere.
+    """
     if pair.kind == GIVEN or pair.kind == FUNCTION:
         return linear(column.point)
     row = shapes[pair.shape_at].row
@@ -201,7 +228,14 @@ def _tracked(pair, shapes, X_WO, R_E, column):
 
 @inner
 def _turn_given(column, R_E):
-    """N of one column that Python gave, turned with its normal about where it acts."""
+    """Turn the N of a GIVEN or FUNCTION pair with one column by the estimate of its normal.
+
+    The point of contact stays where it is. Fills `believed` with the normal before the turn.
+
+    Args:
+        column: COLUMN_WORK with N, `point` and `turn`; N is changed.
+        R_E: (4, 4) pose of the touched body.
+    """
     N = column.N
     turn = column.turn
     size = sqrt(dot3(N, N))
@@ -215,33 +249,32 @@ def _turn_given(column, R_E):
 
 # --- N and n_γ at the operational point, in world axes, of every packaged pair --------------------
 #
-# A PAIR names its kind, its first column of N, their number, and the first SHAPE of its geometry;
-# what the numbers of a shape are is given with each function. Positions are from O, motions at O.
-# Matrices are read element by element, so the functions run as they are on numbers and on arrays of
-# numbers over time (`contacts.pairs.pair`).
+# A PAIR has its kind, its first column of N, the number of its columns, and the first SHAPE of its
+# geometry; the docstring of each function lists the numbers of its shape. Positions are from O,
+# twists at O. Matrices are read element by element, so that the same functions work on numbers and
+# on arrays of numbers over time (`contacts.pairs.pair`).
 
 PARALLEL = 1e-6  #: sine of the angle below which two edges have no common normal
-AHEAD = 2.0  #: control periods after its measurement at which a torque acts at the latest
+AHEAD = 2.0  #: control periods from a measurement to the latest effect of its torque
 
-#: X_WO: (4, 4) pose of the object. R_E: the same of the touched body. V_O, V_E, V_rel: (6,) twists
-#: at O of the object, of the body, of one against the other. moving: False: the body rests in the
-#: world.
+#: X_WO, R_E: (4, 4) poses of the object and of the touched body. V_O, V_E: (6,) their twists at O.
+#: V_rel: (6,) twist of the object relative to the body, at O. moving: False if the body rests.
 Motion = namedtuple("Motion", "X_WO V_O R_E V_E V_rel moving")
 
 
 @leaf
 def _line(N, p, n):
-    """N = W(n, p) = [n; p × n], the line of force along n through p."""
+    """Fill N (6,) with [n; p × n], the wrench at O of a unit force along n through p."""
     fill(N, join(n, cross(p, n)))
 
 
 @inner
 def place_contacts(t):
-    """Fill N, n_γ and friction wrenches of all columns; False where a pair is degenerate.
+    """Fill N, n_γ and friction wrenches of all columns; return False where a pair is degenerate.
 
-    Of pairs that Python evaluates (GIVEN) N, n_γ and points are there, those of FUNCTION pairs come
-    from the user's compiled function. Friction is that of the slip to come, when the torques of
-    this tick act: where a motion turns back it changes its sign within milliseconds.
+    N, n_γ and points of GIVEN pairs were filled by Python before the tick; those of FUNCTION pairs
+    are computed by the user's compiled function. The friction wrench is predicted for the time at
+    which the torques of this tick act, since friction reverses within milliseconds with the motion.
     """
     model = t.model
     shapes = model.shapes
@@ -297,7 +330,13 @@ def place_contacts(t):
 
 @inner
 def _take_evaluated(columns, first, count, evaluated):
-    """N, n_γ and points of contact as a FUNCTION pair returned them; whether they are finite."""
+    """Copy the results of a FUNCTION pair to its columns; return whether they are finite.
+
+    Args:
+        columns: COLUMN_WORK rows, of which N, `n_gamma` and `point` are filled.
+        first, count: first column of the pair and their number.
+        evaluated: (6, 11) rows [N; n_γ; gap; point], one for each column.
+    """
     zero = 0.0
     for j in range(count):
         column = columns[first + j]
@@ -314,11 +353,12 @@ def place_pair(pair, shapes, columns, motion):
     """Fill N and n_γ of one pair's columns.
 
     Args:
-        pair: PAIR row. shapes: SHAPE rows. columns: COLUMN_WORK rows. motion: of object and body.
+        pair: PAIR row. shapes: SHAPE rows. columns: COLUMN_WORK rows.
+        motion: `Motion` of the object and the touched body.
 
     Returns:
-        What decides whether N exists: the sine of the angle between two edges, the gradient of a
-        surface; else 1.
+        A number that is near zero where N does not exist: the sine of the angle between two edges,
+        the magnitude of the gradient of a surface, 1 for all other pairs.
     """
     first = pair.first
     shape = pair.shape_at
@@ -338,7 +378,14 @@ def place_pair(pair, shapes, columns, motion):
 
 @inner
 def _point_on_plane(row, motion, column):
-    """A point of A (0:3) on a plane of E with direction into it (3:6), distance (6) along."""
+    """Fill N and n_γ of a point of the object on a plane of the touched body.
+
+    Args:
+        row: (16,) point in the object's axes (0:3), unit vector into the plane in the body's axes
+            (3:6), distance of the plane from the body's origin along it (6).
+        motion: `Motion`.
+        column: COLUMN_WORK, filled.
+    """
     p = rotated(motion.X_WO, row)
     n = plus3(row[3:], column.turn)
     if motion.moving:
@@ -349,7 +396,11 @@ def _point_on_plane(row, motion, column):
 
 @inner
 def _carried(p, n, motion):
-    """−ṄᵀV_rel where A carries p and E carries n, both in world axes, p from O."""
+    """Normal acceleration n_γ = −ṄᵀV_rel of a point p fixed to the object, n fixed to the body.
+
+    Args:
+        p: point of contact from O (m), world axes. n: unit vector, world axes. motion: `Motion`.
+    """
     V_rel = motion.V_rel
     s = -dot3(n, cross(V_rel[3:], velocity_at(motion.V_O, p)))
     if motion.moving:
@@ -359,11 +410,14 @@ def _carried(p, n, motion):
 
 @inner
 def point_of_contact(kind, row, X_WO, R_E, N):
-    """Where a magnitude of a pair that pushes acts, from O: plane, ball, vertex or object's edge.
+    """Point of contact (m, from O, world axes) of a column of a pair with unilateral contact.
+
+    It is the projection of a point on its plane, the point of a ball on its face, the vertex (less
+    its radius) or the point of the object's edge.
 
     Args:
-        kind: of the pair. row: (16,) of the column. X_WO: of the object. R_E: axes of the body.
-        N: (6,) line of force at O.
+        kind: of the pair. row: (16,) SHAPE of the column. X_WO, R_E: (4, 4) poses of the object
+            and the touched body. N: (6,) line of force at O.
     """
     if kind == FACE_ON_VERTEX:
         return add3(_vertex(row, X_WO, R_E), -row[6], N)
@@ -380,7 +434,12 @@ def point_of_contact(kind, row, X_WO, R_E, N):
 
 @inner
 def _slide(V_rel, mu, slip, column):
-    """s = v_t / √(v_t² + v_0²) at the point of contact p, and friction μ [s; p × s] there."""
+    """Fill `slip`, s = v_t / √(v_t² + v_0²), and `friction_wrench`, μ [s; p × s], of a column.
+
+    Args:
+        V_rel: (6,) twist relative to the body, at O. mu: coefficient of friction μ. slip: v_0
+            (m/s), below which friction is regularised. column: COLUMN_WORK with N and `point`.
+    """
     v = _tangential(velocity_at(V_rel, column.point), column.N)
     s = scaled3(1.0 / sqrt(dot3(v, v) + slip * slip), v)
     fill3(column.slip, s)
@@ -389,15 +448,19 @@ def _slide(V_rel, mu, slip, column):
 
 @inner
 def _rate(p, n, p_dot, n_dot):
-    """Ẇ(n, p) = [ṅ; ṗ × n + p × ṅ]."""
+    """Rate of a line of force [n; p × n]: [ṅ; ṗ × n + p × ṅ], six numbers."""
     return join(n_dot, plus3(cross(p_dot, n), cross(p, n_dot)))
 
 
 @inner
 def _on_surface(shapes, at, motion, column):
-    """A ball of A on a surface of E; returns |∇F|.
+    """Fill N and n_γ of a ball of the object on a curved surface of the body; return |∇F|.
 
-    ṅ = ω_E × n, as on a plane, and what n changes by along the surface.
+    n rotates with the body and changes along the surface with the velocity of the ball.
+
+    Args:
+        shapes: SHAPE rows. at: the first one of this surface, see below. motion: `Motion`.
+        column: COLUMN_WORK, filled (`believed`, too).
     """
     X_WO, _, R_E, _, V_rel, _ = motion
     p = rotated(X_WO, shapes[at].row)
@@ -416,13 +479,20 @@ def _on_surface(shapes, at, motion, column):
 
 @leaf
 def _vertex(row, X_WO, R_E):
-    """A vertex of E (3:6 of a shape), from O."""
+    """Position of a vertex of the touched body from O (m, world axes); `row` has it in 3:6."""
     return minus3(plus3(origin(R_E), rotated(R_E, row[3:])), origin(X_WO))
 
 
 @inner
 def _face_on_vertex(row, motion, column):
-    """Row: normal of A's face (0:3), vertex of E (3:6), its radius (6)."""
+    """Fill N and n_γ of a face of the object on a vertex of the touched body.
+
+    Args:
+        row: (16,) unit normal of the face in the object's axes (0:3), vertex in the body's frame
+            (3:6, m), its radius (6, m).
+        motion: `Motion`.
+        column: COLUMN_WORK, filled.
+    """
     X_WO, V_O, R_E, V_E, V_rel, _ = motion
     n = rotated(X_WO, plus3(row, column.turn))
     p = _vertex(row, X_WO, R_E)
@@ -433,20 +503,33 @@ def _face_on_vertex(row, motion, column):
 
 @inner
 def _along_first(a, e, m, mm):
-    """s with s e_A − t e_E = a in the plane ⟂ m = e_A × e_E."""
+    """Solve s e_A − t e_E = a for s, in the plane perpendicular to m = e_A × e_E.
+
+    Args:
+        a: vector (m or m/s). e: direction e_E. m: e_A × e_E. mm: m · m.
+    """
     return dot3(cross(a, e), m) / mm
 
 
 @inner
 def _turned_edge(row, R_E, turn):
-    """The direction of E's edge, a unit vector, as it is taken to be."""
+    """Direction of the body's edge with its estimated turn: a unit vector in world axes."""
     f = plus3(row[9:], turn)
     return rotated(R_E, divided3(f, sqrt(dot3(f, f))))
 
 
 @inner
 def _crossing(row, X_WO, R_E, f):
-    """Where A's edge comes nearest to E's, f, from O, and a point of E's edge from one of A's."""
+    """Nearest points of two edges.
+
+    Args:
+        row: (16,) shape, see `_edges`. X_WO, R_E: (4, 4) poses of object and body. f: direction of
+            the body's edge, in world axes.
+
+    Returns:
+        The point of the object's edge that is nearest to the body's edge (m, from O), and the
+        vector from the declared point of the object's edge to that of the body's (m).
+    """
     e = rotated(X_WO, row[3:])
     m = cross(e, f)
     q = rotated(X_WO, row)
@@ -457,10 +540,16 @@ def _crossing(row, X_WO, R_E, f):
 
 @inner
 def _edges(row, motion, column):
-    """Row: point, direction of A's edge (0:3, 3:6), of E's (6:9, 9:12), side (12), normal (13:16).
+    """Fill N and n_γ of crossed edges; return the sine of the angle between them.
 
-    The side is ±1, or 0 where the environment's outward normal determines it. Returns the sine of
-    the edges' angle; near zero the column is not a number.
+    Where the sine is near zero the column is not finite.
+
+    Args:
+        row: (16,) point and direction of the object's edge (0:3, 3:6), of the body's edge (6:9,
+            9:12), side (12), outward normal of the body (13:16). A side of ±1 gives the sign of
+            n = ±e × f; with 0 the outward normal determines it.
+        motion: `Motion`.
+        column: COLUMN_WORK, filled.
     """
     X_WO, V_O, R_E, V_E, V_rel, _ = motion
     e = rotated(X_WO, row[3:])
@@ -486,12 +575,13 @@ def _edges(row, motion, column):
 
 @inner
 def permitted_motion(row, X_WO, R_E):
-    """A motion t (6 numbers) that a pair given by T permits.
+    """Twist at O (six numbers) of one freedom of a pair that is declared by its permitted motions.
 
     Args:
-        row: point of A (0:3), axis (3:6), kind (6): TURN about A's axis, carried by A; SLIDE along
-            E's axis, carried by E; SCREW, the turn and a slide of pitch (10) along 7:10 of E.
-        X_WO: pose of the object. R_E: axes of the body.
+        row: point of the object (0:3), axis (3:6), kind (6): TURN about an axis of the object;
+            SLIDE along an axis of the body; SCREW, a turn about the object's axis with a
+            translation by the pitch (10, m/rad) along the body's axis 7:10.
+        X_WO: (4, 4) pose of the object. R_E: (4, 4) pose of the touched body.
     """
     if row[6] == SLIDE:
         return join(rotated(R_E, row[3:]), ZERO_3)
@@ -504,12 +594,18 @@ def permitted_motion(row, X_WO, R_E):
 
 @inner
 def _tangents(pair, shapes, motion, columns):
-    """The pairs given by T: n_γ = NᵀṪβ.
+    """Fill N and n_γ = NᵀṪβ of a pair that is declared by its permitted motions T.
 
-    Shapes of the columns of N first, then those of its freedoms (`permitted_motion`). Row of a
-    column: point of A (0:3), direction of E (3:6), kind (6): FORCE along the direction through the
-    point; COUPLE about (arm of A × mark of E); THREAD of a screw, a force along the direction and a
-    couple −pitch / cos about it; axis of A (7:10), pitch (10).
+    Args:
+        pair: PAIR row. Its shapes are those of the columns of N, then those of its freedoms (see
+            `permitted_motion`).
+        shapes: SHAPE rows. That of a column of N has a point of the object (0:3), a direction of
+            the body (3:6) and a kind (6): FORCE along the direction through the point; COUPLE
+            about the cross product of an arm of the object (0:3) and a direction of the body;
+            THREAD, a force along the direction with a couple −pitch / cos about it, where 7:10
+            is the object's axis, 10 the pitch (m/rad) and cos the cosine between both axes.
+        motion: `Motion`.
+        columns: COLUMN_WORK rows, filled.
     """
     X_WO, V_O, R_E, V_E, V_rel, _ = motion
     Tdot_beta = ZERO
@@ -539,35 +635,42 @@ def _tangents(pair, shapes, motion, columns):
 
 # --- Smooth surfaces: signed distance, normal and curvature at the foot of any point ------------
 #
-# F(x) = ½(q₁x² + q₂y² + q₃z²) + b z + c − h(x, y) is zero on the surface, in its own axes S; h is
-# bicubic in each cell of a grid, or zero. The foot f of a point p solves p = f + λ∇F(f), F(f) = 0:
-# then n = ∇F/|∇F| is the normal there, λ|∇F| the signed distance of p, n its gradient. Where p
-# moves by v, f moves by df = (1 + λH)⁻¹(v − dλ ∇F) with ∇Fᵀdf = 0, and n by (1 − nnᵀ)H df/|∇F|.
+# A surface is F(x) = ½(q₁x² + q₂y² + q₃z²) + b z + c − h(x, y) = 0 in its own axes S; h is bicubic
+# in each cell of a grid, or zero. The foot f of a point p solves p = f + λ∇F(f), F(f) = 0. There
+# n = ∇F/|∇F| is the normal, and λ|∇F| the signed distance of p, whose gradient is n. Where p moves
+# by v, f moves by df = (1 + λH)⁻¹(v − dλ ∇F) with ∇Fᵀdf = 0, and n by (1 − nnᵀ)H df/|∇F|.
 #
-# Shapes: a ball's centre in A (0:3) and radius (3), q (4:7), b, c (7, 8), corner of the grid
-# (9, 10), cells per metre (11, 12) and their numbers (13, 14), 0: no h; then R_ES by rows and the
-# origin of S in E; then h of each cell, 4 p + q the factor of uᵖvᵠ, u, v = 0 … 1 along x, y.
+# Its SHAPE rows are, in this order: 1. centre of the ball in the object (0:3), its radius (3), q
+# (4:7), b, c (7, 8), corner of the grid (9, 10), cells per metre (11, 12), numbers of cells (13,
+# 14; 0 without h); 2. R_ES by rows (0:9) and the origin of S in the body (9:12); 3. one row for
+# each cell, in which 4 p + q holds the factor of uᵖvᵠ of h, with u, v = 0 … 1 along x, y.
 
 _ITERATIONS = 25
-_EXACT = 1e-28  #: m²; of Newton's last step
+_EXACT = 1e-28  #: m²; square of a Newton step that ends the iteration
 
 
 @leaf
 def is_near(step):
-    """Whether a step (m) is Newton's last."""
+    """Whether a Newton step (three numbers, m) is small enough to end the iteration."""
     return dot3(step, step) < _EXACT
 
 
 @leaf
 def _cell(x, count):
-    """Number of the cell where x is, and where in it; the outermost cells have no end."""
+    """Index of the grid cell that contains x, and the coordinate in it (0 … 1).
+
+    The outermost cells extend to infinity, so that the coordinate may be beyond 0 … 1 there.
+
+    Args:
+        x: coordinate in cells. count: number of cells.
+    """
     i = int(min(max(floor(x), 0.0), count - 1.0))
     return i, x - i
 
 
 @inner
 def _height(shapes, at, x, y):
-    """h and its derivatives by x, y, xx, xy, yy."""
+    """Height h (m) of a gridded surface at (x, y), and its derivatives by x, y, xx, xy, yy."""
     row = shapes[at].row
     if row[13] == 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -592,13 +695,14 @@ def _height(shapes, at, x, y):
 
 @inner
 def nearest(shapes, at, p):
-    """The surface nearest to a point of S.
+    """Foot of a point on a surface, found by Newton's method.
 
     Args:
-        shapes: SHAPE rows. at: the first of the surface's. p: three numbers (m).
+        shapes: SHAPE rows. at: the first one of the surface. p: point in the surface's axes S (m).
 
     Returns:
-        λ; ∇F at the foot; H there: xx, xy, yy, zz; M = (1 + λH)⁻¹: xx, xy, yy, zz.
+        λ, with p = foot + λ∇F; ∇F at the foot; the Hessian H there, as (xx, xy, yy, zz);
+        (1 + λH)⁻¹, as (xx, xy, yy, zz).
     """
     row = shapes[at].row
     foot = p
@@ -627,16 +731,19 @@ def nearest(shapes, at, p):
 
 @leaf
 def _times(M, v):
-    """A symmetric matrix xx, xy, yy, zz times a vector."""
+    """Product of a symmetric matrix, given as (xx, xy, yy, zz), and a vector."""
     return M[0] * v[0] + M[1] * v[1], M[1] * v[0] + M[2] * v[1], M[3] * v[2]
 
 
 @inner
 def normal_at(shapes, at, p, v):
-    """|∇F|, n and dn/dt at the foot of a point p of E that moves by v, all along the axes of E.
+    """Gradient magnitude |∇F|, normal n and its rate dn/dt at the foot of a moving point.
+
+    All vectors are in the axes of the touched body.
 
     Args:
-        shapes: SHAPE rows. at: the first of the surface's. p, v: three numbers each (m, m/s).
+        shapes: SHAPE rows. at: the first one of the surface. p: the point (m). v: its velocity
+            (m/s).
     """
     seat = shapes[at + 1].row
     _, g, H, M = nearest(shapes, at, rotated9_back(seat, minus3(p, seat[9:])))

@@ -1,4 +1,4 @@
-"""Grasps that permit motions: what they transmit, and where the object is that they hold."""
+"""Grasps that permit motions: transmitted wrenches, and pose and twist of the object they hold."""
 
 from __future__ import annotations
 
@@ -51,19 +51,20 @@ from osc_contact.law.vectors import (
     world_wrench,
 )
 
-# --- Grasps that permit motions: what they transmit, how the object slips, wrist filters ----------
+# --- Transmitted wrenches, slip of the object in its grasps, wrist filters ------------------------
 
-KNOWN = 1e-6  #: least share of a pivot at which the grasps fix the object beyond doubt
-_MOVES = 1e-7  #: of the outboard links' wrench, below which their own motion is none
+KNOWN = 1e-6  #: least relative pivot at which the grasps determine the object's motion
+_MOVES = 1e-7  #: relative wrench of the outboard links' own motion that counts as zero
 
 
 @inner
 def grasp_rows(arm, work, C, axes, out):
-    """N and T of a grasp in energy coordinates.
+    """Fill N and T of a grasp in energy coordinates.
 
     Args:
-        arm: ARM row. work: its ARM_WORK, of which `tip` is read: axes and point of the tip.
-        C: (3,) centre of mass (m). axes: from `set_axes`. out: (6, 6), filled: rows of N, then T.
+        arm: ARM row. work: its ARM_WORK, of which `tip` is read (axes and point of the tip).
+        C: (3,) centre of mass of the object (m). axes: energy coordinates, from `set_axes`.
+        out: (6, 6), filled with m rows of N, then 6 − m rows of T.
     """
     tip = work.tip
     for a in range(6):
@@ -77,14 +78,18 @@ def grasp_rows(arm, work, C, axes, out):
 
 @inner
 def find_twist(t, given):
-    """N and T of every grasp, orthonormal, and the object's twist at C; False: it is not fixed.
+    """Compute orthonormal N and T of every grasp, and the twist of the object at C.
 
-    With a leader the object moves with its tip; with none, as all the grasps permit. Reads `axes`,
-    `p_C`, R and p of the joints, V of the arms. Fills `tip` and `passed` of each arm whose grasp
-    permits motions, and `V_C` unless it is given.
+    With a leader (an arm that holds rigidly) the object moves with its tip. Without one, the twist
+    is the solution of the velocity conditions of all grasps. Reads `axes`, `p_C`, R and p of the
+    joints, V of the arms. Fills `tip` and `passed` of each arm whose grasp permits motions, and
+    `V_C` unless it is given.
 
     Args:
-        given: whether the twist is given.
+        t: Tick. given: whether the twist is given in `V_C`.
+
+    Returns:
+        False if the grasps do not determine the twist.
     """
     model = t.model
     work = t.work
@@ -123,17 +128,23 @@ def find_twist(t, given):
 
 @leaf
 def _add_condition(row, s, A, x):
-    """Add the condition row · y = s to the normal equations A y = x."""
+    """Add the condition row · y = s to the normal equations A y = x.
+
+    Args:
+        row: (6,). s: number. A: (6, 6), changed. x: (6,), changed.
+    """
     add_square(1.0, row, A)
     accumulate(x, s, row)
 
 
 @inner
 def add_slip(V, V_C, gamma):
-    """γ += V × V_C: the tip carries the wrenches of the grasp while the object slips in it.
+    """Add V × V_C to the drift γ of an arm, for an object that slips in its grasp.
+
+    The wrenches of the grasp move with the tip, not with the object.
 
     Args:
-        V: (6,) twist of the tip. V_C: (6,) of the object. gamma: (6,) drift, overwritten.
+        V: (6,) twist of the tip at C. V_C: (6,) twist of the object at C. gamma: (6,), changed.
     """
     linear = plus3(plus3(gamma, cross(V[3:], V_C)), cross(V, V_C[3:]))
     fill(gamma, join(linear, plus3(gamma[3:], cross(V[3:], V_C[3:]))))
@@ -141,16 +152,17 @@ def add_slip(V, V_C, gamma):
 
 @inner
 def filter_outboard(t, arm, own, bias):
-    """Λ_out (transposed) and bias of a gripper that can move without the object.
+    """Add the inertia Λ_out (transposed) and the bias of a gripper that can move by itself.
 
-    The joints' motion without the object adds E = P(1 − J̄J) to the reading, P the wrenches of the
-    outboard bodies by the joints; F = 1 − E(T E)⁺T removes it. Reads `passed` and `gamma` of the
-    arm, J, J̄ and `outboard` (P) of its joints, which goes to energy coordinates. Fills `filter` (F)
-    of the arm; adds to `out_T` and `bias_e`.
+    P has the wrenches of the outboard bodies per joint acceleration. A motion of the joints that
+    does not move the object adds E = P(1 − J̄J) to the wrist reading; the filter
+    F = 1 − E(T E)⁺T removes it. Reads `passed` and `gamma` of the arm, J, J̄ and `outboard` (P) of
+    its joints; P is converted to energy coordinates in place. Fills `filter` (F) of the arm; adds
+    to `out_T` and `bias_e`.
 
     Args:
-        arm: ARM row. own: its ARM_WORK. bias: (6,) wrench of the outboard bodies at q̈ = 0, at C,
-            overwritten.
+        t: Tick. arm: ARM row. own: its ARM_WORK. bias: (6,) wrench of the outboard bodies at
+            q̈ = 0, at C, overwritten.
     """
     work = t.work
     F = own.filter
@@ -199,20 +211,21 @@ def filter_outboard(t, arm, own, bias):
 
 @inner
 def filter_reading(axes, F, reading):
-    """F reading (6,) at C, as a tuple.
+    """Wrist reading without the gripper's own motion: F times the reading, six numbers at C.
 
     Args:
-        axes: from `set_axes`. F: (6, 6) of the grasp. reading: (6,).
+        axes: energy coordinates, from `set_axes`. F: (6, 6) filter of the grasp, in energy
+            coordinates. reading: (6,) wrench at C, world axes.
     """
     return world_wrench(axes, times6(F, energy_wrench(axes, reading)))
 
 
-# --- Pose of an object that no arm holds rigidly: the one that fits all grasps --------------------
+# --- Pose of an object that no arm holds rigidly, from the conditions of all grasps ---------------
 
 
 @inner
 def rotate(X, w):
-    """The rotation in X (≥ 3, ≥ 3) rotated further by a vector w (rad, world axes)."""
+    """Rotate the rotation matrix in X (at least 3×3) by a rotation vector w (rad, world axes)."""
     angle = sqrt(dot3(w, w))
     a = 1.0
     b = 0.5
@@ -228,7 +241,7 @@ def rotate(X, w):
 
 @inner
 def _square_up(X):
-    """The columns of the rotation in X made orthonormal again."""
+    """Orthonormalise the columns of the rotation matrix in X (at least 3×3)."""
     x = (X[0, 0], X[1, 0], X[2, 0])
     y = (X[0, 1], X[1, 1], X[2, 1])
     x = divided3(x, sqrt(dot3(x, x)))
@@ -243,7 +256,12 @@ def _square_up(X):
 
 @inner
 def _miss(arm, tip, X, out):
-    """Distance of the object at X (4, 4) from where a hinge or a ball holds it, along N's rows."""
+    """Fill the position error of the object in a hinge or a ball joint, along the rows of N.
+
+    Args:
+        arm: ARM row. tip: (4, 3) axes and point of the tip. X: (4, 4) pose of the object.
+        out: filled with three distances (m), and for a hinge two angles (rad).
+    """
     fill3(out, rotated_back(tip, transformed(minus3(origin(X), tip[3]), X, arm.point)))
     if arm.kind == BALL:
         return
@@ -259,16 +277,15 @@ def _miss(arm, tip, X, out):
 
 @inner
 def _miss_of_group(arm, tip, X, out):
-    """Distance of the object at X from where a grasp with motions T holds it.
+    """Fill the position error of the object in a grasp with the permitted motions T.
 
-    The permitted part is removed step by step.
-
-    `arm.grasp[m:]` are T's rows, orthonormal in the tip's own units, which only say what is tried
-    first: where the grasp fits, nothing is left whatever the units.
+    The permitted part of the displacement is removed iteratively, along the rows of T in
+    `arm.grasp[m:]`. They are orthonormal in metres and radians; these units affect the
+    iteration, but not a result of zero.
 
     Args:
         arm: ARM row. tip: (4, 3) axes and point of the tip. X: (4, 4) pose of the object.
-        out: (6,), filled along the rows of N.
+        out: (6,), filled along the rows of N (m, rad).
     """
     R = local(3, 3)
     p = local(3)
@@ -294,7 +311,11 @@ def _miss_of_group(arm, tip, X, out):
 
 @inner
 def _remaining(p, R):
-    """log of a motion (rotation R, point p), a twist about the tip's origin."""
+    """Logarithm of a displacement, as a twist about the tip's origin (six numbers, m and rad).
+
+    Args:
+        p: (3,) translation (m). R: (3, 3) rotation matrix.
+    """
     w = rotation_vector(R)
     square = dot3(w, w)
     c = 1.0 / 12.0 + square / 720.0
@@ -307,7 +328,11 @@ def _remaining(p, R):
 
 @inner
 def _take_off(R, p, twist):
-    """(R, p) ← (R, p) exp(twist)."""
+    """Multiply a displacement by an exponential: (R, p) ← (R, p) exp(twist).
+
+    Args:
+        R: (3, 3) rotation matrix, changed. p: (3,) translation (m), changed. twist: (6,) m, rad.
+    """
     w = angular(twist)
     square = dot3(w, w)
     b = 0.5 - square / 24.0
@@ -324,10 +349,10 @@ def _take_off(R, p, twist):
 
 @inner
 def centre_object(t, X):
-    """The object's places at a pose; fills `p_O`, `p_C` and `axes`.
+    """Fill operational point `p_O`, centre of mass `p_C` and `axes` of energy coordinates.
 
     Args:
-        X: (4, 4) pose of the object.
+        t: Tick. X: (4, 4) pose of the object.
     """
     model = t.model
     work = t.work
@@ -340,13 +365,16 @@ def centre_object(t, X):
 
 @inner
 def find_object(t, X):
-    """X (4, 4) at which all grasps fit the tips, from where it was: Gauss–Newton in the energy.
+    """Find the pose of the object that fits all grasps, by Gauss–Newton in the energy metric.
 
     Reads R and p of the joints. Fills `p_O`, `p_C`, `axes`, and `tip` of the arms; `passed` of the
-    arms is of the last step. Returns False where the grasps do not fix it.
+    arms is that of the last iteration.
 
     Args:
-        X: (4, 4) pose of the object, overwritten.
+        t: Tick. X: (4, 4) pose from which the search starts, overwritten with the result.
+
+    Returns:
+        False if the grasps do not determine the pose, or if the iteration does not converge.
     """
     arms = t.model.arms
     work = t.work

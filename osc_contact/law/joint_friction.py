@@ -1,35 +1,40 @@
-"""Joint friction: observed by the motors' residual, learned, compensated along permitted speeds.
+"""Joint friction: observed in motor residuals, identified, compensated along permitted speeds.
 
-Inboard of its wrist sensor an arm needs, whatever is in contact beyond it,
+For any contact beyond its wrist sensor, the joints of an arm up to the sensor need the torques
 
     τ = h + M q̈ + Jᵀ(w − w_out) + τ_f,
 
-with w the wrist's reading, w_out what moves the bodies beyond it, and τ_f the friction of the
-joints. The residual r = LP_K(τ − h − M q̈ − Jᵀ(w − w_out)) therefore is LP_K(τ_f): it contains no
-contact force (`docs/theory.md`, *Joint friction*). From it each joint learns Coulomb and viscous
-friction F and D, and the inertia A of its rotor that the model lacks, by recursive least squares,
+with w the reading of the sensor, w_out the wrench that moves the bodies beyond it, and τ_f the
+friction of the joints. Hence the residual r = LP_K(τ − h − M q̈ − Jᵀ(w − w_out)) equals LP_K(τ_f)
+and contains no contact force (`docs/theory.md`, *Joint friction*). From r, recursive least squares
+identify for each joint the Coulomb and viscous friction F and D, and the rotor inertia A that the
+model lacks:
 
-    r ≈ φᵀθ,   φ = LP_K[sign s, q̇, q̈, 1, m],   θ = (F, D, A, bias, μ),
+    r ≈ φᵀθ,   φ = LP_K[sign s, q̇, q̈, 1, m],   θ = (F, D, A, bias, μ).
 
-both low-passed once more against noise, with m = h + M q̈ − Jᵀ w_out, so that links that weigh 1 +
-μ times as much as in the model are not taken for friction. Where the model has no friction, F, D
-and A keep its values until the estimate surely differs, or a joint rests for long although s
-commands it. A joint that rests so has at least the friction that it shows: what of r exceeds F + D
-|s| is learned as F. Friction is learned of the speed that the joint has, and compensated along the
-speed s that the contacts permit: J̄ P V_D, P = Ω_m(Λ_o⁻¹) of eq. 4. This has neither the noise of
-measured speeds nor the speeds of the posture task in it. The sign of s is s/√(s² + s_0²), its mean
-over the tick, so that friction reverses within the tick in which the joint does. Torques get
+Both sides pass a second low-pass against noise. m = h + M q̈ − Jᵀ w_out: the regressor μ absorbs
+masses that are 1 + μ times those of the model, which would otherwise appear as friction. If the
+model has no friction, F, D and A keep the model's values until the estimate differs significantly
+from them, or until a joint rests for long although it is commanded to move with the speed s. The
+friction of such a joint is at least |r|, so F is increased by the excess of r over F + D |s|.
 
-    f + g clip(e),   f = F sign s + D s + A ṡ,   ė = K_d(r − LP_K f − e),
+Friction is identified at the measured speed of a joint, and compensated at the speed s that the
+contacts permit, J̄ P V_D with P = Ω_m(Λ_o⁻¹) of eq. 4, which contains neither measurement noise nor
+the motion of the posture task. sign s is s/√(s² + s_0²), averaged over the tick, so that the
+compensation reverses in the same tick as the joint. Before the torques are limited
 
-before they are limited; f differs from the model by the bound of e at most, and by what has been
-learned for long, and what residuals contradict for 50 ms is forgotten. f is not a feedback, and e,
-with g < 1 and |e| ≤ F + D |s|, is what of the friction is not learned; where f reverses, e along
-the new f is dropped. A wrist that is wrong feeds e, too: where no friction is known or learned, e
-is zero. With `errors` the bound is wider by 0.3 |h|, so that e also is what masses of the links are
-wrong by. What is compared with a wrench that comes late is of the instant at which it was read.
-Without learning θ is the model's, and without `errors` e = 0. Passive joints have no motors: what
-is known of their friction goes into h instead.
+    f + g clip(e),   f = F sign s + D s + A ṡ,   ė = K_d(r − LP_K f − e)
+
+is added to them. f is a feedforward term. It differs from the friction of the model by at most the
+bound of e plus the friction that has been identified for a long time; the identified part is
+discarded when residuals contradict it for 50 ms. e, with g < 1 and |e| ≤ F + D |s|, is the friction
+that is not identified yet; when f reverses, a part of e along the new f is dropped. An error of the
+wrist sensor enters e, too, so e is zero as long as no friction is modelled or identified. With
+`errors` the bound is wider by 0.3 |h|, so that e also covers errors of the links' masses.
+
+A delayed wrench is compared with signals of the instant at which it was measured. Without learning
+θ is the model's, and without `errors` e = 0. Friction of passive joints is added to h, because they
+have no motor to compensate it.
 """
 
 from __future__ import annotations
@@ -60,57 +65,58 @@ from osc_contact.law.vectors import (
     world_wrench,
 )
 
-LAG = 0.01  #: s, 1/K of the residual
-_SMOOTH = 0.015  #: s, of the second low-pass, of what is learned from
-_SETTLED = 0.15  #: s from the first tick on in which nothing is learned
-_OUTLIER = 2.0  #: times the motor's torque; no more of a residual counts in one tick
-_MOVES = 0.01  #: rad/s; slower joints learn nothing
-SLIDES = 0.2  #: m/rad: speeds of sliding joints, where those of turning ones are constants
-_RESTS = 0.2  #: of that speed; slower joints rest
-_STANDS = 0.01  #: s for which a joint must rest until it shows stiction; knocks turn it faster
-_HOLDS = 0.1  #: s likewise, until it surely has friction, as much as has been learned
-_FOLLOWS = 0.09  #: of the permitted speed; a joint that moves with less of it learns nothing
-_FULL = 0.7  #: of dry friction; near a reversal nothing is learned
-_FORGET = 2.0  #: s
-_LESS = 0.5  #: share of what is learned beyond the model; if that is missing, nothing was friction
-_CONTRADICTED = 0.05  #: s for which it must be missing
-_RISE = 0.1  #: s in which what is learned comes to be applied: integrals have held it before
-_TURNS = 4  #: ticks in which each joint learns once, for speed: residuals change more slowly
-_EVIDENCE = 0.15  #: s for which residuals must exceed rounding until anything is learned
-_SCATTER = 0.5  #: s, in which R follows the residuals that θ does not explain
-_QUIET = 0.1  #: of the noise assumed at first; R is not less
-_SEEN = 3.0  #: times the noise; what is in φ with less of θ at its spread is not forgotten
-_FASTEST = 1e6  #: rad/s, m/s; of joints without limit, so that squares are finite
-_SUDDEN = 0.05  #: s; speeds that change by their limit within less are steps
+LAG = 0.01  #: s, time constant 1/K of the residual's low-pass
+_SMOOTH = 0.015  #: s, time constant of the second low-pass
+_SETTLED = 0.15  #: s after the first tick during which nothing is identified
+_OUTLIER = 2.0  #: largest residual of one tick, as a multiple of the motor's torque limit
+_MOVES = 0.01  #: rad/s; a slower joint does not contribute to the estimate
+SLIDES = 0.2  #: m/rad, converts speed thresholds of revolute joints to those of prismatic ones
+_RESTS = 0.2  #: share of `_MOVES` below which a joint is at rest
+_STANDS = 0.01  #: s of rest until stiction is identified; knocks move the joint sooner
+_HOLDS = 0.1  #: s of rest until a joint is certain to have friction
+_FOLLOWS = 0.09  #: share of the permitted speed that a joint must reach to contribute
+_FULL = 0.7  #: |sign s| from which on friction is identified, away from reversals
+_FORGET = 2.0  #: s, time constant of forgetting
+_LESS = 0.5  #: share of the friction identified beyond the model whose absence contradicts it
+_CONTRADICTED = 0.05  #: s of this contradiction after which the identified friction is discarded
+_RISE = 0.1  #: s in which identified friction is phased in; integrals have balanced it before
+_TURNS = 4  #: each joint is updated every fourth tick, for speed; residuals change more slowly
+_EVIDENCE = 0.15  #: s for which residuals must exceed rounding until identification begins
+_SCATTER = 0.5  #: s, time constant of R, the variance of the residuals that θ does not explain
+_QUIET = 0.1  #: least √R, as a share of the noise assumed at the start
+_SEEN = 3.0  #: multiple of the noise that an element of φ must cause for its past to be forgotten
+_FASTEST = 1e6  #: rad/s, m/s; speed limit of joints without one, so that squares are finite
+_SUDDEN = 0.05  #: s; the rate of s is bounded by the speed limit divided by this
 
-_SIZE = 5  #: of θ
-_MASSES = 0.05  #: of gravity's torque at the start: what masses add to the bias that are wrong
-#: otherwise than by one factor
-_LEAST = 0.3  #: of the noise: less friction than this is none, where the model has none
-_LINKS = 0.3  #: of the torque of gravity and speeds: what wrong masses are taken to cost at most
+_SIZE = 5  #: length of θ
+_MASSES = 0.05  #: deviation of the bias by errors of masses, as a share of gravity's torque
+_LEAST = 0.3  #: least friction torque, as a share of the noise, for a model without friction
+_LINKS = 0.3  #: largest torque error by wrong masses, as a share of |h|
 
-#: What θ is: nothing yet; as of the model; likewise, but estimated; learned.
+#: State of θ: not initialised; the model's; the model's, while an estimate runs; identified.
 UNKNOWN, MODEL_ONLY, SUSPECTED, LEARNED = range(4)
-#: What `PAST` keeps of each tick, and `means` the low-passes of.
+#: Columns of `PAST`, and elements of `means` (RATE and INERTIAL are not low-passed).
 TORQUE, SIGN, SPEED, V, FRICTION, WEIGHT, RATE, INERTIAL = range(8)
-_ACCELERATION = FRICTION  #: of `smooth`, in place of it
+_ACCELERATION = FRICTION  #: element of `smooth`, which has the acceleration in place of friction
 
 
 @inner
 def observe_arm(t, arm, own, sound, dt):
-    """`residual` of the motors from the base to the wrist sensor of an arm.
+    """Update `residual` (N m, N) of the motors from the base to the wrist sensor of an arm.
 
-    All terms pass the same low-pass. Loads are means of this tick's and the last one's, as the
-    torques held between them are.
+    All terms pass the same low-pass. Loads are averaged over this tick and the last one, because
+    the motor torques were held constant between them. Reads h, M, columns and offsets of the joints
+    and `reading` of the arm; fills `net` of the arm and the means of the joints, and updates the
+    estimate of friction if it is enabled.
 
     Args:
-        arm: ARM. own: its ARM_WORK. sound: whether its wrist is, as far as can be seen. dt: s since
-            the last tick that was computed.
+        t: Tick. arm: ARM. own: its ARM_WORK. sound: whether no fault of its wrist sensor has been
+            detected. dt: time since the last computed tick (s).
     """
     work = t.work
     joints = work.joints
     known = t.memory.joints
-    begins = t.memory.balanced <= 1  # there is no last tick yet
+    begins = t.memory.balanced <= 1  # without a last tick
     k = 0.0 if begins else max(dt / (LAG + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
     beyond = scaled(-1.0, own.bias)
     moved = ZERO
@@ -118,7 +124,7 @@ def observe_arm(t, arm, own, sound, dt):
         v = joints[j].v
         known[j].rate += k * ((v - known[j].past_v) / dt - known[j].rate)
         known[j].past_v = v
-        if arm.outer_joint >= 0:  # of what is beyond the wrist, in energy coordinates
+        if arm.outer_joint >= 0:  # wrench of the bodies beyond the wrist, in energy coordinates
             moved = add(moved, known[j].rate, joints[j].outboard)
             if arm.filtered:
                 beyond = add(beyond, joints[j].offset, joints[j].outboard)
@@ -156,10 +162,11 @@ def observe_arm(t, arm, own, sound, dt):
 
 @leaf
 def _align(t, row, now, ticks):
-    """What belongs to the wrench's instant; that of this tick is kept, for lost ones, too.
+    """Store the signals of this tick; return those of the instant at which the wrench was measured.
 
     Args:
-        row: PAST of the joint. now: what belongs to this tick. ticks: since the last one kept.
+        row: PAST of the joint, changed: the signals are stored for lost ticks, too. now: eight
+            signals of this tick, from TORQUE to INERTIAL. ticks: ticks since the last one stored.
     """
     memory = t.memory
     for i in range(min(ticks, HISTORY)):
@@ -173,14 +180,16 @@ def _align(t, row, now, ticks):
 
 @leaf
 def _learn(t, j, sound, rate, inertial, dt):
-    """e, and every few ticks a step of the recursive least squares.
+    """Update e of a joint and, every few ticks, its friction θ by recursive least squares.
 
-    Both begin when residuals have exceeded rounding for some time, with `errors` at once: a model
-    without errors stays as it is. So does one without friction until some is shown.
+    With `errors` both begin at once, else when residuals have exceeded rounding for some time, so
+    that an exact model remains unchanged. A model without friction keeps F = D = 0 until friction
+    is detected.
 
     Args:
-        j: joint. sound: whether the arm's wrist is. rate, inertial: of its speed, M q̈ − Jᵀ w_out,
-            as old as the wrench. dt: s.
+        t: Tick. j: joint. sound: whether no fault of the arm's wrist sensor has been detected.
+        rate: acceleration of the joint (rad/s², m/s²). inertial: M q̈ − Jᵀ w_out (N m, N); both of
+            the instant of the wrench. dt: time since the last computed tick (s).
     """
     joint = t.model.joints[j]
     prior = t.model.priors[j]
@@ -207,7 +216,7 @@ def _learn(t, j, sound, rate, inertial, dt):
     if state == LEARNED and learned.applied < 1.0:
         learned.applied = min(learned.applied + (dt / _RISE if _all_closed(t) else 1.0), 1.0)
     if state == LEARNED or (state == SUSPECTED and t.model.friction_errors):
-        aim = missing if row.unbalanced == 0.0 else 0.0  # else the wrist may be wrong
+        aim = missing if row.unbalanced == 0.0 else 0.0  # an error of the wrist sensor is suspected
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
     k = dt / (_SMOOTH + dt)
     smooth = learned.smooth
@@ -233,13 +242,15 @@ def _learn(t, j, sound, rate, inertial, dt):
 
 @leaf
 def _is_contradicted(t, j, missing, moves, dt):
-    """Whether residuals have shown for long that more than half of what was learned is not there.
+    """Whether residuals have long shown less than half of the friction identified beyond the model.
 
-    Friction stays; what drags at an arm may let go of it. All that was learned is forgotten then.
+    Friction of a joint is permanent, but an object that drags at the arm may be released. In this
+    case the caller discards the whole estimate.
 
     Args:
-        j: joint. missing: residual less friction compensated (N m, N), of one instant.
-        moves: whether the joint does; one that sticks may need less than F. dt: s.
+        t: Tick. j: joint. missing: residual less compensated friction (N m, N), of one instant.
+        moves: whether the joint moves; a joint at rest may need less than F. dt: time since the
+            last computed tick (s).
     """
     learned = t.memory.friction[j]
     row = t.memory.joints[j]
@@ -256,7 +267,7 @@ def _is_contradicted(t, j, missing, moves, dt):
 
 @leaf
 def _all_closed(t):
-    """Whether no contact is approached: a step of friction would be one of contact forces then."""
+    """Whether no contact is being approached; a step of friction would disturb an approach."""
     closed = True
     for c in range(t.model.n_contacts):
         closed = closed and t.memory.contacts[c].phase != APPROACHING
@@ -265,13 +276,15 @@ def _all_closed(t):
 
 @leaf
 def _estimate(t, j, moves, k, dt):
-    """θ of a joint after one step, if it moves, or rests although it is commanded to move.
+    """Update θ of a joint that moves, or that rests although it is commanded to move.
 
-    What a resting joint shows is compared with the estimate: in θ all of it is bias as long
-    as the joint may be without friction. One that rests for long has friction.
+    The residual of a resting joint is compared with `estimate`, not with `theta`, which attributes
+    the residual to the bias as long as the joint may be frictionless. A joint that rests for long
+    is certain to have friction.
 
     Args:
-        j: joint. moves: whether it does. k: share of this step in the residual. dt: s.
+        t: Tick. j: joint. moves: whether it moves. k: share of this update in the low-passed
+            residual. dt: time since the last update (s).
     """
     prior = t.model.priors[j]
     learned = t.memory.friction[j]
@@ -288,7 +301,7 @@ def _estimate(t, j, moves, k, dt):
     if not (moves or sticks or holds):
         return
     phi = (smooth[SIGN], smooth[V], a, 1.0, smooth[WEIGHT])
-    if sticks:  # F is at least this, and as uncertain as before
+    if sticks:  # gives a lower bound of F, so the covariance stays
         likely[0] += min(excess, max(prior.high[0] - likely[0], 0.0))
     elif moves:
         _regress(prior, learned, phi, smooth[TORQUE], k, dt)
@@ -305,12 +318,13 @@ def _estimate(t, j, moves, k, dt):
 def _regress(prior, learned, phi, r, k, dt):
     """θ ← θ + k(r − φᵀθ), k = Pφ/(R + φᵀPφ), P ← (1 − kφᵀ)P.
 
-    R follows the square of what θ does not explain; it is larger where that is more than three
-    standard deviations. Old residuals are forgotten, as far as P stays below its bound.
+    R follows the mean square of r − φᵀθ, and is increased for outliers beyond three standard
+    deviations. Old residuals are forgotten exponentially, as long as P stays below its bound.
 
     Args:
-        prior: PRIOR of a joint. learned: its FRICTION. phi: (5,). r: residual (N m, N).
-        k: share of one tick in r. dt: s.
+        prior: PRIOR of a joint. learned: its FRICTION, of which `estimate`, `P` and `noise` are
+            changed. phi: (5,) regressor. r: residual (N m, N). k: share of one update in r.
+        dt: time since the last update (s).
     """
     gain = local(_SIZE)
     growth = local(_SIZE)
@@ -342,19 +356,20 @@ def _regress(prior, learned, phi, r, k, dt):
 
 @leaf
 def _keep_bounds(prior, learned, C):
-    """θ: the estimate within its bounds; the others are what is likeliest with those at a bound.
+    """Fill `theta` with the most likely values within the bounds, given the unbounded estimate.
 
-    The estimate stays as it is, or it would drift.
+    Elements beyond a bound are fixed there, and the others are conditioned on them. `estimate` is
+    not changed, since it would drift otherwise.
 
     Args:
-        prior: PRIOR of a joint. learned: its FRICTION. C: (5, 5), filled: covariance of θ.
+        prior: PRIOR of a joint. learned: its FRICTION. C: (5, 5), filled with the covariance of θ.
     """
     theta = learned.theta
     for i in range(_SIZE):
         theta[i] = learned.estimate[i]
         for j in range(_SIZE):
             C[i, j] = learned.P[i, j]
-    for turn in range(2 * _SIZE):  # twice: a condition may bring one before it to its bound
+    for turn in range(2 * _SIZE):  # twice, as conditioning may move an earlier element to its bound
         i = turn % _SIZE
         bound = min(max(theta[i], prior.low[i]), prior.high[i])
         if theta[i] != bound and C[i, i] > 0.0:
@@ -365,13 +380,14 @@ def _keep_bounds(prior, learned, C):
 
 @leaf
 def _shows_friction(prior, known, learned, phi, C):
-    """Whether F, D and A surely are not as of the model, and matter; else θ is what they are then.
+    """Whether F, D and A differ significantly from the model's, and by a torque that matters.
 
-    Their distance from the model is χ² = Σ (θ_i − known_i)²/C_ii, each given those before it.
+    Their distance from the model is χ² = Σ (θ_i − known_i)²/C_ii, each term conditioned on those
+    before it. Sets F, D and A of `theta` to the model's values, and conditions bias and μ on them.
 
     Args:
-        prior: PRIOR of a joint. known: (5,) θ of its model. learned: its FRICTION, θ of it with
-            the covariance C (5, 5), overwritten. phi: (5,).
+        prior: PRIOR of a joint. known: (5,) θ of its model. learned: its FRICTION.
+        phi: (5,) regressor. C: (5, 5) covariance of `theta`, overwritten.
     """
     theta = learned.theta
     torque = 0.0
@@ -389,10 +405,11 @@ def _shows_friction(prior, known, learned, phi, C):
 
 @leaf
 def _condition(theta, C, i, value):
-    """Mean and covariance of a Gaussian given θ_i: θ − C_i (θ_i − value)/C_ii, C − C_i C_iᵀ/C_ii.
+    """Condition a Gaussian on θ_i = value: θ ← θ − C_i (θ_i − value)/C_ii, C ← C − C_i C_iᵀ/C_ii.
 
     Args:
-        theta: (5,). C: (5, 5). i: which. value: θ_i.
+        theta: (5,) mean, changed. C: (5, 5) covariance, changed. i: index of the element that is
+            fixed. value: its value.
     """
     beyond = (theta[i] - value) / C[i, i]
     add_scaled(-beyond, C[i], _SIZE, theta)
@@ -406,13 +423,14 @@ def _condition(theta, C, i, value):
 
 @inner
 def permit_speeds(t):
-    """Permitted speeds of the joints, J̄ P V_D.
+    """Compute the permitted speeds J̄ P V_D of the joints (rad/s, m/s).
+
+    Along N the speed is that of the touched face, plus the speed of the approach for contacts that
+    are being approached. A_D is not added, because a step of it would change contact forces at
+    once.
 
     Reads `V_D`, `V_N`, `alpha_d`, `damping`, the factors of `N_t`, and J̄ of the joints. Fills in
-    MEMORY of each joint `speed`, its rate `turn` since the last tick, and `sign`, its mean sign.
-
-    A_D is left out: a step of it would press on contacts at once. Faces move: NᵀV = v̄_n, and
-    contacts that are approached at the speed of the approach.
+    MEMORY of each joint `speed`, its rate `turn` since the last tick, and its mean sign `sign`.
     """
     work = t.work
     x = local(6)
@@ -432,7 +450,7 @@ def permit_speeds(t):
         row = t.memory.joints[j]
         slip = joint.slip
         s = dot6(work.joints[j].J_bar, x)
-        s = min(max(s, -most), most) if s == s else 0.0  # NaN where what is commanded overflows
+        s = min(max(s, -most), most) if s == s else 0.0  # NaN where the command overflows
         before = row.speed if t.memory.ticked else s
         most /= _SUDDEN
         row.speed = s
@@ -444,7 +462,7 @@ def permit_speeds(t):
 
 @inner
 def compensate_friction(t):
-    """Add f + g clip(e) to the torques of the motors."""
+    """Add the compensated friction f + g clip(e) (N m, N) to `tau` of the joints with motors."""
     permit_speeds(t)
     for j in range(t.model.n_joints):
         own = t.work.joints[j]
@@ -455,10 +473,11 @@ def compensate_friction(t):
 
 @leaf
 def _compensation(t, j):
-    """f + g clip(e) of joint j.
+    """Compensated friction f + g clip(e) of joint j (N m, N).
 
-    A joint that sticks keeps its e while s reverses: what of it would then be along f is dropped,
-    or the joint would be set in motion by more than F. With `errors` e is of the links, too.
+    A sticking joint keeps e while s reverses. If e then has the sign of the new f, it is set to
+    zero, because more than F would act on the joint. With `errors` it is kept, as it contains
+    errors of the links' masses.
     """
     row = t.memory.joints[j]
     before = row.friction
@@ -476,10 +495,10 @@ def _compensation(t, j):
 
 @leaf
 def _theta(t, j):
-    """F, D and A of joint j: as learned so far, or as of the model."""
+    """F, D and A of joint j: identified ones, as far as they are phased in, or the model's."""
     known = t.model.joints[j].theta
     theta = linear(known)
-    if t.memory.friction_known[j] == LEARNED:  # else they are the model's
+    if t.memory.friction_known[j] == LEARNED:
         learned = t.memory.friction[j]
         theta = add3(theta, learned.applied, minus3(learned.theta, known))
     return theta
@@ -487,20 +506,21 @@ def _theta(t, j):
 
 @leaf
 def _friction_along(row, theta):
-    """F s/√(s² + s_0²) + D s + A ṡ of a joint in this tick (N m, N).
+    """Friction F sign s + D s + A ṡ of a joint in this tick (N m, N).
 
     Args:
-        row: its JOINT_MEMORY. theta: F, D, A.
+        row: JOINT_MEMORY with `sign`, `speed` s and `turn` ṡ. theta: F, D, A.
     """
     return theta[0] * row.sign + theta[1] * row.speed + theta[2] * row.turn
 
 
 @leaf
 def believed_friction(t, j):
-    """Friction of joint j in this tick (N m, N), as learned so far.
+    """Friction of joint j in this tick (N m, N), identified or modelled.
 
-    What is learned differs from the model by `wrist_error` at most, as e does, and by what has been
-    learned for long: more may be something that drags at the arm, or a wrist that is wrong.
+    The identified friction may differ from the model's by the bound of e (`wrist_error` τ_max) plus
+    the friction that has been identified for a long time (`trusted`). A larger difference may be an
+    object that drags at the arm or an error of the wrist sensor.
     """
     row = t.memory.joints[j]
     friction = modelled = _friction_along(row, t.model.joints[j].theta)

@@ -1,21 +1,21 @@
-"""Contact phases: which contacts are open, approached or closed, and what that means for the law.
+"""Contact phases: open, approaching or closed contacts, and their effect on the law.
 
     OPEN ── a force is desired ─▶ APPROACHING ── contact made ──▶ CLOSED
      ▲                             │      ▲                         │
      └──── no force is desired ────┘      └────── contact lost ─────┤
      └──────────────────── no force is desired ─────────────────────┘
 
-An open contact is out of N: its column is free motion. A closed one is in N under the law of
-fig. 5. An approaching one is in N too, but in place of the force law one of speeds moves it towards
-its face, α_u = K_a (e + K ∫e dt) with e = v_a − NᵀV_rel: a guarded move, which meets the face with
-K_a v_a beside what its integral has learned of the weight. This passes into the force law once
-contact is made. One that was lost goes back faster to where it was: what it has moved away is
-known. So N does not change at the moment of impact, and every magnitude of a contact to be made is
-measured by the filter of fig. 5.
+The column of an open contact is not in N, so the object moves freely along it. A closed contact is
+in N and controlled by the force law of fig. 5. An approaching contact is in N, too, but a speed law
+moves it towards its face, α_u = K_a (e + K ∫e dt) with e = v_a − NᵀV_rel: a guarded move, which
+touches the face with the force K_a v_a and the integral, which balances errors of the weight. The
+force law follows once contact is made. A contact that was lost returns faster to the place where it
+was lost, because the distance since then is measured. Hence N does not change at the moment of
+impact, and the force of every contact that is about to close is measured by the filter of fig. 5.
 
-A tick ends with `low_pass`; the next begins with `advance_phases`, which judges what that left, and
-`set_goals`; where no tick was computed since, only `set_goals` is called. Which contacts are active
-may be given instead of following from desired forces, see `active_set`.
+A tick ends with `low_pass`. The next one begins with `advance_phases`, which evaluates the filtered
+signals, and `set_goals`; after a tick that was not computed only `set_goals` is called. The user
+may name the active contacts; otherwise they follow from the desired forces (`active_set`).
 """
 
 from __future__ import annotations
@@ -27,35 +27,38 @@ from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.records import body_of, contact_of
 from osc_contact.law.vectors import fill
 
-#: Out of N; in N, in a guarded approach; in N under force control.
+#: Phases: not in N; in N during a guarded approach; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
-_CHANGES = 0.1  #: s after a change of phase for which torques go gently
-_GENTLER = 0.45  #: times the rate after that, where active contacts are named: they change often
-APPROACH_GAIN = 10.0  #: 1/s; of the integral of an approach
-_SLOW = 0.25  #: share of their speed limits below which joints are not fast
-#: 1/s, m/s: the way back to where contact was lost
-_RETURN = 5.0
-_FASTEST = 0.1
-#: of v_a: contact is made where an approach is slower; s of force after which also if it is not
-_SLOWED = 0.5
-_SOFT = 0.5
-_FELT = 1.5  #: times what wrists alone read; no more of an impact counts
-_NOISE = 0.05  #: s in which the noise of a force is learned, above which contact must be felt
-_GENTLE = 0.5  #: of what counts as contact: with so much an approach at v_a pushes to gain speed
+_CHANGES = 0.1  #: s after a change of phase during which torques change more slowly
+_GENTLER = 0.45  #: further factor of that rate where the user names active contacts
+APPROACH_GAIN = 10.0  #: 1/s, gain K of the integral of an approach
+_SLOW = 0.25  #: share of the speed limits up to which the torque rate is reduced fully
+_RETURN = 5.0  #: 1/s, additional speed of a return per distance since the contact was lost
+_FASTEST = 0.1  #: m/s, highest speed of a return
+_SLOWED = 0.5  #: share of v_a; a contact is made once its approach is slower than this
+_SOFT = 0.5  #: s of force after which a contact is made even if its approach is not slower
+_FELT = 1.5  #: largest net force of an impact, as a multiple of the measured force
+_NOISE = 0.05  #: s, time constant of the estimate of a force's noise
+_GENTLE = 0.5  #: share of `force_on` with which an approach at the speed v_a accelerates
 
 
 @inner
 def low_pass(t, independent):
-    """Take in what a tick has measured; `net` becomes what is known of the contact force alone.
+    """Low-pass the measured forces and speeds of the columns; estimate `net` contact forces.
 
-    The filter of fig. 5 puts Nᵀa_rel = n_γ. An object that leaves its face, or flies towards it,
-    has Nᵀa_rel = n_γ + d(NᵀV_rel)/dt, and shows a contact force that is none: that of the parts
-    outboard of the sensors, D⁻¹ d(NᵀV_rel)/dt. It is taken away, both terms through the same first
-    order low-pass, which makes the derivative one of measured speeds. Contacts do not pull: what
-    seems to is noise, of half the size.
+    The filter of fig. 5 assumes Nᵀa_rel = n_γ. While an object leaves its face or moves freely
+    towards it, Nᵀa_rel = n_γ + d(NᵀV_rel)/dt, and the filter returns a spurious force, that of the
+    inertia outboard of the sensors, D⁻¹ d(NᵀV_rel)/dt. It is subtracted; both terms pass the same
+    first-order low-pass, so that the derivative is computed from measured speeds. A contact cannot
+    pull, so a negative remainder is attributed to noise, whose estimate is twice as large.
+
+    Fills `force`, `filtered_speed`, `touch`, `explained`, `known`, `net` and `noise` of the columns
+    in MEMORY.
 
     Args:
-        independent: whether these are all in N; if not, inertia counts as 0.
+        t: Tick, with `speeds` and `mobility` D in WORK.
+        independent: whether all active columns are linearly independent; if not, `net` contains the
+            inertial force.
     """
     work = t.work
     columns = t.memory.columns
@@ -94,12 +97,14 @@ def low_pass(t, independent):
 
 @inner
 def predict_force(t, row, commanded, limited, dt):
-    """What a contact should read: the force commanded of it `rise` ago, or now where that is less.
+    """Update `predicted`, the force (N) expected of a contact.
+
+    It is the smaller one of the commanded force and of that force after a first-order lag `rise`.
 
     Args:
-        row: COLUMN_MEMORY of a column in N. commanded: the force command α_s of this tick
-        (N). limited: whether motors were at their limits: then no more than an approach
-        is expected. dt: s since the last tick.
+        t: Tick. row: COLUMN_MEMORY of a column in N. commanded: α_s of this tick (N).
+        limited: whether motors were at their limits; then no more than the force of an approach is
+            expected. dt: time since the last tick (s).
     """
     model = t.model
     late = row.predicted + dt / (model.rise + dt) * (commanded - row.predicted)
@@ -110,22 +115,25 @@ def predict_force(t, row, commanded, limited, dt):
 
 @inner
 def monitor(limits, row, force, speed, dt, dwell, more):
-    """Contact or no contact, from the paper's own signal: projected force and power (figs. 6, 7).
+    """Detect contact, its loss and collisions from projected force and power (figs. 6, 7).
 
     While a contact holds, the power of the projected force is zero: α_k (NᵀV_rel)_k = 0. A
-    collision is a burst of it. Force is judged with hysteresis; power only around the moment when
-    contact is made, so that noisy velocities raise no alarm while it lasts.
+    collision is a burst of power. The force is compared with two thresholds (hysteresis); the power
+    is evaluated only shortly after contact is made, so that noisy velocities cause no false alarm
+    later.
 
     Args:
-        row: COLUMN_MEMORY; changed are low_for, high_for: s since the force went low, or high;
-            burst: W, the most since then, or since contact was made; armed_for: s in which a
-            collision may still be found; closed; and collision: whether one began at this tick.
-        limits: force_on, force_off: N; made above the first, lost `more` (N) above the second or
-            below. power: W; more than this (in size) is a collision. window: s after contact is
-            made in which one is looked for. patience: s of low force until contact is lost.
-            leaving: m/s; what leaves its face faster has no contact, whatever the force is.
-        force: (N). speed: NᵀV_rel (m/s). dt: the tick (s). dwell: s of high force until contact is
-            made.
+        limits: MODEL, of which are read `force_on` and `force_off` (N): contact is made above the
+            first and lost below the second plus `more`; `power` (W): a larger magnitude is a
+            collision; `window` (s): time after contact is made in which collisions are detected;
+            `patience` (s): time of low force until contact is lost; `leaving` (m/s): a contact
+            that separates faster is lost at any force.
+        row: COLUMN_MEMORY, of which are changed `low_for` and `high_for` (s): time of low and of
+            high force; `burst` (W): largest power of this contact; `armed_for` (s): remaining part
+            of `window`; `closed`; `collision`: whether one begins in this tick.
+        force: N. speed: NᵀV_rel (m/s). dt: time since the last tick (s).
+        dwell: time of high force until contact is made (s).
+        more: N, added to `force_off`.
     """
     away = speed < -limits.leaving
     low = away or force < limits.force_off + more
@@ -146,10 +154,13 @@ def monitor(limits, row, force, speed, dt, dwell, more):
 
 @inner
 def advance_phases(t):
-    """The phases of a tick, from what the last one measured and what is desired now.
+    """Update the phases of all contacts from the forces measured last and those desired now.
+
+    Fills `phase` and `since` of the contacts, `here` of the columns in WORK, `gap` and
+    `time_since_loss` of the columns in MEMORY.
 
     Returns:
-        Whether other contacts than in the last tick are in N.
+        True if the set of contacts in N differs from that of the last tick.
     """
     model = t.model
     dt = t.work.dt
@@ -168,15 +179,15 @@ def advance_phases(t):
             row = t.memory.columns[j]
             goal = t.work.goal[j]
             dwell = model.dwell
-            more = -inf  # too little to be distinguished from nothing
+            more = -inf  # a smaller force cannot be distinguished from zero, so it cannot be lost
             if row.predicted > model.force_on:
                 more = model.lost_share * max(row.predicted - push, 0.0)
             force = row.net
-            if row.closed == 0:  # sensors that fail look like an impact, to wrists or to speeds
+            if row.closed == 0:  # a failing sensor of wrists or speeds resembles an impact
                 flies = row.speed > _SLOWED * model.approach_speed and row.high_for < _SOFT
                 dwell = inf if flies else model.dwell
                 force = min(row.net, _FELT * row.force) - row.noise
-                if row.explained > 0.0:  # others are closed: more than their friction
+                if row.explained > 0.0:  # more force than the friction of closed contacts explains
                     force = min(force, row.touch - row.explained)
             monitor(model, row, force, row.speed, dt, dwell, more)
             if before == OPEN:
@@ -187,10 +198,10 @@ def advance_phases(t):
                 contact.held = 1
             desired = desired or goal > 0.0
             some_closed = some_closed or row.closed != 0
-            light = goal <= model.force_on  # too little to be distinguished from nothing
+            light = goal <= model.force_on  # such a force cannot be distinguished from zero
             all_closed = all_closed and (light or row.closed != 0)
         wanted = desired or not pushes
-        if t.input.chosen_set:  # which `active_set` opens and takes in
+        if t.input.chosen_set:  # `active_set` opens and adds contacts
             wanted = before != OPEN
         phase = CLOSED
         if not wanted:
@@ -215,7 +226,12 @@ def advance_phases(t):
 
 @inner
 def set_goals(t):
-    """How each contact takes part in a tick, and the goals of its forces."""
+    """Fill the force gains of each contact from its phase, and `goal` (N) of its columns.
+
+    Fills `active`, `gain`, `damping`, `brake` and `least` of each contact in MEMORY. The goal of an
+    approaching contact is K_a v; that of a closed one rises from there to the desired force within
+    `rise`.
+    """
     model = t.model
     goal = t.work.goal
     for c in range(model.n_contacts):
@@ -241,7 +257,7 @@ def set_goals(t):
             moving = min(abs(row.filtered_speed), abs(row.speed))
             start = min(start, gentle + model.approach_damping * moving)
             if contact.since * model.approach_speed >= model.travel:
-                start = 0.0  # it has found nothing and stands still
+                start = 0.0  # no face within `travel`: the approach ends
         risen = 0.0
         if pushes and contact.phase == CLOSED:
             risen = min(contact.since / model.rise, 1.0)
@@ -250,7 +266,7 @@ def set_goals(t):
 
 @inner
 def max_speed_ratio(t):
-    """The largest share that a joint has of its speed limit."""
+    """Largest ratio |v|/v_max of a joint's speed to its limit."""
     most = 0.0
     for j in range(t.model.n_joints):
         most = max(most, abs(t.work.joints[j].v) / t.model.joints[j].speed_max)
@@ -259,13 +275,13 @@ def max_speed_ratio(t):
 
 @inner
 def torque_rate(t, share):
-    """1/s; no motor torque changes faster than its limit times this.
+    """Largest rate of the motor torques (1/s, as a multiple of the torque limits).
 
-    Around a change of phase torques change slowly, except where joints are fast: there a late
-    torque lets a joint leave its path.
+    After a change of phase it is smaller, except where joints are fast: there a delayed torque
+    would make a joint deviate from its path.
 
     Args:
-        share: as of `max_speed_ratio`.
+        share: largest ratio of a joint's speed to its limit, from `max_speed_ratio`.
     """
     model = t.model
     rate = model.torque_rate
@@ -282,10 +298,10 @@ def torque_rate(t, share):
 
 @inner
 def limit_changes(t, begun):
-    """Give out `tau`, no further from the last torques than motors may change in a tick.
+    """Limit the change of `tau` since the last tick to the torque rate; store it as the last one.
 
     Args:
-        begun: whether there are last torques.
+        begun: whether torques of a last tick exist; without them `tau` is stored unchanged.
     """
     work = t.work
     model = t.model
@@ -299,11 +315,14 @@ def limit_changes(t, begun):
 
 @inner
 def slew(tau, last, step, begun):
-    """Go straight from `last` to `tau`, no motor further than its `step`; both become that.
+    """Move from `last` straight towards `tau` until a motor has changed by its `step`.
+
+    Both `tau` and `last` become the result.
 
     Args:
-        tau, last: desired torques, those of the last tick (N m, N). step: > 0, likewise.
-        begun: whether there are last torques.
+        tau: (a,) desired torques (N m, N). last: (a,) torques of the last tick (N m, N).
+        step: (a,) largest changes (N m, N), > 0.
+        begun: whether torques of a last tick exist; without them `tau` is not limited.
     """
     share = 0.0
     for i in range(len(tau) if begun else 0):
@@ -316,9 +335,10 @@ def slew(tau, last, step, begun):
 
 @leaf
 def collect(seconds, dt, violated):
-    """Seconds of evidence after one tick more.
+    """Return the time of evidence (s), increased by dt where a condition is violated, else reduced.
 
     Args:
-        seconds: so far. dt: period (s). violated: whether this tick is evidence.
+        seconds: time of evidence before this tick (s). dt: period (s).
+        violated: whether the condition is violated in this tick.
     """
     return seconds + dt if violated else max(seconds - dt, 0.0)

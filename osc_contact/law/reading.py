@@ -54,19 +54,19 @@ from osc_contact.law.vectors import (
     wrench_to_energy,
 )
 
-# --- The force path of fig. 5: wrist readings to contact magnitudes, and the force law ------------
+# --- The force path of fig. 5: contact forces from wrist readings, and the force law --------------
 
-_WINDUP = 1.5  #: times the command, of the force integral
-_LEAST = 0.1  #: times the command: more than that is never the least command of a contact
-_NOTHING = 1e-9  #: Λ_out beside the object's inertia, below which sensors read f_c itself
+_WINDUP = 1.5  #: bound of the force integral, as a multiple of the desired force
+_LEAST = 0.1  #: largest floor of a force command, as a share of the desired force
+_NOTHING = 1e-9  #: Λ_out relative to the reference inertia that counts as zero
 
 
 @inner
 def add_friction(t):
-    """The kept columns with friction, N_μ = N + (friction wrenches of all columns) share.
+    """Add friction to the kept columns, N_μ = N + (friction wrenches of all columns) share.
 
-    Reads `N`, and `share` and `friction_wrench` of the columns in force. Fills `friction_wrenches`
-    (at O, in world axes) and `pushed`, N_μ in energy coordinates.
+    Reads `N_e`, and `share` and `friction_wrench` of the active columns. Fills `friction_wrenches`
+    (r, 6; at O, in world axes) and `pushed`, N_μ in energy coordinates (r, 6).
     """
     work = t.work
     for a in range(work.rank):
@@ -81,7 +81,7 @@ def add_friction(t):
 
 @inner
 def read_wrist(reading, joint, sensor, C):
-    """Wrench that a wrist reads, rotated to world axes and carried to C, as a tuple.
+    """Transform a wrist reading to world axes at the point C; return six numbers (N, N m).
 
     Args:
         reading: (6,) in the axes and at the origin of the sensor (N, N m).
@@ -96,10 +96,10 @@ def read_wrist(reading, joint, sensor, C):
 
 @inner
 def sum_readings(t):
-    """The wrench that all wrists read less tare and bias, f_meas − bias_out.
+    """Sum the readings of all wrists, and subtract tare and bias: f_meas − bias_out.
 
-    Reads `filter` of the arms and `bias_e`. Fills `f_meas` (at O, in world axes) and `reading_e`,
-    f_meas − bias_out in energy coordinates.
+    Reads `wrenches` of INPUT, `filter` of the arms and `bias_e`. Fills `f_meas` (the sum less tare,
+    at O, in world axes) and `reading_e`, f_meas − bias_out in energy coordinates.
     """
     work = t.work
     total = ZERO
@@ -118,14 +118,15 @@ def sum_readings(t):
 
 @inner
 def measure_magnitudes(t):
-    """The filter Ω_f(Λ_out): α = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N], D = NᵀΛ_out⁻¹N_μ + Φ_μ.
+    """Compute α by the filter Ω_f(Λ_out): α = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N], D = NᵀΛ_out⁻¹N_μ + Φ_μ.
 
     f is the reading less bias. Reads `N_basis` and `N_factor` of N, `out_T`, `reading_e`, `pushed`,
-    `Phi_mu`, `n_gamma`, `b_N`. Fills `alpha_meas`, `mobility` (D) and `weightless`, whether nothing
-    between sensors and contacts has inertia. Where nothing is held see `_measure_at_tip`.
+    `Phi_mu`, `n_gamma`, `b_N`. Fills `alpha_meas` (r,), `mobility` (D) and `weightless`, which is 1
+    if no inertia is between sensors and contacts. An arm without an object is handled by
+    `_measure_at_tip`.
 
     Returns:
-        False: Λ_out is singular.
+        False if Λ_out is singular.
     """
     work = t.work
     r = work.rank
@@ -146,19 +147,22 @@ def measure_magnitudes(t):
 
 @inner
 def _solve_magnitudes(t, answer, f, known, inertial):
-    """α from the accelerations along an orthonormal basis Q of the contact forces, N = Q L.
+    """Solve for α along an orthonormal basis Q of the contact forces, N = Q L.
 
-    Nearly dependent columns so cost no digits of the force N α:
+    With Q, nearly dependent columns do not reduce the accuracy of the force N α:
 
         D_Q = QᵀΛ_out⁻¹N_μ + L⁻¹Φ_μ,   D = L D_Q,
         (D_Q L⁻ᵀ) Lᵀα = QᵀΛ_out⁻¹f + Qᵀσ − L⁻¹(n_γ + b_N)
 
-    Reads and fills what `measure_magnitudes` states; returns False where D is singular.
+    Reads `N_factor`, `pushed`, `Phi_mu`, `n_gamma` and `b_N`; fills `alpha_meas` and `mobility`.
 
     Args:
-        answer: (r, 6) rows of QᵀΛ_out⁻¹. f: wrench, six numbers. known: (r,) Qᵀσ, the acceleration
-            along Q that does not depend on f. All in energy coordinates.
-        inertial: 1; 0 where nothing between sensors and contacts has inertia: then N α = f.
+        t: Tick. answer: (r, 6) rows of QᵀΛ_out⁻¹. f: wrench, six numbers. known: (r,) Qᵀσ, the
+            acceleration along Q that does not depend on f. All are in energy coordinates.
+        inertial: 1, or 0 if no inertia is between sensors and contacts, so that N α = f.
+
+    Returns:
+        False if D is singular.
     """
     work = t.work
     r = work.rank
@@ -191,10 +195,14 @@ def _solve_magnitudes(t, answer, f, known, inertial):
 
 @inner
 def _measure_at_tip(t):
-    """α where nothing is held: sensors see the tip in its own motions S only, or f_c itself.
+    """Compute α of an arm that holds no object, from the motions S of its tip alone.
 
-    S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹, and f − Λ_outσ that of f, since a = Sη̇ + σ. Reads
-    `sigma` and `locked` beside what `measure_magnitudes` reads; fills the same.
+    S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹, and f − Λ_outσ that of f, since a = Sη̇ + σ. Without
+    inertia outboard of the sensor, the reading is the contact wrench. Reads `sigma` and `locked`,
+    and the fields that `measure_magnitudes` reads; fills the same fields.
+
+    Returns:
+        False if the outboard inertia along S, or D, is singular.
     """
     work = t.work
     r = work.rank
@@ -247,8 +255,9 @@ def integral_room(most, desired):
 def last_integral(t, a):
     """Force integral of kept column a (N) after the last tick; 0 if the number of columns changed.
 
-    Where other contacts are in force than in the last tick, the sum over the columns that stay.
-    Reads `force_sum`, `force_rank`, `by_column` and `integral` of the columns of MEMORY, `share`.
+    If the set of active contacts changed, it is the sum of the integrals of all active columns,
+    weighted by their shares. Reads `force_sum`, `force_rank`, `by_column` and `integral` of the
+    columns of MEMORY, and `share`.
     """
     memory = t.memory
     work = t.work
@@ -263,11 +272,12 @@ def last_integral(t, a):
 
 @inner
 def command_force(t):
-    """The force law α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ min(α_min, α_d/10).
+    """Evaluate the force law α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ min(α_min, α_d/10).
 
-    The integral stays within `integral_force` (N), or `_WINDUP` times the command where that is
-    more. A force that rises begins with less than its floor. Reads `alpha_d`, `felt`, `speed`,
-    `gain`, `damping`, `least`. Fills `alpha_u` and `force_next`, the integral after this tick (N).
+    The magnitude of the integral is limited to `integral_force` (N) or `_WINDUP` |α_d|, whichever
+    is larger. The second bound of the floor permits a force to rise from zero. Reads `alpha_d`,
+    `felt`, `speed`, `gain`, `damping`, `least`. Fills `alpha_u` (N) and `force_next`, the integral
+    after this tick (N).
     """
     work = t.work
     for a in range(work.rank):
@@ -287,10 +297,11 @@ def command_force(t):
 
 @inner
 def contact_laws(t):
-    """Settings of the force law for each kept column, from its contact.
+    """Copy the settings of the force law from the contacts to the kept columns.
 
-    Where columns depend on one another each of them takes the most careful of all. Fills `gain`
-    (1/s), `damping` (N s/m), `brake` κ (1/s) and `least`, the least command (N).
+    Dependent columns all get the smallest gain, the largest damping and the largest brake of the
+    active contacts, and no floor. Fills `gain` (1/s), `damping` (N s/m), `brake` κ (1/s) and
+    `least`, the least command (N).
     """
     work = t.work
     dependent = work.rank < work.count
@@ -313,44 +324,45 @@ def contact_laws(t):
 
 # --- Contact forces by least squares, independent of friction and misplaced normals ---------------
 #
-# The filter of fig. 5 takes whatever pushes on the object at a contact for N_μα. Here each point of
-# contact may push along its tangents, too, by an unknown β, and the object may depart by δ from the
-# acceleration a desired of it:
+# The filter of fig. 5 attributes every contact force to N_μα. Here a force with unknown components
+# β may act along the tangents T_j of each point of contact, too, and the acceleration of the object
+# may deviate by δ from the desired one a:
 #
 #     f_meas − bias_out − Λ_out a = N_μα + Σ T_jβ_j + Λ_out δ,   Nᵀδ = 0
 #
-# Of all α, β and δ that explain the reading those are taken that make the sum of squares least,
-# each in the scale in which it is likely: β_j in w_j times a coefficient of friction, w_j the
-# desired force of the contact; δ, by the kinetic energy of the object, in σ_a. With f all that is
-# read but N_μα,
+# This equation has many solutions α, β, δ. The one with the least sum of squares is taken, each
+# unknown divided by its typical size: β_j by a coefficient of friction times w_j, the desired force
+# of the contact; δ, in the metric of the object's kinetic energy, by σ_a. With f the left-hand
+# side,
 #
 #     R = ΣT_jC_jT_jᵀ + σ_a²m Λ_outPΛ_outᵀ,    α = (N_μᵀR⁻¹N_μ)⁻¹N_μᵀR⁻¹f,
 #
-# P the motions that N permits. As σ_a → 0 the object's acceleration is known, and where N is
-# independent of the tangents α follows uniquely; as β → 0 it is the filter. All scales are physical
-# quantities: no norm of newtons and newton metres is taken.
+# where P projects on the motions that N permits. For σ_a → 0 the acceleration of the object is
+# assumed to be known, and α is unique if N is independent of the tangents; for β → 0 the result is
+# that of the filter. All weights are physical quantities: no norm adds newtons and newton metres.
 
-_ALONG = 0.3  #: coefficient of friction along the slip, beyond what is assumed
-_ACROSS = 0.1  #: and across it; the tangent of an error of the normal
+_ALONG = 0.3  #: typical error of the coefficient of friction along the slip
+_ACROSS = 0.1  #: typical coefficient across the slip; also the tangent of an error of the normal
 _DEPARTURE = 0.1  #: σ_a (m/s²)
 _LEAST_FORCE = 1.0  #: least w_j (N)
-_LAG = 0.005  #: s, of the low-pass of tangential forces
-_REACTION = 0.5  #: times the desired force, of what they may add
-_FIRST = 0.005  #: T_1 (s), of sliding that the coefficient assumed at first is worth
-_MOST_FRICTION = 2.0  #: coefficient that is learned at most
-_NOISE = 0.01  #: of a wrist's force (N), in the metric of the object's inertia
+_LAG = 0.005  #: s, time constant of the low-pass of tangential forces
+_REACTION = 0.5  #: largest reaction to tangential forces, as a share of the desired force
+_FIRST = 0.005  #: T_1 (s), weight of the assumed coefficient, as a time of sliding
+_MOST_FRICTION = 2.0  #: largest coefficient of friction that is identified
+_NOISE = 0.01  #: noise of a wrist's force (N), in the metric of the object's inertia
 
 
 @inner
 def weigh_magnitudes(t):
-    """Least squares α = (HᵀR⁻¹H)⁻¹HᵀR⁻¹f, H = N_μ and what touched bodies yield to it.
+    """Compute α by least squares, α = (HᵀR⁻¹H)⁻¹HᵀR⁻¹f, with H = N_μ + Λ_outN⁺Φ_μ.
 
-    f is the reading less bias and less Λ_out a. Reads `reading_e`, `pushed`, `Phi_mu`, the columns
-    in force and what `desired_inertia_force` and `_likely_errors` read. Fills `alpha_meas`,
-    `reading_rest` (R⁻¹(f − Hα)), `weightless` and, with contact phases, `mobility`.
+    f is the reading less bias and less Λ_out a; the second summand of H is the inertial force of
+    an object that moves with a yielding body. Reads `reading_e`, `pushed`, `Phi_mu`, and the fields
+    that `desired_inertia_force` and `_likely_errors` read. Fills `alpha_meas` (r,), `reading_rest`
+    R⁻¹(f − Hα) (6,), `weightless` and, with contact phases, `mobility`.
 
     Returns:
-        False: R is not definite, or columns cannot be told apart.
+        False if R is not positive definite, or if columns of H are dependent.
     """
     work = t.work
     r = work.rank
@@ -394,15 +406,15 @@ def weigh_magnitudes(t):
 
 @inner
 def _find_mobility(t, weighed, normal):
-    """The normal acceleration for each newton that it makes the least squares read.
+    """Compute the `mobility` D of least squares: normal acceleration per force that it simulates.
 
-    A body in free flight accelerates by x = d(NᵀV_rel)/dt beside the motions that contacts permit.
-    That adds Λ_outN⁺x to the reading, N⁺ the motion of least kinetic energy, and
-    (HᵀR⁻¹H)⁻¹HᵀR⁻¹Λ_outN⁺x to α. Reads `N_basis`, `N_factor`, `out_T`. Fills `mobility` (r, r), and
-    `weightless` where it does not exist.
+    A normal acceleration x = d(NᵀV_rel)/dt of an object in free flight adds Λ_outN⁺x to the
+    reading, where N⁺x is the motion of least kinetic energy, and therefore
+    D⁻¹x = (HᵀR⁻¹H)⁻¹HᵀR⁻¹Λ_outN⁺x to α. Reads `N_basis`, `N_factor`, `out_T`. Fills `mobility`
+    (r, r); sets `weightless` to 1 if D does not exist.
 
     Args:
-        weighed: (r, 6) rows of HᵀR⁻¹. normal: (r, r) HᵀR⁻¹H.
+        t: Tick. weighed: (r, 6) rows of HᵀR⁻¹. normal: (r, r) HᵀR⁻¹H.
     """
     work = t.work
     r = work.rank
@@ -423,15 +435,16 @@ def _find_mobility(t, weighed, normal):
 
 @inner
 def learn_friction(t):
-    """The coefficient of friction μ, learned from the tangential forces found along the slip.
+    """Update the coefficient of friction μ by the tangential forces measured along the slip.
 
-    dμ/dt = k Σw_j s_jᵀβ_j / Σw_j², β_j = C_jT_jᵀR⁻¹(f − N_μα): where contacts slide, to one that
-    explains them best; where they rest, s_j = 0, nothing is learned. At first μ is the mean of all
-    readings, k = 1/(T_1 + T) > `learning`, T = ∫Σw_jα_j|s_j|²/Σw_j² dt the time of sliding under
-    the desired forces: the first contact is made with friction that it shows itself. Not where
-    normals are estimated, too: a tilted face shows the same at first.
+        dμ/dt = k Σw_j s_jᵀβ_j / Σw_j²,   β_j = C_jT_jᵀR⁻¹(f − N_μα)
 
-    Reads `alpha_meas`, `reading_rest` and `slip`, `prior` of the columns in force. Updates
+    Contacts at rest (s_j = 0) do not change μ. In the beginning k = 1/(T_1 + T), more than
+    `learning`, so that μ is the mean of all readings; T = ∫Σw_jα_j|s_j|²/Σw_j² dt is the time of
+    sliding under the desired forces. This faster start is not used while normals are estimated,
+    because a tilted face initially causes the same forces as friction.
+
+    Reads `alpha_meas`, `reading_rest` and `slip`, `prior` of the active columns. Updates
     `more_friction` and `slid` (T).
     """
     model = t.model
@@ -462,18 +475,18 @@ def learn_friction(t):
 
 @leaf
 def _likely_force(work, chosen):
-    """w_j (N): the size of the desired force of a column of N, in which its errors are judged."""
+    """Typical size w_j (N) of the force of a column of N: its desired force, at least 1 N."""
     return max(abs(work.goal[chosen]), _LEAST_FORCE)
 
 
 @inner
 def oppose_friction(t):
-    """The part of α that tangential forces f_t cause, D⁻¹Nᵀ(Φ_0 + Φ_e)f_t, D = Nᵀ(Φ_0 + Φ_e)N_μ.
+    """Compute `reaction`, the contact force D⁻¹Nᵀ(Φ_0 + Φ_e)f_t caused by tangential forces f_t.
 
-    f_t = Σ(1 − |s_j|²) T_jβ_j are the tangential forces of contacts that stick or hardly slide, and
-    that μ does not explain: β_j = C_jT_jᵀR⁻¹(f − N_μα) as read up to the last tick, low-passed.
-    They themselves are not opposed: that would push on what sticks. At most half of the desired
-    force.
+    D = Nᵀ(Φ_0 + Φ_e)N_μ. f_t = Σ(1 − |s_j|²) T_jβ_j has the tangential forces of contacts that
+    stick or hardly slide, as far as μ does not explain them: β_j = C_jT_jᵀR⁻¹(f − N_μα), measured
+    up to the last tick and low-passed. f_t itself is not compensated, because that would push on
+    contacts that stick. The reaction is limited to half of the desired force.
 
     Reads `N_t`, `pushed_t`, `Lambda`, `Phi_mu`, `yields`, `reading_rest`, `alpha_d`, and
     `tangential` of MEMORY. Fills `reaction` (r,) in N, and `tangential` of the columns for the next
@@ -522,12 +535,13 @@ def oppose_friction(t):
 
 @inner
 def _find_tangential(t, column, chosen, past):
-    """The tangential force β_j of a contact in this tick, low-passed.
+    """Low-pass the tangential force β_j of a contact.
 
-    Reads `reading_rest`; fills `tangential` of the column (N).
+    Reads `reading_rest`; fills `tangential` of the column (N, world axes).
 
     Args:
-        column: COLUMN_WORK. chosen: its number. past: (3,) `tangential` of the last tick (N).
+        t: Tick. column: COLUMN_WORK. chosen: index of the column. past: (3,) `tangential` of the
+            last tick (N).
     """
     work = t.work
     shown = local(3)
@@ -543,15 +557,16 @@ def _find_tangential(t, column, chosen, past):
 
 @inner
 def outboard_times(work, x):
-    """Λ_out x, six numbers, of a motion x (6,), both in energy coordinates."""
+    """Product Λ_out x (six numbers) with a motion x (6,), both in energy coordinates."""
     return combined(x, work.out_T, 6)
 
 
 @inner
 def desired_inertia_force(t):
-    """Λ_out a, six numbers; a: the desired acceleration, as far as the contacts permit it.
+    """Inertial force Λ_out a (six numbers, energy coordinates) of the permitted acceleration a.
 
-    Reads `A_D`, `V_O`, `n_gamma`, `b_N`, `N_factor`, `N_basis`, `out_T`.
+    a is the desired acceleration, projected on the motions that the contacts permit. Reads `A_D`,
+    `V_O`, `n_gamma`, `b_N`, `N_factor`, `N_basis`, `out_T`.
     """
     work = t.work
     a = local(6)
@@ -568,14 +583,15 @@ def desired_inertia_force(t):
 
 @inner
 def _likely_errors(t, R):
-    """R = σ_a²m Λ_out(1 − QᵀQ)Λ_outᵀ + ΣT_jC_jT_jᵀ and the wrists' noise; the largest w_j (N).
+    """Fill R with the covariance of the reading's errors; return the largest w_j (N).
 
-    C_j = w_j²(σ_t²(1 − nnᵀ) + (σ_s² − σ_t²) ssᵀ), s the direction of slip, shorter than 1 where
-    the contact hardly slides. Reads `out_T`, `N_basis` (Q), `goal`, and `N`, `slip`, `point` of the
-    columns in force.
+    R = σ_a²m Λ_out(1 − QᵀQ)Λ_outᵀ + ΣT_jC_jT_jᵀ + the noise of the wrists, with
+    C_j = w_j²(σ_t²(1 − nnᵀ) + (σ_s² − σ_t²) ssᵀ), where s is the direction of slip, shorter than 1
+    where the contact hardly slides. Reads `out_T`, `N_basis` (Q), `goal`, and `N`, `slip`, `point`
+    of the active columns.
 
     Args:
-        R: (6, 6), filled.
+        t: Tick. R: (6, 6) in energy coordinates, filled.
     """
     work = t.work
     mass = t.model.principal[0]
@@ -601,7 +617,7 @@ def _likely_errors(t, R):
 
 @inner
 def across(N, k):
-    """Column k of 1 − nnᵀ, n the direction of a column of N, as a tuple."""
+    """Column k of the projection 1 − nnᵀ (three numbers), n the unit normal of a column of N."""
     n = divided3(N, sqrt(dot3(N, N)))
     return add3(axis3(k), -n[k], n)
 
@@ -610,10 +626,12 @@ def across(N, k):
 def push_on(t, force, chosen):
     """Reading (six numbers, energy coordinates) that a force at one contact causes.
 
-    That is the force and, where its body moves, what the reading gains as this body yields.
+    It is the wrench of the force; on a movable body the inertial force is added that the object
+    exerts when it moves with the body.
 
     Args:
-        force: (3,) at the point of contact, in world axes (N). chosen: column of N of the contact.
+        t: Tick. force: (3,) at the point of contact, in world axes (N). chosen: column of N of the
+            contact.
     """
     work = t.work
     f = join(force, cross(work.columns[chosen].point, force))
@@ -630,10 +648,12 @@ def push_on(t, force, chosen):
 
 @inner
 def _add_yield(work, f, along):
-    """f + Λ_out N⁺ s (six numbers): the inertial force of the least motion with Nᵀa = s, added.
+    """Return f + Λ_out N⁺ s (six numbers): f plus an inertial force of the object.
+
+    N⁺s is the acceleration of least kinetic energy with Nᵀa = s.
 
     Args:
-        f: six numbers, energy coordinates. along: (r,) s (m/s²), overwritten.
+        work: WORK. f: six numbers, energy coordinates. along: (r,) s (m/s²), overwritten.
     """
     forward(work.N_factor, work.rank, along)
     return plus(f, outboard_times(work, combined(along, work.N_basis, work.rank)))

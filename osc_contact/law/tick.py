@@ -1,15 +1,16 @@
 """The control tick, in the order of docs/law.md: model, force, motion, decoupling, torques.
 
-`rows` runs any number of controllers, one a row of the tables: a single tick is one row, a batch
-many, on as many threads as there are chunks [lo, hi). Nothing is kept but MEMORY; WORK holds what
-the last row worked out. A tick has four parts, so that Python may step in between them:
+`rows` runs any number of controllers, one for each row of the tables: one row for a single
+controller, many for a batch, whose rows are divided among threads. Only MEMORY lasts beyond a tick;
+WORK contains the intermediate results of the last row. A tick has four parts, between which Python
+code may run:
 
-    LOOK      what came in and whether it is plausible, phases of the contacts, the closed chain
-    MEASURE   N and n_γ, what the bodies do along N, the force filter of fig. 5, the pose error
+    LOOK      input and its plausibility, phases of the contacts, the closed chain
+    MEASURE   N and n_γ, motion of the bodies along N, the force filter of fig. 5, the pose error
     COMMAND   force law, motion law, motion filter (24), control structure (21), robot limits
     ALLOCATE  motor torques, verdict, memory
 
-HAND_OVER by itself turns what the motion integral has learned into a constant wrench.
+HAND_OVER, run alone, converts the motion integral into a constant wrench.
 """
 
 from __future__ import annotations
@@ -129,27 +130,29 @@ BLIND = declare_reason(
 )
 STOPPED = declare_reason("STOPPED", 13, "")
 
-#: Flags of a tick: bodies move; internal forces of three arms and more are commanded; α_u, a_u are
-#: given; how many columns N has is not known yet.
-MOVING = 1
-COMMANDED = 2
-OWN_FORCE = 4
-OWN_MOTION = 8
-PARTIAL = 16
-#: Set inside: sizes of what came in; of alpha_d.
-MISFIT = 64
-NO_FORCES = 128
-_BEYOND = 1e302  #: overflows with forces above 2 MN: a step back from there would leave rounding
+# Flags of a tick, from the caller:
+MOVING = 1  #: motions of the touched bodies are measured
+COMMANDED = 2  #: internal forces between three or more arms are commanded
+OWN_FORCE = 4  #: the user's force law gives α_u
+OWN_MOTION = 8  #: the user's motion law gives a_u
+PARTIAL = 16  #: the number of columns of N is not known yet
+# Flags of a tick, set by `rows`:
+MISFIT = 64  #: an input has a wrong size
+NO_FORCES = 128  #: alpha_d has a wrong size
+_BEYOND = 1e302  #: makes forces above 2 MN overflow; rounding errors would remain after them
 
 # --- Model ----------------------------------------------------------------------------------------
 
 
 @inner
 def look(t, flags):
-    """Judge the input, advance phases of contacts, solve the closed chain; returns a reason.
+    """Check the input, advance the phases of contacts, solve the closed chain; return a reason.
 
-    Fills `status`, `dt`, `commanded`, `moving`, and what `take_in`, `choose_columns` and
-    `solve_chain` state.
+    Fills `status`, `dt`, `commanded`, `moving`, and the fields that `take_in`, `choose_columns`
+    and `solve_chain` fill.
+
+    Args:
+        t: Tick. flags: COMMANDED, PARTIAL, MISFIT and NO_FORCES are read.
     """
     model = t.model
     memory = t.memory
@@ -159,7 +162,7 @@ def look(t, flags):
     work.moving = t.input.moving
     work.rank = 0
     work.count = 0
-    lost = memory.gap if memory.ticked else 0  # nothing passes before the first tick
+    lost = memory.gap if memory.ticked else 0  # no time passes before the first tick
     work.dt = model.period * (1 + min(lost, MOST_LOST))
     engaged = memory.engaged != 0 and model.n_contacts > 0
     misfit = engaged and flags & NO_FORCES != 0
@@ -184,10 +187,11 @@ def look(t, flags):
 
 @leaf
 def is_finite(t, engaged, moving):
-    """Whether all of INPUT, and the desired squeeze, is finite.
+    """Whether all values of INPUT and the desired squeeze are finite.
 
     Args:
-        engaged: whether contacts are in force. moving: whether bodies were measured.
+        t: Tick. engaged: whether the law includes contacts; if not, alpha_d is not checked.
+        moving: whether motions of the touched bodies are measured.
     """
     model = t.model
     given = t.input
@@ -219,7 +223,8 @@ def take_in(t, engaged, moving):
     the bodies, `alpha_d` of the columns.
 
     Args:
-        engaged, moving: as of `is_finite`.
+        t: Tick. engaged: whether the law includes contacts; if not, the goals are zero.
+        moving: whether motions of the touched bodies are measured.
     """
     model = t.model
     work = t.work
@@ -245,10 +250,10 @@ def take_in(t, engaged, moving):
 
 @inner
 def measure(t):
-    """N, n_γ, touched bodies along N, measured contact forces; returns a reason.
+    """Compute N, n_γ, the touched bodies along N and measured contact forces; return a reason.
 
     Fills `mu`, `more_friction`, `slid`, `speed` (NᵀV_rel of the kept columns, m/s), `f_c` = Nα_meas
-    (at O), and what the functions called here state.
+    (at O), and the fields that the functions called here fill.
     """
     model = t.model
     work = t.work
@@ -293,14 +298,15 @@ def measure(t):
 
 @inner
 def set_desired_forces(t, flags):
-    """Desired forces of the kept columns, from the goals of all columns.
+    """Compute the desired forces of the kept columns from the goals of all columns.
 
-    Steps are smoothed and swinging contacts braked, but for a force law of the user's own. Fills
-    `alpha_d` (r,) and `felt` (r,), measured forces as the integral takes them; changes `gain`,
-    `brake` and `damping`.
+    Steps are shaped and oscillating contacts braked, except with a force law of the user. Fills
+    `alpha_d` (r,) and `felt` (r,), the measured force that the integral compares with it (of an
+    approaching contact the force K_a NᵀV_rel of its speed law); changes `gain`, `brake` and
+    `damping`.
 
     Args:
-        flags: OWN_FORCE or 0.
+        t: Tick. flags: OWN_FORCE or 0.
     """
     work = t.work
     columns = work.columns
@@ -322,7 +328,7 @@ def set_desired_forces(t, flags):
         if approached and independent:
             work.gain[a] = phases.APPROACH_GAIN
             work.felt[a] = work.damping[a] * work.speed[a]
-        if own and not approached:  # a custom law
+        if own and not approached:  # the user's force law includes its own damping
             work.damping[a] = 0.0
 
 
@@ -331,7 +337,7 @@ def set_desired_forces(t, flags):
 
 @inner
 def compare_poses(t):
-    """Pose error `error` at O, and the part of it that the contacts permit; returns a reason."""
+    """Compute the pose error at O and the part of it that the contacts permit; return a reason."""
     work = t.work
     set_metric(t)
     fill(work.error, pose_error(t.input.X_WD, work.X_WO))
@@ -340,11 +346,11 @@ def compare_poses(t):
 
 @inner
 def hand_over(t):
-    """What the motion integral has learned in free directions becomes a constant wrench.
+    """Convert the motion integral along free directions into a constant wrench.
 
-    That is S⁻ᵀΛ_S P_T K_i∫e, added to `f_bias`: weight errors stay balanced in directions that
-    leave the motion law. The integral starts again from zero. Reads `Lambda`, `N_t` and
-    its factors.
+    The wrench S⁻ᵀΛ_S P_T K_i∫e is added to `f_bias`, so that weight errors stay balanced in
+    directions that are no longer controlled by the motion law. The integral is reset to zero. Reads
+    `Lambda`, `N_t` and its factors.
     """
     work = t.work
     memory = t.memory
@@ -354,7 +360,7 @@ def hand_over(t):
     fill(x, motion_to_energy(work, scaled(t.model.integral, memory.motion_sum)))
     fill(x, turned(work, x))
     fill(memory.motion_sum, ZERO)
-    for a in range(work.rank):  # what the contacts see of a locked motion is not rounded away
+    for a in range(work.rank):  # keeps Nᵀx exactly, although locked components are dropped
         seen[a] = dot6(work.N_t[a], x)
     project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, seen)
     fill(force, ZERO)
@@ -370,12 +376,13 @@ def hand_over(t):
 
 @inner
 def command(t, flags):
-    """Force law, motion law, filter and control structure; returns a reason.
+    """Evaluate force law, motion law, motion filter and control structure; return a reason.
 
-    Updates `motion_next`, from the permitted error to the motion integral after this tick.
+    Changes `motion_next` from the permitted error to the motion integral after this tick. Fills the
+    fields that the functions called here fill.
 
     Args:
-        flags: which laws are the user's own.
+        t: Tick. flags: OWN_FORCE and OWN_MOTION, if α_u or a_u are already given.
     """
     model = t.model
     work = t.work
@@ -384,7 +391,7 @@ def command(t, flags):
     for a in range(work.rank):
         if own:
             work.force_next[a] = last_integral(t, a)
-            if work.damping[a] > 0.0:  # approached
+            if work.damping[a] > 0.0:  # the contact is being approached
                 work.alpha_u[a] = work.alpha_d[a] - work.damping[a] * work.speed[a]
         elif memory.wrench_missing:
             work.gain[a] = 0.0
@@ -413,7 +420,7 @@ def command(t, flags):
 
 @inner
 def watch(t):
-    """Limits of the robot and what only a commanded tick shows of the sensors; a reason."""
+    """Check the limits of the robot, and sensors by the computed commands; return a reason."""
     reason = watch_joints(t)
     if reason == NO_REASON and t.model.guarded:
         reason = check_arms(t)
@@ -429,7 +436,7 @@ def watch(t):
 
 @inner
 def finish(t):
-    """The torques, the verdict and the memory of a tick that could be computed; a reason."""
+    """Compute motor torques and status of a tick and update MEMORY; return a reason."""
     model = t.model
     work = t.work
     predict_joints(t)
@@ -455,7 +462,11 @@ def finish(t):
 
 @inner
 def remember(t):
-    """The integrals move on; phases keep what was measured."""
+    """Update MEMORY after a computed tick: integrals, steps, measured forces and phases.
+
+    Integrals keep their values where motors are saturated; the motion integral also where commands
+    are reduced.
+    """
     work = t.work
     memory = t.memory
     memory.ticked = memory.ticked + 1
@@ -488,7 +499,12 @@ _FRICTION, _COLUMNS = (MEMORY.start(name) for name in ("friction", "columns"))
 
 @inner
 def _row(t, flags, begin, stop):
-    """One controller; returns its status."""
+    """Run parts of a tick of one controller; return its status.
+
+    Args:
+        t: Tick. flags: flags of the tick. begin, stop: first part, and the part before which to
+            stop.
+    """
     memory = t.memory
     work = t.work
     if begin == HAND_OVER:
@@ -519,27 +535,30 @@ def _row(t, flags, begin, stop):
 
 @leaf
 def _copy(x, start, fits, out):
-    """out ← x[start:], or NaN where that does not fit."""
+    """Copy x[start:] to `out`, or fill it with NaN if `fits` is false (x has a wrong size)."""
     for i in range(len(out)):
         out[i] = x[start + i] if fits else nan
 
 
 @entry
 def rows(raw, at, given):
-    """Controllers `first` … `last` − 1 of a job, each from part `begin` to before part `stop`.
+    """Run controllers `first` to `last` − 1 of a job, each from part `begin` until part `stop`.
 
-    Returns after a tick that ends SATURATED: its WORK has what motor limits need. Torques are
-    in MEMORY, and how each tick ended.
+    Stops after a tick that ends SATURATED, because the quadratic program of the motor limits needs
+    its WORK. Torques and status of each controller are written to its MEMORY.
 
     Args:
-        raw: bytes of `records.Rows`. at: where its JOB is: `first`, `last`, `begin`, `stop`;
-            `switches` MOVING, COMMANDED, OWN_FORCE, OWN_MOTION.
+        raw: bytes of `records.Rows`.
+        at: offset of the JOB, of which `first`, `last`, `begin`, `stop` and `switches` (MOVING,
+            COMMANDED, OWN_FORCE, OWN_MOTION, PARTIAL) are read.
         given: q, v, wrenches (rows · arms, 6), X_WD (rows · 4, 4), V_D, A_D, alpha_d, touched
-            (rows · contacts, 28; MOVING), active (rows · contacts; or none: see `active_set`),
-            each of all rows, one behind the other.
+            (rows · contacts, 28; read with MOVING), active (rows · contacts; empty unless the user
+            names active contacts, see `active_set`). Each array has the values of all rows in
+            sequence.
 
     Returns:
-        Twice the next row (`last` when all are done), plus 1 if some row did not end OK.
+        Twice the number of the next row (`last` if all are done), plus 1 if some row did not end
+        OK.
     """
     q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active = given
     job = _job(raw, at)
@@ -547,7 +566,7 @@ def rows(raw, at, given):
     count = job.count
     head = _model(raw, job.model)
     size = head.memory_bytes
-    used = head.layout[_PRIORS] if job.model_step else 0  # what a row is read of, as a rule
+    used = head.layout[_PRIORS] if job.model_step else 0  # bytes of a row that are usually read
     layout = _memory(raw, job.memory).layout
     unused = layout[_FRICTION]
     columns = layout[_COLUMNS]
