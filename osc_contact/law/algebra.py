@@ -1,9 +1,9 @@
-"""Small dense algebra: verbs for matrices whose sizes are arguments.
+"""Dense linear algebra for small matrices whose sizes are arguments.
 
-Matrices are larger than the part that counts, whose size is given. Vectors of the operational space
-are rows of six: X (n, 6) holds n of them. Results go to an array `out` that the caller makes
-(`jit.local`), which is no operand unless this is stated. Where an operation can fail it returns
-False or 0.
+Arrays may be larger than the matrix in them, whose size is an argument. Vectors of the operational
+space are rows of six numbers; X (n, 6) contains n of them. Results are written to an array `out` of
+the caller (`jit.local`), which must not be an operand unless the docstring permits it. An operation
+that can fail returns False or 0.
 """
 
 from __future__ import annotations
@@ -13,17 +13,13 @@ from math import sqrt
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.vectors import accumulate, add, dot6, fill, reflector, scaled, six
 
-_SINGULAR = 1e-10
-_NOTHING = 1e-280  #: below, numbers have fewer digits soon
+_SINGULAR = 1e-10  #: relative pivot below which a matrix is singular
+_NOTHING = 1e-280  #: squares below it lose digits (subnormal numbers)
 
 
 @inner
 def dot(a, b, n):
-    """Σ aᵢbᵢ.
-
-    Args:
-        a, b: rows. n: how many elements of them count.
-    """
+    """Inner product Σ aᵢbᵢ of the first n elements of two rows."""
     s = 0.0
     for i in range(n):
         s += a[i] * b[i]
@@ -32,10 +28,10 @@ def dot(a, b, n):
 
 @inner
 def add_scaled(s, a, n, out):
-    """out ← out + s a.
+    """Add s a[:n] to out[:n].
 
     Args:
-        s: factor. a: row. n: how many elements of it count. out: row, overwritten.
+        s: factor. a: row. n: number of elements. out: row, changed.
     """
     for i in range(n):
         out[i] += s * a[i]
@@ -43,10 +39,10 @@ def add_scaled(s, a, n, out):
 
 @leaf
 def gram(X, n, Y, m, out):
-    """out ← X Yᵀ, the products of each two rows of six.
+    """Compute X Yᵀ, the inner products of rows of six numbers.
 
     Args:
-        X: (n, 6). n: rows of X. Y: (m, 6). m: rows of Y. out: (n, m).
+        X: (n, 6). n: number of rows of X. Y: (m, 6). m: number of rows of Y. out: (n, m), filled.
     """
     for i in range(n):
         for j in range(m):
@@ -55,11 +51,7 @@ def gram(X, n, Y, m, out):
 
 @leaf
 def transpose(A, n, m, out):
-    """out ← Aᵀ.
-
-    Args:
-        A: (n, m). n, m: its size. out: (m, n).
-    """
+    """Write the transpose of A (n, m) to `out` (m, n)."""
     for i in range(n):
         for j in range(m):
             out[j, i] = A[i, j]
@@ -67,14 +59,18 @@ def transpose(A, n, m, out):
 
 @inner
 def cholesky(A, first, n, L):
-    """Lower factor L (n, n) of the block of A that begins at `first`; the pivots' least share.
+    """Compute the Cholesky factor L (n, n) of a diagonal block of A, A = LLᵀ.
 
-    Returns the smallest pivot relative to its diagonal element, ≤ 0 if A is not positive definite.
-    Only the lower triangle of A is read. L carries the inverse pivots on its diagonal.
+    Only the lower triangle of A is read. The diagonal of L contains the reciprocals of its
+    elements.
 
     Args:
-        A: symmetric. first: row and column at which the block begins. n: its size.
-        L: (n, n) scratch for the factor.
+        A: symmetric matrix. first: row and column at which the block begins. n: size of the block.
+        L: (n, n), of which the lower triangle is filled.
+
+    Returns:
+        The smallest ratio of a pivot to its diagonal element of A; ≤ 0 if A is not positive
+        definite.
     """
     least = 1.0
     for i in range(n):
@@ -98,7 +94,7 @@ def forward_rows(L, n, X):
     """Overwrite the rows X[:n, :6] with L⁻¹X.
 
     Args:
-        L: (n, n) factor. n: its size. X: rows of six, overwritten.
+        L: (n, n) factor from `cholesky`. n: its size. X: (n, 6), overwritten.
     """
     for i in range(n):
         x = six(X[i])
@@ -112,7 +108,7 @@ def forward(L, n, x):
     """Overwrite x[:n] with L⁻¹x, L from `cholesky`.
 
     Args:
-        L: (n, n) factor. n: its size. x: right side, then solution.
+        L: (n, n) factor. n: its size. x: right-hand side, overwritten with the solution.
     """
     for i in range(n):
         s = x[i]
@@ -123,10 +119,10 @@ def forward(L, n, x):
 
 @leaf
 def forward_each(L, n, X, m):
-    """Overwrite each of the rows X[:m, :n] with L⁻¹ times it: X ← X L⁻ᵀ.
+    """Multiply each of the rows X[:m, :n] by L⁻¹: X ← X L⁻ᵀ.
 
     Args:
-        L: (n, n) factor. n: its size. X: (m, n). m: number of rows.
+        L: (n, n) factor from `cholesky`. n: its size. X: (m, n), overwritten. m: number of rows.
     """
     for i in range(m):
         forward(L, n, X[i])
@@ -137,7 +133,7 @@ def transposed_factor_times(L, n, x):
     """Overwrite x[:n] with Lᵀx.
 
     Args:
-        L: (n, n) factor from `cholesky`. n: its size. x: operand, then product.
+        L: (n, n) factor from `cholesky`. n: its size. x: operand, overwritten with the product.
     """
     for i in range(n):
         s = x[i] / L[i, i]
@@ -148,10 +144,10 @@ def transposed_factor_times(L, n, x):
 
 @leaf
 def factor_times(L, n, B, m, out):
-    """out ← L B, L from `cholesky` or `orthonormalise`.
+    """Compute the product L B, L from `cholesky` or `orthonormalise`.
 
     Args:
-        L: (n, n) factor. n: its size. B, out: (n, m). m: columns of B.
+        L: (n, n) factor. n: its size. B: (n, m). m: number of columns of B. out: (n, m), filled.
     """
     for i in range(n):
         for j in range(m):
@@ -163,10 +159,10 @@ def factor_times(L, n, B, m, out):
 
 @inner
 def backward(L, n, x):
-    """Overwrite x[:n] with L⁻ᵀx.
+    """Overwrite x[:n] with L⁻ᵀx, L from `cholesky`.
 
     Args:
-        L, n, x: as of `forward`.
+        L: (n, n) factor. n: its size. x: right-hand side, overwritten with the solution.
     """
     for i in range(n - 1, -1, -1):
         s = x[i]
@@ -177,10 +173,10 @@ def backward(L, n, x):
 
 @inner
 def cholesky_solve(L, n, x):
-    """Overwrite x[:n] with (LLᵀ)⁻¹x.
+    """Overwrite x[:n] with (LLᵀ)⁻¹x, L from `cholesky`.
 
     Args:
-        L, n, x: as of `forward`.
+        L: (n, n) factor. n: its size. x: right-hand side, overwritten with the solution.
     """
     forward(L, n, x)
     backward(L, n, x)
@@ -188,12 +184,14 @@ def cholesky_solve(L, n, x):
 
 @inner
 def lu_solve(A, n, B, columns):
-    """Overwrite the rows B[:columns, :n] with A⁻¹B by elimination with pivoting; A is destroyed.
-
-    Returns False where a pivot shrinks to _SINGULAR of the largest.
+    """Solve A x = b for each row b of B by Gaussian elimination with partial pivoting.
 
     Args:
-        A: (n, n). n: its size. B: right sides as rows. columns: how many.
+        A: (n, n), destroyed. n: its size. B: (columns, n) right-hand sides as rows, overwritten
+            with the solutions. columns: number of right-hand sides.
+
+    Returns:
+        False if a pivot is at most _SINGULAR times the largest one.
     """
     largest = 0.0
     for k in range(n):
@@ -231,13 +229,18 @@ def lu_solve(A, n, B, columns):
 
 @inner
 def qr_rows(X, rows, length, diagonal, beta):
-    """Householder QR of the (length, rows) matrix whose *columns* are X[:rows, :length].
+    """Compute the Householder QR of the (length, rows) matrix with the *columns* X[:rows, :length].
 
-    Column k's reflector 1 − β v vᵀ is left in X[k, k:], R in X[j, k] (k < j) and `diagonal`.
+    The vector v of reflector k, 1 − β v vᵀ, is left in X[k, k:]; R in X[j, k] (k < j) and
+    `diagonal`.
 
     Args:
-        X: columns of the matrix, as rows. rows: how many. length: of each.
-        diagonal, beta: (rows,) of R, and of the reflectors.
+        X: columns of the matrix, as rows, overwritten. rows: number of columns. length: length of
+            each column. diagonal: (rows,), filled with the diagonal of R. beta: (rows,), filled
+            with β of the reflectors.
+
+    Returns:
+        False if a column depends on those before it.
     """
     for k in range(rows):
         v = X[k, k:]
@@ -254,20 +257,21 @@ def qr_rows(X, rows, length, diagonal, beta):
 
 @inner
 def reflect(v, beta, n, x):
-    """x ← (1 − β v vᵀ) x.
+    """Apply the reflector 1 − β v vᵀ to x[:n].
 
     Args:
-        v: reflector. beta: its factor. n: how many elements count. x: row, overwritten.
+        v: (n,) vector of the reflector. beta: β. n: number of elements. x: row, overwritten.
     """
     add_scaled(-beta * dot(v, x, n), v, n, x)
 
 
 @inner
 def form_q(X, rows, length, beta, count, Q):
-    """The first `count` columns of Q, as rows Q[:count, :length].
+    """Form the first `count` columns of the orthogonal factor Q, as rows Q[:count, :length].
 
     Args:
-        X, rows, length, beta: from `qr_rows`. count: columns of Q. Q: for them, as rows.
+        X, rows, length, beta: from `qr_rows`. count: number of columns of Q.
+        Q: (count, length), filled.
     """
     for c in range(count):
         for i in range(length):
@@ -282,7 +286,8 @@ def back_substitute(X, rows, length, diagonal, Z):
     """Overwrite the rows Z[:rows, :length] with R⁻¹Z, R from `qr_rows`.
 
     Args:
-        X, rows, diagonal: from `qr_rows`. length: of each row of Z. Z: right sides, then solutions.
+        X, rows, diagonal: from `qr_rows`. length: number of elements of each row of Z.
+        Z: (rows, length) right-hand sides, overwritten with the solutions.
     """
     for k in range(rows - 1, -1, -1):
         for j in range(k + 1, rows):
@@ -293,12 +298,14 @@ def back_substitute(X, rows, length, diagonal, Z):
 
 @inner
 def one_sided_jacobi(X, count, length, carried):
-    """Rotate the rows X[:count, :length] until they are orthogonal; their norms are the singular
-    values. The next `carried` elements of each row are rotated along.
+    """Rotate the rows X[:count, :length] until they are orthogonal (one-sided Jacobi SVD).
+
+    The norms of the resulting rows are the singular values. The next `carried` elements of each
+    row are rotated with it.
 
     Args:
-        X: rows, overwritten. count: how many. length: elements that become orthogonal.
-        carried: elements behind them.
+        X: matrix, overwritten. count: number of rows. length: number of elements of each row that
+            become orthogonal. carried: number of further elements.
     """
     for _ in range(30):
         turned = False
@@ -313,7 +320,7 @@ def one_sided_jacobi(X, count, length, carried):
                     continue
                 d = b - a
                 h = d * d + 4.0 * c * c
-                if h < _NOTHING:  # rows that are zero: their squares have lost digits
+                if h < _NOTHING:  # two zero rows, whose squares have lost digits
                     continue
                 h = sqrt(h)
                 turned = True
@@ -332,14 +339,17 @@ def one_sided_jacobi(X, count, length, carried):
 
 @inner
 def orthonormalise(X, r, m, Q, L):
-    """X = L Q over the elements m … 5 of rows: Q (r, 6) orthonormal, L (r, r) lower triangular.
+    """Factorise X = L Q over the elements m … 5 of its rows, by modified Gram–Schmidt, twice.
 
-    The first m elements of Q are zero. Modified Gram–Schmidt, twice. L carries the inverse of its
-    diagonal there, as in `cholesky`. Returns the least |L_aa| beside its row's length; 0: a zero
-    row.
+    Q (r, 6) has orthonormal rows whose first m elements are zero; L (r, r) is lower triangular,
+    with the reciprocals of its diagonal in place of the diagonal, as in `cholesky`.
 
     Args:
-        X: rows. r: how many. m: first element that counts. Q, L: for the factors; Q may be X.
+        X: (r, 6). r: number of rows. m: index of the first element in use. Q: (r, 6), filled; it
+            may be X. L: (r, r), filled.
+
+    Returns:
+        The smallest |L_aa| relative to the norm of row a of X; 0 if a row is zero.
     """
     least = 1.0
     for a in range(r):
@@ -366,10 +376,10 @@ def orthonormalise(X, r, m, Q, L):
 
 @inner
 def project_onto_constraint(Q, r, x, target):
-    """x ← the nearest x (6,) with Q x = target, the rows of Q (r, 6) orthonormal.
+    """Replace x by the nearest vector with Q x = target.
 
     Args:
-        Q: (r, 6). r: how many rows. x: (6,), overwritten. target: (r,) what Q x shall be.
+        Q: (r, 6) with orthonormal rows. r: number of rows. x: (6,), overwritten. target: (r,).
     """
     y = six(x)
     for _ in range(2):
@@ -380,11 +390,11 @@ def project_onto_constraint(Q, r, x, target):
 
 @inner
 def project_onto_columns(L, Q, r, x, target):
-    """x ← the nearest x (6,) with L Q x = target.
+    """Replace x by the nearest vector with L Q x = target.
 
     Args:
-        L, Q: (r, r) and (r, 6) from `orthonormalise`. r: number of rows. x: (6,), target: (r,),
-            both overwritten.
+        L, Q: (r, r) and (r, 6) from `orthonormalise`. r: number of rows. x: (6,), overwritten.
+        target: (r,), overwritten.
     """
     forward(L, r, target)
     project_onto_constraint(Q, r, x, target)

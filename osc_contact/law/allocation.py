@@ -39,43 +39,45 @@ from osc_contact.law.vectors import (
 
 # --- Two grasps and more: forces in the bars of a virtual linkage ---------------------------------
 #
-# A bar joins each pair of grasp points, in the order (1, 2), (1, 3), …, (k − 1, k), and carries t,
-# positive where the arms compress it (Williams and Khatib, "The virtual linkage: a model for
-# internal forces in multi-grasp manipulation", IEEE ICRA 1993). With e the unit vector from grasp
-# i to grasp j, arm i adds t e to the force it exerts on the object and arm j −t e: f = E t, a
-# field without resultant. Back from forces, t = E⁺f; all of it is newtons, so that the least
-# squares in E⁺ weigh no metre. Bars that depend on one another (four grasps in a plane, three in
-# a line) share what E⁺ gives them. Two grasps have one bar, and its force is their squeeze.
+# A bar joins each pair of grasp points, in the order (1, 2), (1, 3), …, (k − 1, k), and carries the
+# force t, positive where the arms compress it (Williams and Khatib, "The virtual linkage: a model
+# for internal forces in multi-grasp manipulation", IEEE ICRA 1993). With e the unit vector from
+# grasp i to grasp j, arm i adds t e to the force it exerts on the object and arm j adds −t e:
+# f = E t, forces without a resultant. Conversely t = E⁺f; all elements are in newtons, so the least
+# squares in E⁺ add no metres. Dependent bars (four grasps in a plane, three in a line) share the
+# force by E⁺. Two grasps have one bar, whose force is their squeeze.
 #
-# Everything is done on rows: rotations that make the rows of a matrix orthogonal (one-sided Jacobi)
-# are the left factor of its SVD, and whatever stands behind the rows is rotated along.
+# All matrices are handled by rows. Rotations that make the rows of a matrix orthogonal (one-sided
+# Jacobi) are the left factor of its SVD; numbers appended to the rows are rotated with them.
 
-_NO_BAR = 1e-9  # m: grasps nearer than this are the same point
-_DEPENDENT = 1e-9  # of the longest: rows of which less is left are rounding errors
+_NO_BAR = 1e-9  # m, distance below which two grasps are the same point
+_DEPENDENT = 1e-9  # remainder of a row, relative to the longest one, that counts as zero
 
 
 @inner
 def settable_bars(t, n_locked):
-    """Combinations of bar forces that the motors can set at will, and the levers of the bars.
+    """Compute the combinations of bar forces that the motors can set, and the levers of the bars.
 
-    Left out are dependent bars, forces that the arms' structure carries whatever the motors do, and
-    forces that no torques in null(G) make: what hinges and balls do not pass on, or passive joints
-    do not resist. Reads `points`, `carried` and `owners`, J̄ of the joints. Fills `levers`: E⁺J̄ᵀ,
-    force in the bars by 1 N m (or N) of joint torques that accelerate nothing; and `basis`:
-    orthonormal columns, never more than 3k − 6, the identity if these are all bars.
+    Dependent bars are excluded, and forces that the structure of the arms carries independently of
+    the motors, and forces that no torques in null(G) produce (because hinges and balls do not
+    transmit them, or passive joints do not resist them). Reads `points`, `carried` and `owners`, J̄
+    of the joints. Fills `levers` (bars, n), E⁺J̄ᵀ: force in the bars per torque of a joint, without
+    acceleration; and `basis` (bars, s): orthonormal columns, at most 3k − 6, the identity if all
+    bars can be set.
 
-    The tables below have the sizes of the model and stand in WORK, where no other function reads
-    them: `bar_inverse` (E⁺ by rows), `bar_effects` (forces in the bars by locked wrenches and by
-    joints), `bar_torques` (torques that the bars feel), `moving_torques` (that move the object).
+    Tables of the model's sizes are intermediate results in WORK that no other function reads:
+    `bar_inverse` (E⁺ by rows), `bar_effects` (forces in the bars by locked wrenches and by joints),
+    `bar_torques` (torques that change bar forces), `moving_torques` (torques that move the object).
 
-    `angle_tolerance` is what counts as zero: singular values of E relative to the largest, those of
-    the locked forces in the bars, and cosines between torques and null(G).
+    `angle_tolerance` is the threshold below which are counted as zero: singular values of E
+    relative to the largest one, those of the locked forces in the bars, and cosines between torques
+    and null(G).
 
     Args:
-        n_locked: rows of `carried`, ≤ 6k.
+        t: Tick. n_locked: number of rows of `carried`, ≤ 6k.
 
     Returns:
-        s, how many columns of `basis` are filled.
+        Number s of columns of `basis`.
     """
     work = t.work
     k = t.model.n_arms
@@ -100,14 +102,14 @@ def settable_bars(t, n_locked):
             Y[row, behind + bar] = X[row, 3 * k + bar]
             for j in range(n):
                 levers[bar, j] += X[row, 3 * k + bar] * Y[row, n_locked + j]
-    if k == 2:  # its row shows whether the grasps pass it on, see `add_row`
+    if k == 2:  # `add_row` detects whether the grasps transmit the squeeze
         basis[0, 0] = 1.0
         return rank
     count = rank
     if n_locked > 0:
         one_sided_jacobi(Y, rank, n_locked, n + bars)
         count = _keep(Y, rank, n_locked, behind + bars, -1.0, tolerance * tolerance)
-    # torques by their effort: Q spans those that move the object, Z those that the bars feel
+    # torques weighted by effort: Q spans those that move the object, Z those that load the bars
     for j in range(n):
         effort = sqrt(t.model.joints[j].effort)
         driven = turned(work, work.joints[j].J_bar)
@@ -120,7 +122,7 @@ def settable_bars(t, n_locked):
     felt = _orthonormalise(Z, count, n, _DEPENDENT)
     for row in range(felt):
         _take_out(Q, moving, n, Z[row])
-    # by the angle to null(G): an arm near a singular posture makes some forces all too easily
+    # selected by their angle to null(G), not by size: singular postures exaggerate some forces
     one_sided_jacobi(Z, felt, n, 0)
     s = _keep(Z, felt, n, n, tolerance * tolerance, inf)
     if s < count:
@@ -139,10 +141,11 @@ def settable_bars(t, n_locked):
 
 @inner
 def _place_bars(k, bars, points, X):
-    """X (bars, 3k + bars) ← Eᵀ, behind it the identity.
+    """Fill X with the rows of Eᵀ, followed by those of the identity.
 
     Args:
-        k: number of arms. bars: of bars. points: (k, 3) grasp points (m). X: filled.
+        k: number of arms. bars: number of bars. points: (k, 3) grasp points (m).
+        X: (bars, 3k + bars), filled.
     """
     X[:] = 0.0
     bar = 0
@@ -160,11 +163,14 @@ def _place_bars(k, bars, points, X):
 
 @inner
 def _invert(X, count, length, carried, tolerance):
-    """Turn rows (σy, u), UΣYᵀ = Eᵀ, into those of E⁺ = UΣ⁻¹Yᵀ, (y/σ, u); returns how many are kept.
+    """Convert rows (σy, u) of the SVD UΣYᵀ = Eᵀ to rows (y/σ, u) of E⁺ = UΣ⁻¹Yᵀ.
 
     Args:
-        X: rows, overwritten. count: number of rows. length: of y. carried: length of u.
-        tolerance: least σ, of the largest.
+        X: matrix, overwritten. count: number of rows. length: length of y. carried: length of u.
+        tolerance: least σ relative to the largest one; rows below it are dropped.
+
+    Returns:
+        Number of rows that remain, at the front of X.
     """
     largest = 0.0
     for row in range(count):
@@ -179,10 +185,12 @@ def _invert(X, count, length, carried, tolerance):
 
 @inner
 def _dot_forces(t, rank, X, n_locked, Y):
-    """Y[:rank] ← products of the rows X[:rank, :3k] with each locked force, then with each joint's.
+    """Multiply rows of E⁺ with the locked forces, then with the force per torque of each joint.
 
     Args:
-        rank: number of rows. X: `bar_inverse`. n_locked: rows of `carried`. Y: `bar_effects`.
+        t: Tick. rank: number of rows. X: `bar_inverse`, of which X[:rank, :3k] is read.
+        n_locked: number of rows of `carried`. Y: `bar_effects`, of which Y[:rank] is filled with
+            n_locked products, then n products.
     """
     work = t.work
     for row in range(rank):
@@ -196,7 +204,10 @@ def _dot_forces(t, rank, X, n_locked, Y):
 
 @inner
 def _make_forces(s, count, bars, n, Z, Y, X):
-    """X[c, :bars] = Σ (y[:n]·Z[c]) y[n:] over rows y of Y[:count]: forces of torques Z[:s]."""
+    """Compute the bar forces X[c, :bars] caused by torques Z[c], c < s.
+
+    X[c, :bars] = Σ (y[:n]·Z[c]) y[n:] over the rows y of Y[:count].
+    """
     for c in range(s):
         for bar in range(bars):
             X[c, bar] = 0.0
@@ -206,7 +217,11 @@ def _make_forces(s, count, bars, n, Z, Y, X):
 
 @inner
 def _keep(X, count, length, width, above, most):
-    """Move rows X[:count, :width] with above < |X[row, :length]|² ≤ most to the front: how many."""
+    """Move the rows X[:count, :width] with above < |X[row, :length]|² ≤ most to the front.
+
+    Returns:
+        Number of these rows.
+    """
     kept = 0
     for row in range(count):
         if above < dot(X[row], X[row], length) <= most:
@@ -225,10 +240,13 @@ def _take_out(Q, count, length, x):
 
 @inner
 def _orthonormalise(X, count, length, tolerance):
-    """Make orthonormal rows that span the rows X[:count, :length], the longest first: how many.
+    """Orthonormalise the rows X[:count, :length] by Gram–Schmidt, the longest remainder first.
 
-    By Gram and Schmidt; what is left of a row is cleared once more when its turn comes. Where no
-    more than tolerance · the longest is left, the remaining rows depend on those before.
+    Each remainder is orthogonalised a second time before it is normalised. Rows whose remainder is
+    at most `tolerance` times the longest row count as dependent.
+
+    Returns:
+        Number of orthonormal rows, at the front of X.
     """
     largest = 0.0
     for done in range(count):
@@ -258,14 +276,14 @@ def _orthonormalise(X, count, length, tolerance):
 
 @inner
 def internal_rows(t, d):
-    """Rows E of the settable bar forces and their goals; returns the number of rows.
+    """Fill the rows E of the settable bar forces and their right-hand sides; return their number.
 
     Reads `commanded`, R and p of the joints, `resisted` of the arms, `inertial` and `rest` of the
     joints, `goal` of the internal forces. Fills `points`, `carried`, `owners`, and rows of `extra`
-    (E) and `sides` (E τ less what τ_0 makes).
+    (E) and `sides` (E τ less E τ_0).
 
     Args:
-        d: rows of `sides` before these.
+        t: Tick. d: number of rows of `sides` before these.
     """
     model = t.model
     work = t.work
@@ -278,7 +296,7 @@ def internal_rows(t, d):
     for i in range(model.n_arms):
         arm = model.arms[i]
         fill3(work.points[i], place_point(joints[arm.tip_joint], arm.tip[9:]))
-        for c in range(work.arms[i].n_locked):  # of orthonormal wrenches that its structure carries
+        for c in range(work.arms[i].n_locked):  # wrenches that the arm's structure carries
             force = rotated_back(work.axes[0], work.arms[i].resisted[c])
             fill3(work.carried[locked], divided3(force, model.roots[0]))
             work.owners[locked] = i
@@ -300,9 +318,10 @@ def internal_rows(t, d):
 
 @inner
 def internal_forces(t):
-    """Forces `bars` between each two grasps (N) by the joints' torques.
+    """Compute the forces `bars` (N) between each two grasps from the torques of the joints.
 
-    Reads `levers`, and `tau`, `friction` and `inertial` of the joints; 0 if none is commanded.
+    Reads `levers`, and `tau`, `friction` and `inertial` of the joints. The forces are zero if no
+    internal force is commanded.
     """
     joints = t.work.joints
     out = t.work.bars
@@ -318,19 +337,24 @@ def internal_forces(t):
 
 # --- Rows of the allocation: Z = A R⁻¹Aᵀ of A = [G; E], its factor, row by row of E ---------------
 #
-# A row of E that the rows before it decide (a squeeze that the grasps do not pass on) has a pivot
-# of zero. Elimination leaves rounding errors there, as large as eps times the condition number of
-# Z, and near a singular posture no threshold separates them from a pivot. So what is left of a
-# doubtful row is projected a second time, in the joints, as in Gram-Schmidt with
-# reorthogonalisation (Björck, Numerical Methods for Least Squares Problems, 1996, section 2.4.5).
+# A row of E that depends on the rows before it (a squeeze that the grasps do not transmit) has a
+# pivot of zero. Elimination leaves a rounding error there, as large as eps times the condition
+# number of Z, and near a singular posture no threshold separates it from a true pivot. Therefore
+# the remainder of a doubtful row is projected a second time, in joint space, as in Gram-Schmidt
+# with reorthogonalisation (Björck, Numerical Methods for Least Squares Problems, 1996, section
+# 2.4.5).
 
-_DRIVEN = 1e-12  #: least share of a pivot of Z
-_DOUBTFUL = 1e-6  #: pivots of less share than this are computed twice
+_DRIVEN = 1e-12  #: least relative pivot of Z
+_DOUBTFUL = 1e-6  #: relative pivot below which a pivot is computed a second time
 
 
 @inner
 def factor_effort(t):
-    """Factor of the block G R⁻¹Gᵀ of Z, `effort` to `factor`; False: motors miss some motion."""
+    """Factorise the block G R⁻¹Gᵀ of Z, from `effort` to `factor`.
+
+    Returns:
+        False if the motors cannot drive all free motions of the object.
+    """
     work = t.work
     Z = t.work.factor
     d = 6 - work.locked
@@ -342,12 +366,15 @@ def factor_effort(t):
 
 @inner
 def add_row(t, e):
-    """Factor of Z with one row more; False: the rows before it determine E[e]τ.
+    """Append the row of E[e] to the factor of Z.
 
-    Reads `extra` (E). Fills row e of `weighed` and the row of `factor` that belongs to it.
+    Reads `extra` (E). Fills row e of `weighed` and the corresponding row of `factor`.
 
     Args:
-        e: row of E.
+        t: Tick. e: row of E.
+
+    Returns:
+        False if E[e]τ is determined by the rows before it.
     """
     work = t.work
     a = work.extra[e]
@@ -368,10 +395,10 @@ def add_row(t, e):
 
 @inner
 def _multiply(t, weighed, e, out):
-    """out ← A R⁻¹a, the products of a weighed row with G and with E[:e].
+    """Compute A R⁻¹a, the products of a weighted row R⁻¹a with G and with E[:e].
 
     Args:
-        weighed: (n,) R⁻¹a. e: number of rows of E. out: (d + e,), filled.
+        t: Tick. weighed: (n,) R⁻¹a. e: number of rows of E. out: (d + e,), filled.
     """
     work = t.work
     m = work.locked
@@ -388,10 +415,10 @@ def _multiply(t, weighed, e, out):
 
 @inner
 def _project_again(t, e):
-    """Pivot of row e of E, from its rest in the joints; the row of `factor` is corrected.
+    """Compute the pivot of row e of E from its remainder in joint space; correct its `factor` row.
 
     Args:
-        e: row of E, of which `factor` has a row already.
+        t: Tick. e: row of E, whose row of `factor` has been computed once.
     """
     work = t.work
     Z = work.factor
@@ -417,7 +444,7 @@ def _project_again(t, e):
 
 @leaf
 def _from_free(work, x):
-    """A vector in energy coordinates, six numbers, from its part x (d,) along the free axes."""
+    """Vector in energy coordinates (six numbers) with the components x (d,) along the free axes."""
     whole = local(6)
     for i in range(6):
         whole[i] = x[i - work.locked] if i >= work.locked else 0.0
@@ -426,7 +453,7 @@ def _from_free(work, x):
 
 @inner
 def _weigh(t, row, out):
-    """out ← R⁻¹ row, both (n,) over all joints.
+    """Compute R⁻¹ row, where R is the weight of the torques; `row` and `out` are (n,).
 
     Reads `wide` and `effort` of the arms, J of the joints.
     """
@@ -449,23 +476,23 @@ def _weigh(t, row, out):
 
 # --- Motor torques for a commanded object force and internal forces -------------------------------
 #
-# The least torque in the weight 1/τ_max² (R below) with G τ = f_S and E τ = e:
+# The torques have the least weighted sum of squares (weight R = 1/τ_max²) with G τ = f_S, E τ = e:
 #
 #     τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0),   A = [G; E],   Z = A R⁻¹Aᵀ
 #
-# E holds the settable bar forces and the
-# motions that only single arms have, because their grasp or their posture leaves them
-# idle, as far as the motors drive them. Arms with more joints than they need hold their posture
-# in the dynamically consistent null space, τ_0 = (1 − JᵀJ̄ᵀ)(h + M(−k_d q̇ + k_p(q₀ − q)) +
-# diag(M) a_l(q)); passive joints have no torque.
+# E contains the settable bar forces, and motions of single arms that do not move the object
+# because of the grasp or the posture, as far as motors drive them. Arms with more joints than their
+# grasp transmits wrenches hold their posture in the dynamically consistent null space,
+# τ_0 = (1 − JᵀJ̄ᵀ)(h + M(−k_d q̇ + k_p(q₀ − q)) + diag(M) a_l(q)). Passive joints have no torque.
 
 
 @inner
 def command_object(t):
-    """Control structure f_S = Λ_S η̇_c + b_S + Sᵀ(N_μ(α_u + α_f) + f_bias) (21), turned.
+    """Compute the commanded force of the control structure (21), in turned energy coordinates.
 
-    α_f is `reaction`, which tangential forces take off the contact forces. Reads `Lambda`,
-    `acceleration_t`, `chain_bias`, `pushed_t`, `alpha_u`; fills `f_S` (6,).
+    f_S = Λ_S η̇_c + b_S + Sᵀ(N_μ(α_u + α_f) + f_bias), where α_f is `reaction`, the loss of contact
+    force by tangential forces. Reads `Lambda`, `acceleration_t`, `chain_bias`, `pushed_t`,
+    `alpha_u`; fills `f_S` (6,).
     """
     work = t.work
     bias = turned(work, wrench_to_energy(work, t.memory.f_bias))
@@ -477,7 +504,7 @@ def command_object(t):
 
 @leaf
 def predict_joints(t):
-    """Joint accelerations q̈ = J̄a + offset and their torques h + Mq̈, a the object's acceleration.
+    """Compute joint accelerations q̈ = J̄a + offset and torques h + Mq̈ for the acceleration a.
 
     Reads `acceleration_t`, and J̄, `offset`, `h`, M of the joints; fills `acceleration` and
     `inertial` of the joints.
@@ -498,10 +525,11 @@ def predict_joints(t):
 
 @inner
 def allocate_torques(t):
-    """Least torques τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0) of all joints, not yet limited; returns a reason.
+    """Compute the least torques τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0), not limited; return a reason.
 
-    Reads `f_S`, `effort`, `locked`, and the arms' and joints' terms. Fills `rest` (τ_0) and `tau`
-    of the joints, `n_internal`, `extra`, `weighed`, `factor`, `sides`, and calls `internal_rows`.
+    Reads `f_S`, `effort`, `locked`, and the terms of arms and joints. Fills `rest` (τ_0) and `tau`
+    of the joints, `n_internal`, `extra`, `weighed`, `factor`, `sides`, and the fields that
+    `internal_rows` fills.
     """
     model = t.model
     arms = model.arms
@@ -517,7 +545,7 @@ def allocate_torques(t):
             for j in range(arms[k].first, arms[k].end):
                 joints[j].rest = 0.0
     if model.n_arms == 1 and work.arms[0].wide and work.n_lost == 0:
-        f = _from_free(work, work.f_S[work.locked :])  # τ = τ_0 + Jᵀf: no other arm has a share
+        f = _from_free(work, work.f_S[work.locked :])  # a single arm: τ = τ_0 + Jᵀf
         for j in range(n):
             joints[j].tau = joints[j].rest + dot6(joints[j].J, f)
         work.n_internal = 0
@@ -532,13 +560,13 @@ def allocate_torques(t):
         if not add_row(t, e):
             if model.n_arms != 2:
                 return UNACTUATED
-            count = 0  # the grasps pass on no separate squeeze: f_S decides it
+            count = 0  # the grasps do not transmit an independent squeeze: f_S determines it
             work.n_internal = 0
             work.commanded = 0
     size = d + count
     own = _own_motions(t, d, count)
     for e in range(count, count + own):
-        if e > size - d:  # one before it was left out
+        if e > size - d:  # a row before it was dropped
             b[size] = b[d + e]
             for j in range(n):
                 work.extra[size - d, j] = work.extra[e, j]
@@ -556,7 +584,13 @@ def allocate_torques(t):
 
 @leaf
 def push_from_limits(joint, q):
-    """Acceleration away from joint limits, see `control.records.joint_limit_margins`."""
+    """Acceleration a_l (rad/s², m/s²) of the posture law that repels a joint from its limits.
+
+    It is zero between `low` and `high`, and rises smoothly to `most` over `width` beyond them.
+
+    Args:
+        joint: JOINT row. q: its position (rad, m).
+    """
     if q < joint.low:
         depth = joint.low - q
         sign = 1.0
@@ -571,10 +605,14 @@ def push_from_limits(joint, q):
 
 @leaf
 def _hold_posture(t, arm, own):
-    """Posture torques (1 − JᵀJ̄ᵀ)τ₀ of a wide arm, τ₀ = h + M(k_p(q₀ − q) − k_d q̇) + diag(M) a_l.
+    """Compute the posture torques (1 − JᵀJ̄ᵀ)τ₀ of an arm with redundant joints.
 
-    a_l drives joints away from their limits, see `push_from_limits`. Reads h, M, J, J̄ of the
-    joints; fills their `rest` (N m, N), and `tau` with τ₀ itself.
+    τ₀ = h + M(k_p(q₀ − q) − k_d q̇) + diag(M) a_l, where a_l repels joints from their limits
+    (`push_from_limits`). Reads h, M, J, J̄ of the joints; fills their `rest` with the posture
+    torques and `tau` with τ₀ (N m, N).
+
+    Args:
+        t: Tick. arm: ARM row. own: its ARM_WORK.
     """
     model = t.model
     joints = t.work.joints
@@ -594,10 +632,13 @@ def _hold_posture(t, arm, own):
 
 @inner
 def _retreat_from_lost(t, arm, own):
-    """Add the posture law of joint motions that a singular posture takes from the task to `rest`.
+    """Add to `rest` the posture law along joint motions that the task loses in a singular posture.
 
-    Reads `mode`, `gone` and `share` of the arm; h, M and `tau` (τ₀, see `_hold_posture`) of its
+    Reads `mode`, `gone` and `share` of the arm; h, M and `tau` (τ₀ of `_hold_posture`) of its
     joints.
+
+    Args:
+        t: Tick. arm: ARM row. own: its ARM_WORK.
     """
     joints = t.work.joints
     lo = arm.first
@@ -618,15 +659,16 @@ def _retreat_from_lost(t, arm, own):
 
 @inner
 def _own_motions(t, d, first):
-    """Rows E[first:] that keep the posture in motions of narrow arms alone; returns how many.
+    """Append rows of E for motions of single arms that do not move the object; return their number.
 
-    Such an arm can move without the object where its grasp leaves it idle motions (a SCARA on a
-    slide, four joints in a plane) or in a singular posture: νᵀτ = νᵀ(h + M q̈_posture) for every
-    joint motion ν with U J ν = 0. Fills rows of `extra` and `sides`, and subtracts from the first d
-    of `sides` the force on the object by τ_0 of the other arms.
+    An arm without redundant joints has such motions if its grasp permits them (a SCARA on a slide,
+    four joints in a plane) or in a singular posture. The posture law acts along them:
+    νᵀτ = νᵀ(h + M q̈_posture) for every joint motion ν with U J ν = 0. Fills rows of `extra` and
+    `sides`, and subtracts from the first d of `sides` the force on the object by τ_0 of all arms.
 
     Args:
-        d: rows of `sides` before those of E. first: row of E.
+        t: Tick. d: number of rows of `sides` before those of E. first: index of the first new row
+            of E.
     """
     model = t.model
     work = t.work
@@ -667,10 +709,10 @@ def _own_motions(t, d, first):
 
 @leaf
 def _add_torques(t, arm, own, y):
-    """Torques of an arm for the object force, `tau` = τ_0 + R⁻¹J̄ y.
+    """Fill `tau` of an arm's joints with τ_0 + R⁻¹J̄ y, the torques for the force on the object.
 
     Args:
-        arm: ARM row. own: its ARM_WORK. y: six multipliers of f_S in energy coordinates.
+        t: Tick. arm: ARM row. own: its ARM_WORK. y: six multipliers of f_S in energy coordinates.
     """
     joints = t.work.joints
     if own.wide == 0:
@@ -684,9 +726,10 @@ def _add_torques(t, arm, own, y):
 
 @leaf
 def limit_torques(t):
-    """Motor torques `tau`; returns whether one exceeds its limit, and whether all are finite.
+    """Copy the torques of the joints to the motors, unless one exceeds its limit or is not finite.
 
-    Where one exceeds its limit or is not finite `tau` stays as it is.
+    Returns:
+        Whether a torque exceeds its limit, and whether all torques are finite.
     """
     table = t.model.joints
     joints = t.work.joints

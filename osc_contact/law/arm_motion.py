@@ -1,7 +1,7 @@
-"""One arm, base to tip and back: placements, Jacobian, drift, joint forces, joint-space inertia.
+"""Recursive kinematics and dynamics of one arm: Jacobian, drift, joint forces and inertia.
 
-A recursion in world axes about one common point C, the object's centre of mass. Joints turn about,
-or slide along, the z axis of their frame.
+All quantities are in world axes about one common point C, the object's centre of mass. Joints
+rotate about, or slide along, the z axis of their frame.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from osc_contact.law.vectors import (
 
 @leaf
 def place_point(joint, x):
-    """A point x (m) given in a joint (JOINT_WORK), in the world, as a tuple (m)."""
+    """World position (three numbers, m) of a point x (m) in the frame of a joint (JOINT_WORK)."""
     return transformed(joint.p, joint.R, x)
 
 
 @inner
 def place_frame(joint, X, R, p):
-    """A frame of a joint in the world.
+    """Transform a frame that is fixed to a joint to the world.
 
     Args:
         joint: JOINT_WORK row. X: (12,) frame in the joint: rotation by rows, then origin (m).
-        R: (3, 3), filled: its axes in the world. p: (3,), filled: its origin (m).
+        R: (3, 3), filled with the frame's axes in the world. p: (3,), filled with its origin (m).
     """
     turn_axes(joint.R, X, R)
     fill3(p, place_point(joint, X[9:]))
@@ -55,10 +55,11 @@ def place_frame(joint, X, R, p):
 
 @leaf
 def turn_axes(R, own, out):
-    """out ← R times a rotation given by rows.
+    """Multiply two rotations, the second given by rows, and write the product to `out`.
 
     Args:
-        R: rotation or pose. own: (≥ 9,). out: (≥ 3, ≥ 3).
+        R: rotation matrix or pose, at least 3×3. own: rotation by rows in its first nine elements.
+        out: at least 3×3, filled.
     """
     turn = join(six(own), linear(own[6:]))
     for i in range(3):
@@ -67,10 +68,10 @@ def turn_axes(R, own, out):
 
 @leaf
 def place_arm(t, arm, q):
-    """Axes R and origin p of every joint of an arm in the world.
+    """Fill axes R and origin p (m, world) of every joint of an arm.
 
     Args:
-        arm: ARM row. q: (n,) positions (m, rad).
+        t: Tick. arm: ARM row. q: (n,) joint positions (m, rad).
     """
     joints = t.model.joints
     work = t.work.joints
@@ -97,9 +98,12 @@ def place_arm(t, arm, q):
 
 @leaf
 def _place_body(w, C, link, body):
-    """A body given in a joint (mass, centre, inertia about it by rows) in world axes about C.
+    """Transform the inertia of a body that is fixed to a joint to world axes about C.
 
-    Written to `body`: mass, mass × centre (3), rotational inertia about C by rows.
+    Args:
+        w: JOINT_WORK row. C: (3,) point (m). link: (13,) mass (kg), centre in the joint (m),
+            rotational inertia about the centre by rows (kg m²).
+        body: (13,), filled with mass, mass × centre from C, rotational inertia about C by rows.
     """
     R = w.R
     m = link[0]
@@ -107,14 +111,14 @@ def _place_body(w, C, link, body):
     body[0] = m
     fill3(body[1:], scaled3(m, c))
     for i in range(3):
-        row = rotated(R, rotated9(link[4:], R[i]))  # of R I Rᵀ
+        row = rotated(R, rotated9(link[4:], R[i]))  # row i of R I Rᵀ
         fill3(body[4 + 3 * i :], add3(row, -body[1 + i], c))
         body[4 + 4 * i] += m * dot3(c, c)
 
 
 @leaf
 def _times(b, x):
-    """Inertia times motion, six numbers: the momentum of a twist, or the force of an acceleration.
+    """Product of inertia and motion (six numbers): momentum of a twist, wrench of an acceleration.
 
     Args:
         b: (13,) mass, mass × centre, inertia about C by rows. x: (6,) motion at C.
@@ -125,7 +129,7 @@ def _times(b, x):
 
 @leaf
 def _force_on(b, V, a, gravity):
-    """Wrench I(a − g) + V ×* IV that moves a body, six numbers at C.
+    """Wrench I(a − g) + V ×* IV (six numbers, at C) that moves a body.
 
     Args:
         b: (13,) inertia, see `_times`. V: (6,) twist. a: (6,) spatial acceleration.
@@ -139,15 +143,15 @@ def _force_on(b, V, a, gravity):
 
 @leaf
 def move_arm(t, arm, v, C, V, gamma, bias_out):
-    """J at C, drift γ, h = C v + g and M of one arm, and the wrenches of its outboard bodies.
+    """Compute J at C, drift γ, h = C v + g and M of one arm, and wrenches of its outboard bodies.
 
     Reads R and p of the joints. Fills of each joint `column` (of J), `h`, `M` and `outboard`, the
-    wrench at C of the bodies beyond the wrist sensor per unit of its acceleration.
+    wrench at C of the bodies beyond the wrist sensor per unit of the joint's acceleration.
 
     Args:
-        arm: ARM row. v: (n,) velocities. C: (3,) common point. V, gamma: (6,) filled: twist and
-            drift of the tip at C. bias_out: (6,) added to: wrench that the outboard bodies need at
-            q̈ = 0, at C.
+        t: Tick. arm: ARM row. v: (n,) joint velocities (rad/s, m/s). C: (3,) common point (m).
+        V: (6,), filled with the twist of the tip at C. gamma: (6,), filled with its drift at C.
+        bias_out: (6,), to which the wrench of the outboard bodies at q̈ = 0 is added, at C.
     """
     joints = t.model.joints
     gravity = t.model.gravity
@@ -169,7 +173,7 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
         if j == arm.outer_joint:
             _place_body(w, C, arm.outer, outer)
             fill(bias_out, plus(bias_out, _force_on(outer, V, gamma, gravity)))
-    for j in range(arm.end - 1, arm.first - 1, -1):  # from the tip back: what is beyond each joint
+    for j in range(arm.end - 1, arm.first - 1, -1):  # from the tip: sums over the bodies beyond j
         w = work[j]
         if j < arm.end - 1:
             beyond = work[j + 1]
@@ -194,9 +198,9 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
 
 @leaf
 def weight_on_joint(w, gravity):
-    """Force or torque g of gravity at a joint, from what it carries, after `move_arm` (N, N m).
+    """Force or torque (N, N m) at a joint by gravity on the bodies beyond it.
 
     Args:
-        w: JOINT_WORK row. gravity: (3,) m/s².
+        w: JOINT_WORK row after `move_arm`. gravity: (3,) m/s².
     """
     return dot6(w.column, _times(w.body, join(scaled3(-1.0, gravity), ZERO_3)))

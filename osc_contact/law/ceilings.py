@@ -1,10 +1,10 @@
-"""Ceilings: the most that contacts and wrists may bear and the fastest that tips may move.
+"""Ceilings: absolute limits of contact forces, wrist forces and tip speeds.
 
-They hold whatever is commanded at the moment, unlike the limits of `safety`. A contact's is
-compared with its magnitude as read, a wrist's with the force that it reads without what moves and
-carries the bodies outboard of it and the arm's share of the object, a tip's with its speed. Where
-the largest commands are not known beforehand, ceilings rise with them: `contact_headroom` times the
-largest so far.
+Ceilings do not depend on the present command, unlike the limits of `safety`. The ceiling of a
+contact limits its measured force; that of a wrist limits its measured force less weight and inertia
+of the bodies outboard of it and of the arm's share of the object; that of a tip limits its speed.
+If the largest commands are not known in advance, ceilings of forces rise with them: they are
+`contact_headroom` or `wrist_headroom` times the largest command so far.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ TIP_ABOVE_CEILING = declare_reason(
 
 @inner
 def watch_ceilings(t):
-    """Contacts, wrists or tips that have been above their ceilings for too long; a reason.
+    """Return a reason if a contact, a wrist or a tip has been above its ceiling for too long.
 
-    The time below a ceiling takes that above it away, as of the other limits. A wrist that was not
-    read in this tick leaves its evidence as it is.
+    Time below a ceiling is subtracted from the time above it, as for the limits of `safety`. If
+    wrists were not read in this tick, their time does not change.
     """
     model = t.model
     memory = t.memory
@@ -77,7 +77,11 @@ def watch_ceilings(t):
 
 @leaf
 def _stop(memory, reason, culprit, reached, ceiling):
-    """The reason, with what its sentence names noted in `memory`."""
+    """Store culprit and values for the sentence of a reason in MEMORY; return the reason.
+
+    Args:
+        memory: MEMORY. reason: code. culprit: column or arm. reached, ceiling: N or m/s.
+    """
     memory.culprit = culprit
     memory.reached = reached
     memory.ceiling = ceiling
@@ -86,7 +90,7 @@ def _stop(memory, reason, culprit, reached, ceiling):
 
 @leaf
 def _note_commands(t):
-    """The largest command so far of one contact or squeeze, and of all together (N)."""
+    """Update the largest command so far (N) of one contact or squeeze, and of their sum."""
     memory = t.memory
     total = 0.0
     for j in range(t.model.n_columns):
@@ -102,7 +106,7 @@ def _note_commands(t):
 
 @leaf
 def _largest_force(t):
-    """The column of N with the largest magnitude as read, and this magnitude (N)."""
+    """Column of N with the largest measured force, and this force (N)."""
     column = 0
     largest = 0.0
     for a in range(t.work.rank):
@@ -115,7 +119,11 @@ def _largest_force(t):
 
 @leaf
 def _follow_centre(t):
-    """Acceleration of the object's centre (3,), from its velocity, low-passed as the joints'."""
+    """Acceleration (three numbers, m/s²) of the object's centre of mass, low-passed.
+
+    It is the difference quotient of the velocity, with the low-pass of the joint accelerations in
+    `joint_friction`.
+    """
     memory = t.memory
     velocity = linear(t.work.V_C)
     dt = t.model.period * (1 + memory.gap)
@@ -129,12 +137,12 @@ def _follow_centre(t):
 
 @leaf
 def _largest_load(t, rate):
-    """The arm whose wrist bears the largest force beside weight and inertia, and this force (N).
+    """Arm whose wrist bears the largest force less weight and inertia, and this force (N).
 
-    Each arm bears an equal share of the object's weight and inertia, and of the tare.
+    Each arm is assumed to bear an equal share of the object's weight and inertia, and of the tare.
 
     Args:
-        rate: (3,) acceleration of the object's centre.
+        t: Tick. rate: (3,) acceleration of the object's centre of mass (m/s²).
     """
     model = t.model
     mass = model.principal[0] / model.n_arms if model.held else 0.0
@@ -154,7 +162,7 @@ def _largest_load(t, rate):
 
 @leaf
 def _fastest_tip(t):
-    """The arm whose tip is the fastest, and its speed (m/s)."""
+    """Arm with the fastest tip, and the speed of the tip (m/s)."""
     work = t.work
     arm = 0
     fastest = 0.0

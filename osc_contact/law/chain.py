@@ -1,4 +1,4 @@
-"""The closed chain: where the object is, what all arms together make of it, what they lock."""
+"""Closed chain: pose and twist of the object; inertia, bias and locked wrenches of the chain."""
 
 from __future__ import annotations
 
@@ -61,17 +61,17 @@ UNACTUATED = declare_reason(
 )
 
 
-_GEOMETRY = 0.1  #: errors of a twist by the arms' geometry, per joint speeds' share in it
+_GEOMETRY = 0.1  #: error of a twist by the arms' geometry, relative to that by joint speeds
 
 
 @inner
 def solve_chain(t):
-    """The closed chain of object and arms at (q, v); returns a reason.
+    """Solve kinematics and dynamics of the closed chain of object and arms; return a reason.
 
-    Reads q and v of INPUT; where no arm holds the object rigidly, its last pose in MEMORY too.
+    Reads q and v of INPUT, and the last pose of the object in MEMORY if no arm holds it rigidly.
     Fills of the object `X_WO`, `p_O`, `p_C`, `axes`, `V_C`, `V_O`; of object and arms, in energy
     coordinates that are turned if `locked` > 0, `Lambda`, `effort`, `chain_bias`, `sigma`,
-    `reflectors`, `beta`, `locked`; of everything beyond the wrist sensors `out_T`, `bias_e`,
+    `reflectors`, `beta`, `locked`; of all bodies beyond the wrist sensors `out_T`, `bias_e`,
     `bias_out`; `n_lost`; and ARM_WORK and JOINT_WORK of all arms.
     """
     model = t.model
@@ -135,11 +135,12 @@ def solve_chain(t):
 
 @inner
 def _combine_twists(t):
-    """The object's twist by the joint speeds of all arms, whose errors are alike; firm grasps only.
+    """Combine the twists of the object by the joint speeds of all arms; rigid grasps only.
 
-    Let these have the variance 1, so that V_i = J_i q̇_i + ε has the covariance
-    G_i = J_i J_iᵀ + ρ_i 1: with exact Jacobians, no twist would satisfy two arms whose locked
-    directions differ. With P the covariance of what is known from the arms before,
+    Errors of joint speeds are assumed to have the variance 1, so that V_i = J_i q̇_i + ε has the
+    covariance G_i = J_i J_iᵀ + ρ_i 1. ε is the error of the Jacobian; without it, no twist would
+    satisfy two arms with different locked directions. With P the covariance of the estimate from
+    the former arms,
 
         K = P (P + G_i)⁻¹,   V ← V + K (V_i − V),   P ← P − K P
 
@@ -172,9 +173,13 @@ def _combine_twists(t):
 
 @leaf
 def _add_covariance(t, k, G):
-    """G += J_k J_kᵀ + ρ 1, ρ = `_GEOMETRY`² trace(J_k J_kᵀ).
+    """Add the covariance J_k J_kᵀ + ρ 1 of the twist by arm k to G, ρ = `_GEOMETRY`² tr(J_k J_kᵀ).
 
-    Speeds of sliding joints err by `SLIDES` where others err by 1 rad/s.
+    The standard deviation of speeds is 1 rad/s for revolute joints, `SLIDES` (m/s) for prismatic
+    ones.
+
+    Args:
+        t: Tick. k: arm. G: (6, 6) in energy coordinates, changed.
     """
     rho = 0.0
     for j in range(t.model.arms[k].first, t.model.arms[k].end):
@@ -188,14 +193,17 @@ def _add_covariance(t, k, G):
 
 @inner
 def _add_arm(t, arm, own, row):
-    """The part of one arm in all sums over the arms; returns a reason and how much the arm locks.
+    """Compute the terms of one arm and add them to the sums over all arms.
 
     Reads `axes` and `V_C`. Fills ARM_WORK, J, J̄, `offset` and `h` of its joints, and `locked_rows`.
-    Adds to `Lambda`, `effort`, `chain_bias`, and by the bodies beyond its wrist sensor to `out_T`,
+    Adds to `Lambda`, `effort`, `chain_bias`, and for the bodies beyond its wrist sensor to `out_T`,
     `bias_e` and `bias_links`.
 
     Args:
-        arm: ARM row. own: its ARM_WORK. row: of `locked_rows`, the first one that is free.
+        t: Tick. arm: ARM row. own: its ARM_WORK. row: first free row of `locked_rows`.
+
+    Returns:
+        A reason, and the number of wrenches that the arm locks.
     """
     model = t.model
     work = t.work
@@ -215,7 +223,7 @@ def _add_arm(t, arm, own, row):
         return BAD_INERTIA, 0
     if may_be_singular(t, arm, own):
         find_lost(t, arm, own)
-    shared = model.n_arms > 1 or own.wide == 0 or own.n_lost > 0  # else there is nothing to share
+    shared = model.n_arms > 1 or own.wide == 0 or own.n_lost > 0  # else the torques are unique
     if model.n_motors > 0 and shared and not effort_metric(t, lo, n, m, own, own.effort):
         return UNACTUATED, 0
     for k in range(count):
@@ -224,7 +232,7 @@ def _add_arm(t, arm, own, row):
         fill(own.resisted[k], locked)
     bias = six(work.chain_bias)
     for j in range(lo, arm.end):
-        if model.rubs != 0 and model.joints[j].motor < 0:  # other motors compensate its friction
+        if model.rubs != 0 and model.joints[j].motor < 0:  # passive: other motors compensate it
             joints[j].h += believed_friction(t, j)
         joints[j].offset = -dot6(joints[j].J_bar, own.gamma)
         bias = add(bias, joints[j].h, joints[j].J_bar)
@@ -243,10 +251,13 @@ def _add_arm(t, arm, own, row):
 
 @leaf
 def _add_outboard(t, arm, own):
-    """The bodies beyond the wrist sensor of an arm: Λ_out += I J J̄, bias −= I J J̄ γ.
+    """Add the bodies beyond the wrist sensor of an arm to Λ_out (I J J̄) and the bias (−I J J̄ γ).
 
-    Reads `bias` and `gamma` of the arm, J̄ and `outboard` (I J) of its joints, which goes to energy
-    coordinates. Adds to `out_T` (Λ_out transposed), `bias_links` and `bias_e`.
+    Reads `bias` and `gamma` of the arm, J̄ and `outboard` (I J) of its joints; I J is converted to
+    energy coordinates in place. Adds to `out_T` (Λ_out transposed), `bias_links` and `bias_e`.
+
+    Args:
+        t: Tick. arm: ARM row. own: its ARM_WORK.
     """
     work = t.work
     fill(work.bias_links, plus(work.bias_links, own.bias))
@@ -261,10 +272,11 @@ def _add_outboard(t, arm, own):
 
 @inner
 def _add_object(t):
-    """The object: Λ_o = 1; in its principal axes μ_o + p_o = [√m (ω × v − g); (ω × Iω)/√I].
+    """Add the inertia and the bias of the object to those of the chain and of the outboard bodies.
 
-    Reads `axes`, `V_C`, `bias_links`. Adds to `Lambda`, `chain_bias`, `out_T`, `bias_e`; fills
-    `bias_out`.
+    In energy coordinates Λ_o = 1 and, along the principal axes of the object,
+    μ_o + p_o = [√m (ω × v − g); (ω × Iω)/√I]. Reads `axes`, `V_C`, `bias_links`. Adds to `Lambda`,
+    `chain_bias`, `out_T`, `bias_e`; fills `bias_out`.
     """
     model = t.model
     work = t.work
@@ -287,13 +299,13 @@ def _add_object(t):
 
 @inner
 def _intersect(t, count):
-    """The wrenches that the arms lock together, as reflections that turn them to the first axes.
+    """Find the wrenches that all arms together lock, and reflections that turn them to first axes.
 
     Reads `locked_rows`, which are made orthogonal. Fills `locked` (m), `reflectors` and `beta`, and
     `sigma`, the acceleration along the locked axes at η̇ = 0 (energy coordinates, not yet turned).
 
     Args:
-        count: rows of `locked_rows` that are filled.
+        t: Tick. count: number of filled rows of `locked_rows`.
     """
     locked = t.work.locked_rows
     work = t.work

@@ -1,8 +1,9 @@
-"""Eqs. 21 and 24 in energy coordinates turned so that the first m axes are the locked ones.
+"""Motion filter (24) and reachability of contacts, in turned energy coordinates.
 
-Coordinates η̇ are elements m … 5 of a 6-vector; SᵀΛ_oS is the identity there. Columns of N are rows.
-All projections go through an orthonormal basis: columns that nearly depend on one another cost no
-digits (normal equations would square their condition).
+Energy coordinates are turned so that the first m axes are the locked ones. The coordinates η̇ are
+elements m … 5 of a 6-vector, and SᵀΛ_oS is the identity. Columns of N are stored as rows. All
+projections use an orthonormal basis, so that nearly dependent columns do not reduce the accuracy
+(normal equations would square the condition number).
 """
 
 from __future__ import annotations
@@ -60,15 +61,15 @@ BAD_METRIC = declare_reason(
     "BAD_METRIC", 10, "the metric B of eq. 24 is singular in the motions that the arms permit"
 )
 
-_REACH = 1e-9  #: least mobility along a column, beside that of the free object
-_APART = 1e-10  #: least part of a column outside the others, as seen through the arms
-_HARD = 1e-8  #: shares of motion below it are as good as 0
-_GONE = 1e-6  #: of the mobility that Λ_ref has along any direction, 1
+_REACH = 1e-9  #: least mobility along a column, relative to that of the free object
+_APART = 1e-10  #: least part of a column outside the span of the others, weighted by Λ_S
+_HARD = 1e-8  #: least share of a command that is distinguished from 0
+_GONE = 1e-6  #: least mobility of the chain along a lost direction, relative to that of Λ_ref
 
 
 @inner
 def reflect_columns(t):
-    """Columns of N and N_μ in the turned coordinates: `N_t`, `pushed_t` from `N`, `pushed`."""
+    """Turn the columns of N and N_μ: fill `N_t` and `pushed_t` from `N_e` and `pushed`."""
     work = t.work
     for a in range(work.rank):
         fill(work.N_t[a], turned(work, work.N_e[a]))
@@ -77,11 +78,11 @@ def reflect_columns(t):
 
 @inner
 def require_reachable(t):
-    """Whether the arms can push on every column (`response.require_reachable`); returns a reason.
+    """Return a reason unless the arms can push along every column (`response.require_reachable`).
 
-    With Λ_S between 1 and its trace, NᵀΦ₀N lies between NᵀN / trace and NᵀN: most
-    contacts are judged on N alone. Reads `N_t`, `locked` (m), `Lambda`. Fills `N_factor_t` and
-    `N_basis_t` of N_t, over the elements m … 5.
+    Since 1 ≤ Λ_S ≤ trace, NᵀΦ₀N is between NᵀN / trace and NᵀN, so that for most contacts N alone
+    is sufficient. Reads `N_t`, `locked` (m), `Lambda`. Fills `N_factor_t` and `N_basis_t` of N_t,
+    over the elements m … 5.
     """
     work = t.work
     r = work.rank
@@ -103,9 +104,10 @@ def require_reachable(t):
 
 @inner
 def _judge_reach(t):
-    """Whether the arms can push on every column, judged on NᵀΦ₀N, Φ₀ = Λ_S⁻¹; returns a reason.
+    """Return a reason unless NᵀΦ₀N, Φ₀ = Λ_S⁻¹, shows that the arms can push along every column.
 
-    Reads `N_t`, `locked`, `Lambda`. Fills `where` (the column) and `reason_amount`.
+    Reads `N_t`, `locked`, `Lambda`. Fills `where` (the column) and `reason_amount` (its relative
+    mobility, or the least part of a column outside the span of the others).
     """
     work = t.work
     r = work.rank
@@ -116,7 +118,7 @@ def _judge_reach(t):
         work.reason_amount = 0.0
         return UNREACHABLE
     factor = local(6, 6)
-    seen = local(6, 6)  # rows: columns of N as seen through the arms
+    seen = local(6, 6)  # rows: columns of N, weighted by the inertia of the chain
     basis = local(6, 6)
     if not cholesky(work.Lambda, m, d, factor) > 0.0:
         return BAD_METRIC
@@ -136,12 +138,13 @@ def _judge_reach(t):
 
 @inner
 def permit_error(t):
-    """The part of the pose error at O that the contacts permit; returns a reason.
+    """Project the pose error at O on the motions that the contacts permit; return a reason.
 
-    Reads `error`, the factors of `N` and `N_t`, and `B_inv_t`. Fills `motion_next`, Ω_m(B) of the
-    error (4) with all six axes, locked or not; and `free_error`, the part that the arms can make,
-    too, cut in the object's metric: Ω_m would answer the yielding of a contact, a displacement
-    along N, with motions that they cannot make.
+    Reads `error`, the factors of `N_e` and `N_t`, and `B_inv_t`. Fills `motion_next`, Ω_m(B) times
+    the error (4) over all six axes; and `free_error`, the part that both contacts and arms permit,
+    projected in the metric of the object. For `free_error` the locked axes are removed first,
+    because Ω_m would turn a displacement along N (a yielding contact) into motions that the arms
+    cannot execute.
     """
     work = t.work
     r = work.rank
@@ -165,13 +168,16 @@ def permit_error(t):
 
 @inner
 def _meet_weighed(t, B_inv, m, x, target):
-    """x ← the x nearest in B⁻¹ with N x = target; False: B⁻¹ is not definite.
+    """Replace x by the vector with N x = target that is nearest in the metric B⁻¹.
 
-    With B⁻¹ = KKᵀ and y = Kᵀx that is the y nearest with (N K⁻ᵀ) y = target. Reads `N_t`.
+    With B⁻¹ = KKᵀ and y = Kᵀx this is an orthogonal projection on (N K⁻ᵀ) y = target. Reads `N_t`.
 
     Args:
-        B_inv: (6, 6) metric. m: first element that counts of all six. x: (6,), target: (r,), both
-            overwritten.
+        t: Tick. B_inv: (6, 6) metric. m: index of the first element in use; the elements before it
+            are excluded. x: (6,), overwritten. target: (r,), overwritten.
+
+    Returns:
+        False if B⁻¹ is not positive definite.
     """
     work = t.work
     r = work.rank
@@ -194,11 +200,11 @@ def _meet_weighed(t, B_inv, m, x, target):
 
 @inner
 def reduce_motion(t):
-    """The motion command with the arms' lost directions left to their posture task.
+    """Reduce the motion command along lost directions of the arms, in favour of the posture task.
 
-    What an arm's joints must do along a lost direction u is (uᵀ(a − γ))/χ: it grows without bound
-    while it does ever less. Share φ of it is kept; the rest is replaced by the posture's own
-    acceleration there, with the least change Δ of the command in Λ_o that the contacts permit:
+    The joint acceleration of an arm along a lost direction u is (uᵀ(a − γ))/χ, unbounded as χ → 0.
+    A share φ of it is executed; the rest is replaced by the acceleration of the posture task, with
+    the least change Δ of the command (in Λ_o) that the contacts permit:
 
         min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − t)²/|u|²,   NΔ = 0,   t = χ vᵀKᵀq̈_posture − uᵀ(a − γ)
 
@@ -227,7 +233,7 @@ def reduce_motion(t):
                 target -= own.lost[e, i] * (a[i] - own.gamma[i])
             fill_free(row, work, own.lost[e])
             size = dot(row, row, 6)
-            if own.gone[e] != 0.0 or size < _GONE:  # no motion of the chain's any more
+            if own.gone[e] != 0.0 or size < _GONE:  # locked in the chain
                 continue
             weight = (1.0 - own.share[e]) / (max(own.share[e], _HARD) * size)
             accumulate(step, weight * target, row)
@@ -241,9 +247,10 @@ def reduce_motion(t):
 
 @inner
 def set_metric(t):
-    """B⁻¹ of the motion filter in turned coordinates.
+    """Fill `B_inv_t`, the metric B⁻¹ of the motion filter in turned energy coordinates.
 
-    Reads `Lambda`, or B⁻¹ of MODEL. Fills `B_inv_t`, but not where B⁻¹ is the object's inertia.
+    Reads `Lambda`, or B⁻¹ of MODEL. If B⁻¹ is the object's inertia, which is the identity,
+    `B_inv_t` is not filled.
     """
     if t.model.metric == BY_OBJECT:
         return
@@ -254,7 +261,7 @@ def set_metric(t):
         return
     copy_rows(t.model.B_inv, out)
     half = local(6, 6)
-    for _ in range(2):  # the map from wrenches to energy coordinates, from both sides
+    for _ in range(2):  # transforms B⁻¹ from the left, then from the right
         for i in range(6):
             f = wrench_to_energy(work, out[i])
             for j in range(6):
@@ -265,7 +272,7 @@ def set_metric(t):
 
 @inner
 def filter_motion(t):
-    """The object's acceleration S η̇_c + σ, turned, from the command a_u at O: eq. 24.
+    """Filter the commanded acceleration a_u by eq. 24 to S η̇_c + σ, in turned coordinates.
 
         ρ = n_γ − κ(NᵀV_rel − v̄) + Nᵀ(b_e − σ + Φ_eN_μα_u)
         η̇_c = η̇_u − B_S N_S (N_SᵀB_S N_S)⁻¹ (N_Sᵀη̇_u − ρ),   N_S = SᵀN
@@ -284,11 +291,11 @@ def filter_motion(t):
         s = work.n_gamma[a] + work.b_N[a] - work.brake[a]
         for b in range(r):
             s += work.Phi_mu[a, b] * work.alpha_u[b]
-        for i in range(m):  # σ has no part along the other axes
+        for i in range(m):  # σ is zero along the free axes
             s -= work.N_t[a, i] * sigma[i]
         rho[a] = s
     weighed = t.model.metric != BY_OBJECT
-    if weighed and m > 0:  # what contacts see of a motion outside the chain's is not rounded away
+    if weighed and m > 0:  # keeps Nᵀx of a locked motion exactly
         kept = local(6)
         for a in range(r):
             kept[a] = dot6(work.N_t[a], x)

@@ -1,4 +1,4 @@
-"""Torques within the motors' limits that disturb force and motion least: a quadratic program."""
+"""Quadratic program for torques within the motors' limits that lose least force and motion."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from osc_contact.law.safety import count_computed
 from osc_contact.law.vectors import ZERO, add, copy_rows, fill, six, turned
 
 _FLOAT = np.float64
-#: The quadratic program: its operands, its solution, and tables whose sizes are those of the
-#: model. Sizes: a motors, k contacts that must not pull, s squeeze rows, p joint motions of
-#: redundant arms, v variables and w rows of the program's root.
+#: Record of the quadratic program: operands, solution, and tables. Sizes of tables: a motors, k
+#: contacts that must not pull, s squeeze rows, p joint motions of redundant arms, v variables and w
+#: rows of the program's square root.
 PROGRAM = Nested(
     np.dtype(
         [(name, np.int64) for name in ("d", "r", "k", "s", "short")]
@@ -53,11 +53,11 @@ PROGRAM = Nested(
     tau="a",
     at_limit=(np.int64, "a"),
     lost_squeeze="s",
-    scale="a",  # of z; then motion, force and squeeze per unit of it
+    scale="a",  # torque of a unit of z; then motion, force and squeeze by a unit of z
     motion=("a", 6),
     force=("a", 6),
     squeeze=("s", "a"),
-    H="vv",  # (v, v), f (v,), A (k, v) and the bounds as the solver takes them
+    H="vv",  # (v, v), f (v,), A (k, v) and bounds, in the solver's form
     f="v",
     A="kv",
     lower="vk",
@@ -65,7 +65,7 @@ PROGRAM = Nested(
     sense=(np.int32, "vk"),
     z="v",  # the solver's answer
     lam="vk",
-    rows=("v", "w"),  # of a root of H
+    rows=("v", "w"),  # transposed square root of H
     point="w",
     y="w",
     diagonal="w",
@@ -80,20 +80,25 @@ PROGRAM = Nested(
 _program = PROGRAM.at
 
 
-# --- A point of the program, refined from its active limits ---------------------------------------
+# --- Refinement of the solution from its active limits --------------------------------------------
 
-_DEPENDENT = 1e-9  # of a unit row, beside the rows before it
-_ROOM = 1e-7  # around the bounds, for a point worked out from its active limits
+_DEPENDENT = 1e-9  # part of a unit row outside the span of former rows that counts as zero
+_ROOM = 1e-7  # relative tolerance of the bounds for a refined solution
 
 
 @inner
 def refine(p, slack):
-    """Work out z once more from `rows`, the limits that have multipliers as equations: `point`.
+    """Compute the solution `point` again, with the active limits as equations.
 
-    That has the root of H's condition. Returns False where another limit is broken.
+    The least-squares problem in `rows` has the square root of H's condition number, so `point` is
+    more accurate than the solver's z. Limits are active where the solver's multipliers are not 0.
 
     Args:
-        p: PROGRAM with the solver's multipliers. slack: of `prepare`.
+        p: PROGRAM with the solver's multipliers `lam`. slack: number of slack variables, as in
+            `prepare`.
+
+    Returns:
+        False if `point` violates another limit, or if the active limits are dependent.
     """
     k = p.k
     v = len(p.tau) + slack
@@ -158,44 +163,44 @@ def refine(p, slack):
 
 # --- The quadratic program ------------------------------------------------------------------------
 #
-# Torques τ + δτ instead of τ make the chain in contact answer with α + δα and η̇ + δη̇ (eqs. 17,
-# 18):
+# With torques τ + δτ instead of τ, the chain in contact has the contact forces α + δα and the
+# acceleration η̇ + δη̇ (eqs. 17, 18):
 #
 #     δα = D⁻¹NᵀΛ⁻¹G δτ,   δη̇ = Λ⁻¹(G δτ − N_μ δα),   D = NᵀΛ⁻¹N_μ + Φ_e
 #
-# so every δτ keeps the contacts' constraints, and force and motion lost are known before they are.
-# What is given up is measured as acceleration energy (Gauss), N²/kg: |δη̇|² of motion, |N δα|² of
-# contact force (in energy coordinates the object's inertia is the identity), δs²/m_o of squeeze,
-# (νᵀδτ)² of joint motions ν, νᵀMν = 1, that redundant arms make without the object.
-# Metres and radians never meet, and an arm near a singular posture cannot make its lost motion
-# dear.
+# Hence every δτ satisfies the contact constraints, and the loss of force and motion is predicted.
+# The objective is acceleration energy (Gauss), in N²/kg: |δη̇|² of motion, |N δα|² of contact force
+# (in energy coordinates the object's inertia is the identity), δs²/m_o of squeeze, and (νᵀδτ)² of
+# joint motions ν of redundant arms that do not move the object, νᵀMν = 1. So metres and radians
+# are not added, and lost motions of an arm near a singular posture do not dominate the objective.
 #
 # Columns of N may be nearly dependent. A rotation U makes the rows of UNᵀ orthogonal in the free
-# motions, and ψ = Uδα obeys UDUᵀψ = UNᵀΛ⁻¹G δτ, whose rows differ in size instead of hardly at all.
+# motions, and ψ = Uδα solves UDUᵀψ = UNᵀΛ⁻¹G δτ, whose rows are well distinguished; only their
+# magnitudes differ.
 
-#: Weights beside the 1 of motion: what has memory goes last. Torques that do nothing to the object
-#: count relative to the mean energy of the others.
+# Weights relative to that of motion, 1. Motion is given up last, because its errors accumulate.
 _FORCE = 1e-3
 _SQUEEZE = 1e-5
-_TORQUE = 1e-7
-_POSTURE = 0.1  # joint motions that leave the object alone: they cost too, or a joint whirls
-_BEYOND = 1e2  # of a force outside its range, where no torques within the limits keep it
-_INFINITE = 1e30  # the solver's
-_SLACK = 1e-9  # of the limits, for rounding errors
+_TORQUE = 1e-7  # of torques without effect on the object, relative to the mean energy of a torque
+_POSTURE = 0.1  # of joint motions without effect on the object, so that no joint whirls
+_BEYOND = 1e2  # of a force out of range when no feasible torques keep it in range
+_INFINITE = 1e30  # the solver's infinity
+_SLACK = 1e-9  # relative tolerance of the limits, for rounding errors
 
 
 @inner
 def _mobility(p, X, P, D, extent, K):
-    """Mobility of the contacts in directions in which its rows are orthogonal.
+    """Compute the mobility UDUᵀ of the contacts, with U such that the rows of UNᵀ are orthogonal.
 
     Args:
         p: PROGRAM, of which `Lambda`, `N`, `pushed`, `Phi_e` are read.
-        X: (r, 18), filled: rows UNᵀ (6, free motions first), U(N_μ − N)ᵀ (d), U (r).
-        P: (r, d), filled: UN_μᵀΛ⁻¹. D: (r, r), filled: UDUᵀ, each row divided by its `extent`.
-        extent: (r,), filled: the largest element of each row. K: (d, d), filled: factor of Λ.
+        X: (r, 18), filled with the rows of UNᵀ (6, free motions first), U(N_μ − N)ᵀ (d), U (r).
+        P: (r, d), filled with UN_μᵀΛ⁻¹. D: (r, r), filled with UDUᵀ, each row divided by its
+            `extent`. extent: (r,), filled with the largest magnitude in each row of UDUᵀ.
+        K: (d, d), filled with the factor of Λ in the free motions.
 
     Returns:
-        False where Λ is not positive definite.
+        False if Λ is not positive definite.
     """
     d = p.d
     r = p.r
@@ -228,10 +233,10 @@ def _mobility(p, X, P, D, extent, K):
 
 @inner
 def _respond(p):
-    """Motion and force that each motor causes, per unit of its `scale`.
+    """Compute the motion and the contact force caused by `scale` units of each motor's torque.
 
-    Fills `motion`, `force`, and the energies of both in the motor's row of `rows`. Returns False
-    where the response cannot be determined.
+    Fills `motion` (a, 6), `force` (a, 6), and in `rows` the roots of their energies. Returns False
+    if Λ or the mobility of the contacts is singular.
     """
     d = p.d
     r = p.r
@@ -270,13 +275,15 @@ def _respond(p):
 def prepare(raw, slack):
     """Fill the program min |rowsᵀz|² with lower ≤ (z, Az) ≤ upper, z = (δτ/scale, slack).
 
-    H (v, v), A (k, v), v = n_a + slack; a motor's energies in each of `rows`.
+    H is (v, v), A is (k, v), with v = n_a + slack variables. Each row of `rows` has the roots of
+    the energies that one variable causes.
 
     Args:
-        raw: bytes of PROGRAM. slack: 0, or k: forces may leave their ranges at a price.
+        raw: bytes of PROGRAM. slack: number of slack variables: 0, or k, if the k forces may leave
+            their ranges at a cost.
 
     Returns:
-        Whether the response of the chain could be worked out.
+        False if the response of the chain to the motors is singular.
     """
     p = _program(raw, 0)
     tau_max = p.tau_max
@@ -331,16 +338,21 @@ def prepare(raw, slack):
             lower[n + c] = -_INFINITE
             upper[n + c] = _INFINITE
         lower[v + c] = min((p.floor[c] - dot(p.share[c], p.alpha, p.r)) / norm, 0.0)
-        upper[v + c] = 0.0  # nobody presses harder than commanded
+        upper[v + c] = 0.0  # no contact presses harder than commanded
     return True
 
 
 @entry
 def finish(raw, slack):
-    """Torques from the solver's z (v,) and multipliers (v + k,); whether they are finite.
+    """Compute torques from the solver's z (v,) and multipliers (v + k,).
+
+    Fills `tau`, `at_limit`, `lost_force`, `lost_motion`, `lost_squeeze` and `short`.
 
     Args:
-        raw: bytes of PROGRAM. slack: of `prepare`.
+        raw: bytes of PROGRAM. slack: number of slack variables, as in `prepare`.
+
+    Returns:
+        Whether the torques are finite.
     """
     p = _program(raw, 0)
     z = p.z
@@ -365,31 +377,35 @@ def finish(raw, slack):
 
 
 class TorqueLimits:
-    """Keeps torques within the motors' limits: fill the arrays of PROGRAM in place, then `solve`.
+    """Solver for torques within the motors' limits.
 
-    All are in energy coordinates turned so that the last d axes are free. d free motions, r contact
-    forces, k of them that must not pull and s squeeze rows count. Torques in N m (N), forces in N.
+    Fill the arrays of PROGRAM in place, then call `solve`. Motions and wrenches are in energy
+    coordinates, turned so that the last d axes are free; torques in N m (N), forces in N.
 
     Attributes:
-        raw: bytes of PROGRAM, whose fields are attributes, too.
-        desired, tau_max: (n_a,) torques; limits (inf: none).
-        G: (n_a, 6) what each motor exerts, Lambda: (6, 6) of the chain. mass: of the object (kg).
+        raw: bytes of PROGRAM, whose fields are attributes of this object, too.
+        d, r, k, s: numbers of free motions, of contact forces, of forces among them that must not
+            pull, and of squeeze rows in use.
+        desired, tau_max: (n_a,) desired torques; limits (inf: none).
+        G: (n_a, 6) wrench on the object per unit of each motor's torque.
+        Lambda: (6, 6) inertia of the chain. mass: of the object (kg).
         N, pushed: (6, 6) columns of N and, with friction, N_μ as rows. Phi_e: (6, 6) NᵀΦ_eN_μ.
-        alpha: (6,) force command. share: (k_max, 6) forces that must not pull, out of α.
-        floor: (k_max,) their least values, at most what is commanded.
-        E: (s_max, n_a) rows of the squeeze. carried: (s_max, 6) what of it motions use up.
-        idle: (p, n_a) joint motions ν of redundant arms, 1 kg m² or 1 kg in M, of their motors.
-        tau: (n_a,) found. at_limit: (n_a,) which motors stand at their limit.
-        lost_force: (6,), lost_motion: (6,), lost_squeeze: (s_max,) desired less what will come;
+        alpha: (6,) force command. share: (k_max, 6) forces that must not pull, as combinations
+            of α. floor: (k_max,) their least values, not larger than the commanded ones.
+        E: (s_max, n_a) rows of the squeeze. carried: (s_max, 6) squeeze by the inertial forces of
+            a motion.
+        idle: (p, n_a) joint motions ν of redundant arms, νᵀMν = 1, restricted to their motors.
+        tau: (n_a,) resulting torques. at_limit: (n_a,) 1 for each motor at its limit.
+        lost_force: (6,), lost_motion: (6,), lost_squeeze: (s_max,) commanded less resulting values;
             zero beyond r, and in locked axes.
     """
 
     def __init__(self, n_a: int, k_max: int, s_max: int, p: int = 0) -> None:
-        """Make room.
+        """Allocate the record for the largest numbers, and solve once so that all is compiled.
 
         Args:
-            n_a, k_max, s_max, p: how many motors, contacts that must not pull, squeeze rows and
-                joint motions of redundant arms there are, at most.
+            n_a, k_max, s_max, p: largest numbers of motors, of contacts that must not pull, of
+                squeeze rows, and of joint motions of redundant arms.
         """
         v = n_a + k_max
         w = 12 + s_max + p + v + k_max
@@ -405,13 +421,13 @@ class TorqueLimits:
         return getattr(self.program, name)
 
     def solve(self) -> bool:
-        """Find the torques within the limits that lose the least acceleration energy.
+        """Find the torques within the limits with the least loss of acceleration energy.
 
         Returns:
-            Whether some force leaves its range: no torques within the limits keep it there.
+            True if a contact force leaves its range because no feasible torques keep it there.
 
         Raises:
-            SolverError: the program was not solved.
+            SolverError: the program could not be solved.
         """
         import daqp
 
@@ -449,18 +465,21 @@ class TorqueLimits:
         self.program = PROGRAM.view(self.raw)
 
 
-# --- A saturated tick's records as the program ----------------------------------------------------
+# --- The program of a saturated tick, from its records --------------------------------------------
 
-_FLOOR = 1.0  #: N, least force of contacts that cannot pull; a command below it is its own floor
+_FLOOR = 1.0  #: N, least force of contacts that must not pull, unless less is commanded
 
 
 @inner
 def _shares(t, alpha, share, floor):
-    """Forces that must not pull, as combinations of α by least squares; returns their number.
+    """Express the forces that must not pull as least-squares combinations of α.
 
     Args:
-        alpha: (r,) magnitudes of the kept columns (N). share: (k, 6), filled: combinations.
-        floor: (k,), filled: least values (N).
+        t: Tick. alpha: (r,) force commands of the kept columns (N). share: (k, 6), filled with the
+            coefficients. floor: (k,), filled with least values (N).
+
+    Returns:
+        Number of these forces.
     """
     work = t.work
     r = work.rank
@@ -482,11 +501,14 @@ def _shares(t, alpha, share, floor):
 
 @inner
 def _idle_motions(t, arm, own, idle, count):
-    """Joint motions ν of a redundant arm, N J ν = 0 and νᵀMν = 1: ν = K⁻ᵀv.
+    """Append the joint motions ν = K⁻ᵀv of a redundant arm with N J ν = 0 and νᵀMν = 1.
 
     Args:
-        arm: ARM row. own: its ARM_WORK. idle: (p, a), rows from `count` on are filled.
-        count: number of rows before; returned with those that were added.
+        t: Tick. arm: ARM row. own: its ARM_WORK. idle: (p, a), of which rows from `count` on are
+            filled. count: number of rows that are filled already.
+
+    Returns:
+        Number of filled rows.
     """
     work = t.work
     lo = arm.first
@@ -509,11 +531,11 @@ def _idle_motions(t, arm, own, idle, count):
 
 @entry
 def fill_program(raw, at, i, program):
-    """Fill what `limits.TorqueLimits` is given.
+    """Fill the operands of the program from the records of a saturated tick.
 
     Args:
-        raw, at: as of `tick.rows`. i: a row whose tick has ended SATURATED just now.
-        program: bytes of PROGRAM.
+        raw: bytes of `records.Rows`. at: offset of the JOB. i: row whose tick has just ended
+            SATURATED. program: bytes of PROGRAM.
     """
     t = row_of(raw, at, i)
     p = _program(program, 0)
@@ -559,12 +581,13 @@ def fill_program(raw, at, i, program):
 
 @entry
 def settle(raw, at, i, program):
-    """Torques found, no faster than motors may change; the next tick starts from them.
+    """Apply the solution of the program: torques, limited in their rate, and the force integrals.
 
-    Force that is lost is not integrated by the force law.
+    The lost force is excluded from the integral of the force law.
 
     Args:
-        raw, at, i, program: as of `fill_program`, solved.
+        raw: bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated tick.
+        program: bytes of the solved PROGRAM.
     """
     t = row_of(raw, at, i)
     p = _program(program, 0)

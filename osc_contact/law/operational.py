@@ -1,4 +1,4 @@
-"""The operational-space terms of one arm, and motions lost near a singular posture."""
+"""Operational-space terms of one arm, and motions lost near a singular posture."""
 
 from __future__ import annotations
 
@@ -36,26 +36,30 @@ from osc_contact.law.vectors import (
     six,
 )
 
-# --- J̄ and Λ of one arm in energy coordinates, what it locks, its effort -------------------------
+# --- J̄ and Λ of one arm in energy coordinates, its locked wrenches, its effort -------------------
 
-_DEFINITE = 1e-12  #: least share of a pivot of an effort metric
+_DEFINITE = 1e-12  #: least relative pivot of an effort metric
 
 
 @inner
 def arm_terms(t, lo, n, m, arm, row):
-    """J̄, Λ and the locked wrenches of one arm; returns their number, or −1 if M is not definite.
+    """Compute J̄, Λ and the locked wrenches of one arm in energy coordinates.
 
     Reads J and M of its joints, and `passed` of the arm unless m = 6. Fills J̄ of the joints and, of
     the arm, `Lambda`, `passed`, `kept` (orthonormal wrenches that the joints resist), `n_kept` and
-    `n_locked`.
+    `n_locked`; rows of `locked_rows`.
 
-    With M = KKᵀ and N J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ²: directions
-    with σ²(1 + σ_max²) ≤ tolerance² σ_max² count as locked, whatever the object weighs. The QR of
-    `_decompose` decides where 1/λ_max(Λ), the least σ² of all, is above that beyond doubt.
+    With M = KKᵀ and N J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ². Directions
+    with σ²(1 + σ_max²) ≤ tolerance² σ_max² count as locked, for an object of any mass. The faster
+    QR of `_decompose` is used if the bound 1/trace(Λ) of the least σ² is above this threshold.
 
     Args:
-        lo: first joint of the arm. n: number of its joints. m: wrenches that its grasp passes on.
-        arm: ARM_WORK row. row: of `locked_rows`, the first one for the wrenches that it locks.
+        t: Tick. lo: first joint of the arm. n: number of its joints. m: number of independent
+            wrenches that its grasp transmits. arm: ARM_WORK row.
+        row: first row of `locked_rows` for the locked wrenches of this arm.
+
+    Returns:
+        Number of locked wrenches, or −1 if M is not positive definite.
     """
     if m == 6:  # all wrenches: the axes themselves are orthonormal
         set_identity(arm.passed)
@@ -70,11 +74,12 @@ def arm_terms(t, lo, n, m, arm, row):
 
 @leaf
 def _weigh_inverse(joints, lo, n, K, Lambda):
-    """Λ = A⁺ᵀA⁺ and J̄ = K⁻ᵀA⁺ from A⁺, A = J K⁻ᵀ.
+    """Compute Λ = A⁺ᵀA⁺ and J̄ = K⁻ᵀA⁺ from A⁺, the pseudo-inverse of A = J K⁻ᵀ.
 
     Args:
-        joints: JOINT_WORK; `J_bar` of each holds its row of A⁺ before, of J̄ after. lo: first joint.
-        n: number of joints. K: (n, n) factor of M from `cholesky`. Lambda: (6, 6), filled.
+        joints: JOINT_WORK rows, whose `J_bar` contains the rows of A⁺ and is overwritten with those
+            of J̄. lo: first joint. n: number of joints. K: (n, n) factor of M from `cholesky`.
+        Lambda: (6, 6), filled.
     """
     Lambda[:] = 0.0
     for j in range(n - 1, -1, -1):
@@ -88,11 +93,15 @@ def _weigh_inverse(joints, lo, n, K, Lambda):
 
 @leaf
 def weigh_joints(joints, lo, n, K, weighed):
-    """K and K⁻¹Jᵀ, M = KKᵀ the joint-space inertia of an arm; False: M is not definite.
+    """Compute the factor K of the joint-space inertia M = KKᵀ of an arm, and K⁻¹Jᵀ.
 
     Args:
-        joints: JOINT_WORK, of which J and M are read. lo: first joint of the arm. n: number.
-        K: (n, n), filled with the factor as `cholesky` does. weighed: (n, 6), filled with K⁻¹Jᵀ.
+        joints: JOINT_WORK rows, of which J and M are read. lo: first joint of the arm.
+        n: number of its joints. K: (n, n), filled with the factor in the form of `cholesky`.
+        weighed: (n, 6), filled with K⁻¹Jᵀ.
+
+    Returns:
+        False if M is not positive definite.
     """
     for i in range(n):
         joint = joints[lo + i]
@@ -107,10 +116,11 @@ def weigh_joints(joints, lo, n, K, weighed):
 
 @inner
 def _decompose(t, lo, n, arm, row):
-    """J̄ and Λ of full rank by QR; False: a column depends on those before it to the last digit.
+    """Compute J̄ and Λ of full rank by QR; return False if columns are numerically dependent.
 
-    Up to six joints J = QR, J̄ᵀ = QR⁻ᵀ and Λ = J̄ᵀMJ̄, whose digits do not depend on M's condition;
-    else A = J K⁻ᵀ, Aᵀ = QR and A⁺ = QR⁻ᵀ. Arguments, and what is filled: see `arm_terms`.
+    With up to six joints J = QR, J̄ᵀ = QR⁻ᵀ and Λ = J̄ᵀMJ̄, whose accuracy does not depend on the
+    condition of M. With more joints A = J K⁻ᵀ, Aᵀ = QR and A⁺ = QR⁻ᵀ. Arguments and filled fields
+    are those of `arm_terms`.
     """
     work = t.work
     joints = work.joints
@@ -159,10 +169,10 @@ def _decompose(t, lo, n, arm, row):
 
 @inner
 def _congruence_of_inertia(joints, lo, n, Lambda):
-    """Λ = J̄ᵀMJ̄, symmetric to the last digit.
+    """Compute Λ = J̄ᵀMJ̄, exactly symmetric.
 
     Args:
-        joints: JOINT_WORK, of which J̄ and M are read. lo: first joint. n: number of joints.
+        joints: JOINT_WORK rows, of which J̄ and M are read. lo: first joint. n: number of joints.
         Lambda: (6, 6), filled.
     """
     Lambda[:] = 0.0
@@ -180,12 +190,13 @@ def _congruence_of_inertia(joints, lo, n, Lambda):
 
 @inner
 def _qr_tall(A, rows, columns, Q, L):
-    """A = Q Lᵀ by Householder reflections; False: a column depends on others to the last digit.
+    """Factorise A = Q Lᵀ by Householder reflections; return False if columns are dependent.
 
     Args:
-        A: (rows, 6), destroyed. rows: at least six. columns: of A that count.
-        Q: (rows, 6), filled. L: (columns, columns), filled: lower triangular, with the inverse of
-            its diagonal there, as from `cholesky`.
+        A: (rows, 6), destroyed. rows: number of rows, at least six. columns: number of columns of
+            A that are factorised. Q: (rows, 6), filled.
+        L: (columns, columns), filled: lower triangular, with the reciprocals of its diagonal in
+            place of the diagonal, the form of `cholesky`.
     """
     products = local(6)
     beta = local(6)
@@ -193,7 +204,7 @@ def _qr_tall(A, rows, columns, Q, L):
         t = scaled(A[k, k], A[k])
         for i in range(k + 1, rows):
             t = add(t, A[i, k], A[i])
-        fill(products, t)  # of column k with itself and with the others
+        fill(products, t)  # inner products of column k with all columns
         if not products[k] > 0.0:
             return False
         (alpha, b) = reflector(products[k], A[k, k])
@@ -224,9 +235,10 @@ def _qr_tall(A, rows, columns, Q, L):
 
 @inner
 def _separate(t, lo, n, m, arm, row):
-    """J̄ and Λ of any rank and for any grasp, by singular values: A = N J K⁻ᵀ = UΣVᵀ.
+    """Compute J̄ and Λ of any rank and for any grasp, by the SVD A = N J K⁻ᵀ = UΣVᵀ.
 
-    Returns False where M is not definite. Arguments, and what is filled: see `arm_terms`.
+    Returns False if M is not positive definite. Arguments and filled fields are those of
+    `arm_terms`.
     """
     work = t.work
     joints = work.joints
@@ -262,10 +274,11 @@ def _separate(t, lo, n, m, arm, row):
 
 @inner
 def multiply_rows(rows, count, Y, n, out):
-    """out[:count] ← rows Yᵀ (n numbers each), and behind each the row of six itself.
+    """Fill `out` with the product rows Yᵀ, followed in each row by the row itself.
 
     Args:
-        rows: (count, 6). count: number of rows. Y: (n, 6). n: its rows. out: (count, n + 6).
+        rows: (count, 6). count: number of rows. Y: (n, 6). n: number of rows of Y.
+        out: (count, n + 6), filled.
     """
     for a in range(count):
         for j in range(n):
@@ -275,11 +288,12 @@ def multiply_rows(rows, count, Y, n, out):
 
 @inner
 def null_motions(own, Y, n, motions):
-    """Orthonormal joint motions v of an arm; those from n_kept on have U Yᵀv = 0.
+    """Compute an orthonormal basis of joint motions v; from row `n_kept` on U Yᵀv = 0.
 
     Args:
-        own: ARM_WORK; U: `kept`, the wrenches that the joints resist. Y: (n, 6), such as J by
-            joints or K⁻¹Jᵀ. n: joints of the arm. motions: (n, n), filled, one motion a row.
+        own: ARM_WORK, of which `kept` is read, U, the wrenches that the joints resist.
+        Y: (n, 6), for example Jᵀ or K⁻¹Jᵀ. n: number of joints of the arm.
+        motions: (n, n), filled with one motion in each row.
     """
     X = local(6, JOINTS_AND_SIX)
     diagonal = local(MAX_JOINTS)
@@ -291,14 +305,18 @@ def null_motions(own, Y, n, motions):
 
 @leaf
 def effort_metric(t, lo, n, m, arm, out):
-    """Least effort Σ τ²/τ_max² of an arm per wrench; False: its motors cannot make all wrenches.
+    """Compute the metric of the least effort Σ τ²/τ_max² with which an arm exerts a wrench.
 
-    J̄ᵀ τ_max² J̄ where every torque is needed; for arms with more joints than m wrenches
-    Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, the rows of U (`kept` of the arm) the wrenches that they can make.
+    The metric is J̄ᵀ τ_max² J̄ for an arm with at most m joints, whose torques are unique; for an arm
+    with more joints it is Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, where the rows of U (`kept` of the arm) are the
+    wrenches that it can exert.
 
     Args:
-        lo: first joint of the arm. n: number of its joints. m: wrenches that the arm can make.
-        arm: ARM_WORK row. out: (6, 6), filled with the metric.
+        t: Tick. lo: first joint of the arm. n: number of its joints. m: number of independent
+            wrenches that its grasp transmits. arm: ARM_WORK row. out: (6, 6), filled.
+
+    Returns:
+        False if the motors of the arm cannot exert all of these wrenches.
     """
     joints = t.work.joints
     table = t.model.joints
@@ -329,28 +347,27 @@ def effort_metric(t, lo, n, m, arm, out):
 
 # --- Motions that an arm is about to lose near a singular posture ---------------------------------
 #
-# An arm is measured against Λ_ref, the object and, at its centre of mass, a ball as heavy as the
-# heaviest arm. With Λ_ref = LLᵀ and M = KKᵀ
+# The reference inertia Λ_ref is that of the object and of a ball at its centre of mass that is as
+# heavy as the heaviest arm. With Λ_ref = LLᵀ and M = KKᵀ
 #
 #     LᵀJK⁻ᵀ = U diag(χ) Vᵀ
 #
-# is free of units, and 1/χ² is the arm's apparent inertia in the direction u beside that of Λ_ref.
-# In energy coordinates Λ_ref is diagonal.
+# is dimensionless, and 1/χ² is the apparent inertia of the arm in the direction u relative to
+# Λ_ref. In energy coordinates Λ_ref is diagonal.
 
-#: Commands are reduced where χ is below FULL and are zero at NONE_LEFT.
-NONE_LEFT = 0.05
-FULL = 0.3
-_SMALL = 1e-9  # χ below it determines no motion of the joints
+NONE_LEFT = 0.05  #: χ up to which a command is zero
+FULL = 0.3  #: χ from which on a command is not reduced
+_SMALL = 1e-9  #: χ below which a direction does not determine a motion of the joints
 
 
 @leaf
 def may_be_singular(t, arm, own):
-    """Whether some χ may be below FULL: a bound that never misses one.
+    """Whether a χ of an arm may be below FULL, by a conservative bound.
 
-    ΣΣ Λ_ij²/(Λ_ii Λ_jj)_ref ≥ 1/χ⁴, in energy coordinates.
+    ΣΣ Λ_ij²/(Λ_ii Λ_jj)_ref ≥ 1/χ⁴ for every χ, in energy coordinates.
 
     Args:
-        arm: ARM row. own: its ARM_WORK.
+        t: Tick. arm: ARM row. own: its ARM_WORK.
     """
     if own.n_kept < arm.full_rank:
         return True
@@ -365,21 +382,22 @@ def may_be_singular(t, arm, own):
 
 @inner
 def find_lost(t, arm, own):
-    """Every direction of an arm whose χ is below FULL.
+    """Find all directions of an arm whose χ is below FULL.
 
-    Reads `passed`, `n_kept`, and J and M of the joints. Fills of the arm `n_lost` and, for each
-    direction, `chi`, `share` of the command that is kept, `gone` (whether the chain counts it as
-    locked), `lost`, its wrench Lu, and `mode`, its joint motion K⁻ᵀv; adds to `n_lost` of WORK.
+    Reads `passed`, `n_kept`, and J and M of the joints. Fills `n_lost` of the arm and, for each
+    direction, `chi`, `share` (the share of the command that is executed), `gone` (1 if the chain
+    counts the direction as locked), `lost` (its wrench Lu) and `mode` (its joint motion K⁻ᵀv); adds
+    to `n_lost` of WORK.
 
     Args:
-        arm: ARM row. own: its ARM_WORK.
+        t: Tick. arm: ARM row. own: its ARM_WORK.
     """
     work = t.work
     n = arm.end - arm.first
     m = arm.m
     K = local(MAX_JOINTS, MAX_JOINTS)
     weighed = local(MAX_JOINTS, 6)
-    passed = local(6, 6)  # wrenches that the grasp passes on, in Λ_ref
+    passed = local(6, 6)  # wrenches that the grasp transmits, weighted by Λ_ref
     factor = local(6, 6)
     root = local(6)
     X = local(6, JOINTS_AND_SIX)
@@ -432,16 +450,17 @@ def _sort_rows(X, m, n):
 
 @inner
 def _unit_row(X, k, n, chi):
-    """Make row X[k, :n] a unit vector; of a null row, any one orthogonal to the rows before it.
+    """Normalise the row X[k, :n]; replace a zero row by a unit vector orthogonal to those before.
 
     Args:
-        X: rows. k: which. n: elements that count. chi: length of the row.
+        X: matrix. k: index of the row. n: number of elements that are normalised.
+        chi: norm of these elements.
     """
     norm = chi
     if not chi > _SMALL:
         best = 0
         largest = -1.0
-        for e in range(n):  # the unit vector that sticks out most
+        for e in range(n):  # axis with the largest part outside the span of the former rows
             left = 1.0
             for b in range(k):
                 left -= X[b, e] * X[b, e]
@@ -460,10 +479,10 @@ def _unit_row(X, k, n, chi):
 
 @inner
 def retreat(t, arm, i, damping):
-    """Torque of joint i for the posture law, row i of M q̈, q̈ = −k_d q̇ + k_p (q₀ − q) (N m, N).
+    """Torque of joint i by the posture law: row i of M q̈, q̈ = −k_d q̇ + k_p (q₀ − q) (N m, N).
 
     Args:
-        arm: ARM row. i: joint. damping: k_d (1/s).
+        t: Tick. arm: ARM row. i: joint. damping: k_d (1/s).
     """
     model = t.model
     s = 0.0
@@ -474,17 +493,23 @@ def retreat(t, arm, i, damping):
     return s
 
 
-# --- Λ, μ, p, J, J̄, Φ and h of one arm at its tip in world axes, without a tick around them -------
+# --- Λ, μ, p, J, J̄, Φ and h of one arm at its tip in world axes, outside of a tick ----------------
 
 
 @entry
 def operational_space(raw, q, v, out):
-    """Fill out (rows, size); returns how many rows were done before one that cannot be.
+    """Compute the operational-space terms of one arm for many states.
 
-    A row holds Λ, Φ, J, J̄, μ, p, J̇v, h and the rank one after the other, matrices by rows.
+    A row of `out` contains Λ (6, 6), Φ (6, 6), J (6, n), J̄ (n, 6), μ (6,), p (6,), J̇v (6,), h (n,)
+    and the rank, in this order, matrices by rows.
 
     Args:
-        raw: bytes of `records.Rows` with one arm alone. q, v: (rows · n,). out: (rows, size).
+        raw: bytes of `records.Rows` with one arm alone. q, v: (rows · n,) joint positions and
+            velocities. out: (rows, size), filled.
+
+    Returns:
+        Number of rows that were filled before the first state that is not finite or whose M is not
+        positive definite.
     """
     t = row_of(raw, 0, 0)
     n = t.model.n_joints
@@ -500,10 +525,17 @@ def operational_space(raw, q, v, out):
 
 @inner
 def _arm_at_tip(t, n, q, v, out):
-    """Λ, Φ, J, J̄, μ, p, J̇v, h and the rank of an arm at its tip; False: M is not definite.
+    """Compute Λ, Φ, J, J̄, μ, p, J̇v, h and the rank of an arm at its tip, in world axes.
 
-    Ranks are judged in energy coordinates, as everywhere: those of the object, or of what stands
-    for it, here with its principal axes along the world's.
+    The rank is determined in energy coordinates of the reference object of the model, whose
+    principal axes are taken along the world's.
+
+    Args:
+        t: Tick. n: number of joints. q, v: (n,) joint positions and velocities. out: row of
+            `operational_space`, filled.
+
+    Returns:
+        False if M is not positive definite.
     """
     model = t.model
     work = t.work
@@ -520,7 +552,7 @@ def _arm_at_tip(t, n, q, v, out):
     place_arm(t, arm, q)
     fill3(work.p_C, place_point(joints[arm.tip_joint], arm.tip[9:]))
     move_arm(t, arm, v, work.p_C, own.V, drift, own.bias)
-    fill3(drift, plus3(drift, cross(own.V[3:], own.V)))  # the rate of J q̇, no spatial acceleration
+    fill3(drift, plus3(drift, cross(own.V[3:], own.V)))  # from spatial acceleration to rate of J q̇
     for i in range(6):
         root[i] = model.roots[max(i - 2, 0)]
     for j in range(n):

@@ -1,6 +1,7 @@
-"""Reasons for which a tick is held: each is declared, code and sentence, beside its rule.
+"""Register of the reasons why a tick is held or the arms are stopped.
 
-Sentences are filled in by `control.reasons`; names in braces are those of its facts.
+Each reason has a code and a sentence, declared in the module of its rule. Names in braces in a
+sentence are replaced by values in `control.reasons`.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ LASTING = 50
 
 
 def declare_reason(name: str, code: int, sentence: str) -> int:
-    """The code of a reason, which is known by it from now on.
+    """Register a reason and return its code.
 
     Args:
-        name: in C programs, after OSC_REASON_. code: in the records of a tick.
-        sentence: for people; names in braces are those of `control.reasons`.
+        name: name of the reason; in C programs OSC_REASON_ precedes it.
+        code: number of the reason in the records of a tick.
+        sentence: explanation for the user; names in braces are replaced in `control.reasons`.
 
     Raises:
         ValueError: another reason has this name or this code.
