@@ -1,4 +1,4 @@
-"""The active set: which of the known contacts take part in a tick, and what passes to the next set.
+"""Active set: the contacts that take part in a tick, and the transfer of states between sets.
 
 A controller is made for all contacts that may occur. The reference of a tick may name those that
 are active:
@@ -6,17 +6,17 @@ are active:
 | | a pair that pushes | a pair that holds |
 |---|---|---|
 | not active | OPEN | OPEN |
-| active, with phases | APPROACHING, then CLOSED, whatever force is desired | CLOSED |
+| active, with phases | APPROACHING, then CLOSED, for any desired force | CLOSED |
 | active, without phases | CLOSED | CLOSED |
 
-Where none are named, a pair that pushes is active while a force is desired of it (with phases; else
-always), and a pair that holds always is.
+If no active contacts are named, a pair that pushes is active while a force is desired of it (with
+phases; otherwise always), and a pair that holds is always active.
 
-What a tick leaves for the next one stands in the rows of columns: low-passed forces, steps of
-desired forces, learned normals, tangential forces. So it passes with its column from set to set.
-Force integrals are those of the independent columns of N, as long as these are the same ones; where
-they are others, N w = Σ N_j w_j over all columns that stay, w_j the integral of each as the last
-tick left it.
+States of contacts (low-passed forces, steps of desired forces, estimated normals, tangential
+forces) are stored by column of N, so they are retained when the active set changes. Force integrals
+are stored for the independent columns as long as these are the same. When they change, the
+integrals w of the new ones follow from N w = Σ N_j w_j over all columns that remain active, w_j
+being the integral of each after the last tick.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from osc_contact.law.records import contact_of
 
 @inner
 def update_contacts(t):
-    """Fill the phases of a tick, from what the last one measured and what is active and desired.
+    """Update phases and active set of a tick, from measured and desired forces and named contacts.
 
-    Where other contacts are in N than before, the motion law hands over (`hand_over`), and
-    integrals are taken by column (`by_column`).
+    If the set of contacts in N changes, `hand_over` is set, so that the motion integral is
+    converted, and `by_column`, so that force integrals are taken by column.
     """
     model = t.model
     memory = t.memory
     changed = False
-    if model.phased and memory.fresh != 0:  # what a tick measured is judged once
+    if model.phased and memory.fresh != 0:  # measured forces are evaluated once
         memory.fresh = 0
         changed = advance_phases(t)
     else:
@@ -58,7 +58,11 @@ def update_contacts(t):
 
 @inner
 def _take_set(t):
-    """Open contacts that are not active, take in those that are; whether N has other ones now."""
+    """Open contacts that are not active, and close or approach those that are.
+
+    Returns:
+        True if the set of contacts in N changes.
+    """
     model = t.model
     changed = False
     for c in range(model.n_contacts):
@@ -82,7 +86,11 @@ def _take_set(t):
 
 @inner
 def _begin_columns(t, c, phase):
-    """Forget what was observed of the columns of a contact that comes or goes."""
+    """Reset the contact detection of a contact's columns when it becomes active or inactive.
+
+    Args:
+        t: Tick. c: contact. phase: its new phase.
+    """
     for j in range(t.model.n_columns):
         if t.model.columns[j].contact == c:
             row = t.memory.columns[j]
@@ -95,10 +103,9 @@ def _begin_columns(t, c, phase):
 
 @inner
 def separate_integrals(t):
-    """Have force integrals taken by column where others are in N than before.
+    """Set `by_column` if the columns in N change; reset integrals of columns that do not remain.
 
-    Those of columns that do not stay begin at 0. `here`: which columns were in N and stay, their
-    phase not below the last one.
+    Reads `here`, which is 1 for columns that remain in N without returning to an earlier phase.
     """
     same = True
     for j in range(t.model.n_columns):
@@ -114,7 +121,7 @@ def separate_integrals(t):
 
 @inner
 def keep_integrals(t):
-    """Note whose the force integrals are, `force_sum` of this tick."""
+    """Store the force integrals `force_sum` of the kept columns by column, too."""
     work = t.work
     memory = t.memory
     memory.force_rank = work.rank

@@ -1,7 +1,8 @@
-"""What is judged of the sensors during a tick: whether motors, wrists, encoders, speeds agree.
+"""Consistency of motors, wrists, encoders and speeds, checked during a tick.
 
-Speeds of an approach may read too little; motor torques may contradict a wrist; encoders of several
-arms may place the object that these hold at different places. The last two stop the arms.
+Speeds of an approach are compared with positions, motor torques with wrist readings, and the poses
+of the object by the encoders of several arms with each other. A contradiction of the last two kinds
+stops the arms.
 """
 
 from __future__ import annotations
@@ -32,25 +33,26 @@ APART = declare_reason(
     "slipped",
 )
 
-_LAG = 0.02  #: s, of the low-pass of speeds of an approach
-_AGREE = 0.2  #: of the speed of an approach, by which speeds may read less than positions show
-_BALANCE = 0.04  #: s, of the low-pass of torques that nothing explains
-_USUAL = 1.0  #: s in which an unexplained torque becomes the usual one
-UNBALANCED_TIME = 0.1  #: s for which torques may be unexplained
-_DOUBTFUL = 0.5  #: of their bound; nothing is learned of more, within the next
-_DOUBTED = 0.2  #: s
-_OUTLIER = 10.0  #: times their bound; no more of unexplained torques counts in one tick
-_RUBBING = 2e-3  #: rad/s, m/s; joints that are faster than this rub
-_RUBS = 0.5  #: of the friction that the model has, which may be wrong
-_APART = 0.01  #: s for which arms may hold the object at different places
+_LAG = 0.02  #: s, time constant of the low-pass of speeds of an approach
+_AGREE = 0.2  #: largest deficit of an approach's speed, as a share of `approach_speed`
+_BALANCE = 0.04  #: s, time constant of the low-pass of unexplained torques
+_USUAL = 1.0  #: s, time constant of the mean of unexplained torques
+UNBALANCED_TIME = 0.1  #: s for which unexplained torques may exceed their bound
+_DOUBTFUL = 0.5  #: share of the bound above which unexplained torques suspend identification
+_DOUBTED = 0.2  #: s, longest suspension
+_OUTLIER = 10.0  #: largest unexplained torque of one tick, as a multiple of the bound
+_RUBBING = 2e-3  #: rad/s, m/s, speed above which a joint has dry friction along its motion
+_RUBS = 0.5  #: possible error of the modelled friction, as a share
+_APART = 0.01  #: s for which arms may place the object differently
 
 
 @inner
 def compare_speeds(t):
-    """Approaches use speeds from positions, low-passed, where NᵀV_rel is less than they show.
+    """Replace NᵀV_rel of approaching contacts by the speed from positions where it is too small.
 
-    Speeds that read too little would drive an object into its face ever faster. The twist that
-    positions show is that from the last tick's X_WO to this one's.
+    An approach with speed sensors that read too little would accelerate towards its face. The
+    twist from positions is computed from X_WO of the last tick and of this one, and low-passed.
+    Changes `speed`; fills `velocity_from_positions` and `velocity_from_encoders` of the columns.
     """
     memory = t.memory
     work = t.work
@@ -75,11 +77,10 @@ def compare_speeds(t):
 
 @inner
 def check_arms(t):
-    """Whether motors, wrists and encoders of the arms fit together; a reason to stop.
+    """Return a reason to stop if motors, wrists and encoders of the arms contradict each other.
 
-    The residual of the motors less friction, of either sign, must stay within `wrist_error`
-    of the torque limit, as far as it is not the usual one, and within twice that, see
-    `joint_friction`.
+    The motor residual less friction (`joint_friction`) must stay within `wrist_error` times the
+    torque limit of its long-term mean, and within twice that bound of zero.
     """
     model = t.model
     memory = t.memory
@@ -102,10 +103,13 @@ def check_arms(t):
 
 @inner
 def _balance_arm(t, k, dt):
-    """Whether unexplained torques of arm k have been too large for too long, see `check_arms`.
+    """Whether unexplained motor torques of arm k have exceeded their bound for too long.
 
-    From half of their bound on they are doubtful: nothing is learned of them, until they have
-    lasted for longer than a fault that is found.
+    Torques above half of the bound suspend the identification of friction for up to `_DOUBTED`,
+    longer than the detection of a fault takes.
+
+    Args:
+        t: Tick. k: arm. dt: time since the last computed tick with wrenches (s).
     """
     arm = t.model.arms[k]
     own = t.memory.arms[k]
@@ -123,15 +127,15 @@ def _balance_arm(t, k, dt):
         most = t.model.wrist_error * joint.tau_max
         theta = joint.theta
         speed = abs(known.means[SPEED])
-        most += _RUBS * (theta[0] + theta[1] * speed)  # this may be wrong
+        most += _RUBS * (theta[0] + theta[1] * speed)  # error of the modelled friction
         if t.memory.friction_known[j]:
             theta = t.memory.friction[j].theta
-        for i in range(3):  # slowly: a wrist that is wrong at once is not taken for friction
+        for i in range(3):  # slow, so that a sudden wrist fault is not attributed to friction
             known.trusted[i] += slow * (abs(theta[i]) - known.trusted[i])
         friction = known.trusted[0] + known.trusted[1] * speed + known.trusted[2] * abs(known.rate)
         least = _DOUBTFUL * most
         if known.means[V] * known.unexplained > _RUBBING * abs(known.unexplained):
-            most *= 2.0  # it brakes the joint, as friction does that is not learned yet
+            most *= 2.0  # the torque opposes the motion, like friction not identified yet
         rest = known.residual - clamped(known.residual, friction)
         known.unexplained += fast * (clamped(rest, _OUTLIER * most) - known.unexplained)
         rest = known.unexplained
@@ -147,7 +151,7 @@ def _balance_arm(t, k, dt):
 
 @leaf
 def _find_apart(t):
-    """An arm whose tip is further from where the object has it than `closure_error`, or −1."""
+    """Arm whose grasp point deviates by more than `closure_error` from the object, or −1."""
     model = t.model
     X = t.work.X_WO
     apart = -1

@@ -1,7 +1,8 @@
-"""Arms that are braked and held, with torques that are not those of a control law.
+"""Braking and holding of arms by joint torques, without the control law.
 
-Each arm carries itself and its share of the object, and is braked by the joint-space inertia of
-both. An arm whose wrist bears next to nothing has let go of the object: the others carry it then.
+The torques of each arm carry the arm and its share of the object, and brake it in proportion to the
+joint-space inertia of both. An arm with almost no load on its wrist is assumed to have let go of
+the object; then the other arms carry it.
 """
 
 from __future__ import annotations
@@ -36,26 +37,29 @@ from osc_contact.law.vectors import (
     velocity_at,
 )
 
-_AT_REST = 0.02  #: rad/s, m/s: below it a braked joint is held where it is
-_BRAKING = 0.3  #: s; a joint that still moves then is held all the same
-_LEAST = 0.1  #: share of the brakes that is left where motors can hardly carry the arm
-BRAKE_RATE = 40.0  #: 1/s: torques of a hold move from the last ones by their limit times this
-_HASTE = 4.0  #: times that, where a joint is above its speed limit
-_LIGHT = 0.25  #: of an arm's share of the object's weight; one that bears less has let go of it
-_SHAKES = 0.02  #: s, of the low-pass of what an arm bears
+_AT_REST = 0.02  #: rad/s, m/s, speed below which a braked joint counts as at rest
+_BRAKING = 0.3  #: s, longest time of braking until the joints are held
+_LEAST = 0.1  #: least share of the braking torques where motors can hardly carry the arm
+BRAKE_RATE = 40.0  #: 1/s, rate of the torques of a hold, as a multiple of their limits
+_HASTE = 4.0  #: factor of that rate if a joint is above its speed limit
+_LIGHT = 0.25  #: share of its part of the object's weight below which an arm has let go
+_SHAKES = 0.02  #: s, time constant of the low-pass of the load of a wrist
 
 
 @inner
 def hold_posture(t):
-    """τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw, h and M with the arms' shares of the object in w.
+    """Compute torques that brake the arms and hold them: τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw.
 
-    While joints are braked, q_hold moves with them, no further than braking takes: what moves on is
-    pushed, by a weight that is not quite known, or by an object that another arm has let go of.
-    Joints without a motor are not accelerated: only others, through the object, could do that, and
-    one that swings freely must not drive them. Where motors cannot exert it the second part is
-    scaled down as a whole; q_hold follows there, too, so that it takes energy from the joints.
-    Torques move in a straight line from the last ones, no motor faster than `BRAKE_RATE` allows, or
-    a joint that is above its speed limit, or needs all of its motor, makes necessary.
+    w is the wrench for each arm's share of the object's weight and inertia. While joints are
+    braked, q_hold moves with them, at most by the braking distance; a joint beyond it is pushed by
+    an error of the modelled weight or by an object that another arm has let go of. No acceleration
+    is commanded to joints without a motor, since a freely swinging joint must not drive others
+    through the object. If motors cannot exert the braking torques, these are reduced as a whole,
+    and q_hold follows the joints, so that the torques dissipate energy. Torques move in a straight
+    line from the last ones, at the rate `BRAKE_RATE`, or faster if a joint is above its speed limit
+    or its motor at its torque limit.
+
+    Reads q and v of MEMORY. Fills `tau`, `step` and the holds of the joints.
     """
     model = t.model
     work = t.work
@@ -65,7 +69,7 @@ def hold_posture(t):
     speed = memory.v
     if memory.settled != SETTLED:
         _move_holds(t)
-    world = local(3)  # the world's origin
+    world = local(3)  # origin of the world
     twist = local(6)
     drift = local(6)
     outboard = local(6)
@@ -95,7 +99,7 @@ def hold_posture(t):
         rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
         for j in range(model.arms[k].first, model.arms[k].end):
             memory.joints[j].acceleration = share * joints[j].acceleration
-            memory.joints[j].driven = 0  # wrong gravity and friction hold it for ever
+            memory.joints[j].driven = 0  # errors of gravity or friction may keep it at rest
             if share < 1.0:
                 memory.joints[j].hold = q[j]
             motor = model.joints[j].motor
@@ -109,9 +113,9 @@ def hold_posture(t):
 
 @inner
 def _move_holds(t):
-    """q_hold of joints that are braked: where they are, within what braking takes.
+    """Move q_hold of braked joints to their positions, at most by the braking distance.
 
-    They are settled when all are at rest, or have been braked for `_BRAKING`.
+    Sets `settled` to SETTLED when all joints are at rest, or have been braked for `_BRAKING`.
     """
     model = t.model
     memory = t.memory
@@ -130,9 +134,9 @@ def _move_holds(t):
 
 @inner
 def _count_holding(t):
-    """Note which stopped arms have let go of the object; how many have not.
+    """Number of arms that hold the object, without stopped arms that have let go of it.
 
-    None has where none bears anything, as if contacts carried the object.
+    If no arm bears a load, all arms count as holding, because contacts may carry the object.
     """
     n = t.model.n_arms
     holding = n
@@ -144,14 +148,15 @@ def _count_holding(t):
 
 @leaf
 def _weigh(t, k, world, outboard):
-    """Low-pass what the wrist of a stopped arm k bears.
+    """Low-pass the load on the wrist of a stopped arm k, and detect whether it has let go.
 
-    Less than `_LIGHT` of its share of the object shows that it has let go, until the next stop: an
-    arm that shakes, or a wrist with an error, may seem to bear something afterwards.
+    An arm whose load falls below `_LIGHT` times its share of the object's weight has let go; this
+    is not revoked until the next stop, because vibrations or errors of the sensor may look like a
+    load later. Fills `load`, `weighed` and `let_go` of the arm in MEMORY.
 
     Args:
-        k: arm, after `move_arm`. world: (3,) the world's origin, to which wrenches are carried.
-        outboard: (6,) wrench there that the bodies outboard of its wrist need.
+        t: Tick after `move_arm`. k: arm. world: (3,) origin of the world, reference point of the
+            wrenches. outboard: (6,) wrench there of the bodies outboard of the wrist.
     """
     model = t.model
     arm = model.arms[k]
@@ -173,16 +178,19 @@ def _weigh(t, k, world, outboard):
 
 @inner
 def _split_torques(t, arm, part, R, centre, weight):
-    """Torques of one arm and its share of the object; returns the share of the brakes that is left.
+    """Compute the torques of one arm and its share of the object, split in carrying and braking.
 
     Fills of its joints `tau`, which carries both at rest, and `rest`, which accelerates both by q̈.
-
-    Where they do not bear it all, `rest` is scaled as a whole, or cut off joint by joint if this
-    takes more power, −restᵀq̇, from the joints: a motor that hardly carries its part of the weight
-    then leaves the brakes of the others alone. q̈ is along −q̇ there: q_hold follows q.
+    If the motors cannot exert the sum, `rest` is reduced as a whole, or limited joint by joint if
+    this extracts more power −restᵀq̇ from the joints, so that one motor near its limit does not
+    weaken the brakes of the others. In this case q̈ is along −q̇, because q_hold follows q.
 
     Args:
-        arm: ARM. part: the arm's share of the object. R, centre, weight: from `_carry_weight`.
+        t: Tick. arm: ARM row. part: share of the object (0 … 1). R, centre, weight: from
+            `_carry_weight`.
+
+    Returns:
+        Share of `rest` that can be exerted.
     """
     table = t.model.joints
     joints = t.work.joints
@@ -215,7 +223,7 @@ def _split_torques(t, arm, part, R, centre, weight):
 
 @leaf
 def _clip_brake(joint, most):
-    """As much of `rest` as a motor of `most` N m (N) bears beside `tau`."""
+    """Braking torque `rest` of a joint, limited so that `tau` + `rest` is within ±most (N m, N)."""
     low = min(-most - joint.tau, 0.0)
     high = max(most - joint.tau, 0.0)
     return min(max(joint.rest, low), high)
@@ -223,10 +231,10 @@ def _clip_brake(joint, most):
 
 @inner
 def _accelerate_object(t, arm, part, R, centre):
-    """Wrench at the world's origin that lets an arm's share of the object follow q̈, as a tuple.
+    """Wrench (six numbers, at the world's origin) that accelerates a share of the object by q̈.
 
     Args:
-        arm: ARM. part: its share of the object. R, centre: from `_carry_weight`.
+        t: Tick. arm: ARM row. part: share of the object (0 … 1). R, centre: from `_carry_weight`.
     """
     work = t.work
     a = ZERO
@@ -243,13 +251,16 @@ def _accelerate_object(t, arm, part, R, centre):
 
 @inner
 def _carry_weight(t, R, centre, weight):
-    """Wrench at the world's origin that carries the object; returns whether there is an object.
+    """Compute the wrench at the world's origin that carries the object, and the object's axes.
 
-    Reads R and p of the joints, or `X_WO` of MEMORY where no arm holds the object rigidly.
+    Reads R and p of the joints, or `X_WO` of MEMORY if no arm holds the object rigidly.
 
     Args:
-        R: (3, 3), filled with its principal axes. centre: (3,), filled with its centre (m).
-        weight: (6,), filled with the wrench; zero if there is none.
+        t: Tick. R: (3, 3), filled with the principal axes. centre: (3,), filled with the centre of
+            mass (m). weight: (6,), filled with the wrench; zero without an object.
+
+    Returns:
+        False if no object is held, or if its pose is unknown.
     """
     model = t.model
     memory = t.memory

@@ -1,8 +1,8 @@
-"""Which readings of joints are faulty, and with what the joints are braked then.
+"""Isolation of faulty joint readings, and estimates of joint states from the sound ones.
 
-Where a joint's position and speed contradict one another, the one whose changes nothing else
-predicts is faulty. A packet that is dead, or that of other joints, has no sound reading at all.
-Positions and speeds that are not read, or faulty, are estimated from those that are sound.
+If position and speed of a joint contradict each other, the reading whose changes the commanded
+accelerations predict less is faulty. A packet that repeats itself or belongs to other joints has no
+sound readings. Missing and faulty positions and speeds are estimated from sound readings.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from osc_contact.law.jit import inner
 from osc_contact.law.records import FAULTY_POSITION, FAULTY_SPEED
 from osc_contact.law.vectors import clamped
 
-_GONE = 0.25  #: of `position_drift`; a joint must show so much of a speed that lasts
-_SLOPE = 0.005  #: s, of the filter of a speed that only positions show
-DEAD = 0.01  #: s of the very same readings after which a stuck joint is one of a dead packet
-BLIND = 0.01  #: s without a sound reading from which on a joint cannot be braked
+_GONE = 0.25  #: share of `position_drift` by which a lasting speed must change the position
+_SLOPE = 0.005  #: s, time constant of the speed estimate from positions
+DEAD = 0.01  #: s of identical readings of all joints after which the whole packet is dead
+BLIND = 0.01  #: s without a sound reading after which a joint cannot be braked
 
 
 @inner
 def isolate_joint(t, j):
-    """Note which reading of joint j is faulty, where they were found to contradict one another.
+    """Mark the faulty reading of joint j, whose position and speed contradict each other.
 
-    It is one that stands still while the other moves, or the one whose changes the commanded
-    accelerations predict less. Speeds come from one estimator for all joints: where those of one
-    are faulty, none is used any more.
+    A reading that is constant while the other one changes is faulty; otherwise the one whose
+    changes the commanded accelerations predict less. Speeds of all joints come from the same
+    estimator, so all are marked if that of one joint is faulty.
     """
     joint_memory = t.memory.joints
     known = joint_memory[j]
@@ -46,9 +46,10 @@ def isolate_joint(t, j):
 
 @inner
 def isolate_packet(t):
-    """Note that no joint is read, where motors contradict a wrist while all joints stand still.
+    """Mark all readings of joints as faulty if they are constant while motors contradict a wrist.
 
-    The torque is more than friction takes: joints that read the very same for as long must move.
+    The unexplained torque exceeds friction, so the joints must move although their readings have
+    been identical for `UNBALANCED_TIME`.
     """
     memory = t.memory
     for j in range(t.model.n_joints if memory.still > UNBALANCED_TIME else 0):
@@ -57,11 +58,11 @@ def isolate_packet(t):
 
 @inner
 def estimate_joints(t):
-    """Positions and speeds of the joints from their sound readings, else by prediction.
+    """Estimate positions and speeds of the joints (`q`, `v` of MEMORY) from sound readings.
 
-    A position that is not read, or is faulty, is integrated from the speed; a speed that is not
-    read, or is faulty, follows from positions and commanded accelerations. Without either both are
-    predicted, and the joint cannot be braked reliably: `memory.unbraked`.
+    A missing or faulty position is integrated from the speed; a missing or faulty speed is
+    estimated from positions and commanded accelerations. Without either reading both are predicted,
+    and the joint cannot be braked reliably; `unbraked` of MEMORY is set to such a joint, or −1.
     """
     model = t.model
     table = model.joints

@@ -305,10 +305,10 @@ def null_motions(own, Y, n, motions):
 
 @leaf
 def effort_metric(t, lo, n, m, arm, out):
-    """Compute the metric of the least effort Σ τ²/τ_max² with which an arm exerts a wrench.
+    """Compute the inverse metric of the least effort Σ τ²/τ_max² with which an arm exerts a wrench.
 
-    The metric is J̄ᵀ τ_max² J̄ for an arm with at most m joints, whose torques are unique; for an arm
-    with more joints it is Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, where the rows of U (`kept` of the arm) are the
+    It is J̄ᵀ τ_max² J̄ for an arm with at most m joints, whose torques are unique; for an arm with
+    more joints it is Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, where the rows of U (`kept` of the arm) are the
     wrenches that it can exert.
 
     Args:

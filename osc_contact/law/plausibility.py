@@ -1,8 +1,8 @@
-"""What is judged of the readings before a tick: whether they and the reference are credible.
+"""Plausibility of readings and reference before a tick is computed.
 
-Refused are rotations that are none, wrenches beyond what the sensors measure or too old, packets
-out of order, joints that move or change their speed faster than they can, and two joints that read
-what the other one read before. Such a tick is not computed, see `safety`; the next one may be.
+A tick is not computed (see `safety`) if the reference pose is not a rotation matrix, if a wrench
+exceeds the range of its sensor or is too old, if a packet arrives out of order, if a joint moves or
+changes its speed faster than possible, or if two joints exchange their positions.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from osc_contact.law.vectors import cross, dot3
 NO_ROTATION = declare_reason(
     "NO_ROTATION",
     14,
-    "reference X_WD: its rotation is none (R Rᵀ = 1 and det R = 1 are missed by more than 1e-4)",
+    "reference X_WD: its 3×3 part is not a rotation matrix (R Rᵀ = 1 and det R = 1 are missed by "
+    "more than 1e-4)",
 )
 OUT_OF_RANGE = declare_reason(
     "OUT_OF_RANGE",
@@ -39,7 +40,7 @@ WRENCH_TIMEOUT = declare_reason(
 STALE = declare_reason(
     "STALE",
     18,
-    "nothing newer than the last readings of joints or wrists came for longer than "
+    "no new readings of joints or wrists were received for longer than "
     "wrench_timeout = {safety.wrench_timeout:g} s; check the sensors' rate and the network",
 )
 OUT_OF_ORDER = declare_reason(
@@ -54,15 +55,18 @@ SPEEDS_JUMPED = declare_reason(
     "{safety.speed_error:g} of their limits",
 )
 
-_ROUND = 1e-4  #: by how much the rows of a rotation may differ from orthonormal ones
-_NOISE = 0.02  #: rad, m: joints may jump by as much, whatever their speed limits
-_EXCHANGED = 1e-3  #: rad, m; joints that read one another's positions differ by more
-_SAME = 0.2  #: of their difference; nearer to the other's position it is the other's
+_ROUND = 1e-4  #: largest deviation of R Rᵀ from the identity
+_NOISE = 0.02  #: rad, m, largest change of a position that never counts as a jump
+_EXCHANGED = 1e-3  #: rad, m, least difference of two positions whose exchange is detected
+_SAME = 0.2  #: share of this difference within which a reading is attributed to the other joint
 
 
 @inner
 def check_readings(t):
-    """Whether readings and reference are credible; a reason."""
+    """Check the plausibility of readings and reference; return a reason.
+
+    Fills `culprit`, and `looked` of WORK once jumps have been searched.
+    """
     model = t.model
     table = model.joints
     memory = t.memory
@@ -98,11 +102,12 @@ def check_readings(t):
 
 @inner
 def find_jumps(t):
-    """Note how many positions and speeds jump in this packet; to be called once a tick.
+    """Detect jumps of positions and speeds in this packet; must be called once in each tick.
 
-    `barred` is whether a joint's position does; `mixed` for how long those of several joints have,
-    or their speeds. A joint that jumps alone has lost its own reading only. Nothing is noted where
-    no reading is new, or none was before.
+    Fills `jumps`, `jumped`, `speed_jumps` and `speed_jumped` of WORK, `barred` of the joints
+    (NOT_BARRED, JUMP or EXCHANGED), and `mixed`, the time (s) for which positions or speeds of
+    several joints have jumped. Only the reading of a joint that jumps alone is discarded. Without
+    a new or a former reading nothing is detected.
     """
     memory = t.memory
     work = t.work
@@ -135,22 +140,22 @@ def find_jumps(t):
 
 @leaf
 def _expected(t, j):
-    """Position (m, rad) of joint j, from what was known of it a tick ago."""
+    """Predicted position (m, rad) of joint j, from its position and speed in the last tick."""
     return t.memory.q[j] + t.memory.v[j] * t.model.period
 
 
 @leaf
 def _jump(t, j, now):
-    """Whether joint j has moved faster than it can since its position was read last.
+    """Detect whether joint j has moved faster than possible since its position was last read.
 
-    After a jump its readings are compared with its predicted position: they do not become
-    plausible by waiting.
+    After a jump, readings are compared with the predicted position, so that they do not become
+    plausible with time.
 
     Args:
-        j: joint. now: its position as read at this tick (m, rad).
+        t: Tick. j: joint. now: position read in this tick (m, rad).
 
     Returns:
-        NOT_BARRED, JUMP, EXCHANGED.
+        NOT_BARRED, JUMP or EXCHANGED.
     """
     known = t.memory.joints[j]
     room = _NOISE + t.model.plausible_speed * t.model.joints[j].rated * t.model.period
@@ -166,13 +171,13 @@ def _jump(t, j, now):
 
 @inner
 def _find_exchange(t, off):
-    """Note pairs of joints each of which reads where the other one must be.
+    """Detect pairs of joints whose readings are exchanged.
 
-    Joints whose positions are nearly the same may be exchanged without a jump of either. Encoders
-    with much noise cross by chance, too, but then others are off that are in no such pair.
+    Joints with nearly the same position may be exchanged without a jump of either. Very noisy
+    encoders may look exchanged by chance; then further joints deviate, and no exchange is reported.
 
     Args:
-        off: number of joints that do not read what is expected of them.
+        t: Tick. off: number of joints whose positions deviate from their predictions.
     """
     n = t.model.n_joints
     crossed = 0
@@ -192,7 +197,7 @@ def _find_exchange(t, off):
 
 @leaf
 def _cross(t, i, j):
-    """Whether joints i and j each read where the other one must be, and not where they must be."""
+    """Whether joints i and j each read the predicted position of the other one, not their own."""
     own = t.input.q[i] - _expected(t, i)
     other = t.input.q[j] - _expected(t, j)
     near = _SAME * abs(own)
@@ -203,13 +208,11 @@ def _cross(t, i, j):
 
 @leaf
 def _speed_jumps(t, j):
-    """Whether the speed of joint j lies neither at the last one nor on the way that is commanded.
+    """Whether the speed of joint j jumps out of the range from the last speed to the commanded one.
 
-    A joint that is held, or whose motor gives less than it should, changes less than commanded.
-    Speeds that are estimated from positions jump with these.
-
-    Args:
-        j: joint.
+    The last speed is permitted because a joint that is blocked, or whose motor is weak, changes its
+    speed less than commanded. Speeds that are estimated from positions are not checked, because
+    they jump together with the positions.
     """
     known = t.memory.joints[j]
     room = t.model.speed_error * t.model.joints[j].speed_max * (1 + known.unread_q)
@@ -233,7 +236,7 @@ def is_measurable(t, k):
 
 @leaf
 def _is_rotation(X):
-    """R Rᵀ = 1 and det R = 1, but for `_ROUND`."""
+    """Whether the first 3×3 block R of X satisfies R Rᵀ = 1 within `_ROUND`, and det R > 0."""
     worst = 0.0
     for i in range(3):
         for j in range(i + 1):

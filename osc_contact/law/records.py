@@ -1,10 +1,11 @@
-"""The records of the law, declared once, and the bytes of controllers that hold them.
+"""Declarations of the law's records, and the byte arrays of controllers that contain them.
 
-Each is one run of bytes: a head, then the rows of arms, joints and so on, see `nested`. A
-controller has one row of MODEL and one of MEMORY; a batch has many. WORK and INPUT belong to the
-thread that computes. Field names of rows that are methods of `numpy.recarray` are not allowed.
+A record is a contiguous range of bytes: a head, then tables with the rows of arms, joints and so
+on, see `nested`. A controller has one row of MODEL and one of MEMORY; a batch has many. WORK and
+INPUT belong to the thread that computes. Fields of rows must not have names of methods of
+`numpy.recarray`.
 
-The parts of a tick take all four, and what is theirs:
+The functions of a tick take all four records together, and often rows of one arm:
 
 | argument | record |
 |---|---|
@@ -22,12 +23,12 @@ import numpy as np
 from osc_contact.law.jit import leaf
 from osc_contact.law.nested import Bytes, Nested
 
-# --- What is given, what is remembered, what a tick works out -------------------------------------
+# --- Parameters, states, and intermediate results of a tick ---------------------------------------
 
-MAX_JOINTS = 16  #: of one arm
-JOINTS_AND_SIX = MAX_JOINTS + 6  #: length of rows that carry six numbers behind those of the joints
-HISTORY = 16  #: ticks; by fewer than so many wrenches may be late
-MOST_LOST = 3  #: lost ticks over which integrals and phases advance at once; more are a hold
+MAX_JOINTS = 16  #: largest number of joints of one arm
+JOINTS_AND_SIX = MAX_JOINTS + 6  #: length of rows with one number for each joint, then six more
+HISTORY = 16  #: ticks; delays of wrenches must be shorter
+MOST_LOST = 3  #: lost ticks over which integrals and phases advance at once; after more they hold
 
 _INT = np.int64
 _FLOAT = np.float64
@@ -40,7 +41,12 @@ def _record(
     matrix: tuple[str, ...] = (),
     **shapes: int | tuple[int, ...],
 ) -> np.dtype[Any]:
-    """Fields: integers, numbers, other arrays of numbers, 6-vectors, 6 × 6 matrices."""
+    """Record type with named fields.
+
+    Args:
+        whole: names of integers. number: names of numbers. vector: names of vectors of six numbers.
+        matrix: names of 6 × 6 matrices. shapes: shapes of other arrays of numbers by their names.
+    """
     fields: list[Any] = [(name, _INT) for name in whole] + [(name, _FLOAT) for name in number]
     fields += [(name, _FLOAT, shape) for name, shape in shapes.items()]
     fields += [(name, _FLOAT, 6) for name in vector]
@@ -51,17 +57,15 @@ def _record(
 #: The parts of a tick, see `tick`.
 LOOK, MEASURE, COMMAND, ALLOCATE, END, HAND_OVER = range(6)
 
-# What is given ----------------------------------------------------------------------------------
+# Parameters -------------------------------------------------------------------------------------
 
-#: metrics of the motion filter, kinds of grasps, of pairs, of touched bodies
-BY_OBJECT, BY_CHAIN, BY_MATRIX = range(3)
-RIGID, HINGE, BALL, OTHER = range(4)
-POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN, SURFACE, FUNCTION = range(7)
-FILTER, LEAST_SQUARES = range(2)  #: how contact forces are read off the wrists
-#: columns and freedoms of pairs given by T
-FORCE, COUPLE, THREAD = range(3)
-TURN, SLIDE, SCREW = range(3)
-UNYIELDING, CONVEYOR, CART, YIELDING, ELSEWHERE = range(5)
+BY_OBJECT, BY_CHAIN, BY_MATRIX = range(3)  #: metrics of the motion filter
+RIGID, HINGE, BALL, OTHER = range(4)  #: kinds of grasps
+POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, GIVEN, SURFACE, FUNCTION = range(7)  #: kinds of pairs
+FILTER, LEAST_SQUARES = range(2)  #: methods of computing contact forces from wrist readings
+FORCE, COUPLE, THREAD = range(3)  #: columns of N of TANGENTS pairs
+TURN, SLIDE, SCREW = range(3)  #: permitted motions of TANGENTS pairs
+UNYIELDING, CONVEYOR, CART, YIELDING, ELSEWHERE = range(5)  #: kinds of touched bodies
 
 _MODEL = _record(
     whole=(
@@ -72,20 +76,22 @@ _MODEL = _record(
         "n_columns",
         "n_contacts",
         "n_bars",  # internal forces that can be commanded: pairs of grasps
-        "n_extra",  # rows that the torque allocation may need beside f_S
-        "held",
+        "n_extra",  # largest number of rows E of the torque allocation
+        "held",  # 1 if an object is held
         "metric",
-        "slipping",  # whether some grasp permits motions
-        "reading",  # how contact forces are read off the wrists
-        "leader",  # arm that holds rigidly, or −1
-        "rubs",  # whether friction of joints is compensated
-        "friction_learning",  # and learned
-        "friction_errors",  # and other errors of the arms
-        "phased",  # whether contacts are opened and closed one by one
-        "guarded",  # whether readings are judged: those of a controller, not of a lone chain
+        "slipping",  # 1 if a grasp permits motions
+        "reading",  # method of computing contact forces
+        "leader",  # arm that holds the object rigidly, or −1
+        "rubs",  # 1 if joint friction is compensated
+        "friction_learning",  # 1 if joint friction is identified
+        "friction_errors",  # 1 if errors of the links' masses are compensated, too
+        "phased",  # 1 with contact phases
+        "guarded",  # 1 if readings are checked: in a controller, not in a chain alone
+        # see `safety`: largest numbers of ticks with repeated torques, without a computed tick,
+        # with a joint above its speed limit
         "repeats",
         "fault_ticks",
-        "fast_ticks",  # see `safety`
+        "fast_ticks",
         "row_bytes",
         "memory_bytes",  # of one controller
     ),
@@ -103,7 +109,7 @@ _MODEL = _record(
         "slip",
         "learning",
         "hold_rate",
-        "torque_rate",  # 1/s, of `safety`
+        "torque_rate",  # 1/s, see `phases.torque_rate`
         # see `safety`: s to begin braking, W, N of the least limit, s of low and of high forces
         "reaction",
         "contact_power",
@@ -112,25 +118,25 @@ _MODEL = _record(
         "regain_time",
         "overforce_time",
         "integral_force",
-        "integral_motion",  # the most that integrals add: N, m/s² or rad/s²
+        "integral_motion",  # largest contributions of integrals: N; m/s² or rad/s²
         "force_brake",
         "drift_share",
         "step_time",
         "tilt",  # see `contact`
         "friction_share",
         "friction_smoothing",  # 1/s, see `joint_friction`
-        # see `sensors`: N, N m, times a speed limit, s without a wrench
-        "force_range",
-        "torque_range",
-        "plausible_speed",
-        "wrench_timeout",
-        "stuck_speed",
-        "frozen_time",  # likewise: share of a speed limit, s
-        "missed_share",  # of the ticks of the last second, see `safety`
-        "speed_error",
-        "position_drift",  # times a speed limit; rad or m
-        "wrist_error",
-        "closure_error",  # times a torque limit; m
+        # limits of sensor checks, see `plausibility`, `sensors`, `agreement` and `safety`
+        "force_range",  # N
+        "torque_range",  # N m
+        "plausible_speed",  # share of a speed limit
+        "wrench_timeout",  # s
+        "stuck_speed",  # share of a speed limit
+        "frozen_time",  # s
+        "missed_share",  # share of the ticks of the last second
+        "speed_error",  # share of a speed limit
+        "position_drift",  # rad or m
+        "wrist_error",  # share of a torque limit
+        "closure_error",  # m
         # contact phases, see `phases`
         "force_gain",
         "force_damping",
@@ -150,22 +156,22 @@ _MODEL = _record(
         "dwell",
         "leaving",
         "friction_bound",
-        # see `ceilings`: N, N, m/s; s; times the largest command so far
-        "contact_ceiling",
-        "wrist_ceiling",
-        "speed_ceiling",
-        "ceiling_time",
-        "contact_headroom",
+        # see `ceilings`
+        "contact_ceiling",  # N
+        "wrist_ceiling",  # N
+        "speed_ceiling",  # m/s
+        "ceiling_time",  # s
+        "contact_headroom",  # multiples of the largest command so far
         "wrist_headroom",
     ),
-    gravity=3,
-    roots=4,  # √ of mass and principal moments of the object
-    principal=4,  # those squared
-    reference=6,  # diagonal of Λ_ref, by which singular postures are judged
+    gravity=3,  # m/s², world axes
+    roots=4,  # square roots of mass and principal moments of the object
+    principal=4,  # mass and principal moments of the object
+    reference=6,  # diagonal of Λ_ref, see `operational`
     lightness=6,  # its inverse
-    X_LO=12,  # object in the leader's last joint: rotation by rows, then point
-    X_LP=12,  # its principal axes there; with no leader: in the object's frame
-    B_inv=(6, 6),  # of the motion filter, where it is given: world axes at O
+    X_LO=12,  # frame of the object in the leader's last joint: rotation by rows, then point
+    X_LP=12,  # frame of its principal axes there; without a leader in the object's frame
+    B_inv=(6, 6),  # BY_MATRIX: B⁻¹ of the motion filter, in world axes at O
 )
 ARM = _record(
     whole=(
@@ -179,41 +185,43 @@ ARM = _record(
         "filtered",
         "full_rank",
     ),
-    tip=12,
-    sensor=12,  # frames in their joints: rotation by rows, then point
-    outer=13,  # what of the first outboard link is beyond the sensor
-    grasp=(6, 6),  # rows: m of N, 6 − m of T, in the tip
-    point=3,
-    axis=3,
-    tip_axis=3,  # of the grasp: in the object, and its axis in the tip
-    X_TO=12,  # object in the tip where the grasp stands at zero
+    tip=12,  # frame of the tip in `tip_joint`: rotation by rows, then point
+    sensor=12,  # frame of the wrist sensor in `sensor_joint`
+    outer=13,  # inertia of the part of the first outboard link that is beyond the sensor
+    grasp=(6, 6),  # rows: m of N, 6 − m of T, in the frame of the tip
+    point=3,  # grasp point in the object
+    axis=3,  # axis of a hinge in the object
+    tip_axis=3,  # axis of a hinge in the tip
+    X_TO=12,  # frame of the object in the tip at zero displacement of the grasp
 )
-#: Joints turn about or slide along the z axis of their frame.
+#: Joint, which rotates about or slides along the z axis of its frame.
 JOINT = _record(
-    whole=("slides", "motor"),  # motor: number or −1
+    whole=("slides", "motor"),  # 1 if prismatic; number of its motor or −1
     number=(
         "tau_max",
         "speed_max",
         "lower",
         "upper",
-        "rated",  # speed limit of joints without a motor, too: none is watched above it
+        "rated",  # speed limit, also of passive joints, whose speeds are not monitored
         "brake",  # s²/rad: 1/(2a), a the deceleration of a stop
-        "effort",
-        "ease",  # τ_max², 1/τ_max²; 0 without motor
+        "effort",  # τ_max²; 0 without a motor
+        "ease",  # 1/τ_max²; 0 without a motor
         "armature",
         "posture",
+        # repulsion from the limits, see `allocation.push_from_limits`
         "low",
         "high",
         "width",
-        "most",  # see `control.records.joint_limit_margins`
-        "slip",  # speed from which on dry friction is whole
+        "most",
+        "slip",  # s_0, speed below which dry friction is regularised
     ),
-    theta=5,  # of `joint_friction`, at the start
-    placement=12,  # in the joint before it, or in the world: rotation by rows, then point
-    link=13,  # mass, centre, inertia about it by rows
+    theta=5,  # initial θ of `joint_friction`
+    placement=12,  # frame in the joint before it, or in the world: rotation by rows, then point
+    link=13,  # mass, centre of mass, inertia about it by rows
 )
-#: Of θ: residuals that are no friction, and rounding (N m, N); standard deviations by which it must
-#: differ from the model; standard deviation at the start and at most; bounds.
+#: Prior of θ of a joint: noise and rounding of residuals (N m, N); number of standard deviations by
+#: which θ must differ from the model; standard deviations at the start, their largest values;
+#: bounds.
 PRIOR = _record(number=("noise", "rounding", "sure"), doubt=5, spread=5, low=5, high=5)
 PAIR = _record(
     whole=(
@@ -223,29 +231,26 @@ PAIR = _record(
         "shape_at",
         "freedoms",
         "has_friction",
-        "address",  # of the function that a FUNCTION pair is
+        "address",  # of the compiled function of a FUNCTION pair
     )
 )
 SHAPE = _record(row=16)
 COLUMN = _record(whole=("contact",))
 BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
 
-# What is remembered -----------------------------------------------------------------------------
+# States -----------------------------------------------------------------------------------------
 
-GIVEN_POSE = 1
-GIVEN_TWIST = 2
-#: readings of a tick that are those of the last one; or even older, in a packet out of order
-JOINTS = 1
-WRISTS = 2
-OUTDATED = 4
-#: of a joint's position in this packet: credible; or not, as it jumps, or is another joint's
+GIVEN_POSE = 1  #: the object's pose is an input
+GIVEN_TWIST = 2  #: the object's pose and twist are inputs
+JOINTS = 1  #: flag: readings of the joints repeat those of the last tick
+WRISTS = 2  #: flag: readings of the wrists repeat those of the last tick
+OUTDATED = 4  #: flag: the packet is older than the last one
+#: State of a joint's position in a packet: credible, jumping, exchanged with another joint's.
 NOT_BARRED, JUMP, EXCHANGED = range(3)
-#: of the joints in a hold: braked, or where they are held
-BRAKED = 1
-SETTLED = 2
-#: of a joint
-FAULTY_POSITION = 1
-FAULTY_SPEED = 2
+BRAKED = 1  #: state of a hold: joints are being braked
+SETTLED = 2  #: state of a hold: joints are held at fixed positions
+FAULTY_POSITION = 1  #: flag of a joint
+FAULTY_SPEED = 2  #: flag of a joint
 
 _MEMORY = _record(
     whole=(
@@ -257,78 +262,75 @@ _MEMORY = _record(
         "engaged",
         "hand_over",
         "reason",
-        # see `safety`: ticks in this state, ticks in a row that were not computed, how many more of
-        # those than of computed ones, ticks too fast, ticks that may repeat
+        # see `safety`
         "state",
-        "age",
-        "faults",
-        "lost",  # wrenches _e of lost directions
-        "overspeed",
-        "repeats",
+        "age",  # ticks in this state
+        "faults",  # consecutive ticks that were not computed
+        "lost",  # ticks that were not computed, less computed ones (≥ 0)
+        "overspeed",  # weighted ticks above a speed limit
+        "repeats",  # ticks for which torques may be repeated
         "cause",
-        "settled",  # of a hold: BRAKED, SETTLED, or 0 where it begins
-        "culprit",  # joint, arm or column of N that the cause is about
-        "unbraked",  # joint that is stopped without any sound reading of it, or −1
-        "above",  # whether holds that test the encoders stand above where the joints came to rest
-        # see `sensors`: whether this tick has no wrench, ticks since the last one, whether one
-        # was ever read, whether joints were
-        "wrench_missing",
-        "wrench_age",
-        "has_wrench",
-        "compared",
-        "repeated",  # which readings of this tick are not new: JOINTS, WRISTS, OUTDATED
-        "old_joints",
-        "old_wrists",  # ticks since either was new
+        "settled",  # state of a hold: 0 where it begins, BRAKED, SETTLED
+        "culprit",  # joint, arm or column of N concerned by the cause
+        "unbraked",  # joint that is stopped without a sound reading, or −1
+        "above",  # 1 if holds that test encoders are above the joints' rest positions
+        # see `sensors`
+        "wrench_missing",  # 1 if this tick has no wrenches
+        "wrench_age",  # ticks since the last wrenches
+        "has_wrench",  # 1 once wrenches have been read
+        "compared",  # 1 once joints have been read
+        "repeated",  # flags of repeated readings: JOINTS, WRISTS, OUTDATED
+        "old_joints",  # ticks since joints had new readings
+        "old_wrists",  # ticks since wrists had new readings
         "balanced",  # ticks in which wrists were compared with motor torques
-        "instant",  # the same with lost ticks
-        "stamped",  # `instant` from which on wrenches have stamps; 0: they have none
-        "late",  # ticks by which wrenches are older than the readings of the joints
-        "derived",  # whether speeds are estimated from positions: no second reading of a joint
-        "given",  # GIVEN_POSE, GIVEN_TWIST: the object's pose, its twist too, need not be found
-        # see `active_set`: whether the reference of the last tick named the active contacts;
-        # whether force integrals stand in the columns, since others were in N
-        "chosen_set",
-        "by_column",
-        "status",  # how the last tick ended
+        "instant",  # number of those ticks, including lost ones
+        "stamped",  # `instant` since which wrenches have time stamps; 0 without stamps
+        "late",  # delay of the wrenches relative to the joints' readings (ticks)
+        "derived",  # 1 if speeds are estimated from positions, so a joint has one reading only
+        "given",  # GIVEN_POSE, GIVEN_TWIST, or 0 if pose and twist follow from the grasps
+        # see `active_set`
+        "chosen_set",  # 1 if the last reference named the active contacts
+        "by_column",  # 1 if force integrals are stored in the columns
+        "status",  # status of the last tick
     ),
     number=(
-        "more_friction",  # learned, beyond what is assumed
-        "slid",  # s for which it was learned from contacts that slid with their desired forces
-        "powered",
-        "ending",  # see `safety`: s of too much power, s near the end of a joint
-        "still",
-        "frozen",  # s for which joints, and all sensors, have read the very same
-        "apart",  # s for which arms have held the object at different places
-        "mixed",  # s for which several joints have jumped in one packet
+        "more_friction",  # identified coefficient of friction less the assumed one
+        "slid",  # s of sliding from which it was identified
+        "powered",  # s of too much power, see `safety`
+        "ending",  # s of a joint near an end stop
+        "still",  # s of identical readings of all joints
+        "frozen",  # s of identical readings of joints and wrists
+        "apart",  # s of arms that place the object differently
+        "mixed",  # s of several joints that jump in one packet
         "tested",  # s since the holds of a stop were last moved
         "missed",  # share of ticks that were not computed, low-passed
+        # steps, see `commands`: remaining share of the rise time, and rise time (s)
         "step_left",
-        "step_time",  # share of a step's time that is left, and that time, see `commands`
+        "step_time",
         "squeeze_left",
-        "squeeze_time",  # the same of a step of internal forces
-        # see `ceilings`: N, the largest command so far of one contact, and of all beside squeezes;
-        # s above each ceiling; the ceiling of a stop, and what was above it
-        "largest_force",
-        "largest_sum",
-        "over_contact",
+        "squeeze_time",
+        # see `ceilings`
+        "largest_force",  # N, largest command so far of one contact or squeeze
+        "largest_sum",  # N, largest sum of commands so far
+        "over_contact",  # s above the ceiling of contacts
         "over_wrist",
         "over_tip",
-        "ceiling",
+        "ceiling",  # ceiling that stopped the arms, and the value above it
         "reached",
     ),
-    centre_speed=3,  # of the object's centre in the last tick (m/s), and its rate, low-passed
-    centre_rate=3,
-    X_WO=(4, 4),  # where no arm holds the object rigidly: the start of the next search
+    centre_speed=3,  # velocity of the object's centre in the last tick (m/s)
+    centre_rate=3,  # its rate, low-passed (m/s²)
+    X_WO=(4, 4),  # pose of the object; without a leader, the start of the next search
     vector=(
-        "motion_sum",
+        "motion_sum",  # integral of the permitted pose error
         "f_tare",
         "f_bias",
-        "force_sum",  # of the columns kept in the last tick
-        "V_O",  # where it is given
+        "force_sum",  # force integrals of the columns kept in the last tick (N)
+        "V_O",  # GIVEN_TWIST: twist of the object at O
     ),
 )
 CONTACT_MEMORY = _record(
-    whole=("active", "phase", "held"),  # whether it was measured closed since it was open last
+    whole=("active", "phase", "held"),  # held: 1 once a steady force was measured since OPEN
     number=("gain", "damping", "brake", "least", "since"),
 )
 COLUMN_MEMORY = _record(
@@ -336,116 +338,117 @@ COLUMN_MEMORY = _record(
         "closed",
         "collision",
         "known",
-        "has_desired",  # whether a force was desired of it in the last tick
+        "has_desired",  # 1 if a force was desired in the last tick
     ),
     number=(
+        # see `phases.monitor`
         "low_for",
         "high_for",
         "burst",
-        "armed_for",  # see `phases.monitor`
-        "force",
-        "filtered_speed",  # low-passed magnitude and speed
-        "alpha",
-        "speed",
-        "net",  # of the last tick; net: without the inertia of what flies
-        "underforce",
-        "overforce",  # see `safety`: s of too little force, and of too much
-        "desired",
-        "scale",
-        "drift",  # desired force, its size, lasting speed, see `commands`
-        "driven",
-        "deflection",
-        "eased",
-        "eased_rate",  # m/s, m, α_s (N, N/s): of a yielding face, see `commands`
-        "yielded",
-        "alpha_mean",
-        "eased_mean",
-        "correlation",
-        "excitation",  # m, N, N, m N s, N² s: of what its compliance is learned
-        "predicted",
-        "gap",
-        "time_since_loss",  # see `phases`: N to be read, m and s since it was lost
+        "armed_for",
+        "force",  # N, low-passed measured force
+        "filtered_speed",  # m/s, low-passed NᵀV_rel
+        "alpha",  # N, measured force of the last tick
+        "speed",  # m/s, NᵀV_rel of the last tick
+        "net",  # N, `force` less the inertial force of free flight
+        "underforce",  # s of too little force, see `safety`
+        "overforce",  # s of too much force
+        # see `commands`
+        "desired",  # N, last desired force
+        "scale",  # N, its size
+        "drift",  # m/s, lasting speed v̄
+        # brake on a yielding face, see `commands`
+        "driven",  # m/s, state of v̂
+        "deflection",  # m, p
+        "eased",  # N, α_s
+        "eased_rate",  # N/s, α̇_s low-passed
+        # estimate of its compliance
+        "yielded",  # m, x̃
+        "alpha_mean",  # N, low-passed α
+        "eased_mean",  # N, low-passed α_s
+        "correlation",  # m N s
+        "excitation",  # N² s
+        # see `phases`
+        "predicted",  # N, force to be expected
+        "gap",  # m, distance since the contact was lost
+        "time_since_loss",  # s
         "noise",  # N
         "integral",  # N, of the force law
-        "touch",
-        "explained",  # N, low-passed, of an approached column: see `witness`
-        "unexplained",  # m/s, low-passed speed that the estimate of the normal does not explain
+        # low-passed, of an approached column, see `witness`
+        "touch",  # N
+        "explained",  # N
+        # estimate of the normal, see `contact`
+        "unexplained",  # m/s, low-passed speed that the estimate does not explain
         "residual",  # (m/s)², its mean square
-        "normal_std",  # rad, of that estimate where it is least certain; 0: none
+        "normal_std",  # rad, largest standard deviation; 0 without an estimate
+        # low-passed NᵀV_rel, see `agreement.compare_speeds`
         "velocity_from_positions",
-        "velocity_from_encoders",  # low-passed NᵀV_rel, of positions and of speeds
+        "velocity_from_encoders",
     ),
-    to_come=3,  # of a step, see `commands`
-    turn=3,  # of the assumed normal, in the axes of its body, see `contact`
-    tangential=3,  # force that friction does not explain (N), low-passed, see `reading`
-    covariance=9,  # of that turn (rad²); 0: not estimated
+    to_come=3,  # a, b, c of the remainder of a step, see `commands`
+    turn=3,  # turn of the assumed normal, in the axes of the body that carries it, see `contact`
+    tangential=3,  # N, tangential force that friction does not explain, low-passed, see `reading`
+    covariance=9,  # rad², of `turn`; 0 without an estimate
 )
-#: of an internal force: what was desired last (N), its size, what is to come of a step
+#: Internal force: last desired value (N), its size (N), a, b, c of the remainder of a step.
 BAR_MEMORY = _record(number=("desired", "scale"), to_come=3)
-#: what is known of a joint from its sensors, see `sensors`; `acceleration`: as commanded last
+#: State of a joint from its sensors, see `sensors`, and of its friction, see `joint_friction`.
 JOINT_MEMORY = _record(
     whole=(
-        "faulty",  # FAULTY_POSITION, FAULTY_SPEED
-        "unread_q",
-        "unread_v",  # ticks since either was read
-        "stuck",  # whether it should have moved by what was commanded
-        "driven",  # whether friction cannot hold it against what was commanded
-        # whether its last reading was a jump; how often its position has changed while the hold
-        # stood where it does, and holds in a row that it has followed, see `sensors`
-        "barred",
-        "changes",
-        "followed",
+        "faulty",  # flags FAULTY_POSITION, FAULTY_SPEED
+        "unread_q",  # ticks since the position was read
+        "unread_v",  # ticks since the speed was read
+        "stuck",  # 1 if it does not move although it is commanded to
+        "driven",  # 1 if dry friction cannot hold it against the command
+        "barred",  # NOT_BARRED, JUMP, EXCHANGED
+        "changes",  # changes of the position since the hold was last moved
+        "followed",  # consecutive moves of the hold that it has followed
     ),
     number=(
-        "q",
-        "v",  # last read
-        "hold",
-        "way",  # that braking takes, from its speed when a hold began
-        "acceleration",
-        "pending",  # speed commanded since the position was last read, over lost ticks too
-        "gained",  # speed commanded while the position stood still
-        "error",
-        "drift",  # of speeds from positions, low-passed; and summed
-        # s for which the speed has been the very same, and how far the joint was seen to move
-        # meanwhile; how far it should have moved by its speeds since the position last changed
-        "same_speed",
-        "moved",
-        "due",
-        # s for which the position has been the very same; where it was when the hold was last
-        # moved, and how far it had gone since the time before
-        "rested",
-        "begun",
-        "went",
-        "step",  # its last change, and the share of changes that turned back, low-passed
-        "turning",
-        "model_v",
-        "model_q",  # speeds predicted from those read, and from those of positions
-        "surprise_v",
-        "surprise_q",  # what of either was not predicted, low-passed
-        # see `joint_friction`: torques that h inboard and the wrench take, last speed, its rate
-        "past_weight",
-        "load",
-        "past_v",
-        "rate",
-        "residual",
-        # permitted speed, the mean of its sign in this tick, its rate; friction compensated
-        "speed",
-        "sign",
-        "turn",
-        "friction",
+        "q",  # last position read
+        "v",  # last speed read
+        "hold",  # q_hold
+        "way",  # braking distance, from its speed when the hold began
+        "acceleration",  # last commanded acceleration
+        "pending",  # speed commanded since the position was last read, over lost ticks, too
+        "gained",  # speed commanded while the position did not change
+        "error",  # speed less speed from positions, low-passed
+        "drift",  # its integral, with forgetting
+        "same_speed",  # s of identical speeds
+        "moved",  # displacement during these
+        "due",  # integral of the speed since the position last changed
+        "rested",  # s of identical positions
+        "begun",  # position when the hold was last moved
+        "went",  # displacement before that, since the move before
+        "step",  # last change of the position
+        "turning",  # share of changes that reversed the one before, low-passed
+        "model_v",  # speed predicted from speeds read
+        "model_q",  # speed predicted from positions
+        "surprise_v",  # error of either prediction, low-passed
+        "surprise_q",
+        # see `joint_friction`
+        "past_weight",  # torque of the arm's h less outboard bias in the last tick
+        "load",  # torque of the wrench in the last tick
+        "past_v",  # last speed
+        "rate",  # low-passed acceleration
+        "residual",  # r
+        "speed",  # permitted speed s
+        "sign",  # mean of its regularised sign in this tick
+        "turn",  # ṡ
+        "friction",  # compensated friction f
         "unlearned",  # e
-        # what of the residual is not compensated, low-passed, and its mean; s for which it has been
-        # too large
-        "unexplained",
-        "usual",
-        "unbalanced",
+        # see `agreement`
+        "unexplained",  # residual less identified friction, low-passed
+        "usual",  # its mean over a longer time
+        "unbalanced",  # s for which it has been too large
     ),
-    trusted=3,  # F, D and |A| as learned for long, see `sensors`
-    means=6,  # of `joint_friction`: what it observes of a tick, low-passed
+    trusted=3,  # F, D and |A| low-passed over a long time, see `agreement`
+    means=6,  # low-passed signals, see `joint_friction`
 )
-PAST = _record(history=(HISTORY, 8))  #: of a joint, where wrenches have stamps
-#: θ of a joint, the same without bounds, its covariance, variance of residuals; share of what is
-#: learned that is applied; means low-passed once more; see `joint_friction`
+PAST = _record(history=(HISTORY, 8))  #: signals of a joint in former ticks, for delayed wrenches
+#: Estimate of a joint's friction, see `joint_friction`: variance of residuals, s of evidence, s of
+#: rest, share that is applied, s of contradiction; θ, θ without bounds and its covariance;
+#: regressors after the second low-pass.
 FRICTION = _record(
     number=("noise", "evidence", "rested", "applied", "contradicted"),
     theta=5,
@@ -453,19 +456,19 @@ FRICTION = _record(
     P=(5, 5),
     smooth=6,
 )
-#: ticks since a wrist was read, s for which it has read the very same, and for which motors have
-#: been doubtful; of a stopped arm, see `holding`: whether its load was read, whether it has let go
-#: of the object, and the force that its wrist bears (N), low-passed
+#: State of an arm: ticks since its wrist was read; of a stopped arm (see `holding`), 1 once the
+#: load of its wrist was read, 1 if it has let go of the object; s of identical readings of its
+#: wrist, s for which motor torques contradict the wrist; force on its wrist (N), low-passed.
 ARM_MEMORY = _record(whole=("unread", "weighed", "let_go"), number=("same", "doubtful"), load=3)
 
-# What a tick works out --------------------------------------------------------------------------
+# Intermediate results of a tick -----------------------------------------------------------------
 
-#: Vectors are at O in world axes where nothing else stands beside them; `_e`: energy coordinates;
-#: `_t`: these turned so that the first m axes are the locked ones.
+#: Vectors are at O in world axes unless a comment says otherwise. `_e`: energy coordinates. `_t`:
+#: energy coordinates turned so that the first m axes are the locked ones.
 _WORK = _record(
     whole=(
-        # see `plausibility`: whether jumps were looked for, how many positions and speeds jump, and
-        # one joint of each
+        # see `plausibility.find_jumps`: 1 once it was called in this tick, numbers of positions and
+        # of speeds that jump, and one joint of each
         "looked",
         "jumps",
         "jumped",
@@ -484,7 +487,7 @@ _WORK = _record(
         "weightless",
     ),
     number=(
-        "reason_amount",  # the number that the sentence of a reason gives
+        "reason_amount",  # number in the sentence of a reason
         "dt",
         "mu",
         "more_friction",
@@ -495,7 +498,7 @@ _WORK = _record(
         "squeeze_time",
         "integral_scale",
     ),
-    # what recordings keep, side by side
+    # contiguous, as recordings copy them together
     f_meas=6,
     bias_out=6,
     V_O=6,
@@ -509,7 +512,7 @@ _WORK = _record(
     X_WD=(4, 4),
     beta=8,
     vector=(
-        "V_D",  # with X_WD and A_D the reference of the last computed tick
+        "V_D",  # reference of the last computed tick, with X_WD and A_D
         "A_D",
         "V_C",  # twist of the object at C
         "bias_links",
@@ -522,19 +525,19 @@ _WORK = _record(
         "alpha_d",
         "alpha_meas",
         "alpha_u",
-        "reaction",  # what tangential forces take off it
+        "reaction",  # N, contact force lost by tangential forces, see `reading.oppose_friction`
         "speed",
         "gain",
         "damping",
         "brake",
         "least",
-        "felt",  # what the force integral compares with alpha_d
+        "felt",  # N, measured force that the force integral compares with alpha_d
         "reading_e",  # f_meas − bias_out
         "reading_rest",  # R⁻¹(f − N_μα) of least squares, see `reading.weigh_magnitudes`
         "motion_next",
         "force_next",
         "a_u",
-        "acceleration_t",  # commanded to the object: S η̇_c + σ
+        "acceleration_t",  # commanded acceleration of the object, S η̇_c + σ
         "f_S",
     ),
     matrix=(
@@ -564,14 +567,15 @@ ARM_WORK = _record(
     mode=(6, MAX_JOINTS),  # joints' motions of lost directions
     vector=(
         "reading",  # of its wrist
-        "V",
+        "V",  # twist of the tip at C
         "drift",  # of the tip at C
         "bias",  # wrench of the outboard bodies at q̈ = 0, at C
-        "gamma",  # drift, _e, as far as the grasp passes it on
+        "gamma",  # drift, _e
+        # of lost directions, see `operational.find_lost`
         "chi",
         "share",
-        "gone",  # of lost directions; gone: the chain counts them as locked
-        "net",  # reading of its wrist at C less what moves and carries the bodies outboard of it
+        "gone",  # 1 if the chain counts them as locked
+        "net",  # reading of its wrist at C less weight and inertia of the bodies outboard of it
     ),
     matrix=(
         "passed",  # m of N, then 6 − m of T, orthonormal _e
@@ -613,14 +617,14 @@ COLUMN_WORK = _record(
         "explained",  # N, see `witness`
     ),
     to_come=3,
-    point=3,
-    slip=3,  # of contact, from O; v_t / √(v_t² + v_0²) there
-    turn=3,
-    turned=3,  # of the assumed normal, and after this tick
-    shown=3,  # direction in which sliding shows its error, in the same axes
-    prior=9,  # covariance before anything has slid
-    believed=3,  # that normal, into the body and in its axes, where no shape has it
-    tangential=3,  # for the next tick
+    point=3,  # point of contact from O
+    slip=3,  # v_t / √(v_t² + v_0²) there
+    turn=3,  # turn of the assumed normal, see `contact`
+    turned=3,  # turn after this tick
+    shown=3,  # direction in which sliding shows an error of the normal, in the same axes
+    prior=9,  # covariance before any sliding
+    believed=3,  # declared normal, in the axes of the body that carries the face
+    tangential=3,  # N, for the next tick
     vector=(
         "N",
         "friction_wrench",
@@ -629,13 +633,11 @@ COLUMN_WORK = _record(
         "share",
     ),
 )
-BAR_WORK = _record(number=("goal", "scale"), to_come=3)  #: goal: what is commanded (N)
+BAR_WORK = _record(number=("goal", "scale"), to_come=3)  #: commanded force (N), size, step
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E
 
-#: How a tick ends.
-OK, SATURATED, HELD, DEGRADED = range(4)
-#: What the controller does, see `safety`.
-RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)
+OK, SATURATED, HELD, DEGRADED = range(4)  #: status of a tick
+RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)  #: state of a controller, see `safety`
 
 # The records as one run of bytes each -----------------------------------------------------------
 
@@ -648,23 +650,23 @@ MODEL = Nested(
     shapes=(SHAPE, "s"),
     columns=(COLUMN, "r"),
     bodies=(BODY, "c"),
-    priors=(PRIOR, "n"),  # last: read where friction is learned only
+    priors=(PRIOR, "n"),  # last, since it is read only if friction is identified
 )
 MEMORY = Nested(
     _MEMORY,
     contacts=(CONTACT_MEMORY, "c"),
-    torques="a",  # given out last
+    torques="a",  # motor torques of the last tick
     joints=(JOINT_MEMORY, "n"),
     arms=(ARM_MEMORY, "k"),
     q="n",
     v="n",  # as estimated, see `isolation.estimate_joints`
     friction_known=(_INT, "n"),  # see `joint_friction`
-    wrenches=("k", 6),  # last read
-    squeeze="squeezes",  # internal forces that are desired (N)
+    wrenches=("k", 6),  # last ones read
+    squeeze="squeezes",  # desired internal forces (N)
     internal=(BAR_MEMORY, "squeezes"),  # see `commands`
-    friction=(FRICTION, "n"),  # used where friction is learned only
-    past=(PAST, "n"),  # used where wrenches have stamps only
-    columns=(COLUMN_MEMORY, "r"),  # last: pairs in Python may change r
+    friction=(FRICTION, "n"),  # used only if friction is identified
+    past=(PAST, "n"),  # used only if wrenches have time stamps
+    columns=(COLUMN_MEMORY, "r"),  # last, since pairs in Python may change r
 )
 WORK = Nested(
     _WORK,
@@ -673,27 +675,25 @@ WORK = Nested(
     columns=(COLUMN_WORK, "r"),
     bodies=(BODY_WORK, "c"),
     locked_rows=("6k", 7),  # of all arms: unit wrenches _e and their rates
-    tau="a",
-    step="a",  # of the motors, and the most that they may change by
-    # of all columns of N: goals (N), whether they are in force; magnitudes, NᵀV_rel; numbers of
-    # those in force, and of those kept
-    goal="r",
-    here="r",
-    alpha="r",
-    speeds="r",
-    chosen=(_INT, "r"),
-    kept=(_INT, "r"),
-    # of the torque allocation, see there: E, R⁻¹Eᵀ, the factor of Z, b; and of a row of E that may
-    # depend on those before it the multipliers of these, its rest and this weighed by R⁻¹. Their
-    # sizes are those of the model, so that they do not stand on the stack.
-    extra=("e", "n"),
-    weighed=("e", "n"),
-    factor=("6e", "6e"),
-    sides="6e",
+    tau="a",  # motor torques
+    step="a",  # their largest changes
+    # columns of N
+    goal="r",  # N
+    here="r",  # 1 if active
+    alpha="r",  # N, measured force
+    speeds="r",  # m/s, NᵀV_rel
+    chosen=(_INT, "r"),  # indices of active columns
+    kept=(_INT, "r"),  # indices of independent columns
+    # torque allocation, see `allocation`; these sizes depend on the model, so they are not local
+    extra=("e", "n"),  # E
+    weighed=("e", "n"),  # R⁻¹Eᵀ
+    factor=("6e", "6e"),  # of Z
+    sides="6e",  # b
+    # of a row of E that may depend on those before it: multipliers of these, remainder, its R⁻¹
     multipliers="6e",
     rest="n",
     rest_weighed="n",
-    # of internal forces, see `commands` and `allocation.settable_bars`
+    # internal forces, see `commands` and `allocation.settable_bars`
     internal=(BAR_WORK, "squeezes"),
     bars="squeezes",
     points=("k", 3),
@@ -706,14 +706,15 @@ WORK = Nested(
     bar_torques=("bars", "n"),
     moving_torques=(_FLOAT, 6, "n"),
 )
-#: What came in at a tick.
+#: Input of a tick.
 INPUT = Nested(
     _record(
-        # whether motions of the touched bodies were measured, and active contacts are named
+        # 1 if motions of the touched bodies are measured; 1 if active contacts are named
         whole=("moving", "chosen_set"),
+        # reference
         X_WD=(4, 4),
         V_D=6,
-        A_D=6,  # the reference
+        A_D=6,
     ),
     q="n",
     v="n",
@@ -722,7 +723,7 @@ INPUT = Nested(
     touched=("c", 28),  # X_WE by rows, V_E, A_E of the bodies
     active="c",  # 1: in the active set, 0: not
 )
-#: What a call of `tick.rows` is to do: parts of the tick, rows; where their bytes are.
+#: Job of a call of `tick.rows`: parts of the tick, rows, and offsets of their bytes.
 JOB = Nested(
     _record(
         whole=(
@@ -741,7 +742,7 @@ JOB = Nested(
     )
 )
 
-#: What the parts of a tick take: four records.
+#: The four records that the functions of a tick take.
 Tick = namedtuple("Tick", "model memory work input")
 
 
@@ -752,10 +753,10 @@ _job, _model, _memory, _work, _input = (kind.at for kind in (JOB, MODEL, MEMORY,
 
 @leaf
 def row_of(raw, at, i):
-    """The records of a row.
+    """Records of one row, as compiled functions take them.
 
     Args:
-        raw: bytes of `Rows`. at: where the JOB of a thread is. i: which row.
+        raw: bytes of `Rows`. at: offset of the JOB of a thread. i: index of the row.
     """
     job = _job(raw, at)
     model = _model(raw, job.model + i * job.model_step)
@@ -765,13 +766,13 @@ def row_of(raw, at, i):
 
 @leaf
 def contact_of(t, column):
-    """CONTACT_MEMORY of the contact that a column of N belongs to."""
+    """Return the CONTACT_MEMORY of the contact of a column of N."""
     return t.memory.contacts[t.model.columns[column].contact]
 
 
 @leaf
 def body_of(t, column):
-    """BODY that a column of N presses on."""
+    """Return the BODY row of the body touched by the contact of a column of N."""
     return t.model.bodies[t.model.columns[column].contact]
 
 
@@ -789,7 +790,11 @@ COUNTED = {
 
 
 def _counts(k: int, n: int, a: int, c: int, s: int, r: int) -> dict[str, int]:
-    """Sizes of all tables: arms, joints, motors, contacts, shapes, columns; and what follows."""
+    """Sizes of all tables by their names in the declarations.
+
+    Args:
+        k, n, a, c, s, r: numbers of arms, joints, motors, contacts, shapes and columns of N.
+    """
     bars = k * (k - 1) // 2
     extra = max(1, bars) + 6 * k
     return {
@@ -812,10 +817,13 @@ def _counts(k: int, n: int, a: int, c: int, s: int, r: int) -> dict[str, int]:
 def new_model(
     arms: int, joints: int, motors: int, contacts: int = 0, shapes: int = 0, columns: int = 0
 ) -> Bytes:
-    """A row of MODEL in which nothing stands but how many there are of everything.
+    """Make a row of MODEL that is zero except for its layout and its numbers of parts.
 
     Args:
-        arms, joints, motors, contacts, shapes, columns: how many there are of each.
+        arms, joints, motors, contacts, shapes, columns: number of each.
+
+    Returns:
+        The bytes of the row.
     """
     counts = _counts(arms, joints, motors, contacts, shapes, columns)
     raw = MODEL.new(counts)
@@ -828,22 +836,23 @@ def new_model(
 
 
 class Rows:
-    """Controllers of one structure in one run of bytes, which `tick.rows` works on.
+    """Records of controllers of the same structure in one array of bytes, for `tick.rows`.
 
     Attributes:
-        numbers, raw: all of it, as numbers and as bytes.
-        model, memory: (rows, size) MODEL and MEMORY of each row; where all MODELs are the same, one
-            that all rows share and nobody writes to.
-        jobs, work, input: (threads, size) JOB, WORK and INPUT of each thread.
-        starts: where the JOB of each thread is.
+        numbers, raw: the whole array, as numbers and as bytes.
+        model, memory: (rows, size) bytes of MODEL and MEMORY of each row. If all MODELs are equal,
+            all rows share one of them, which must not be written to.
+        jobs, work, input: (threads, size) bytes of JOB, WORK and INPUT of each thread.
+        starts: offset of the JOB of each thread.
         job: JOB of the first thread.
     """
 
     def __init__(self, model: Bytes, memory: Bytes | None = None, threads: int = 1) -> None:
-        """Copy models and memories.
+        """Copy models and memories into one array.
 
         Args:
-            model, memory: (rows, size) bytes; memory None: as new. threads: that share them.
+            model: (rows, size) bytes of MODEL. memory: (rows, size) bytes of MEMORY; None: initial
+                state. threads: number of threads that share the rows.
         """
         model = np.atleast_2d(model)
         head = MODEL.view(model[0])
@@ -890,10 +899,11 @@ class Rows:
 
 
 def views(rows: Rows, i: int = 0, thread: int = 0) -> Any:
-    """The records of a row, as the law's parts take them.
+    """Records of one row, for use in Python.
 
     Args:
-        rows: controllers. i: which. thread: whose WORK and INPUT.
+        rows: records of controllers. i: index of the row. thread: thread whose WORK and INPUT are
+            taken.
     """
     return Tick(
         MODEL.view(rows.model[i]),

@@ -1,4 +1,4 @@
-"""Limits of the robot, and what happens when a tick cannot be computed: repeat, hold, stop."""
+"""Limits of the robot; repeated torques, holds and stops when a tick cannot be computed."""
 
 from __future__ import annotations
 
@@ -60,27 +60,28 @@ OVERFORCE = declare_reason(
 
 # --- Limits of the robot: speeds, ends of joint ranges, contact forces and power ------------------
 #
-# Each rule looks at a tick that could be computed, before its torques are worked out. A reason that
-# it finds stops the arms, see `safety`. Rules about forces and speeds collect seconds of evidence:
-# what contradicts them takes it away at the same rate, so that neither a knock nor one wrong
-# sample stops a robot, and bouncing does.
+# Rules are evaluated in a tick that can be computed, before its torques. A reason that a rule
+# returns stops the arms. Rules about forces and speeds accumulate the time for which they are
+# violated, and subtract the time for which they are not, so that neither a knock nor a single wrong
+# sample stops a robot, but repeated impacts do.
 
-_FULL = 0.99  #: share of its bound at which a force integral has reached it
-_SHARE = 0.2  #: share of a command; a contact that reads less is lost
-_LIGHT = 1.0  #: N; what is commanded less cannot be distinguished from nothing
-SURE = 0.0025  #: s of evidence, at the least, that one wrong sample does not bring about
-#: a joint's time above its limit counts once more for each eighth of it that it is beyond it
+_FULL = 0.99  #: share of its bound from which on a force integral counts as saturated
+_SHARE = 0.2  #: share of its command below which a contact is lost
+_LIGHT = 1.0  #: N, command below which a loss of contact cannot be detected
+SURE = 0.0025  #: s, least duration of evidence; a single wrong sample does not last so long
+# A tick above the speed limit has the weight 1 + _FASTER (|v|/v_max − 1), where the excess counts
+# up to _MOST.
 _FASTER = 8.0
 _MOST = 10.0
-_OVERFORCE = 3.0  #: times the command; a contact that reads more is overloaded
+_OVERFORCE = 3.0  #: multiple of its command above which a contact is overloaded
 
 
 @leaf
 def watch_joints(t):
-    """Joints above their speed limits for too long, or about to run into an end stop; a reason.
+    """Return a reason if a joint is too fast for too long, or cannot stop before its end stop.
 
-    A joint can stop within |q̇|(t_r + |q̇|/(2a)), t_r the time until the brakes are on. One that is
-    beyond its end already is left alone: no braking helps there.
+    The stopping distance of a joint is |q̇|(t_r + |q̇|/(2a)), where t_r is the time until the brakes
+    act. Joints beyond the end of their range are excluded, because braking cannot keep them in it.
     """
     model = t.model
     memory = t.memory
@@ -112,12 +113,12 @@ def watch_joints(t):
 
 @inner
 def watch_contacts(t):
-    """Contacts that take too much power, that are lost, or overloaded; a reason.
+    """Return a reason if a contact takes too much power, is lost, or is overloaded.
 
-    P = Σ α_k (NᵀV_rel)_k over what moves into its face. A contact is lost, or its sensor lies,
-    where less than a fifth of its command is read (contact phases see to that where they are on,
-    but it must be held again in time), or its force integral stands at its bound. It is overloaded
-    above three times its command, or above `contact_force`, whichever is more.
+    The power is P = Σ α_k (NᵀV_rel)_k over the contacts that move into their faces. A contact is
+    lost (or its sensor is faulty) if less than a fifth of its command is measured or if its force
+    integral is at its bound; with contact phases, if it is not regained within `regain_time`. It is
+    overloaded above three times its command or above `contact_force`, whichever is larger.
     """
     model = t.model
     work = t.work
@@ -157,22 +158,25 @@ def watch_contacts(t):
 
 # --- A tick that cannot be computed: repeat, hold the posture, stop -------------------------------
 #
-# RUN       computed, nothing lost
-# DEGRADED  motors at their limits or a singular posture near; or not computed, for a tick or two:
-#           the last torques continue
-# HOLD      not computed: gravity compensation and damping at the last posture that was read
-# SAFE_STOP not computed for too long or too often, a limit of the robot is passed, or a sensor is
-#           faulty, see `sensors`: braked to rest, then held; ends by a reset only
+# RUN       computed without restrictions
+# DEGRADED  computed with motors at their limits, near a singular posture or without wrenches; or
+#           not computed for a tick or two, in which the last torques are repeated
+# HOLD      not computed: gravity compensation and damping at the last measured posture
+# SAFE_STOP not computed for too long or too often, or a limit of the robot is exceeded, or a sensor
+#           is faulty (`sensors`): the arms are braked to rest, then held, until a reset
 
-_RECENT = 0.5  #: s, of the low-pass of ticks that are not computed: of those of the last second
+_RECENT = 0.5  #: s, time constant of the share of ticks that are not computed
 
 
 @inner
 def guard(t, reason):
-    """The state after this tick, and the torques of one that was not computed; its reason.
+    """Update the state of the controller, and compute torques of a tick that was not computed.
 
     Args:
-        reason: of the tick so far.
+        t: Tick. reason: reason of the tick so far, NO_REASON if it was computed.
+
+    Returns:
+        The same reason.
     """
     model = t.model
     work = t.work
@@ -190,12 +194,12 @@ def guard(t, reason):
         memory.gap = 0
         _note_accelerations(t)
         memory.has_wrench = 1
-        if work.status != SATURATED:  # then the motor limits still have to be met
+        if work.status != SATURATED:  # a saturated tick is counted when `limits` has finished it
             count_computed(t)
         memory.repeats = model.repeats if work.status != SATURATED else 0
         fine = work.status == OK and memory.wrench_missing == 0
         _enter(t, RUN if fine else DEGRADED_STATE)
-        if cause != NO_REASON:  # these torques still are good: the next tick stops
+        if cause != NO_REASON:  # the torques of this tick are valid; the next tick stops
             memory.cause = cause
             _enter(t, SAFE_STOP)
         return NO_REASON
@@ -220,7 +224,7 @@ def guard(t, reason):
 
 @inner
 def _note_accelerations(t):
-    """Keep what was commanded, and what of it must show in joints whose readings stand still."""
+    """Store the commanded accelerations, and `driven` of joints with constant positions."""
     for k in range(t.model.n_arms):
         arm = t.model.arms[k]
         for j in range(arm.first, arm.end):
@@ -231,7 +235,7 @@ def _note_accelerations(t):
 
 @leaf
 def count_computed(t):
-    """Note that a tick was computed: no faults in a row, one less among the last ones."""
+    """Reset the count of consecutive faults after a computed tick, and reduce `lost` by one."""
     memory = t.memory
     memory.faults = 0
     memory.lost = max(memory.lost - 1, 0)

@@ -1,10 +1,10 @@
-"""Sensor fault detection after a tick, computed or not: evidence of readings that lie.
+"""Detection of sensor faults after each tick, computed or not; a fault stops the arms.
 
-Encoders that stand still though their joints are pushed, speeds that are not those of the positions
-or do not add up to them, wrists and packets that repeat themselves. The arms are stopped. Evidence
-counts the time since a reading, so that lost packets take none away. Before a tick readings are
-judged by `plausibility`, during it by `agreement`; which of a joint's two readings is faulty, and
-with which it is braked then, see `isolation`.
+Detected are encoders that are constant although their joints are driven, speeds that contradict the
+positions or their changes, and constant readings of wrists or of whole packets. Evidence is
+measured in time between readings, so that lost packets do not reduce it. `plausibility` checks
+readings before a tick, `agreement` during it; `isolation` determines the faulty reading of a joint
+and the estimates with which the joint is braked.
 """
 
 from __future__ import annotations
@@ -59,43 +59,45 @@ MIXED = declare_reason(
     "swapped, speeds are mirrored or dead, or the packet is that of another robot",
 )
 
-_GAIN = 0.21  #: share of `stuck_speed` that one tick can show: slow encoders repeat readings
-_LAG = 0.02  #: s, of the low-pass of speeds that disagree
-_FORGET = 0.5  #: s in which a drift between positions and speeds is forgotten
-_SCALE = 0.05  #: share of a speed by which it may be wrong
-_LATE = 0.01  #: s by which speeds may be late
-_RESOLUTION = 4e-4  #: rad, m: of a coarse encoder (14 bits); joints that read the same move less
-_MODEL = 0.1  #: s for which a speed is predicted from accelerations, to see what reading is wrong
-_HELD = 0.05  #: of a motor's torque limit; dry friction may hold a joint against so much
-_FINE = 1e-9  #: rad, m; smaller changes of a position are rounding, not noise
-_TURNING = 0.1  #: s, of the low-pass of changes that turn back
-_NOISY = 0.2  #: of the changes; where so many turn back a position is noisy: of noise 2 of 3 do
-_SAME = 0.03  #: s for which a stopped joint may read the very same position and a speed
-# Holds of stopped joints are moved to and fro, each time for _SETTLES/ω, ω the `hold_rate`: a
-# joint without friction then has gone 0.8 of the way. Encoders of 17 bits and more show that.
-_MOVED = 1.2e-4  #: rad, m
+_GAIN = 0.21  #: largest evidence of one tick, as a share of `stuck_speed`: slow encoders repeat
+_LAG = 0.02  #: s, time constant of the low-pass of errors of speeds
+_FORGET = 0.5  #: s, time constant with which the drift between positions and speeds is forgotten
+_SCALE = 0.05  #: possible error of a speed's scale
+_LATE = 0.01  #: s, possible delay of speeds
+_RESOLUTION = 4e-4  #: rad, m, resolution of a coarse encoder (14 bits)
+_MODEL = 0.1  #: s, time constant of the predictions of speeds from commanded accelerations
+_HELD = 0.05  #: share of a motor's torque limit that dry friction may hold
+_FINE = 1e-9  #: rad, m, change of a position below which it is rounding
+_TURNING = 0.1  #: s, time constant of the share of changes that reverse the one before
+_NOISY = 0.2  #: share of reversals above which a position is noisy; pure noise has two thirds
+_SAME = 0.03  #: s for which a stopped joint may have identical positions and a speed
+# Holds of stopped joints are moved back and forth, each time for _SETTLES/ω, ω being the
+# `hold_rate`. In this time a joint without friction moves 0.8 of the distance, which encoders of 17
+# bits and more resolve.
+_MOVED = 1.2e-4  #: rad, m, distance between both holds
 _SETTLES = 3.0
-_CHANGES = 2  #: at the least, of a reading that follows
-_FOLLOWED = 4  #: times; a joint that follows so often will follow again
+_CHANGES = 2  #: least number of changes of a reading that follows the hold
+_FOLLOWED = 4  #: number of consecutive moves after which a joint must follow the next one, too
 
 
 @inner
 def check_sensors(t):
-    """What this tick's readings show of the sensors; a reason to stop.
+    """Update the evidence of sensor faults by the readings of this tick; return a reason to stop.
 
-    A joint whose encoder reads the very same while it is commanded to gain more than a share of
-    its speed limit, by more torque than dry friction may take, is stuck. Speeds disagree with
-    positions where q̇ − Δq/Δt, low-passed, is more than a share of the limit. Wrists in contact that
-    read the same for too long are frozen; where all readings do that were noisy before, a packet
-    repeats itself. What both add up to drifts apart,
+    STUCK: a position is constant while the joint is commanded to gain more than a share of its
+    speed limit by more torque than dry friction. DISAGREE: the speed error q̇ − Δq/Δt, low-passed,
+    exceeds a share of the limit, or its integral d exceeds `position_drift` and the effects of a
+    small error of scale and delay of q̇,
 
-        d ← d + (q̇ − Δq/Δt − d/T) Δt,
+        d ← d + (q̇ − Δq/Δt − d/T) Δt.
 
-    where |d| is more than `position_drift` and what a small error of scale and delay of q̇ explain;
-    not where speeds are estimated from positions, whose errors last as long as those of the model.
-    Δt is the time since the position was read last; readings that are not there, repeated or not
-    credible leave the evidence as it is. Where positions of several joints jump in one packet none
-    of its readings is credible; where speeds do, none of its speeds.
+    The integral is not checked if speeds are estimated from positions, because it would contain
+    lasting errors of the model. WRIST_FROZEN: a wrist in contact is constant for too long. FROZEN:
+    all readings are, which were noisy before. MIXED: several joints jump in one packet.
+
+    Δt is the time since the position was last read. Missing, repeated and implausible readings do
+    not change the evidence. If positions of several joints jump in one packet, none of its readings
+    is used; if speeds do, none of its speeds.
     """
     model = t.model
     memory = t.memory
@@ -109,7 +111,7 @@ def check_sensors(t):
     if dead >= 0:
         reason = WRIST_FROZEN
         culprit = dead
-    if work.looked == 0:  # not before this tick
+    if work.looked == 0:  # `check_readings` has not called it
         find_jumps(t)
     work.looked = 0
     several = work.jumps > 1
@@ -166,25 +168,25 @@ def check_sensors(t):
         memory.joints[j].faulty |= FAULTY_SPEED
         if dead_packet or several:
             memory.joints[j].faulty |= FAULTY_POSITION
-    if memory.state != SAFE_STOP:  # the cause of a stop keeps what it is about
+    if memory.state != SAFE_STOP:  # the cause of a stop keeps its culprit
         memory.culprit = culprit
     return reason
 
 
 @leaf
 def _shares(dt):
-    """Shares of a time dt (s) in the low-passes of a joint: of predictions, of lags, of turns."""
+    """Shares of a time step dt (s) in three low-passes: of predictions, errors and reversals."""
     return dt / (_MODEL + dt), dt / (_LAG + dt), dt / (_TURNING + dt)
 
 
 @leaf
 def _check_joint(t, known, limit, step, v, dt, shares):
-    """Evidence from one reading of a joint; a reason.
+    """Update the evidence of faults of a joint by a new reading; return a reason.
 
     Args:
-        known: JOINT_MEMORY. limit: of its speed. step: by how much the position differs
-        from the last one read. v: speed read. dt: s since the position was read last.
-        shares: of dt, see `_shares`.
+        t: Tick. known: JOINT_MEMORY, changed. limit: speed limit (rad/s, m/s). step: change of the
+            position since it was last read (rad, m). v: speed read (rad/s, m/s). dt: time since the
+            position was last read (s). shares: from `_shares`.
     """
     model = t.model
     k, lag, turning = shares
@@ -233,7 +235,7 @@ def _check_joint(t, known, limit, step, v, dt, shares):
 
 @inner
 def _check_wrists(t):
-    """The arm whose wrist has read the very same in contact for too long, or −1; whether all do."""
+    """Arm whose wrist is constant in contact for too long, or −1; and whether all wrists repeat."""
     model = t.model
     memory = t.memory
     last_wrenches = memory.wrenches
@@ -262,7 +264,7 @@ def _check_wrists(t):
 
 @leaf
 def _exceeds(t, k):
-    """Whether the reading of wrist k is there, and beyond the range of its sensor."""
+    """Whether the reading of wrist k is beyond the range of its sensor; false for NaN."""
     exceeds = False
     for i in range(6):
         most = t.model.force_range if i < 3 else t.model.torque_range
@@ -272,7 +274,7 @@ def _exceeds(t, k):
 
 @leaf
 def _were_noisy(t):
-    """Whether the positions of all joints have shown noise, as they last changed."""
+    """Whether the positions of all joints were noisy when they last changed."""
     noisy = True
     for j in range(t.model.n_joints):
         noisy = noisy and t.memory.joints[j].turning > _NOISY
@@ -281,15 +283,15 @@ def _were_noisy(t):
 
 @inner
 def _test_encoders(t, dt):
-    """Move the holds of stopped joints, and note which encoder does not show it any more.
+    """Move the holds of stopped joints back and forth, and mark encoders that stop following.
 
-    What a hold commands is no evidence: wrong gravity and friction keep a joint at rest beside its
-    hold for ever. A joint that has followed the hold to and fro, and does not change its reading
-    now, is one whose encoder is dead. One that friction or a contact holds never follows; with
-    its encoder dead it stays where it is.
+    A constant reading alone does not prove a fault, since errors of gravity and friction may keep a
+    joint at rest beside its hold. The encoder of a joint that has followed several moves of the
+    hold, and is constant during the next one, is dead. A joint that is blocked by friction or by a
+    contact never follows; it remains at rest even if its encoder is dead.
 
     Args:
-        dt: s since the last readings.
+        t: Tick. dt: time since the last readings (s).
     """
     memory = t.memory
     memory.tested += dt
@@ -314,9 +316,9 @@ def _test_encoders(t, dt):
 
 @leaf
 def must_move(t, j):
-    """Whether the acceleration commanded to joint j takes more torque than dry friction may."""
+    """Whether the commanded acceleration of joint j needs more torque than dry friction holds."""
     joint = t.model.joints[j]
     own = t.work.joints[j]
-    most = 2.0 * max(joint.theta[0], t.memory.joints[j].trusted[0])  # compensated wrongly, too
+    most = 2.0 * max(joint.theta[0], t.memory.joints[j].trusted[0])  # and compensated wrongly
     most += _HELD * joint.tau_max if joint.motor >= 0 else 0.0
     return abs(own.inertial - own.h) > most

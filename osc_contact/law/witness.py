@@ -1,14 +1,14 @@
-"""Contact made, beside others: what the friction of contacts that are closed cannot explain.
+"""Detection of a new contact while others are closed: force that their friction cannot explain.
 
-While contacts are closed, an approach to another one pushes on their stiction, and the wrists read
-what holds it. With n one of the approached columns, the reading
+While contacts are closed, an approach to another one pushes against their static friction, and the
+wrists measure this reaction. With n one of the approached columns, the reading
 
     f_meas − bias_out − Λ_out a = N α + Σ T_jβ_j + noise,   |β_j| ≤ μ_b α_j over the closed contacts
 
-is weighed by R = Σ(μ_b α_j)² T_jT_jᵀ + noise: α_n = gᵀf, g the row of (NᵀR⁻¹N)⁻¹NᵀR⁻¹ of n.
-Friction adds at most e = μ_b Σα_j‖gᵀT_j‖ to it. Where the lines of action do not meet, g is nearly
-blind to friction and e is small; where they meet, g cannot be, and e is μ_b times the force of the
-closed contact. Contact is made where α_n − e, low-passed, is above `force_on`.
+is weighted by the inverse of R = Σ(μ_b α_j)² T_jT_jᵀ + noise: α_n = gᵀf, where gᵀ is the row n of
+(NᵀR⁻¹N)⁻¹NᵀR⁻¹. Friction changes α_n by at most e = μ_b Σα_j‖gᵀT_j‖. If the lines of action do not
+meet, g is nearly orthogonal to the friction forces and e is small; if they meet, e is μ_b times the
+force of the closed contact. Contact is made when α_n − e, low-passed, exceeds `force_on`.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ _COUPLE_NOISE = 0.01  #: N m
 
 @inner
 def witness_contacts(t):
-    """What each approached column reads, and how much of it friction of closed contacts explains.
+    """Compute the measured force of each approached column, and the part friction may explain.
 
-    Reads `alpha_meas`, `reading_e`, `N`, `pushed` and what `desired_inertia_force` and `push_on`
-    read. Fills `touch` and `explained` (N) of the columns in force, both 0 where no contact is
-    closed beside an approached one, or columns depend on one another.
+    Reads `alpha_meas`, `reading_e`, `N`, `pushed`, and the fields that `desired_inertia_force` and
+    `push_on` read. Fills `touch` (α_n) and `explained` (e) of the active columns (N). Both are 0
+    unless one contact is approached while another one is closed and all columns are independent.
     """
     work = t.work
     approached = False
@@ -58,7 +58,7 @@ def witness_contacts(t):
 
 @inner
 def _explain(t):
-    """Fill `touch` and `explained` of approached columns; see the module."""
+    """Fill `touch` and `explained` (N) of approached columns while other contacts are closed."""
     work = t.work
     r = work.rank
     R = local(6, 6)
@@ -116,9 +116,10 @@ def _explain(t):
 
 @inner
 def _friction(t, column, k, most):
-    """Reading (six numbers) of friction of that size (N) at a contact, along an axis of its face.
+    """Reading (six numbers, energy coordinates) of a friction force at a contact.
 
     Args:
-        column: of N. k: axis. most: N.
+        t: Tick. column: column of N of the contact. k: axis of the world, along whose projection
+            on the face the force acts. most: magnitude of the force before projection (N).
     """
     return push_on(t, scaled3(most, across(t.work.columns[column].N, k)), column)
