@@ -142,7 +142,7 @@ REFUSED = {
     ),
     "missing key": (
         changed("edge_on_edge", r", edge_outward: \[.*?\]", ""),
-        "contacts.pad: the key 'edge_outward' is missing: roughly out of the body",
+        "contacts.pad: the key 'edge_outward' is missing: a direction roughly out of the body",
     ),
     "key of another kind": (
         changed("edge_on_face", "length: ", "size: "),

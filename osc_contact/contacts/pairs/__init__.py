@@ -1,11 +1,12 @@
-"""Contact pairs: the poses and twists of two bodies in, a `Contact` out (first-order geometry).
+"""Contact pairs: first-order geometry that maps poses and twists of two bodies to a `Contact`.
 
-Coordinates: what belongs to the held object is given in its frame, what belongs to the environment
-body in that body's frame. Normals point out of the body whose face they belong to; the columns of N
-push into the environment.
+Geometry of the held object is given in the object's frame, geometry of the environment body in that
+body's frame. Normals point out of the body to whose face they belong; the columns of N push into
+the environment.
 
-A pair is one file of this folder. Every pair that registers itself (`register_pair`) is a name of
-this module and of `osc_contact`; the files are loaded when such a name is used, or by `load_pairs`.
+Pairs are defined in the files of this folder. Every pair that registers itself (`register_pair`) is
+a name of this module and of `osc_contact`; the files are loaded when such a name is used, or by
+`load_pairs`.
 """
 
 from importlib import import_module
@@ -20,7 +21,7 @@ __all__ = ["ContactPair", "load_pairs", "register_pair"]
 
 
 def load_pairs() -> dict[str, type[ContactPair]]:
-    """Load every file of this folder, each of which enters its pairs; returns these by name."""
+    """Load all files of this folder, which register their pairs; return the pairs by name."""
     for file in iter_modules(__path__):
         import_module(f"{__name__}.{file.name}")
     return register.PAIRS

@@ -1,6 +1,7 @@
-"""Declarations of a pair's geometry: kind, quantity and bound of each field, checked as it is made.
+"""Declarations of a pair's geometry: kind, quantity and bound of each field.
 
-A scenario's keys of a contact are made from the same declarations.
+`check_geometry` checks the values of a new pair against them. The keys of a contact in scenarios
+are made from the same declarations.
 """
 
 from __future__ import annotations
@@ -20,21 +21,21 @@ from osc_contact.spatial import Array, Coordinates, as_array, norm, unit_vector
 
 
 class OfBody(Enum):
-    """Mark of a key that is given in the frame of the body a contact is on.
+    """Mark of a key whose value is given in the frame of the touched body.
 
-    Keys without it belong to the held object and are given in its frame.
+    Values of keys without this mark are given in the frame of the held object.
     """
 
     POINT = "point"
     DIRECTION = "direction"
 
 
-#: Marks a field whose value comes from the contact's face, which has a key of its own.
+#: Mark of a field whose value is taken from the `face` of a contact, a separate key.
 OF_FACE = "of a face"
 
 
 def store(pair: object, **values: object) -> None:
-    """Set attributes of a frozen dataclass while it is being made."""
+    """Set attributes of a frozen dataclass during its construction."""
     for key, value in values.items():
         object.__setattr__(pair, key, value)
 
@@ -42,7 +43,7 @@ def store(pair: object, **values: object) -> None:
 if TYPE_CHECKING:
 
     class Outward:
-        """A field that is a number or an array, and takes either as numbers of any kind."""
+        """Field that contains a number or an array, and accepts any ArrayLike."""
 
         def __get__(self, pair: object, owner: type | None = None) -> float | Array: ...
         def __set__(self, pair: object, value: ArrayLike) -> None: ...
@@ -54,16 +55,16 @@ if TYPE_CHECKING:
     FacePoint: TypeAlias = Coordinates
     FaceDirection: TypeAlias = Coordinates
 else:
-    #: Kind of a number of a pair's geometry, then its quantity; `check_geometry` reads the first
-    #: from the annotation of the field, the keys of a scenario are made from the second.
+    #: Annotation of a field of a pair: type, kind of geometry for `check_geometry`, and quantity
+    #: for the key of a scenario.
     Point = Annotated[Array, "point", Vec3]
     Direction = Annotated[Array, "direction", UnitVec3]
     BodyPoint = Annotated[Array, "point", Annotated[Vec3, OfBody.POINT]]
     BodyDirection = Annotated[Array, "direction", Annotated[UnitVec3, OfBody.DIRECTION]]
-    #: Of a face that a contact brings: keys of `face`.
+    #: Fields of the face of a contact, from the keys of `face`.
     FacePoint = Annotated[Array, "point", OF_FACE]
     FaceDirection = Annotated[Array, "direction", OF_FACE]
-    #: Out of a body at its edge: a direction, or a sign.
+    #: Outward direction of a body at its edge, or a sign.
     Outward = Annotated[float | Array, "", Annotated[UnitVec3, OfBody.DIRECTION]]
 Radius = Annotated[float, "≥", Annotated[NotNegative[Length], Field(default=0.0)]]
 Extent = Annotated[float, ">", Positive[Length]]
@@ -77,10 +78,11 @@ def declared_geometry(pair: type) -> dict[str, tuple[Any, ...]]:
 
 
 def check_geometry(pair: Any) -> None:
-    """Check the geometry of a frozen pair that is being made; copy points, normalise directions.
+    """Check the geometry of a frozen pair during construction; copy points, normalise directions.
 
     Raises:
-        InvalidInputError: wrong shape, not finite, a direction that is zero, a length < 0 (≤ 0).
+        InvalidInputError: wrong shape, a number that is not finite, a zero direction, or a length
+            < 0 (≤ 0 for lengths that must be positive).
     """
     made: Any = type(pair)
     for key, (kind, *_) in declared_geometry(made).items():
@@ -94,15 +96,15 @@ def check_geometry(pair: Any) -> None:
             raise InvalidInputError(f"{name} = {value}; give a length {kind} 0 m")
 
 
-#: Lengths of the held object above this many times the arms' stretched length are in other units.
+#: Largest length of a held object, in multiples of the stretched arm; more suggests wrong units.
 LARGEST_OBJECT = 2.0
 
 
 def object_sizes(pair: ContactPair) -> dict[str, float]:
-    """Lengths (m) that a packaged pair states of the held object: of radii, extents and points.
+    """Lengths (m) of the held object in a packaged pair: its radii, extents and points by key.
 
-    A point counts by its distance from the object's origin. Points of the environment are left
-    out: those of an endless plane may lie anywhere.
+    The length of a point is its distance from the object's origin. Points of the environment are
+    excluded, because the point of an infinite plane may be anywhere.
     """
     found = {}
     for key, (kind, *keys) in declared_geometry(type(pair)).items():
@@ -114,13 +116,13 @@ def object_sizes(pair: ContactPair) -> dict[str, float]:
 
 
 def require_object_fits(pair: ContactPair, longest: float) -> None:
-    """Refuse lengths of the held object that no arm of this size can hold.
+    """Refuse a held object that is too large for the arms, which suggests lengths in mm.
 
     Args:
-        pair: of the contact. longest: stretched length of the longest arm (m).
+        pair: pair of the contact. longest: stretched length of the longest arm (m).
 
     Raises:
-        InvalidInputError: with the length in m and in mm.
+        InvalidInputError: a length exceeds `LARGEST_OBJECT` times `longest`.
     """
     for key, length in object_sizes(pair).items():
         if length > LARGEST_OBJECT * longest:

@@ -1,7 +1,7 @@
-"""Pairs that the law evaluates: rows of numbers from which `law.contact` computes N and n_γ.
+"""Pairs whose N and n_γ are computed by the law (`law.contact`) from rows of numbers.
 
-The tick runs these functions compiled, `LawPair` runs the same source as Python: on floats at one
-instant, on arrays at many.
+The tick runs compiled functions. `LawPair` runs the same source as Python, on floats for one
+instant or on arrays for many instants.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ _place = as_python(law.place_pair, **OF_ARRAYS)
 _motion = as_python(law.permitted_motion)
 _point = as_python(law.point_of_contact)
 
-#: Elements of a matrix as the law reads them, M[i, j]: a dictionary is faster than an array.
+#: Elements M[i, j] of a matrix; indexing a dictionary is faster than indexing an array.
 _Elements = dict[tuple[int, int], Any]
 _IDENTITY = {(i, j): float(i == j) for i in range(3) for j in range(4)}
-#: Methods that determine a row; a class that replaces one of them differs from its row.
+#: Methods whose results follow from the row; a subclass that overrides one has no row.
 _GIVEN_BY_ROW = ("contact", "points_of_contact")
 
 
 class PairRow(NamedTuple):
-    """A pair as the compiled law reads it.
+    """Description of a pair for the compiled law.
 
     Attributes:
         kind: POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, SURFACE or FUNCTION of `law.records`.
-        shapes: (16,) each, see the functions of `law.contact`: the columns of N, then the permitted
-            motions.
-        freedoms: number of the latter.
-        address: of the C function of a pair that is a function.
+        shapes: arrays (16,) for the columns of N, then for the permitted motions; the functions of
+            `law.contact` state their contents.
+        freedoms: number of permitted motions among the shapes.
+        address: address of the C function of a FUNCTION pair; else 0.
     """
 
     kind: int
@@ -52,7 +52,7 @@ class PairRow(NamedTuple):
 
 
 def shape(*parts: Array | float) -> Array:
-    """(16,) numbers of one column or one permitted motion, zeros behind them."""
+    """Concatenate numbers of one column or permitted motion to a row (16,), padded with zeros."""
     row = np.zeros(16)
     flat = np.concatenate([np.atleast_1d(part) for part in parts])
     row[: len(flat)] = flat
@@ -63,7 +63,7 @@ def law_row(pair: ContactPair) -> PairRow | None:
     """Description of a pair for the compiled law.
 
     Returns:
-        None where it has none, or a subclass overrides a method that the description stands for.
+        None if the pair has none, or if its class overrides a method that the row describes.
     """
     row = getattr(pair, "row", None)
     if row is None:
@@ -76,7 +76,7 @@ def law_row(pair: ContactPair) -> PairRow | None:
 
 
 class LawPair(PackagedPair):
-    """A pair that the law evaluates.
+    """Base of pairs whose N and n_γ are computed by the law.
 
     Attributes:
         pushes, surface_point, surface_radius: see `ContactPair`.
@@ -91,11 +91,13 @@ class LawPair(PackagedPair):
     def _hold(
         self, surface_point: Array, kind: int, shapes: tuple[Array, ...], freedoms: int = 0
     ) -> None:
-        """Keep the geometry of a pair that is being made.
+        """Store the geometry of a pair during its construction.
 
         Args:
-            surface_point: (3,) see `ContactPair` (m).
-            kind, shapes, freedoms: as of `PairRow`.
+            surface_point: (3,) point of the environment's feature, in its frame (m).
+            kind: kind of the pair in `law.records`.
+            shapes: arrays (16,) for the columns of N, then for the permitted motions.
+            freedoms: number of permitted motions among the shapes.
         """
         row = PairRow(kind, shapes, freedoms)
         head = SimpleNamespace(**row._asdict(), first=0, shape_at=0)
@@ -103,11 +105,11 @@ class LawPair(PackagedPair):
         store(self, _row=row, _numbers=(head, Shapes(row.shapes)), surface_point=surface_point)
 
     def row(self) -> PairRow:
-        """The pair as the compiled law reads it."""
+        """Row of the pair for the compiled law."""
         return self._row
 
     def _contact(self, b: Bodies) -> Contact:
-        """And T (6, 6−r), if the pair is given by it."""
+        """N and n_γ, and T (6, 6−r) of a pair that is defined by its permitted motions."""
         A = _elements(b.X_A)
         E = _elements(b.X_E)
         columns = self._columns(A, E, b.V_A, b.V_E)
@@ -120,7 +122,7 @@ class LawPair(PackagedPair):
         return Contact(N, n_gamma, T=T, name=self.name)
 
     def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
-        """(3, r) where each magnitude of a pair that pushes acts, world (m)."""
+        """Points of application (3, r) of the magnitudes of a pair that pushes, world (m)."""
         A = _elements(X_WO)
         E = _IDENTITY if X_WE is None else _elements(X_WE)
         each = zip(self._numbers[1], self._columns(A, E), strict=False)
@@ -128,7 +130,7 @@ class LawPair(PackagedPair):
         return X_WO.translation[:, None] + np.array(points).T
 
     def normals(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
-        """(6, r, k) N at k instants; see `normals_over`."""
+        """N (6, r, k) at O in world axes, for k poses of the object and the body."""
         A = _elements_over(X_WO)
         E = _IDENTITY if X_WE is None else _elements_over(X_WE)
         columns = self._columns(A, E)
@@ -168,11 +170,12 @@ class LawPair(PackagedPair):
 
 
 def normals_over(pair: ContactPair, X_WO: Poses, X_WE: Poses | None = None) -> Array:
-    """(6, r, k) what `pair.contact` gives as N at each of k instants, at O in world axes.
+    """N (6, r, k) of a pair at each of k instants, at O in world axes.
 
     Args:
-        pair: of any kind; one unknown to the law is evaluated instant by instant.
-        X_WO: k poses of the object. X_WE: k poses (or 1) of the environment body; None: the world.
+        pair: pair of any kind; a pair without a row of the law is evaluated instant by instant.
+        X_WO: k poses of the object.
+        X_WE: k poses (or one) of the environment body; None: the world frame.
     """
     if isinstance(pair, LawPair) and law_row(pair) is not None:
         return pair.normals(X_WO, X_WE)

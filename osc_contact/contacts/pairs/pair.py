@@ -1,4 +1,4 @@
-"""Protocol of every contact pair, its questions, and the two bodies at one instant."""
+"""Protocol of contact pairs, properties of a pair, and the two bodies at one instant."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ AT_REST = np.zeros(6)  #: twist of a body at rest
 
 @runtime_checkable
 class ContactPair(Protocol):
-    """A feature of the held object A against a feature of the environment body E.
+    """Contact of a feature of the held object A with a feature of the environment body E.
 
-    `gaps` are the r signed errors that the contact keeps at zero; each shrinks as the object moves
-    along its column of N: d gaps/dt = −NᵀV_rel. n_γ is the Nᵀa_rel that keeps them at zero.
+    `gaps` are the r signed errors that the contact keeps at zero; each decreases as the object
+    moves along its column of N: d gaps/dt = −NᵀV_rel. n_γ is the Nᵀa_rel that keeps them at zero.
 
-    A pair may have more, else the value in brackets counts:
+    A pair may have further attributes; the default is in brackets:
 
-    * pushes: whether every magnitude is a force that must not become negative (False);
-    * axes_are_chosen: whether the directions of its columns are one choice of several that span the
-      same space, made anew from axes that are turned (False: N turns with both bodies);
-    * points_of_contact(X_WO, X_WE): (3, r) where each magnitude of a pair that pushes acts, world
-      (m); there it slides, with friction (None: its friction is not known);
+    * pushes: True if every magnitude is a force that must not become negative (False);
+    * axes_are_chosen: True if the directions of its columns are one of several choices that span
+      the same space, so that turned geometry may lead to another choice (False: N turns with both
+      bodies);
+    * points_of_contact(X_WO, X_WE): points of application (3, r) of the magnitudes of a pair that
+      pushes, world (m), at which it slides with friction (None: friction is unknown);
     * surface_point: (3,) a point of the environment's feature, in its frame (m), and
-      surface_radius: of that feature if it is round (m). Contact points are drawn where the lines
-      of force come nearest to it (to O; 0);
-    * row(): what it is to the compiled law, see `PairRow` (None: Python evaluates the pair
-      between the parts of each tick).
+      surface_radius: the radius of a round feature (m). Contact points are drawn where the lines
+      of force come nearest to it (O; 0);
+    * row(): its `PairRow` for the compiled law (None: Python evaluates the pair between the parts
+      of each tick).
 
     Example:
         >>> pair: osc.ContactPair = osc.VertexOnFace([0, 0, 0], [0, 0, 0.5], [0, 0, 1])
@@ -44,7 +45,7 @@ class ContactPair(Protocol):
 
     @property
     def name(self) -> str:
-        """Used in messages and recordings."""
+        """Name in messages and recordings."""
 
     def contact(
         self,
@@ -58,49 +59,49 @@ class ContactPair(Protocol):
         Args:
             X_WO: pose of the object; its origin is the operational point.
             V_O: (6,) its twist at O, world axes (m/s, rad/s).
-            X_WE: pose of the environment body (default: the world).
-            V_E: (6,) its twist at its own origin, world axes (default: at rest). Without X_WE
-                that origin is the world's.
+            X_WE: pose of the environment body; None: the world frame.
+            V_E: (6,) its twist at its own origin, world axes; None: at rest. Without X_WE this
+                origin is the world's.
         """
 
     def gaps(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
-        """(r,) signed errors (m, or rad where the column of N is a couple), 0 in contact."""
+        """Signed errors (r,) (m, or rad where the column of N is a couple), 0 in contact."""
 
 
 def count_forces(pair: ContactPair) -> int:
-    """r, how many force magnitudes a pair has: one for each of its gaps."""
+    """Number r of the force magnitudes of a pair, one for each of its gaps."""
     if (row := getattr(pair, "row", None)) is None:
         return len(pair.gaps(SE3.Identity()))
-    shown = row()  # true in every pose; gaps of edges that are parallel do not exist
+    shown = row()  # valid in every pose; gaps of parallel edges do not exist
     return len(shown.shapes) - int(shown.freedoms)
 
 
 def pushes_only(pair: ContactPair) -> bool:
     """Whether every magnitude of the pair is a force that must not become negative.
 
-    Those of pairs given by T (hinges, holes, grooves) and of gap functions have either sign.
+    Magnitudes of pairs defined by T (hinges, holes, grooves) and of gap functions have either sign.
     """
     return bool(getattr(pair, "pushes", False))
 
 
 def axes_are_chosen(pair: ContactPair) -> bool:
-    """Whether the columns of N are one choice of several with the same span.
+    """Whether the columns of N are one of several choices with the same span.
 
-    Two pairs of equal geometry, one given in axes that are turned against those of the other, then
-    have columns of equal span that are not equal, and magnitudes of other directions.
+    Then two pairs with the same geometry, given in axes that are turned relative to each other, may
+    have different columns with the same span, and magnitudes along different directions.
     """
     return bool(getattr(pair, "axes_are_chosen", False))
 
 
 def has_place(pair: ContactPair) -> bool:
-    """Whether a contact touches at points that are known."""
+    """Whether the points at which a pair touches are known."""
     return getattr(pair, "surface_point", None) is not None
 
 
 def knows_where_it_slides(pair: ContactPair) -> bool:
-    """Whether friction at the pair is known: it pushes at known points.
+    """Whether friction at the pair can be computed, because it pushes at known points.
 
-    Forces of either sign (hinges, holes, grooves) act somewhere in a gap.
+    Forces of either sign (hinges, holes, grooves) act at unknown points of a gap.
     """
     return pushes_only(pair) and hasattr(pair, "points_of_contact")
 
@@ -122,11 +123,12 @@ class Bodies:
         X_WE: SE3 | None = None,
         V_E: Array | None = None,
     ) -> Bodies:
-        """The arguments of `ContactPair.contact`, E's twist carried to O.
+        """Bodies from the arguments of `ContactPair.contact`, with E's twist carried to O.
 
         Args:
-            X_WO, X_WE: poses of object and environment; X_WE None: the world's.
-            V_O: (6,) twist of the object at O. V_E: (6,) of the environment at its origin.
+            X_WO: pose of the object. V_O: (6,) its twist at O, world axes (m/s, rad/s).
+            X_WE: pose of the environment body; None: the world frame.
+            V_E: (6,) its twist at its own origin, world axes; None: at rest.
         """
         X_E = X_WE or _WORLD
         V = AT_REST if V_E is None else carry_twist(V_E, X_E.translation, X_WO.translation)
@@ -134,14 +136,14 @@ class Bodies:
 
     @property
     def V_rel(self) -> Array:
-        """(6,) twist of A relative to E, at O."""
+        """Twist (6,) of A relative to E, at O, world axes."""
         return self.V_A - self.V_E
 
 
 def triad(z: Array) -> Array:
-    """(3, 3) right-handed axes whose third column is the unit vector z; the same z, the same axes.
+    """Right-handed axes (3, 3) whose third column is the unit vector z, a function of z alone.
 
-    The first column is horizontal for every z but ±y.
+    The first column is horizontal unless z is ±y.
     """
     x = cross(np.array([0.0, 1.0, 0.0]), z)
     if norm(x) < 1e-3:

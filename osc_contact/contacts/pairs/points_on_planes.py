@@ -114,7 +114,7 @@ class VertexOnFace(PointsOnPlanes):
     normal: FaceDirection
     """the outward normal of the face [x, y, z] in the environment frame"""
     radius: Radius = 0.0
-    """of the rounding"""
+    """the radius of the rounding"""
     name: str = "vertex_on_face"
     pushes = True
 
@@ -140,7 +140,7 @@ class SphereOnPlane(PointsOnPlanes):
     centre: Point
     """the centre of the sphere [x, y, z] in the object frame"""
     radius: Radius
-    """of the sphere"""
+    """the radius of the sphere"""
     face_point: BodyPoint
     """a point of the body's face [x, y, z] in the body frame"""
     face_normal: BodyDirection
@@ -172,13 +172,13 @@ class EdgeOnFace(PointsOnPlanes):
     point: Point
     """the middle of the edge [x, y, z] in the object frame"""
     direction: Direction
-    """along the edge [x, y, z] in the object frame"""
+    """the direction of the edge [x, y, z] in the object frame"""
     face_point: BodyPoint
     """a point of the body's face [x, y, z] in the body frame"""
     face_normal: BodyDirection
     """the outward normal of that face [x, y, z] in the body frame"""
     length: Extent = 0.1
-    """between the two points of the edge at which forces are commanded"""
+    """the distance between the two points of the edge at which forces are commanded"""
     name: str = "edge_on_face"
     pushes = True
 
@@ -209,15 +209,15 @@ class CylinderOnPlane(PointsOnPlanes):
     point: Point
     """the middle of the axis [x, y, z] in the object frame"""
     direction: Direction
-    """along the axis [x, y, z] in the object frame"""
+    """the direction of the axis [x, y, z] in the object frame"""
     radius: Radius
-    """of the cylinder"""
+    """the radius of the cylinder"""
     face_point: BodyPoint
     """a point of the body's face [x, y, z] in the body frame"""
     face_normal: BodyDirection
     """the outward normal of that face [x, y, z] in the body frame"""
     length: Extent = 0.1
-    """between the two points of the axis at which forces are commanded"""
+    """the distance between the two points of the axis at which forces are commanded"""
     name: str = "cylinder_on_plane"
     pushes = True
 
@@ -256,7 +256,7 @@ class FaceOnFace(PointsOnPlanes):
     face_normal: BodyDirection
     """the outward normal of that face [x, y, z] in the body frame"""
     size: Extent = 0.1
-    """from the middle of the face to the three corners at which forces are commanded"""
+    """the distance from the middle of the face to the corners at which forces are commanded"""
     name: str = "face_on_face"
     pushes = True
 
@@ -286,13 +286,13 @@ class CylinderInHole(PointsOnPlanes):
     point: Point
     """the middle of the cylinder's axis [x, y, z] in the object frame"""
     direction: Direction
-    """along the cylinder's axis [x, y, z] in the object frame"""
+    """the direction of the cylinder's axis [x, y, z] in the object frame"""
     hole_point: BodyPoint
     """a point of the hole's axis [x, y, z] in the body frame"""
     hole_direction: BodyDirection
-    """along the hole's axis [x, y, z] in the body frame"""
+    """the direction of the hole's axis [x, y, z] in the body frame"""
     length: Extent = 0.1
-    """between the two points of the axis at which forces are commanded"""
+    """the distance between the two points of the axis at which forces are commanded"""
     name: str = "cylinder_in_hole"
     axes_are_chosen = True
 
@@ -324,19 +324,19 @@ class CylinderInVGroove(PointsOnPlanes):
     point: Point
     """the middle of the axis [x, y, z] in the object frame"""
     direction: Direction
-    """along the axis [x, y, z] in the object frame"""
+    """the direction of the axis [x, y, z] in the object frame"""
     radius: Radius
-    """of the cylinder"""
+    """the radius of the cylinder"""
     groove_point: BodyPoint
     """a point of the line in which the walls meet [x, y, z] in the body frame"""
     groove_direction: BodyDirection
-    """along that line [x, y, z] in the body frame"""
+    """the direction of that line [x, y, z] in the body frame"""
     groove_outward: BodyDirection
-    """roughly out of the groove, midway between its walls [x, y, z] in the body frame"""
+    """a direction out of the groove, about midway between its walls [x, y, z] in the body frame"""
     groove_angle: Annotated[float, "", Annotated[Angle, Field(gt=0, lt=pi)]] = pi / 2
-    """from wall to wall"""
+    """the angle between the walls"""
     length: Extent = 0.1
-    """between the two points of the axis at which forces are commanded"""
+    """the distance between the two points of the axis at which forces are commanded"""
     name: str = "cylinder_in_v_groove"
     pushes = True
 

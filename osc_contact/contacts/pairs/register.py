@@ -1,4 +1,4 @@
-"""Register of contact pairs, and the base of those of the package."""
+"""Register of contact pairs, and the base class of packaged pairs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from osc_contact.spatial import Array, geometry
 
 
 class PackagedPair:
-    """A pair whose `contact` and `gaps` are evaluated on `Bodies`; see `ContactPair`."""
+    """Base of pairs that compute contact and gaps from `Bodies` and a relative pose.
+
+    Subclasses define `_contact` and `_gaps`; `contact` and `gaps` are those of `ContactPair`.
+    """
 
     name: str
 
@@ -25,7 +28,7 @@ class PackagedPair:
         self._make()
 
     def _make(self) -> None:
-        """Check and keep what else there is of the geometry."""
+        """Check geometry and compute derived attributes, after `check_geometry`."""
 
     def contact(
         self,
@@ -37,22 +40,24 @@ class PackagedPair:
         """N (6, r) and n_γ (r,) at O, world axes (see `ContactPair.contact`).
 
         Args:
-            X_WO, V_O, X_WE, V_E: as of `ContactPair.contact`.
+            X_WO: pose of the object. V_O: (6,) its twist at O, world axes (m/s, rad/s).
+            X_WE: pose of the environment body; None: the world frame.
+            V_E: (6,) its twist at its own origin, world axes; None: at rest.
 
         Raises:
-            ContactError: there is no N in these poses, such as that of two parallel edges.
+            ContactError: N is not defined in these poses, for example for parallel edges.
         """
         return self._contact(Bodies.at_O(X_WO, V_O, X_WE, V_E))
 
     def gaps(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
-        """(r,) signed errors (m or rad), 0 in contact; distances are negative in an overlap."""
+        """Signed errors (r,) (m or rad), 0 in contact; distances are negative in an overlap."""
         return self._gaps(X_WO if X_WE is None else X_WE.actInv(X_WO))
 
     def _contact(self, b: Bodies) -> Contact:
         raise NotImplementedError
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """At a pose of the object in the environment frame."""
+        """Signed errors (r,) (m or rad) at a pose of the object in the environment frame."""
         raise NotImplementedError
 
 
@@ -63,7 +68,7 @@ PAIRS: dict[str, type[ContactPair]] = {}
 
 
 class NamedPair(NamedTuple):
-    """A pair that scenarios may name.
+    """Pair that may be used in scenarios.
 
     Attributes:
         pair: its class. forces: r, number of its force magnitudes.
@@ -73,18 +78,18 @@ class NamedPair(NamedTuple):
     forces: int
 
 
-#: The pairs that scenarios may name, by the `type` of their contact.
+#: Pairs that may be used in scenarios, by the `type` of a contact.
 NAMED: dict[str, NamedPair] = {}
 
 
 @dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(field,))
 def register_pair(forces: int | None = None) -> Callable[[Pair], Pair]:
-    """Class decorator: enter a pair in the register; a packaged one becomes a frozen dataclass.
+    """Class decorator that registers a pair; a packaged pair becomes a frozen dataclass.
 
     Args:
-        forces: r, of a pair that scenarios may name, as its `name` is by default; its keys are the
-            fields that are annotated as keys, such as `Point`, with their docstrings. None: it is
-            made in Python only.
+        forces: number r of force magnitudes of a pair for scenarios, where its `type` is the
+            default of its `name`, and its keys are the fields annotated as keys (for example
+            `Point`), with their docstrings. None: the pair is not available in scenarios.
     """
 
     def enter(pair: Pair) -> Pair:
@@ -101,14 +106,14 @@ def register_pair(forces: int | None = None) -> Callable[[Pair], Pair]:
 
 
 def _show_plain_types(pair: Any) -> None:
-    """Let help and API pages show the types of fields without what they are as keys."""
+    """Hide the annotations of keys in the signature that help and API pages show."""
     shown = signature(pair)
     hints = get_type_hints(pair)
     arguments = []
     for one in shown.parameters.values():
         hint = hints[one.name]
         plain = "ArrayLike" if Array in (hint, *get_args(hint)) else hint
-        # no class: as it is written, since unions and callables spell out all that they are made of
+        # unions and callables are shown as written in the source, which is shorter
         kept = plain if isinstance(plain, str | type) else one.annotation
         arguments.append(one.replace(annotation=kept))
     pair.__signature__ = shown.replace(parameters=arguments)

@@ -1,4 +1,4 @@
-"""Pairs defined by T: N annihilates T by construction, n_γ = NᵀṪβ."""
+"""Pairs defined by the permitted motions T, with explicit N, NᵀT = 0, and n_γ = NᵀṪβ."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class Fixed(TangentPair):
 
     Attributes:
         assembled: the pose of the object in the environment frame.
-        name: used in messages and recordings.
+        name: name in messages and recordings.
 
     Example:
         >>> clamp = osc.Fixed(assembled=pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.2])))
@@ -172,9 +172,9 @@ class Prismatic(TangentPair):
 
     Attributes:
         point: (3,) a point of the line in the object frame (m).
-        axis: (3,) in the object frame; normalised on entry.
+        axis: (3,) direction of the line in the object frame; normalised on entry.
         assembled: a pose of the object in the environment frame at which the slide is closed.
-        name: used in messages and recordings.
+        name: name in messages and recordings.
 
     Example:
         >>> slide = osc.Prismatic([0, 0, 0], axis=[1, 0, 0])
@@ -205,9 +205,9 @@ class Revolute(TangentPair):
 
     Attributes:
         point: (3,) a point of the axis in the object frame (m).
-        axis: (3,) in the object frame; normalised on entry.
+        axis: (3,) direction of the axis in the object frame; normalised on entry.
         assembled: a pose of the object in the environment frame at which the hinge is closed.
-        name: used in messages and recordings.
+        name: name in messages and recordings.
 
     Example:
         >>> hinge = osc.Revolute([0, 0, 0], axis=[0, 0, 1])
@@ -240,10 +240,10 @@ class Screw(TangentPair):
 
     Attributes:
         point: (3,) a point of the axis in the object frame (m).
-        axis: (3,) in the object frame; normalised on entry.
+        axis: (3,) direction of the axis in the object frame; normalised on entry.
         pitch: advance along the axis (m/rad, not per turn); negative: left-handed.
         assembled: a pose of the object in the environment frame at which the screw is closed.
-        name: used in messages and recordings.
+        name: name in messages and recordings.
 
     Example:
         >>> bolt = osc.Screw([0, 0, 0], axis=[0, 0, 1], pitch=1e-3 / (2 * np.pi))  # 1 mm a turn
@@ -295,12 +295,12 @@ class ConeInGroove(TangentPair):
     parallel or perpendicular.
 
     Attributes:
-        apex: (3,) of the cone in the object frame (m).
-        axis: (3,) of the cone in the object frame; normalised on entry.
+        apex: (3,) apex of the cone in the object frame (m).
+        axis: (3,) axis of the cone in the object frame; normalised on entry.
         groove_point: (3,) a point of the line on which the apex slides, environment frame (m).
-        groove_direction: (3,) along that line, environment frame; normalised on entry.
-        seat: (3,) the direction the cone's axis has in the environment frame; normalised.
-        name: used in messages and recordings.
+        groove_direction: (3,) direction of that line, environment frame; normalised on entry.
+        seat: (3,) direction of the cone's axis in the environment frame; normalised on entry.
+        name: name in messages and recordings.
 
     Example:
         >>> point, along, up = [0, 0, 0], [1, 0, 0], [0, 0, 1]

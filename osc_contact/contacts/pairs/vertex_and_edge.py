@@ -1,4 +1,4 @@
-"""A face of the object on a vertex of the environment; an edge across another edge."""
+"""Pairs with a face of the object on a vertex of the environment, and with two crossed edges."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class FaceOnVertex(LawPair):
     """A face of the object on a (rounded) vertex of the environment, r = 1.
 
     N = [n; (p − O) × n] with n the *outward* normal of the object's face, which points into the
-    environment, and p the vertex. Now the object carries n and the environment p: ṅ = ω_O × n,
+    environment, and p the vertex. n is fixed to the object and p to the environment: ṅ = ω_O × n,
     ṗ = v_E(p).
 
     Example:
@@ -45,7 +45,7 @@ class FaceOnVertex(LawPair):
     body_vertex: BodyPoint
     """the centre of the rounded vertex [x, y, z] in the body frame"""
     radius: Radius = 0.0
-    """of the rounding"""
+    """the radius of the rounding"""
     name: str = "face_on_vertex"
     pushes = True
 
@@ -55,7 +55,7 @@ class FaceOnVertex(LawPair):
         store(self, surface_radius=self.radius)
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """(1,) distance between face and vertex surface (m), negative when they overlap."""
+        """Distance (1,) between face and vertex surface (m), negative when they overlap."""
         R = X_EA.rotation
         apart = self.body_vertex - X_EA.translation - R @ self.point
         return np.array([R @ self.normal @ apart - self.radius])
@@ -68,11 +68,12 @@ class FaceOnVertex(LawPair):
 class EdgeOnEdge(LawPair):
     """An edge of the object across an edge of the environment, r = 1.
 
-    N = [n; (p − O) × n], n = ± e_A × e_E / |e_A × e_E| into the environment, p the crossing point,
-    which neither body carries: it slides along both edges, ṗ = v_A(p) + ṡ e_A. With e_A, e_E unit,
-    ṅ = ± (1 − nnᵀ)(ė_A × e_E + e_A × ė_E) / |e_A × e_E|. With the gap g open, p is the
-    point of the object's edge nearest to the other one and
-    ṫ e_E − ṡ e_A = v_A(p) − v_E(p + g n) + g ṅ in the plane ⟂ n, so N and n_γ stay exact.
+    N = [n; (p − O) × n] with n = ± e_A × e_E / |e_A × e_E| into the environment, e_A and e_E unit
+    vectors, and p the crossing point. p is fixed to neither body, but slides along both edges,
+    ṗ = v_A(p) + ṡ e_A, and ṅ = ± (1 − nnᵀ)(ė_A × e_E + e_A × ė_E) / |e_A × e_E|. With an open gap
+    g, p is the point of the object's edge that is nearest to the other edge, and
+    ṫ e_E − ṡ e_A = v_A(p) − v_E(p + g n) + g ṅ in the plane perpendicular to n, so that N and n_γ
+    are exact for open gaps, too.
 
     Example:
         >>> point, along, across, up = [0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]
@@ -84,14 +85,15 @@ class EdgeOnEdge(LawPair):
     point: Point
     """a point of the object's edge [x, y, z] in the object frame"""
     direction: Direction
-    """along the object's edge [x, y, z] in the object frame"""
+    """the direction of the object's edge [x, y, z] in the object frame"""
     edge_point: BodyPoint
     """a point of the body's edge [x, y, z] in the body frame"""
     edge_direction: BodyDirection
-    """along the body's edge [x, y, z] in the body frame"""
+    """the direction of the body's edge [x, y, z] in the body frame"""
     edge_outward: Outward
-    """roughly out of the body at its edge [x, y, z] in the body frame; its component along
-    direction × edge_direction decides. In Python also +1 or −1 times that"""
+    """a direction roughly out of the body at its edge [x, y, z] in the body frame; the sign of its
+    component along direction × edge_direction determines the side. In Python also this sign, +1 or
+    −1"""
     name: str = "edge_on_edge"
     pushes = True
 
@@ -109,6 +111,6 @@ class EdgeOnEdge(LawPair):
         self._hold(self.edge_point, EDGES, (shape(*lines, *side),))
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """(1,) distance between the two lines (m), negative when they have passed each other."""
+        """Distance (1,) between the two edges (m), negative when they have passed each other."""
         n = self.contact(X_EA, AT_REST).N[:3, 0]
         return np.array([n @ (self.edge_point - X_EA.act(self.point))])
