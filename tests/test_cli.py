@@ -14,7 +14,7 @@ from PIL import Image
 from processes import python
 from pytest import approx, mark
 from rigs import assert_near
-from samples import ROOT, module_fixture, names_in, parametrize
+from samples import ROOT, aligned, module_fixture, names_in, parametrize
 from scenario_runs import run_of
 from scene_samples import read_commands
 
@@ -51,12 +51,17 @@ def test_version_and_help():
 
 def test_examples_are_the_programs_of_the_docs(tmp_path):
     folder = tmp_path / "mine"
-    done("examples", folder)
-    files = sorted(folder.iterdir())
-    assert len(files) >= 10 and files[0].name == "01_osc_contact.py"
+    printed = done("examples", folder).stdout
+    files = sorted(folder.glob("*.py"))
+    assert len(files) >= 10 and files[0].name == "01_first_program.py"
     assert files[0].read_text().split("\n", 2)[2] in (ROOT / "README.md").read_text()
-    for file in files:
+    titles = [file.read_text().partition("\n")[0].removeprefix("# ") for file in files]
+    assert len(set(titles)) == len(titles), "a program is chosen by its title"
+    for file, title in aligned(files, titles):
         compile(file.read_text(), str(file), "exec")
+        assert title in " ".join(printed.split()), "each file is listed with its title"
+    copies = {path.stem for path in (folder / "scenarios").iterdir()}
+    assert copies == set(osc_contact.list_scenarios())
     assert "is there already" in refused("examples", folder)
 
 

@@ -118,6 +118,15 @@ def test_the_picture_of_the_rooms_is_that_of_the_imports():
     assert script["PICTURE"].read_text() == script["drawing"]()
 
 
+def test_the_picture_of_the_objects_is_that_of_its_program():
+    """After a change of it: python docs/draw_objects.py. Its boxes are the objects of the table."""
+    script = program("draw_objects.py")
+    assert script["PICTURE"].read_text() == script["drawing"]()
+    rows = [TICKED.findall(row[0]) for row in table_rows("objects.md", "What each is")]
+    named = {name for row in rows for name in row} | {"a pair, VertexOnFace"}
+    assert {box.name for box in script["BOXES"].values()} <= named
+
+
 def test_pictures_are_small_and_all_shown():
     shown = {
         (page.parent / target).resolve()
@@ -437,7 +446,7 @@ def run_line(line):
     """Output of one command of the page, in the working folder."""
     if line.startswith("cp "):
         _, source, target = shlex.split(line)
-        shutil.copy(ROOT / source, target)
+        shutil.copy(source, target)
         return ""
     assert line.startswith("osc-contact "), f"no way to run {line!r}"
     result = call(line.removeprefix("osc-contact "))
@@ -469,8 +478,8 @@ def test_the_page_leads_from_the_packaged_scenario_to_a_tilted_face(tmp_path, mo
         elif kind == "text" and kinds[-1] != "python":  # tests/test_docs.py runs the program
             assert text.strip() in printed
         kinds.append(kind)
-    programs = ["sh", "text", "diff", "sh", "text", "sh", "text", "python", "text", *3 * ["sh"]]
-    assert kinds == programs
-    assert names_in(tmp_path / "out") == {"my_rod.html", "my_rod"}
+    tilted = ["sh", "text", "diff", "sh", "text", "sh", "text", "python", "text"]
+    assert kinds == ["console", "sh", *tilted, *3 * ["sh"]]
+    assert names_in(tmp_path / "out") == {"two_contact_rod", "my_rod.html", "my_rod"}
     assert (tmp_path / "out" / "my_rod" / "metrics.json").exists()
     assert (tmp_path / "my_task.yaml").exists()

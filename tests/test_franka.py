@@ -1,16 +1,20 @@
 """The Franka driver against franky-sim: libfranka's own protocol, and a plant that is not ours."""
 
+import os
 import re
 import sys
+from pathlib import Path
+from subprocess import DEVNULL
 
 import numpy as np
 import pinocchio as pin
 from command_line import call
 from complaints import invalid_input, plant_error
 from franka_rig import PROBE, RADIUS, FrankaServer, Press, franka
+from processes import python, started
 from pytest import approx, mark
 from rigs import assert_near, largest, placed, vector
-from samples import first, parametrize
+from samples import ROOT, first, parametrize
 
 import osc_contact as osc
 from osc_contact.drivers.franka import FrankaRobot
@@ -51,6 +55,26 @@ def test_it_approaches_presses_slides_and_retreats(franka, case):
     assert landing < IMPACT.get(case, 2.0)
     assert slid == approx(task.slide, rel=0.05)
     assert task.normal[-1] == 0.0 and task.probe[-1, 2] - task.probe[task.released, 2] > 0.015
+
+
+def test_the_page_has_a_program_that_runs_against_its_command_line(tmp_path):
+    """As on the page, at an address that no other test has."""
+    page = (ROOT / "docs" / "franka.md").read_text().split("## On franky-sim")[1]
+    (line,) = re.findall(r"^\$ franky-sim (.*)$", page, re.MULTILINE)
+    (program, *_) = re.findall(r"^```{code-block} python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    shown = re.findall("It prints `(.*?)`", page)
+    address = "127.0.0.99"
+    command = Path(sys.executable).with_name("franky-sim")
+    options = line.replace("127.0.0.1", address).split()
+    unbuffered = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with started([command, *options], stdin=DEVNULL, env=unbuffered) as server:
+        try:
+            lines = iter(server.stdout.readline, "")
+            assert any(f"'{address}'" in said for said in lines), server.stderr.read()
+            done = python("-c", program.replace("127.0.0.1", address), cwd=tmp_path)
+        finally:
+            server.terminate()
+    assert done.stdout.splitlines() == shown
 
 
 # --- item 5: faults over the wire -----------------------------------------------------------------

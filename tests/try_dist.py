@@ -30,7 +30,7 @@ COMMANDS = (
     "osc-contact",
     "osc-contact list",
     "osc-contact examples mine",
-    "python mine/01_osc_contact.py",
+    "python mine/01_first_program.py",
 )
 TESTS = ("test_contact.py", "test_projections.py", "test_importing.py", "test_browser.py")
 BESIDE = ("franky-sim", "robosuite", "mjlab", "newton")

@@ -48,7 +48,7 @@ from osc_contact.lab.reports.viewing import shown_of
 from osc_contact.lab.reports.web_page import write_web_page
 from osc_contact.lab.rig.rig import build_rig
 from osc_contact.lab.runs.tape import build as build_library
-from osc_contact.lab.scenarios.loader import list_scenarios
+from osc_contact.lab.scenarios.loader import FILES, list_scenarios
 from osc_contact.lab.sweeps.sweep import available_cores
 from osc_contact.lab.visual.browser import find_browser, write_gif, write_mp4
 from osc_contact.lab.visual.run_figures import FigureProcess
@@ -325,12 +325,13 @@ Contact forces and free motion of arms, controlled at once. Five things to do fi
   osc-contact inspect two_contact_rod     what its contacts transmit and permit, in words
   osc-contact run two_contact_rod         run it: verdict, figures, a moving scene in out/
   osc-contact new --robot panda           a first task for a robot: a YAML file that runs
-  osc-contact examples                    short Python programs to change
+  osc-contact examples                    programs and scenarios, to run and to change
 
 All commands: osc-contact --help"""
 PAGES = (
     "README.md",
     "press_and_slide.md",
+    "objects.md",
     "two_arms.md",
     "contact_phases.md",
     "friction.md",
@@ -339,31 +340,47 @@ PAGES = (
     "extend.md",
 )
 PROGRAM = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-HEADING = re.compile(r"^#{1,2} (.*)$", re.MULTILINE)
+HEADING = re.compile(r"^#{1,3} (.*)$", re.MULTILINE)
 
 
 @app.command()
 def examples(
     folder: Annotated[Path, Argument(help="where to write them")] = Path("examples"),
 ) -> None:
-    """Write the short programs of the docs as files, each of which runs by itself."""
+    """Write the programs of the docs and the packaged scenarios as files, to run and to change."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InvalidInputError(f"{folder} is there already: name an empty or a new folder")
     folder.mkdir(parents=True, exist_ok=True)
-    for number, (name, page, code) in enumerate(programs(), start=1):
+    first = None
+    for number, (name, title, code) in enumerate(programs(), start=1):
         path = folder / f"{number:02d}_{name}.py"
-        write_whole(f"# From {page}\n\n{code}", path)
-        say(f"written: {path}")
-    say(f"run one: python {path}")
+        first = first or path
+        write_whole(f"# {title}\n\n{code}", path)
+        say(f"{path}: {title}")
+    copies = folder / "scenarios"
+    copies.mkdir()
+    for source in sorted(FILES.glob("*.yaml")):
+        write_whole(source.read_text(encoding="utf-8"), copies / source.name)
+    say(f"{copies}: the packaged scenarios")
+    say(f"run one: python {first}, osc-contact run {copies / 'two_contact_rod.yaml'}")
 
 
 def programs() -> Iterator[tuple[str, str, str]]:
-    """Programs of the pages for users: name, page and text of each."""
+    """Programs of the pages for users: file name, title and text of each.
+
+    A title is that of the page and of the section, such as "Two arms: The chain in Python".
+    """
     for page in PAGES:
         text = _page(page).read_text(encoding="utf-8")
         for found in PROGRAM.finditer(text):
-            heading = HEADING.findall(text[: found.start()])[-1]
-            yield (_slug(heading), page, found[1])
+            title, *sections = HEADING.findall(PROGRAM.sub("", text[: found.start()]))
+            if page == "README.md":
+                yield ("first_program", "First program", found[1])
+            elif sections:
+                name = _slug(f"{Path(page).stem} {sections[-1]}")
+                yield (name, f"{title}: {sections[-1]}", found[1])
+            else:
+                yield (Path(page).stem, title, found[1])
 
 
 def _page(name: str) -> Path:
@@ -374,6 +391,6 @@ def _page(name: str) -> Path:
 
 
 def _slug(heading: str) -> str:
-    """Heading as a file name: its words before a colon, in ASCII letters, joined by "_"."""
-    plain = unicodedata.normalize("NFKD", heading.partition(":")[0]).encode("ascii", "ignore")
+    """Heading as a file name: its words in ASCII letters, joined by "_"."""
+    plain = unicodedata.normalize("NFKD", heading).encode("ascii", "ignore")
     return "_".join(re.findall(r"[a-z0-9]+", plain.decode().lower()))
