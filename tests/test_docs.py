@@ -105,6 +105,12 @@ def test_yaml_is_a_piece_of_a_scenario(page, code, shown):
             assert shown_names <= names
             value = [*value, *(c for c in scenario[key] if c["name"] not in shown_names)]
         scenario[key] = value
+    # contacts without a force on the page: 0 N, an entry for each of their columns
+    for contact in scenario["contacts"]:
+        name, forces = contact["name"], contact_types()[contact["type"]].forces
+        columns = [name] if forces == 1 else [f"{name}.{i + 1}" for i in range(forces)]
+        given = {c: scenario["force"].get(c, [{"type": "constant", "value": 0}]) for c in columns}
+        scenario["force"] = given | {k: v for k, v in scenario["force"].items() if k != name}
     osc.Scenario.model_validate(scenario)
 
 
@@ -159,10 +165,32 @@ def test_every_section_of_the_theory_names_where_it_is_computed():
 
 def test_tables_of_keys_are_those_of_the_declarations():
     """After a change of a setting: python docs/_ext/scenario_keys.py."""
-    page = text_of("scenario.md")
-    assert program("_ext/scenario_keys.py")["updated"](page) == page
-    keys = {row[0].strip("`") for row in table_rows("scenario.md", "Control and plant")}
-    assert {"gains.motion.frequency", "control.safety.wrist_error", "plant.solref"} <= keys
+    script = program("_ext/scenario_keys.py")
+    pages = script["updated"]()
+    assert {page.name for page in pages} == {p.name for p in ROOT.glob("docs/scenario*.md")}
+    for page, text in pages.items():
+        assert page.read_text() == text, page.name
+    found = re.findall(r"^\| `([\w.]+)` \|", "".join(pages.values()), re.MULTILINE)
+    assert {"gains.motion.frequency", "control.safety.wrist_error", "plant.solref"} <= set(found)
+    # a key without a table is unknown to users; contacts and moves have one for each kind
+    assert set(osc.Scenario.model_fields) - set(found) == {"contacts", "motion"}
+    for kind in ("linear", "angular", "surface"):
+        assert f"<!-- keys: motion={kind} -->" in text_of("scenario_commands.md")
+
+
+def test_every_kind_of_contact_has_a_section_with_an_example_and_its_keys():
+    sections = text_of("scenario_contacts.md").split("\n## ")[1:]
+    kinds = {
+        kind.replace("_", " ").capitalize().replace(" v ", " V "): kind for kind in contact_types()
+    }
+    named = [section.split("\n")[0] for section in sections]
+    assert named[0] == "Bodies" and sorted(named[1:]) == sorted(kinds)
+    for section in sections[1:]:
+        kind = kinds[section.split("\n")[0]]
+        (example,) = re.findall(r"^```yaml\n(.*?)^```$", section, re.MULTILINE | re.DOTALL)
+        assert [one["type"] for one in yaml.safe_load(example)["contacts"]] == [kind]
+        keys = set(re.findall(r"^\| `contacts\.(\w+)` \|", section, re.MULTILINE))
+        assert keys == set(contact_types()[kind].model_fields) - {"type"}
 
 
 def test_every_pair_has_a_row_with_its_r_and_its_keys():

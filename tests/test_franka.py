@@ -61,7 +61,9 @@ def test_the_page_has_a_program_that_runs_against_its_command_line(tmp_path):
     """As on the page, at an address that no other test has."""
     page = (ROOT / "docs" / "franka.md").read_text().split("## On franky-sim")[1]
     (line,) = re.findall(r"^\$ franky-sim (.*)$", page, re.MULTILINE)
-    (program, *_) = re.findall(r"^```{code-block} python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    (program, *_) = re.findall(
+        r"^```{code-block} python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL
+    )
     shown = re.findall("It prints `(.*?)`", page)
     address = "127.0.0.99"
     command = Path(sys.executable).with_name("franky-sim")

@@ -119,7 +119,7 @@ def test_first_uses_of_symbols_lead_to_the_glossary(site):
     expected = {
         "theory": "N T r d S C G O n_γ α_u η̇ Ψ Φ Ω_f",
         "inspect": "d r C N T",
-        "scenario": "r",
+        "scenario_contacts": "r",
     }
     for page, names in expected.items():
         text = text_of(site, f"docs/{page}")
@@ -131,7 +131,7 @@ def test_first_uses_of_symbols_lead_to_the_glossary(site):
 
 
 def test_names_in_tables_break_after_their_parts_only(site):
-    text = text_of(site, "docs/scenario")
+    text = text_of(site, "docs/scenario_contacts")
     assert "contacts.<wbr>face.<wbr>urdf<" in re.sub(r"</?span[^>]*>", "", text)
 
 

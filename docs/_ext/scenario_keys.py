@@ -1,6 +1,11 @@
-"""Keys of settings from their declarations: the tables of docs/scenario.md, the lists of docs/api.
+"""Keys of settings from their declarations: the tables of docs/scenario*.md, the lists of docs/api.
 
-python docs/_ext/scenario_keys.py      rewrites docs/scenario.md
+python docs/_ext/scenario_keys.py      rewrites these pages
+
+A table stands between `<!-- keys: SELECTION -->` and `<!-- end of keys -->`. A selection is one or
+more of: a key of a scenario (`plant`); a key inside one (`control.safety`); a key without those
+below another, which have a table of their own (`control -control.safety`); the keys of one kind
+(`contacts=edge_on_face`); `signals`.
 """
 
 from __future__ import annotations
@@ -20,7 +25,12 @@ from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.lab.scenarios.signals import ForceSignal
 from osc_contact.settings.quantities import Dimension, Spec, meaning
 
-PAGE = Path(__file__).parents[1] / "scenario.md"
+DOCS = Path(__file__).parents[1]
+#: Pages with tables, in the order in which a group that is used twice is described.
+PAGES = [
+    DOCS / f"scenario{part}.md"
+    for part in ("_arms", "_contacts", "_commands", "_control", "_plant", "")
+]
 BLOCK = re.compile(r"(?<=<!-- keys: )(.*?) -->\n.*?(?=<!-- end of keys -->)", re.S)
 HEAD = "| key | unit | range | default | meaning |\n|---|---|---|---|---|\n"
 LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
@@ -54,38 +64,78 @@ def list_keys(
     lines += [""]
 
 
-def updated(page: str) -> str:
-    """The page with tables of what is declared now."""
+def updated() -> dict[Path, str]:
+    """The pages with tables of what is declared now."""
     Scenario.model_rebuild()
     first: dict[type[BaseModel], str] = {}
+    found = {}
+    for page in PAGES:
 
-    def table(match: re.Match[str]) -> str:
-        keys = match[1].split()
-        if keys == ["signals"]:
-            found = rows({kind: kind.model_fields for kind in signals()}, "", first)
-        else:
-            found = rows({Scenario: {k: Scenario.model_fields[k] for k in keys}}, "", first)
-        return f"{match[1]} -->\n\n{HEAD}{''.join(found)}\n"
+        def table(match: re.Match[str], page: Path = page) -> str:
+            words = match[1].split()
+            without = {word[1:] for word in words if word[0] == "-"}
+            lines = [
+                one
+                for word in words
+                if word[0] != "-"
+                for one in selected(word, first, page.name)
+                if not one.startswith(tuple(f"| `{key}." for key in without))
+            ]
+            return f"{match[1]} -->\n\n{HEAD}{''.join(lines)}\n"
 
-    return BLOCK.sub(table, page)
+        found[page] = BLOCK.sub(table, page.read_text(encoding="utf-8"))
+    return found
+
+
+def selected(word: str, first: dict[type[BaseModel], str], page: str) -> Iterator[str]:
+    """Lines of a table for one word of its selection, see the top.
+
+    Args:
+        word: such as plant, control.safety, contacts=edge_on_face. first: where each model is
+            described. page: on which the table is.
+    """
+    if word == "signals":
+        yield from rows({kind: kind.model_fields for kind in signals()}, "", first, page)
+        return
+    path, _, tag = word.partition("=")
+    *above, last = path.split(".")
+    kinds: list[type[BaseModel]] = [Scenario]
+    for key in above:
+        kinds = [model for kind in kinds for model in models_in(kind.model_fields[key].annotation)]
+    prefix = "".join(f"{key}." for key in above)
+    if not tag:
+        fields = {kind: {last: kind.model_fields[last]} for kind in kinds}
+        yield from rows(fields, prefix, first, page)
+        return
+    inside = [model for kind in kinds for model in models_in(kind.model_fields[last].annotation)]
+    (kind,) = (model for model in inside if tag_of(model) == tag)
+    own = {key: field for key, field in kind.model_fields.items() if not is_tag(field)}
+    yield from rows({kind: own}, f"{path}.", first, page)
+
+
+def tag_of(kind: type[BaseModel]) -> str:
+    """The name of a model's kind, or nothing."""
+    fields = kind.model_fields
+    return next((fields[key].default for key in ("type", "kind") if is_tag(fields.get(key))), "")
 
 
 def rows(
     kinds: dict[type[BaseModel], dict[str, FieldInfo]],
     prefix: str,
     first: dict[type[BaseModel], str],
+    page: str,
 ) -> Iterator[str]:
     """Lines of a table: the keys of a group, of whatever kind it may be, and of groups inside.
 
     Args:
         kinds: the models that the group may be, with their keys. prefix: of the keys.
-        first: where each model is described.
+        first: where each model is described. page: on which the table is.
     """
     tagged: dict[str, list[str]] = {}
     same: dict[tuple[str, str], list[str]] = {}
     field_of = {}
     for kind, fields in kinds.items():
-        tag = next((fields[key].default for key in ("type", "kind") if is_tag(fields.get(key))), "")
+        tag = tag_of(kind)
         for name, field in fields.items():
             if is_tag(field) and len(kinds) > 1:
                 tagged.setdefault(name, []).append(f"`{tag}`: {first_sentence(kind)}")
@@ -101,13 +151,17 @@ def rows(
         if 1 < len(kinds) != len(tags):
             text = f"{', '.join(tags)}: {text}"
         inside = [model for model in models_in(field.annotation) if origin(model) not in signals()]
-        known = first.get(inside[0]) if inside else None
+        here = f"[`{path}`]({page})"
+        known = first.get(inside[0], here) != here if inside else False
         if known:
-            text += f"; keys as of `{known}`"
-        first |= dict.fromkeys(inside, path)
+            text += f"; keys as of {first[inside[0]]}"
+        else:
+            first |= dict.fromkeys(inside, here)
         yield line(path, unit(field), limits(field), default(field), text)
         if inside and not known:
-            yield from rows({model: model.model_fields for model in inside}, f"{path}.", first)
+            yield from rows(
+                {model: model.model_fields for model in inside}, f"{path}.", first, page
+            )
 
 
 def line(*cells: str) -> str:
@@ -217,4 +271,5 @@ def default(field: FieldInfo) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(updated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for path, text in updated().items():
+        path.write_text(text, encoding="utf-8")
