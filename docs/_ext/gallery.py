@@ -29,8 +29,9 @@ HEAD = """# Gallery
 Every packaged scenario and study, with its command and the verdict of the run shown. Arrows are
 contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines are lines
 of force, thin curves are trails. `make gallery` makes this page and its pictures anew;
-`osc-contact view SCENARIO --gif FILE` makes one of your own, `osc-contact page SCENARIO --out FOLDER`
-a [web page](viewing.md#a-page-that-runs-the-task) on which you set forces and walls yourself.
+`osc-contact view SCENARIO --gif FILE` makes one of your own; on the
+[web page](viewing.md#a-page-that-runs-the-task) of `osc-contact page SCENARIO --out FOLDER` you set
+forces and walls yourself.
 
 Two runs are `POOR` on purpose: `limited_rod` is commanded beyond the limits of its motors, and
 `collisions` is pushed off its faces again and again.
