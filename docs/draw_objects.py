@@ -92,7 +92,8 @@ ARROWS = (  # path, label, place of the label
     ("M470 630 H616", "", (0, 0)),
 )
 STYLE = (
-    "text{font:13.5px sans-serif;text-anchor:middle;fill:#333}.name{font-weight:bold;font-size:15px}"
+    "text{font:13.5px sans-serif;text-anchor:middle;fill:#333}"
+    ".name{font-weight:bold;font-size:15px}"
     ".code{font-family:monospace;font-size:12px;fill:#234}"
     "rect{stroke-width:1.5}.part{fill:#eef3f8;stroke:#4a6b8a}.loop{fill:#fdf1e3;stroke:#b8741a}"
     ".data{fill:#eef7ee;stroke:#4b8a4f}.lab{fill:#f4f4f4;stroke:#777}"
