@@ -10,7 +10,7 @@ from numpy.linalg import norm
 from PIL import Image, ImageSequence
 from pytest import approx
 from rigs import assert_near, largest, vector
-from samples import module_fixture, names_in
+from samples import module_fixture, names_in, parametrize
 from scene_samples import BASE, ENDS, RECORDING, links, write
 
 from osc_contact.lab.visual import browser as pages
@@ -149,6 +149,31 @@ def test_labels_and_legend_do_not_cover_each_other(browser):
         for (a, *p), (b, *q) in combinations(boxes, 2):
             apart = p[2] <= q[0] or q[2] <= p[0] or p[3] <= q[1] or q[3] <= p[1]
             assert apart, f"{a!r} covers {b!r} at {time} s"
+
+
+@parametrize("size", [(1280, 860), (400, 700)])
+def test_no_label_covers_an_arrow(page, size):
+    """Points of each arrow, from its tip towards the node of its label, beyond its tail."""
+    place = (
+        "(path => { const v = nodeAt(path).object.getWorldPosition(new MeshCat.THREE.Vector3())"
+        ".project(viewer.camera), p = element('scene');"
+        " return [0.5 * (v.x + 1) * p.clientWidth, 0.5 * (1 - v.y) * p.clientHeight]; })('{}')"
+    )
+    with Browser(f"{page.as_uri()}#t=1", size) as opened:
+        for time in (0.1, 0.3, 0.8, 1.0):
+            slide(opened, time)
+            boxes = opened.run(
+                LABELS + ".map(d => { const r = d.getBoundingClientRect();"
+                " return [d.textContent, r.left, r.top, r.right, r.bottom]; })"
+            )
+            assert len(boxes) >= 4
+            for name in ENDS:
+                path = f"contacts/{name}"
+                ends = [opened.run(place.replace("{}", p)) for p in (path, f"{path}/label")]
+                for x, y in np.linspace(*ends, 20)[:16]:
+                    for text, left, top, right, bottom in boxes:
+                        covered = left < x < right and top < y < bottom
+                        assert not covered, f"{text!r} covers the force of {name} at {time} s"
 
 
 def test_play_continues_and_a_click_in_a_plot_stops_there(browser):

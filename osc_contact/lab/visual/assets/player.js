@@ -77,6 +77,10 @@ function showLegend(entries) {
   }
 }
 
+// Places of a label, in its widths and heights from the first: the nearest ones come first.
+const PLACES = [[0, 0], [0, -1], [0, 1], [-0.5, 0], [0.5, 0], [-0.5, -1], [0.5, -1], [0, -2], [0, 2],
+  [-1, 0], [1, 0], [-1, -1], [1, -1], [-1, 1], [1, 1], [0, -3], [0, -4], [-1, -2], [1, -2], [0, -5], [0, -6]];
+
 function showLabels(labels) {
   return labels.map((label) => {
     const box = element("labels").appendChild(document.createElement("div"));
@@ -85,30 +89,69 @@ function showLabels(labels) {
   });
 }
 
+function onScreen(object, pane) { // place (px) of a node's origin, and whether it is in the picture
+  object.updateWorldMatrix(true, false);
+  const at = new MeshCat.THREE.Vector3().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
+  return {
+    x: 0.5 * (at.x + 1) * pane.clientWidth, y: 0.5 * (1 - at.y) * pane.clientHeight,
+    inside: Math.abs(at.x) < 1 && Math.abs(at.y) < 1 && at.z < 1,
+  };
+}
+
+// Share of a box (x, y: its upper left corner) that an arrow from p to q crosses: 0, none of it.
+function crossed(box, { p, q }) {
+  let from = 0, to = 1;
+  const sides = [[p.x, q.x - p.x, box.x, box.x + box.w], [p.y, q.y - p.y, box.y, box.y + box.h]];
+  for (const [start, step, low, high] of sides) {
+    if (Math.abs(step) < 1e-6) {
+      if (start < low || start > high) return 0;
+      continue;
+    }
+    const ends = [(low - start) / step, (high - start) / step].sort((u, v) => u - v);
+    from = Math.max(from, ends[0]);
+    to = Math.min(to, ends[1]);
+  }
+  return Math.max(0, to - from);
+}
+
+// A label stands beyond the tail of its arrow, or at the nearest place where it covers no other
+// label and no arrow.
 function placeLabels(labels, time) {
-  const pane = element("scene"), taken = [];
-  for (const { path, text, line, unit, lost, box } of labels) {
+  const pane = element("scene"), shown = [], arrows = [], taken = [];
+  for (const label of labels) {
+    const { path, text, line, unit, lost, box } = label;
     const object = nodeAt(path).object;
     let seen = true;
     for (let above = object; above; above = above.parent) seen = seen && above.visible;
     const value = line === null ? null : plots.valueAt(line, time);
     const gone = lost && nodeAt(lost).object.visible;
     const reading = value === null ? "" : ` ${signed(value.toFixed(2))} ${unit}`;
-    const words = text + (gone ? " lost" : reading);
-    setText(box, words);
-    object.updateWorldMatrix(true, false);
-    const at = new MeshCat.THREE.Vector3().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
-    seen = seen && Math.abs(at.x) < 1 && Math.abs(at.y) < 1 && at.z < 1;
+    setText(box, text + (gone ? " lost" : reading));
+    const tail = onScreen(object, pane);
+    seen = seen && tail.inside;
     setStyle(box, "display", seen ? "" : "none");
     if (!seen) continue;
-    const w = box.offsetWidth, h = box.offsetHeight;
-    const x = Math.min(pane.clientWidth - w - 4, Math.max(4, 0.5 * (at.x + 1) * pane.clientWidth - w / 2));
-    let y = Math.max(4, 0.5 * (1 - at.y) * pane.clientHeight - h / 2);
-    for (const other of taken) {
-      if (x < other.x + other.w && other.x < x + w && Math.abs(y - other.y) < h + 2) y = other.y - h - 2;
+    const tip = onScreen(object.parent, pane);
+    const end = { x: tip.x + 0.85 * (tail.x - tip.x), y: tip.y + 0.85 * (tail.y - tip.y) };
+    if (line !== null) arrows.push({ p: tip, q: end }); // the label's node is some way beyond the arrow
+    shown.push({ box, tail, tip, w: box.offsetWidth, h: box.offsetHeight });
+  }
+  for (const { box, tail, tip, w, h } of shown) {
+    const length = Math.hypot(tail.x - tip.x, tail.y - tip.y);
+    const [dx, dy] = length > 1 ? [(tail.x - tip.x) / length, (tail.y - tip.y) / length] : [0, -1];
+    let best = null;
+    for (const [i, j] of PLACES) {
+      // beyond the tail, where the box just does not reach back to it; then i widths, j heights off
+      const x = Math.min(pane.clientWidth - w - 4, Math.max(4, tail.x + (dx / 2 + i) * w - w / 2));
+      const y = Math.min(pane.clientHeight - h - 4, Math.max(4, tail.y + (dy / 2 + j) * (h + 2) - h / 2));
+      const place = { x, y, w, h };
+      const over = taken.some((o) => x < o.x + o.w && o.x < x + w && Math.abs(y - o.y) < h + 2);
+      const cost = (over ? 100 : 0) + arrows.reduce((sum, arrow) => sum + crossed(place, arrow), 0);
+      if (best === null || cost < best.cost - 1e-3) best = { cost, place };
+      if (best.cost === 0) break;
     }
-    taken.push({ x, y, w });
-    setStyle(box, "transform", `translate(${Math.round(x)}px, ${Math.round(y)}px)`);
+    taken.push(best.place);
+    setStyle(box, "transform", `translate(${Math.round(best.place.x)}px, ${Math.round(best.place.y)}px)`);
   }
 }
 
