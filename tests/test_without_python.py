@@ -14,7 +14,7 @@ from numpy.testing import assert_array_equal
 from processes import completed
 from pytest import mark
 from rigs import STILL, assert_near, largest, panda_arm, refused, rig_of, ticked, vector
-from samples import made_once, module_fixture, parametrize
+from samples import ROOT, made_once, module_fixture, parametrize
 
 import osc_contact as osc
 from benchmarks.cases import repeatable
@@ -99,6 +99,21 @@ def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path, name, changes):
 
 
 STRICT = ("-O2", "-Wall", "-Wextra", "-Werror")
+
+
+def test_the_page_s_own_program_in_c_prints_what_python_prints(
+    library, tmp_path, monkeypatch, capsys
+):
+    page = (ROOT / "docs" / "without_python.md").read_text().split("## A program of your own")[1]
+    code, shown, c_code, commands = re.findall(r"^```\w+\n(.*?)^```$", page, re.M | re.S)[:4]
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "without_python.md", "exec"), {"__name__": "__main__"})
+    assert capsys.readouterr().out == shown
+    (tmp_path / "rod_in_c").symlink_to(library)
+    (tmp_path / "my_loop.c").write_text(c_code)
+    compiled, started = commands.splitlines()
+    run(*compiled.removeprefix("$ ").split(), *STRICT)
+    assert run(started.removeprefix("$ ")) == shown
 
 
 @module_fixture
