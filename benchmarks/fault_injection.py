@@ -170,7 +170,7 @@ class Run:
         self.act = np.array(rig.model.actuated)
         self.fastest = rig.model.model.velocityLimit[self.act]
         self.limit = rig.model.tau_max
-        ticked = self.controller._records.memory.ticked
+        ticked = self.controller.records.memory.ticked
         self.before = self.controller.last_torques() if ticked else None
         self.lost = np.zeros(len(self.act))
         rng = case.rng(fault)
@@ -318,7 +318,7 @@ class _Watch:
             self._stop_k = run.k
             self._stop_q = q
             verdict.reason = run.controller.reason
-            self._braking = speeds * run.controller._records.model.reaction
+            self._braking = speeds * run.controller.records.model.reaction
         if verdict.stopped is not None:
             verdict.travel = max(
                 verdict.travel, float((np.abs(q - self._stop_q) - self._braking).max())

@@ -106,10 +106,10 @@ def stack_of(case: TickCase, call: Any) -> int:
     arrays = [np.ascontiguousarray(one, dtype=float) for one in given]
     addresses = np.array([one.ctypes.data for one in arrays])
     sizes = np.array([len(one) if one.ndim > 1 else one.size for one in arrays])
-    raw = controller._records.rows.raw
+    raw = controller.records.rows.raw
     found = call(raw.ctypes.data, addresses.ctypes.data, sizes.ctypes.data, ROOM)
     assert 0 < found < ROOM // 2, f"{found} bytes: no stack could be made"
-    assert controller._records.work.reason == 0, "the tick was not computed"
+    assert controller.records.work.reason == 0, "the tick was not computed"
     return int(found)
 
 

@@ -53,4 +53,4 @@ def law_of(case: TickCase) -> Call:
     m, r = case.given
     controller.tick(m, r)
     given = (m.q, m.v, m.wrenches, r.X_WD.homogeneous, r.V_D, r.A_D, r.alpha_d, STILL, UNNAMED)
-    return partial(law_on_rows(), controller._records.rows.raw, 0, given)
+    return partial(law_on_rows(), controller.records.rows.raw, 0, given)

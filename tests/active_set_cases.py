@@ -90,7 +90,7 @@ class Scene:
             joint_friction=False,
             **how,
         )
-        controller._records.model.phase_rate = 1e9  # torques may jump
+        controller.records.model.phase_rate = 1e9  # torques may jump
         return controller
 
 
@@ -167,7 +167,7 @@ def worst(seed, count):
     """The largest errors of a sequence, by kind, and how many sets there were."""
     scene, ticks = sequence(seed, count)
     controller = scene.controller()
-    owners = controller._records.model.columns.contact
+    owners = controller.records.model.columns.contact
     errors = {}
     sets = set()
     for one in ticks:

@@ -136,7 +136,7 @@ def test_integrals_of_more_than_six_columns_stay_when_contacts_leave():
     stay = np.array([1, 1, 0, 1, 1, 1, 1, 1, 1])
     for _ in range(30):
         controller.tick(measured, osc.Reference(X, alpha_d=alpha_d, active=np.ones(9)))
-    own = controller._records
+    own = controller.records
     before = own.memory.columns.integral.copy()
     assert largest(before) > 0.1 and np.count_nonzero(before) == 3
     N = own.work.columns.N.copy()
@@ -154,7 +154,7 @@ def test_learned_normals_stay_with_their_contacts():
     plant, controller = start(rig)
     one = rig.references.at(0.0)
     controller.tick(plant.measure(), one)
-    turn = controller._records.memory.columns.turn
+    turn = controller.records.memory.columns.turn
     turn[:] = [[0.01, 0.02, 0.0], [0.02, 0.01, 0.0]]
     known = turn.copy()
     for active in ([1, 0], [0, 1], [1, 1]):

@@ -91,7 +91,7 @@ def test_rows_are_single_ticks_bit_for_bit(rig, motors, how, threads):
             assert_array_equal(tau[i], single(c, x, i))
             assert (batch.status[i], batch.state[i]) == (c.status, c.state)
             seen.add(int(c.status))
-            assert_array_equal(batch.alpha_meas[i], c._records.memory.columns.alpha)
+            assert_array_equal(batch.alpha_meas[i], c.records.memory.columns.alpha)
     assert {osc.Status.HELD, osc.Status.OK if motors == 1.0 else osc.Status.SATURATED} <= seen
 
 

@@ -195,7 +195,7 @@ def test_a_force_above_its_ceiling_stops_within_20_ms(settings, words):
 def loads(rig, ticks):
     """Of each tick: the largest load of a wrist, as compared with its ceiling; f_c, its speed."""
     plant, controller = start(rig)
-    t = views(controller._records.rows)
+    t = views(controller.records.rows)
     for reference in rig.references.each(ticks, DT):
         plant.command(controller.tick(plant.measure(), reference), DT)
         rate = tuple(t.memory.centre_rate)
@@ -247,7 +247,7 @@ def test_a_scenario_of_known_commands_has_ceilings_of_three_times_the_largest():
     total = alpha.sum(axis=1).max() + 10.0  # squeeze
     assert rig.safety.contact_ceiling == approx(3.0 * alpha.max()) == 45.0
     assert rig.safety.wrist_ceiling == approx(3.0 * total, rel=1e-3)
-    model = rig.controller()._records.model
+    model = rig.controller().records.model
     assert (model.contact_ceiling, model.contact_headroom) == (45.0, 0.0)
     given = rig_of("two_contact_rod", "control.safety.contact_ceiling=50 N").safety
     assert (given.contact_ceiling, given.wrist_ceiling) == (50.0, rig.safety.wrist_ceiling)
@@ -300,7 +300,7 @@ def test_the_speed_that_is_compared_is_that_of_the_tips():
 def test_actions_that_could_be_above_a_given_ceiling_are_refused():
     """Ceilings that are not given follow what is commanded by actions."""
     gymnasium = osc.make_vector_env("panda_edge", 1, overrides=["duration=0.1 s"], most_force=300.0)
-    model = gymnasium._now[0].start.controller._records.model
+    model = gymnasium._now[0].start.controller.records.model
     assert (model.contact_headroom, model.contact_ceiling) == (HEADROOM, LEAST_CEILING)
     with refused("forces of up to 300 N in 1 contacts"):
         osc.make_vector_env(

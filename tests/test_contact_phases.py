@@ -52,7 +52,7 @@ def test_settings_that_cannot_work_are_refused():
 
 def given_phases(controller, phase):
     """Phases of long ago; none is judged before the next tick."""
-    rows = controller._records
+    rows = controller.records
     rows.memory.contacts.phase = phase
     rows.memory.contacts.since = 1.0
     rows.memory.fresh = 0
@@ -103,7 +103,7 @@ def test_an_open_contact_moves_as_if_its_face_were_not_there(chain, friction, ti
         if knowing.status is not osc.Status.HELD:  # else out of reach, or too many columns
             seen |= {(bool(closed.all()), knowing.status)}
             assert len(knowing.signals.alpha_u) == knowing.signals.contact.r
-            assert_array_equal(knowing._records.memory.contacts.active, closed)
+            assert_array_equal(knowing.records.memory.contacts.active, closed)
     assert {osc.Status.OK if times == 1.0 else osc.Status.SATURATED} <= {s for _, s in seen}
     assert {whole for whole, _ in seen} == {False, True}
 
@@ -142,7 +142,7 @@ def test_mobility_is_what_an_acceleration_in_flight_adds_to_the_forces_read(read
     controller.tick(measurement, reference)
     before = controller.result().alpha_meas.copy()
     N = controller.signals.contact.N
-    D = controller._records.work.mobility[:2, :2].copy()
+    D = controller.records.work.mobility[:2, :2].copy()
     Phi = inv(state.payload.Lambda)
     seen = state.Lambda_out @ Phi @ N @ solve(N.T @ Phi @ N, x)
     to_sensor = state.sensors[0].inverse() * shift(state.X_WO.translation)

@@ -52,7 +52,7 @@ def ready(rig):
 
 def test_places_of_views_are_where_their_numbers_stand(ready):
     """Of whole tables, columns of tables and fields, in the order in which they are given."""
-    records = ready[0]._records
+    records = ready[0].records
     columns = records.memory.columns
     views = [columns.alpha, records.work.X_WO, columns.covariance, records.work.f_meas[::2]]
     for number, view in enumerate(views):

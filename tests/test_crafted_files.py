@@ -76,7 +76,7 @@ def test_every_whole_number_and_every_number_has_a_range():
 )
 def test_a_number_that_no_file_may_hold_is_refused_when_it_is_saved(table, field, value):
     controller = start(rig_of("two_contact_rod"))[1]
-    memory = controller._memory
+    memory = controller.records.memory
     rows = getattr(memory, table).view(np.ndarray) if table else memory.head
     if field:
         rows[field] = value

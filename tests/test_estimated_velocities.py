@@ -96,7 +96,7 @@ def test_what_is_expected_is_how_the_chain_answers_measured_forces():
         wrenches = measured.wrenches + np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
         controller.tick(replace(measured, wrenches=wrenches), rig.references.at(40 * DT))
         signals = controller.signals
-        work = controller._records.work
+        work = controller.records.work
         push = work.alpha_u[: work.rank] - signals.alpha_meas
         assert norm(push) > 0.5
         state = rig.chain.state(measured.q)

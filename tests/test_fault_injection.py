@@ -342,7 +342,7 @@ def test_a_face_that_is_near_is_found_again(name):
 def test_a_contact_that_is_not_found_again_stops_the_arms_until_a_reset():
     rig = rig_of("two_contact_rod")
     plant, controller = start(rig, 0)
-    rows = controller._records
+    rows = controller.records
     for k in range(30):
         if k == 20:
             rows.memory.contacts.since[:] = 0.0

@@ -60,7 +60,7 @@ class Guarded:
     """A controller whose records, program, readings and references lie apart from one another."""
 
     def __init__(self, controller, at_end, beyond):
-        rows = controller._records.rows
+        rows = controller.records.rows
         self.at_end = at_end
         self.job = guarded(rows.jobs[0], at_end)
         head = records.JOB.view(self.job)

@@ -28,7 +28,7 @@ from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 
 import osc_contact as osc
 from benchmarks.joint_friction import cases
-from osc_contact.control.records import SLIP
+from osc_contact.control.packing import SLIP
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 MOST = 30.0
@@ -248,7 +248,7 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
         rig = rig_of("two_contact_rod", "gains.force.rise=0 s", *friction, *changes)
         controller = rig.controller()
         osc.run_loop(rig.plant(), controller, rig.references.each(6000, controller.dt))
-        memory = controller._records.memory
+        memory = controller.records.memory
         assert (memory.friction_known == joint_friction.LEARNED).any() == learns
         assert memory.joints.unlearned.any() == learns
 
@@ -323,11 +323,11 @@ def test_forces_are_held_although_friction_is_modelled_wrongly(name, own_plants)
 def test_friction_is_learned_and_must_be_sure_where_the_model_has_none(friction, damping, sure):
     joints = vector(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     chain = panda(damping=damping * joints, friction=friction * joints)
-    model = osc.Controller(chain, [])._records.model
+    model = osc.Controller(chain, []).records.model
     assert model.friction_learning == 1 and (model.priors.sure[0] > 0.0) == sure
     assert (model.priors.sure[1:] > 0.0).all()
     how = osc.JointFriction(learning=False)
-    assert osc.Controller(chain, [], joint_friction=how)._records.model.friction_learning == 0
+    assert osc.Controller(chain, [], joint_friction=how).records.model.friction_learning == 0
 
 
 @parametrize("mass", [0.8, 1.2])
@@ -341,11 +341,11 @@ def test_errors_of_links_are_compensated_beside_a_tare(mass):
         osc.run_loop(rig.plant(), controller, rig.references.each(200, controller.dt))
         verdict = verdict_of("panda_edge", *words, duration=3.0)
         rms.append(verdict["force"]["edge"]["rms_error_rel"])
-        memory = controller._records.memory
+        memory = controller.records.memory
         missing = memory.joints.residual - memory.joints.means[:, joint_friction.FRICTION]
         e = memory.joints.unlearned
         assert_near(e, missing * (not changes), atol=0.02 * largest(missing))
-        most = np.minimum(0.3 * np.abs(controller._records.work.joints.h), 0.05 * rig.model.tau_max)
+        most = np.minimum(0.3 * np.abs(controller.records.work.joints.h), 0.05 * rig.model.tau_max)
         assert_near(controller.result().friction, 0.7 * np.clip(e, -most, most), atol=1e-3)
     assert rms[0] < 0.5 * rms[1]
 
@@ -353,7 +353,7 @@ def test_errors_of_links_are_compensated_beside_a_tare(mass):
 def test_what_was_learned_is_the_start_of_the_next_controller():
     controller = osc.Controller(panda(damping=VISCOUS, friction=DRY), [])
     assert_array_equal(controller.joint_friction, np.column_stack([DRY, VISCOUS]))
-    memory = controller._records.memory
+    memory = controller.records.memory
     memory.friction_known[2] = joint_friction.LEARNED
     memory.friction.theta[2, 0] = 7.0
     assert controller.joint_friction[2, 0] == 7.0
@@ -376,7 +376,7 @@ def test_settings_out_of_range_are_refused():
 
 def test_what_was_learned_is_kept_in_a_file_and_put_on_the_same_robot(tmp_path):
     controller = osc.Controller(panda(damping=VISCOUS, friction=DRY), [])
-    memory = controller._records.memory
+    memory = controller.records.memory
     memory.friction_known[2] = joint_friction.LEARNED
     memory.friction.theta[2, :3] = (7.0, 3.0, 0.05)
     (learned,) = controller.learned_friction

@@ -17,7 +17,7 @@ from rigs import (
 from samples import aligned, parametrize
 
 import osc_contact as osc
-from osc_contact.control.records import joint_limit_margins
+from osc_contact.control.packing import joint_limit_margins
 from osc_contact.settings.control import PostureTask
 
 

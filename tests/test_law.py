@@ -12,7 +12,7 @@ from processes import python
 from rigs import placed, random_faces, unit, vector
 
 import osc_contact as osc
-from osc_contact.dynamics.closed_chain import require_pinocchio_agrees
+from osc_contact.dynamics.chain_results import require_pinocchio_agrees
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law.records import MODEL
 

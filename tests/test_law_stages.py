@@ -283,7 +283,7 @@ def a_tick():
     q, v, X = posed(chain, rng)
     pairs = random_faces(X, 2, rng)
     controller = osc.Controller(chain, pairs, safety=UNLIMITED)
-    own = controller._records
+    own = controller.records
     run = own.run
     seen = []
     own.run = lambda given, *how: seen.append(given) or run(given, *how)

@@ -268,7 +268,7 @@ def test_what_is_wrong_is_found_before_it_runs(name):
 def test_a_sound_task_is_passed_and_left_as_it_is():
     robot, controller, references = task()
     assert osc.preflight(robot, controller, iter(references)) == ()
-    assert not controller._records.memory.ticked and robot.time == 0.0
+    assert not controller.records.memory.ticked and robot.time == 0.0
     osc.run_loop(robot, controller, references)
     assert robot.truth().alpha[0] == approx(10.0, rel=0.02)
 

@@ -88,7 +88,7 @@ def test_the_coefficient_is_learnt_while_the_contact_slides():
         rig = osc.build_rig(point({"friction": 0.2}, friction={"mu": 0.1, "learning": learning}))
         plant, controller = start(rig)
         osc.run_loop(plant, controller, rig.references.each(2000, 1e-3))
-        assert low <= controller._records.memory.more_friction <= high
+        assert low <= controller.records.memory.more_friction <= high
 
 
 # --- what the answer does not depend on -----------------------------------------------------------

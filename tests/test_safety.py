@@ -287,7 +287,7 @@ def test_motors_carry_first_and_brake_with_what_is_left(arms):
             better = (least - share * brake)[s][driven] @ q_dd[s][driven] > 0.0
             brake[s] = least[s] if better else share * brake[s]
             assert_near(
-                controller._records.memory.joints.acceleration[s], share * q_dd[s], atol=1e-9
+                controller.records.memory.joints.acceleration[s], share * q_dd[s], atol=1e-9
             )
             scaled += share < 1.0
         expected = np.clip(carry + brake, -most, most)[chain.actuated]

@@ -185,10 +185,10 @@ def test_a_misplaced_ball_is_turned_to_where_it_is(kind):
     reference = osc.Reference(X, 0.3 * rng.standard_normal(6), alpha_d=[10.0])
     controller.tick(measurement, reference)
     delta = 0.004 * rng.standard_normal(3)
-    controller._records.memory.columns[0].turn[:] = delta / 0.112
+    controller.records.memory.columns[0].turn[:] = delta / 0.112
     controller.tick(measurement, reference)
     n = normal(osc.SphereOnSurface(centre, 0.012, osc.Surface.sphere(0.1), at + delta), X)
-    column = controller._records.work.columns[0]
+    column = controller.records.work.columns[0]
     p = X.rotation @ centre + 0.012 * (normal(pair, X) if kind is Own else n)
     assert_near(column.point, p, atol=1e-12)
     assert_near(controller.signals.contact.N[:, 0], np.append(n, np.cross(p, n)), atol=1e-12)

@@ -86,7 +86,7 @@ def test_no_reference_of_an_endless_generator_is_lost(rig):
 
     def goals():
         for k in count():
-            taken.append((k, int(controller._memory.ticked)))
+            taken.append((k, int(controller.records.memory.ticked)))
             if k == 5:
                 return
             yield first

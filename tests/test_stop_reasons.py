@@ -72,7 +72,7 @@ def prepared(case, fault):
     controller.tick(*case.given)
     controller.tick(*case.given)
     _, table, field = FAULTS[fault]
-    memory = controller._memory
+    memory = controller.records.memory
     memory.joints["turning"] = 1.0  # their positions have been noisy
     if table:
         getattr(memory, table)[field][ROWS[table]] = 1e3
@@ -103,7 +103,7 @@ def test_a_fault_found_in_a_tick_that_is_held_for_another_reason_is_the_one_repo
     m = replace(m, **{name: change(getattr(m, name)) for name, change in of_measurement.items()})
     r = replace(r, **{name: change(getattr(r, name)) for name, change in of_reference.items()})
     for name, value in of_memory.items():
-        setattr(controller._memory, name, value)
+        setattr(controller.records.memory, name, value)
     controller.tick(m, r)
     assert controller.status is osc.Status.HELD
     if (held, fault) in IMPOSSIBLE:
@@ -123,7 +123,7 @@ def test_no_pair_of_reason_and_cause_is_without_a_sentence(case, held):
     controller = case.controller()
     controller.tick(*case.given)
     controller.tick(replace(case.measurement, q=case.measurement.q * np.nan), case.reference)
-    memory = controller._memory
+    memory = controller.records.memory
     memory.state = SAFE_STOP
     sizes = {"joint": len(case.chain.joint_names), "arm": len(case.chain.arms)}
     for cause, sentence in SENTENCES.items():
@@ -131,7 +131,7 @@ def test_no_pair_of_reason_and_cause_is_without_a_sentence(case, held):
             continue
         size = next((n for name, n in sizes.items() if f"{{{name}}}" in sentence), 2)
         memory.cause, memory.culprit = cause, size - 1
-        controller._records.work.reason = CODES[held]
+        controller.records.work.reason = CODES[held]
         for memory.age in (1, 2):
             assert sentence.partition("{")[0] in controller.reason
 
@@ -149,7 +149,7 @@ def test_the_robot_is_stopped_with_a_reason_in_the_tick_that_finds_the_fault(cas
 
 def test_a_dead_packet_stops_with_the_request_for_brakes_at_once(case):
     controller = prepared(case, "stuck")
-    controller._memory.still = 1.0  # s for which joints read the very same
+    controller.records.memory.still = 1.0  # s for which joints read the very same
     robot = Robot(case.measurement)
     osc.run_loop(robot, controller, [case.reference] * 5)
     assert len(robot.stops) == 2 and "engage the mechanical brakes" in robot.stops[0]

@@ -124,8 +124,8 @@ def stop(how):
         t = run.k * run.dt
         if seen.stopped is None:
             seen.stopped = t
-            start, braking = q, speeds * control._records.model.reaction
-        if seen.found is None and control._memory.joints.faulty.any():
+            start, braking = q, speeds * control.records.model.reaction
+        if seen.found is None and control.records.memory.joints.faulty.any():
             seen.found = t - seen.stopped
         if control.unbraked is not None:
             seen.unbraked = t - seen.stopped

@@ -497,4 +497,4 @@ def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_pa
 def test_start_leaves_the_controller_that_only_gave_first_torques_behind():
     """Both controllers of a start know nothing of one another."""
     _, controller = start(rig_of())
-    assert not controller._records.memory.ticked
+    assert not controller.records.memory.ticked

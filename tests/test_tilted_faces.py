@@ -34,9 +34,9 @@ def slid(scenario, duration):
     kept = []
     run = osc.run(scenario, duration=duration, install=lambda c: kept.append(c) or c)
     rig = rig_of(scenario)
-    controller = max(kept, key=lambda c: c._records.memory.ticked)
+    controller = max(kept, key=lambda c: c.records.memory.ticked)
     pairs = (*rig.pairs, *rig.controlled_pairs())
-    n = pairs[1].normal - controller._records.memory.columns[0].turn
+    n = pairs[1].normal - controller.records.memory.columns[0].turn
     return (*(np.arcsin(norm(np.cross(n, pair.normal))) for pair in pairs), run, controller)
 
 
@@ -169,11 +169,11 @@ def turned_in_the_law(pair, turn, q, v, reference, touched):
     controller = osc.Controller(one_panda(), [pair], dt=DT)
     measurement = osc.Measurement(q, v, np.zeros((1, 6)), touched)
     controller.tick(measurement, reference)
-    memory = controller._records.memory.columns[0]
+    memory = controller.records.memory.columns[0]
     memory.turn[:] = turn
     memory.drift = 0.02
     controller.tick(measurement, reference)
-    return (controller.signals.contact, controller._records.work.columns[0].turned)
+    return (controller.signals.contact, controller.records.work.columns[0].turned)
 
 
 def correction(shown, across):

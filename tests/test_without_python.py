@@ -319,7 +319,7 @@ def test_ceilings_stop_in_c_as_in_python(library, tmp_path, ceilings, cause):
         stopped = stopped or k * (out.state == osc.SafetyState.SAFE_STOP)
     assert out.cause == CODES[cause]
     assert (39 <= stopped <= 42) if cause != "NO_REASON" else stopped == 0
-    assert out.culprit == (controller._records.memory.culprit if stopped else -1)
+    assert out.culprit == (controller.records.memory.culprit if stopped else -1)
     c.osc_destroy(handle)
 
 
@@ -337,7 +337,7 @@ def numbers_of(c, handle, name, *counted, size, kind=ctypes.c_double):
 
 def assert_reported_alike(c, handle, controller):
     """Measured forces, phases, integrals and learned friction, in Python and in C."""
-    columns = controller._records.memory.columns
+    columns = controller.records.memory.columns
     r, contacts, joints = len(columns), len(controller.contacts), controller.chain.nq
     size = ctypes.c_size_t
     got = numbers_of(c, handle, "osc_get_forces", size(r), size=r)
@@ -416,7 +416,7 @@ def test_the_tick_of_a_stop_gives_its_cause_and_the_joint_that_needs_its_brake(
     m, r = plant.measure(), rig.references.at(0.0)
     for _ in range(2):
         controller.tick(m, r)
-    memory = controller._memory
+    memory = controller.records.memory
     if fault == "wrist":
         memory.arms.same[1] = 1.0  # s for which it reads the very same
     else:
@@ -519,7 +519,7 @@ def test_the_ros2_plugin_sends_what_the_controller_computes(manager, tmp_path, n
     m, reference = plant.measure(), rig.references.at(0.0)
     reference = replace(reference, V_D=STILL, A_D=STILL)
     alpha = np.ravel(reference.alpha_d).astype(float)
-    bars = controller._records.model.n_bars
+    bars = controller.records.model.n_bars
     squeeze = np.full(bars, reference.squeeze_d, dtype=float)
     arms, joints = len(m.wrenches), len(m.q)
     rng = default_rng(5)

@@ -32,7 +32,7 @@ def touched(line, tangential, second):
     ]
     how = {"life": osc.PhaseSettings(), "posture": q, "safety": UNLIMITED}
     controller = osc.Controller(chain, pairs, reading="least_squares", joint_friction=False, **how)
-    memory = controller._records.memory
+    memory = controller.records.memory
     memory.contacts.phase[:] = (CLOSED, APPROACHING)
     memory.columns.closed[:] = (1, 0)
     state = chain.state(q)
@@ -49,7 +49,7 @@ def touched(line, tangential, second):
     bias = controller.result().bias_out
     wrenches = np.array([read.act(pin.Force(wrench + bias)).vector, np.zeros(6)])
     controller.tick(osc.Measurement(q, 0.0 * q, wrenches), osc.Reference(X, alpha_d=[6.0, 2.0]))
-    found = controller._records.work.columns[1]
+    found = controller.records.work.columns[1]
     return (float(found.touch), float(found.explained))
 
 

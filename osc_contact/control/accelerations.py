@@ -35,7 +35,7 @@ def expected_acceleration(controller: Controller) -> Array:
         (6,)
     """
     commanded = controller.joint_acceleration()
-    work: Any = controller._records.work
+    work: Any = controller.records.work
     r = int(work.rank)
     if r == 0 or work.status == HELD or work.n_lost > 0:
         return commanded

@@ -63,8 +63,8 @@ class BatchController:
         self.threads = threads
         self._settings = [c.settings for c in controllers]
         self._bytes = Rows(
-            np.stack([c._records.model_bytes for c in controllers]),
-            np.stack([c._records.memory_bytes for c in controllers]),
+            np.stack([c.records.model_bytes for c in controllers]),
+            np.stack([c.records.memory_bytes for c in controllers]),
             threads,
         )
         self._start = self._bytes.memory.copy()
@@ -81,7 +81,7 @@ class BatchController:
                 f"row {i} differs from row 0 in {', '.join(differing)}; a batch has one "
                 "structure: make one batch for each"
             )
-        if one._custom.needed:
+        if one.needs_python:
             raise InvalidInputError(
                 f"row {i} has pairs, bodies or laws that only Python can evaluate; a batch "
                 "runs the packaged ones"
@@ -232,7 +232,7 @@ class BatchController:
         if not 0 <= row < self.rows:
             raise InvalidInputError(f"row {row}; the batch has rows 0 … {self.rows - 1}")
         self._require_fitting(row, controller)
-        records = controller._records
+        records = controller.records
         model = self._bytes.model
         if model.flags.writeable:
             model[row] = records.model_bytes
@@ -281,7 +281,7 @@ class BatchController:
 
 
 def _structure_of(controller: Controller) -> dict[str, int]:
-    head = controller._records.model
+    head = controller.records.model
     shape = (
         "n_arms",
         "n_joints",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.control.records import Settings
+from osc_contact.control.controller_settings import Settings
 from osc_contact.control.status import SafetyState
 from osc_contact.law import records as at
 
@@ -33,7 +33,7 @@ class Changes:
         self._unbraked: str | None = None
 
     def _take_records(self) -> None:
-        records = self._controller._records
+        records = self._controller.records
         head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
         self._records = records
         self._words = records.rows.raw.view(np.int64)
@@ -47,7 +47,7 @@ class Changes:
 
     def look(self) -> Sequence[Event]:
         """Events since the last look, the oldest first."""
-        if self._controller._records is not self._records:
+        if self._controller.records is not self._records:
             self._take_records()
             return ()
         now = self._read()

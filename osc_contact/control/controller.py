@@ -10,47 +10,34 @@ from dataclasses import replace
 from typing import Any, Self, cast
 
 import numpy as np
-import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.control.custom_laws import CustomParts, Laws
+from osc_contact.control.controller_settings import Reading, Settings
+from osc_contact.control.controller_state import ControllerState
+from osc_contact.control.custom_laws import CustomParts, Laws, TickParts
+from osc_contact.control.ending import TickEnd
 from osc_contact.control.inputs import (
-    NO_FORCES,
     Freshness,
     read_joints,
     read_tick,
     require_shapes,
     require_sizes,
 )
-from osc_contact.control.reasons import explain, unbraked_joint
-from osc_contact.control.records import (
-    STILL,
-    UNNAMED,
-    Reading,
-    Settings,
-    TickRecords,
-    pack_gains,
-    pack_model,
-    pack_safety,
-)
+from osc_contact.control.packing import pack_gains, pack_model, pack_safety
+from osc_contact.control.records import TickRecords
 from osc_contact.control.saving import controller_bytes
-from osc_contact.control.signals import Signals, TickResult
 from osc_contact.control.start_check import StartCheck
-from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
-from osc_contact.control.torque_limits import MotorLimits, relieve, scale_torques
-from osc_contact.control.waiting import Idle, standing_approaches
+from osc_contact.control.status import Phase, SafetyState, Status
+from osc_contact.control.waiting import Idle
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Body
-from osc_contact.dynamics.learned_friction import LearnedFriction, robot_identity
 from osc_contact.errors import InvalidInputError, OscContactError, SolverError, require_kind
 from osc_contact.files import write_whole
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.chain import OBJECT_UNKNOWN
-from osc_contact.law.compiled import rows as law_rows
 from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, OK, Bytes
-from osc_contact.robots.model import joint_names
 from osc_contact.settings.control import (
     Friction,
     Gains,
@@ -59,64 +46,13 @@ from osc_contact.settings.control import (
     PostureTask,
     SafetySettings,
 )
-from osc_contact.spatial import Array, as_array
+from osc_contact.spatial import Array
 
 _log = logging.getLogger(__name__)
-# The members of enumerations by their numbers: looked up in every tick.
-_STATUS = tuple(Status)
-_STATES = tuple(SafetyState)
 _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_integral", "force_integral")
-#: What `reset` sets to zero: of MEMORY, and of rows of its tables, all of them where none is named.
-FORGOTTEN = (
-    "age",
-    "faults",
-    "lost",
-    "overspeed",
-    "powered",
-    "ending",
-    "compared",
-    "frozen",
-    "still",
-    "wrench_age",
-    "old_joints",
-    "old_wrists",
-    "balanced",
-    "apart",
-    "mixed",
-    "tested",
-    "above",
-    "missed",
-    "repeats",
-    "fresh",
-    "step_left",
-    "squeeze_left",
-    "motion_sum",
-    "force_sum",
-    "over_contact",
-    "over_wrist",
-    "over_tip",
-    "centre_rate",
-)
-FORGOTTEN_TABLES: dict[str, tuple[str, ...]] = {
-    "joints": (),
-    "arms": (),
-    "columns": ("underforce", "overforce", "time_since_loss", "has_desired", "integral"),
-}
 
 
-def _six_numbers(field: str, doc: str) -> property:
-    """A property of a controller: six numbers of MEMORY, which can be set."""
-
-    def read(controller: Any) -> Array:
-        return np.array(controller._memory[field])
-
-    def write(controller: Any, value: Array) -> None:
-        controller._memory[field][:] = as_array(field, value, (6,))
-
-    return property(read, write, doc=doc)
-
-
-class Controller:
+class Controller(ControllerState):
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
     Everything is taken at construction and stays: `with_gains` and `with_laws` make another
@@ -136,12 +72,12 @@ class Controller:
         (8,) OK
     """
 
-    dt: float  #: of the settings, see `__getattr__`
-    _limits: MotorLimits | None = None
-    _given_up: LimitLoss | None = None
-    _failure: Exception | None = None
-    _inputs: tuple[Any, Any] = (None, None)  #: of the last tick that did not end OK
-    _result: TickResult | None = None
+    chain: ClosedChain  #: of the settings, as those below; see `__getattr__`
+    gains: Gains
+    dt: float
+    life: PhaseSettings | None
+    laws: Laws
+    start: StartCheck
 
     def __init__(
         self,
@@ -222,10 +158,11 @@ class Controller:
             )
         chain.law_row(led=False)  # judges the arms
         self._begin(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))
-        memory = self._memory
+        memory = self.records.memory
         force = settings.gains.force
         memory.X_WO[:] = np.eye(4)
         memory.engaged = engaged
+        self.idle.begin(waiting=not engaged)
         contact = memory.contacts
         contact.active[:] = engaged
         contact.phase[:] = Phase.CLOSED
@@ -236,35 +173,27 @@ class Controller:
         contact.since[:] = np.inf  # as if for ever
         memory.columns.closed[:] = 1
         if life is not None and not (engaged and in_contact):
-            contact.phase[self._records.model.bodies.pushes != 0] = Phase.OPEN
+            contact.phase[self.records.model.bodies.pushes != 0] = Phase.OPEN
             memory.columns.closed[:] = 0
 
     def _begin(self, settings: Settings, laws: Laws, start: StartCheck, model: Bytes) -> None:
         """Take what a controller is made of; `model`: bytes of MODEL."""
-        self.__dict__.update(settings=settings, laws=laws)
         records = TickRecords(model)
-        self._custom = CustomParts(settings, laws, records.model)
-        self._freshness = Freshness()
-        self._start = start
-        self._idle = Idle()
-        self._take_records(records)
-
-    def _take_records(self, records: TickRecords) -> None:
-        self._records = records
-        self._memory = records.memory
-        self._plan()
-
-    def _plan(self) -> None:
-        """Choose how the ticks to come are computed: by one call of the law, or part by part."""
-        memory = self._memory
-        special = self._custom.needed or not self._start.done or not memory.engaged
-        self._tables = (
-            self._records.rows.raw,
-            memory.squeeze,
-            memory.torques,
-            law_rows(),
-            len(memory.squeeze) == 1 and not special,
+        self.__dict__.update(
+            settings=settings,
+            laws=laws,
+            records=records,
+            custom=CustomParts(settings, laws, records.model),
+            start=start,
+            ended=TickEnd(),
+            freshness=Freshness(),
+            idle=Idle(waiting=False),
         )
+
+    def _replace_records(self, records: TickRecords) -> None:
+        """Continue with records of other sizes."""
+        self.__dict__["records"] = records
+        self.ended.forget_limits()
 
     def __setattr__(self, name: str, value: object) -> None:
         if name not in _SETTABLE and not name.startswith("_"):
@@ -290,107 +219,84 @@ class Controller:
         is no fault of a sensor. Never returns a torque that is not finite or exceeds a limit: a
         tick that cannot be computed repeats the last good torques, see `status`.
         """
-        raw, squeeze, torques, call, plain = self._tables
         try:
-            if (
-                plain
-                and measurement.touched is None
-                and measurement.stamps is None
-                and measurement.wrench_valid is None
-                and measurement.sequence is None
-                and not measurement.estimated
-            ):
-                squeeze[0] = reference.squeeze_d
-                alpha_d = reference.alpha_d
-                active = reference.active
-                given = (
-                    measurement.q,
-                    measurement.v,
-                    measurement.wrenches,
-                    reference.X_WD.homogeneous,
-                    reference.V_D,
-                    reference.A_D,
-                    alpha_d if alpha_d.size else NO_FORCES,
-                    STILL,
-                    UNNAMED if active is None else active,
-                )
-                done = call(raw, 0, given)
-                return torques.copy() if done == 2 else self._end(measurement, reference)
-            return self._tick(measurement, reference)
+            if measurement.stamps is not None or measurement.sequence is not None:
+                self._note_stamps(measurement)
+            given, switches = read_tick(self.records, measurement, reference)
+            if not self.start.done:
+                self.start.look(self, measurement)
+            error = None
+            if self.custom.needed:
+                parts = TickParts(self.records, given, switches)
+                error = self.custom.tick(parts, measurement, reference, self._replace_records)
+                if error is not None:
+                    self._hold(measurement)
+            elif self.records.tick(given, switches) and not self.idle.waiting:
+                return self.records.torques.copy()
+            return self._end(measurement, reference, error)
         except Exception as error:  # nothing that comes in may end the control loop
             return self._refuse(measurement, reference, error)
 
-    def _tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """At the start; with bodies that move, stamps, three arms, or custom code."""
-        memory = self._memory
-        if measurement.stamps is not None or measurement.sequence is not None:
-            memory.repeated = self._freshness.look(measurement)
-            if measurement.stamps is not None:
-                memory.stamped = memory.stamped or memory.instant + 1
-                late = measurement.stamps.encoders - measurement.stamps.wrists
-                memory.late = min(max(0.0, late / self.dt + 0.5), HISTORY)
-        given, flags = read_tick(self._records, measurement, reference)
-        if not self._start.done and self._start.look(self, measurement):
-            self._plan()
-        error = None
-        if self._custom.needed:
-            error = self._custom.tick(self, measurement, reference, given, flags)
-        else:
-            self._records.run(given, flags)
-        if not memory.engaged and self._idle.count(self.settings, reference.alpha_d):
-            _log.warning("%s", self._idle.sentence(self.settings))
-        return self._end(measurement, reference, error)
+    def _note_stamps(self, measurement: Measurement) -> None:
+        """Compare stamps and number of a measurement with those before it."""
+        memory = self.records.memory
+        memory.repeated = self.freshness.look(measurement)
+        if measurement.stamps is not None:
+            memory.stamped = memory.stamped or memory.instant + 1
+            late = measurement.stamps.encoders - measurement.stamps.wrists
+            memory.late = min(max(0.0, late / self.dt + 0.5), HISTORY)
 
     def _refuse(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
-        """Torques (n_a,) of a tick that cannot be taken in; `error`: what the law made of it."""
-        if not self._memory.ticked:
+        """Torques (n_a,) of a tick whose inputs the law cannot take, which raised `error`."""
+        if not self.records.memory.ticked:
             require_shapes(measurement, reference, self.settings)
-        self._inputs = (measurement, reference)
-        self._failure = error
         try:
             require_sizes(measurement, reference, self.settings)
         except Exception as why:  # the same in words
-            self._failure = why
+            error = why
+        self.ended.note(measurement, reference, error)
         return self._hold(measurement)
 
     def _hold(self, measurement: Measurement) -> Array:
-        """Torques (n_a,) of a tick that failed outside of the law: one that is not computed."""
+        """Torques (n_a,) of a tick that failed outside of the law, and is not computed."""
         n = self.chain.nq
         q, v = (read_joints(getattr(measurement, name, None), n) for name in "qv")
-        self._records.hold(q, v)
+        self.records.hold(q, v)
         return self.last_torques()
 
     def _end(
-        self, measurement: Measurement, reference: Reference, error: Exception | None = None
+        self, measurement: Measurement, reference: Reference, error: Exception | None
     ) -> Array:
-        """What is left to do after a tick; `error`: raised outside the law."""
-        code = int(self._memory.status)
-        if code in (OK, DEGRADED):  # the law did it all, nothing of the controller's has changed
+        """Torques (n_a,) of a tick of the law, within the motors' limits.
+
+        Args:
+            measurement, reference: of the tick.
+            error: raised in it outside the law, by custom code.
+        """
+        if self.idle.waiting and self.idle.count(self.settings, reference.alpha_d):
+            _log.warning("%s", self.idle.sentence(self.settings))
+        code = int(self.records.memory.status)
+        if code in (OK, DEGRADED):  # the law did it all
             return self.last_torques()
-        self._given_up = None
-        self._inputs = (measurement, reference)
-        self._failure = error
+        self.ended.note(measurement, reference, error)
         if code == Status.HELD:
-            if not self._memory.ticked:
+            if not self.records.memory.ticked:
                 require_shapes(measurement, reference, self.settings)
-            if self._records.work.reason == OBJECT_UNKNOWN and self._locate(measurement.q):
+            if self.records.work.reason == OBJECT_UNKNOWN and self._locate(measurement.q):
                 return self.tick(replace(measurement, stamps=None, sequence=None), reference)
         elif code == Status.SATURATED:
             try:
-                if self.laws.structure is not None:
-                    self._given_up = scale_torques(self._records, self.chain)
-                    return self.last_torques()
-                if self._limits is None:
-                    self._limits = MotorLimits(self.settings, self._records.model)
-                relieve(self._limits.program, self._records)
+                self.ended.limit_torques(
+                    self.records, self.settings, custom_structure=self.laws.structure is not None
+                )
             except SolverError as why:
                 self._hold(measurement)
-                self._failure = why
+                self.ended.failure = why
         return self.last_torques()
 
     def _locate(self, q: Array) -> bool:
         """Find the object from the joints alone; from then on the law does, tick by tick."""
-        memory = self._memory
+        memory = self.records.memory
         if self.chain.leader is not None or memory.located == 2:  # 2: tried at this tick already
             memory.located = 0
             return False
@@ -409,247 +315,19 @@ class Controller:
         wrench, in the contact directions too (bumpless transfer); the integrators start from zero.
         """
         if not self.engaged:
-            self._require_tick()
-            self._start.judge(self)
-            self._plan()
+            self.require_tick()
+            self.start.judge(self)
             self._hand_over()
             self.force_integral = np.zeros(0)
             self.engaged = True
 
-    # --- what it reports --------------------------------------------------------------------------
-
-    @property
-    def status(self) -> Status:
-        """How the last tick ended."""
-        return _STATUS[self._memory.status]
-
-    @property
-    def reason(self) -> str:
-        """Why `status` is not OK, the arms stop, or a desired contact force is missing; else empty.
-
-        In the tick of a stop, too, whose torques still are those of the law where a sensor is found
-        faulty after it. Where a joint needs its mechanical brake (`unbraked`) it ends with that.
-        """
-        if self.status is Status.HELD or self.state is SafetyState.SAFE_STOP:
-            return explain(self._records, self.settings, *self._inputs, self._failure)
-        lost = str(self.given_up or "; ".join(map(str, self.lost_directions)))
-        if lost or not self._memory.ticked:
-            return lost
-        if not self.engaged:
-            return self._idle.sentence(self.settings)
-        return standing_approaches(self._records, self.settings)
-
-    @property
-    def state(self) -> SafetyState:
-        """Whether the controller runs, holds a posture or has stopped; see `SafetyState`."""
-        return _STATES[self._memory.state]
-
-    @property
-    def state_age(self) -> int:
-        """Ticks since `state` last changed."""
-        return int(self._memory.age)
-
-    @property
-    def faults(self) -> int:
-        """Ticks in a row, up to the last one, that could not be computed."""
-        return int(self._memory.faults)
-
-    @property
-    def repeated(self) -> int:
-        """Ticks in a row, up to the last one, with readings that were there before."""
-        return self._freshness.repeated
-
-    @property
-    def unbraked(self) -> str | None:
-        """A joint without any sound reading, so that it cannot be braked reliably, or None.
-
-        The arms are to be stopped by their mechanical brakes then.
-        """
-        return unbraked_joint(self._records, self.settings)
-
     def reset(self) -> None:
         """Run again after a stop: both integrals at zero; tare, bias and phases are kept."""
-        memory = self._memory
-        self._freshness.forget()
-        if self._start.refused:
-            self._start = StartCheck()
-            self._plan()
-        memory.state = SafetyState.RUN
-        for name in FORGOTTEN:
-            memory.head[name] = 0
-        for table, names in FORGOTTEN_TABLES.items():
-            rows = getattr(memory, table).view(np.ndarray)
-            if not names:
-                rows[:] = np.zeros(1, rows.dtype)
-            for name in names:
-                rows[name] = 0
-
-    @property
-    def given_up(self) -> LimitLoss | None:
-        """What motor limits cost in the last tick; None: nothing."""
-        if self.status is not Status.SATURATED:
-            return None
-        if self._given_up is None and self._limits is not None:
-            self._given_up = self._limits.given_up(self._records)
-        return self._given_up
-
-    @property
-    def lost_directions(self) -> tuple[LostDirection, ...]:
-        """In which motion commands were reduced near a singular posture."""
-        if self.status is Status.HELD:
-            return ()
-        return self._records.lost_directions([arm.name for arm in self.chain.arms])
-
-    @property
-    def signals(self) -> Signals:
-        """The signals of fig. 4 as the last computed tick left them.
-
-        Raises:
-            InvalidInputError: there was none yet.
-        """
-        self._require_tick()
-        return Signals(self.settings, self._records)
-
-    def result(self) -> TickResult:
-        """The numbers of the last tick that recordings keep; the next tick overwrites them.
-
-        Raises:
-            InvalidInputError: there was no tick yet.
-        """
-        self._require_tick()
-        if self._result is None or self._result.records is not self._records:
-            self._result = TickResult(self._records)
-        return self._result
-
-    def _require_tick(self) -> None:
-        if not self._memory.ticked:
-            raise InvalidInputError(
-                "no tick has been computed yet; call tick first"
-                + (f" (the last one was held: {self.reason})" if self.status else "")
-            )
-
-    def last_torques(self) -> Array:
-        """(n_a,) what the last tick gave out."""
-        return self._memory.torques.copy()
-
-    def joint_acceleration(self) -> Array:
-        """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
-        return np.array(self._records.work.joints.acceleration)
-
-    def residual_wrench(self) -> Array:
-        """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
-
-        Its mean at rest without contact is the tare, to be stored in `f_tare`: weight errors
-        cannot be distinguished from contact forces once contact is made.
-        """
-        result = self.result()
-        return result.f_meas + self.f_tare - result.bias_out
-
-    def phases(self) -> Array:
-        """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""
-        contacts = self._memory.contacts
-        phase = contacts.phase if self.life is not None else Phase.CLOSED
-        return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
-
-    @property
-    def active(self) -> npt.NDArray[np.bool_]:
-        """(contacts,) which of them were active in the last tick: in N, approached or closed."""
-        return np.array(self._memory.contacts.active != 0)
-
-    f_tare = _six_numbers(
-        "f_tare", "(6,) constant error of the wrist readings at O (N, N m), removed from each."
-    )
-
-    @property
-    def joint_friction(self) -> Array:
-        """(n, 2) Coulomb (N m; N) and viscous friction (N m s/rad; N s/m), as learned so far.
-
-        Columns are what `Arm` takes as friction and damping, to start with next time.
-        """
-        model = self.chain.model
-        known = np.column_stack([model.upperDryFrictionLimit, model.damping])
-        memory = self._memory
-        learned = memory.friction_known != 0
-        return np.where(learned[:, None], memory.friction.theta[:, :2], known)
-
-    @property
-    def missing_inertia(self) -> Array:
-        """(n,) inertia of each joint's rotor that the model lacks, as learned so far (kg m²; kg).
-
-        Below zero where the model has too much.
-        """
-        return np.array(self._memory.friction.theta[:, 2])
-
-    @property
-    def learned_friction(self) -> tuple[LearnedFriction, ...]:
-        """Friction of the joints of each arm as learned so far, with the identity of its robot.
-
-        `LearnedFriction.save` and `load` keep it, `put_on` gives it to an arm to start with.
-        """
-        found = []
-        for arm, s in zip(self.chain.arms, self.chain.slices, strict=True):
-            friction, damping = self.joint_friction[s].T
-            found.append(
-                LearnedFriction(
-                    robot=robot_identity(arm.model),
-                    joints=tuple(joint_names(arm.model)),
-                    friction=tuple(friction.tolist()),
-                    damping=tuple(damping.tolist()),
-                    missing_inertia=tuple(self.missing_inertia[s].tolist()),
-                )
-            )
-        return tuple(found)
-
-    @property
-    def normal_covariance(self) -> Array:
-        """(r, 3, 3) covariance of the assumed normal of each force magnitude (rad²).
-
-        In the axes of the body that carries the normal; where edges cross, of the body's edge along
-        the normal. NaN: not estimated, or the contact is open.
-        """
-        P = np.array(self._memory.columns.covariance).reshape(-1, 3, 3)
-        return np.where((self.normal_std > 0.0)[:, None, None], P, np.nan)
-
-    @property
-    def normal_std(self) -> Array:
-        """(r,) the same where each is least certain (rad); 0: not estimated."""
-        return np.array(self._memory.columns.normal_std)
-
-    f_bias = _six_numbers("f_bias", "(6,) constant wrench added to the command at O (N, N m).")
-
-    @property
-    def engaged(self) -> bool:
-        """Whether the contacts are part of the model; False: the object counts as free."""
-        return bool(self._memory.engaged)
-
-    @engaged.setter
-    def engaged(self, engaged: bool) -> None:
-        self._memory.engaged = engaged
-        self._idle = Idle()
-        self._plan()
-        if self.life is None or not engaged:
-            self._memory.contacts.active[:] = engaged
-
-    motion_integral = _six_numbers("motion_sum", "(6,) ∫e dt of the motion law (m s, rad s).")
-
-    @property
-    def force_integral(self) -> Array:
-        """(r,) K_i ∫(α_d − α_meas) dt of the force law (N)."""
-        memory = self._memory
-        return np.array(memory.force_sum[: int(memory.force_rank)])
-
-    @force_integral.setter
-    def force_integral(self, value: Array) -> None:
-        memory = self._memory
-        value = as_array("force integral", value, (None,))
-        if len(value) > 6:
-            raise InvalidInputError(f"force integral: {len(value)} values; N has 6 columns at most")
-        memory.force_sum[: len(value)] = value
-        memory.force_rank = len(value)
-        memory.by_column = 0
-        kept = self._records.kept()
-        memory.columns.integral[:] = 0.0
-        memory.columns.integral[kept] = value if len(value) == len(kept) else 0.0
+        self.freshness.forget()
+        if self.start.refused:
+            self.__dict__["start"] = StartCheck()
+        self.records.memory.state = SafetyState.RUN
+        self.records.forget()
 
     # --- copies -----------------------------------------------------------------------------------
 
@@ -669,15 +347,15 @@ class Controller:
         """
         settings = replace(self.settings, gains=gains)
         other = self._another(settings, self.laws)
-        memory = other._memory
-        model = other._records.model
+        memory = other.records.memory
+        model = other.records.model
         pack_gains(settings, model)
         before = self.gains.motion.integral
         after = gains.motion.integral
         if after > 0.0:
             memory.motion_sum *= before / after
         elif memory.ticked:
-            other._records.work_bytes[:] = self._records.work_bytes
+            other.records.work_bytes[:] = self.records.work_bytes
             model.integral = before
             other._hand_over()
             model.integral = 0.0
@@ -691,7 +369,7 @@ class Controller:
         """Another controller with these limits of the robot that continues from here."""
         settings = replace(self.settings, safety=safety)
         other = self._another(settings, self.laws)
-        pack_safety(settings, other._records.model)
+        pack_safety(settings, other.records.model)
         return other
 
     def with_laws(self, **laws: Callable[..., Any] | None) -> Self:
@@ -700,32 +378,31 @@ class Controller:
 
     def _another(self, settings: Settings, laws: Laws) -> Self:
         other = type(self).__new__(type(self))
-        other._begin(settings, laws, deepcopy(self._start), self._records.model_bytes)
-        other._records.memory_bytes[:] = self._records.memory_bytes
-        other._memory.status = Status.OK
-        other._plan()
+        other._begin(settings, laws, deepcopy(self.start), self.records.model_bytes)
+        other.records.memory_bytes[:] = self.records.memory_bytes
+        other.records.memory.status = Status.OK
+        other.idle.begin(waiting=not other.engaged)
         return other
 
     def __deepcopy__(self, memo: dict[int, object]) -> Self:
         return copy(self)  # settings and laws are shared
 
     def __getstate__(self) -> dict[str, Any]:
-        r = self._records
-        failure = None if self._failure is None else OscContactError(str(self._failure))
+        r = self.records
         return {
-            "parts": (self.settings, self.laws, deepcopy(self._start)),
-            "columns": self._custom.columns(r.model),
+            "parts": (self.settings, self.laws, deepcopy(self.start)),
+            "columns": self.custom.columns(r.model),
             "bytes": (r.memory_bytes, r.work_bytes),
-            "ended": {"_given_up": self.given_up, "_inputs": self._inputs, "_failure": failure},
+            "ended": self.ended.lasting(self.given_up),
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         settings, laws, start = state["parts"]
         self._begin(settings, laws, start, pack_model(settings, state["columns"]))
-        self._records.memory_bytes[:], self._records.work_bytes[:] = state["bytes"]
-        self._plan()
-        self.__dict__.update(state["ended"])
+        self.records.memory_bytes[:], self.records.work_bytes[:] = state["bytes"]
+        self.__dict__["ended"] = state["ended"]
+        self.idle.begin(waiting=not self.engaged)
 
     def _hand_over(self) -> None:
         zeros = np.zeros(self.chain.nq)
-        self._records.hold(zeros, zeros, reading=0.0, begin=HAND_OVER)
+        self.records.hold(zeros, zeros, reading=0.0, begin=HAND_OVER)

@@ -12,7 +12,9 @@ import pinocchio as pin
 from pinocchio import SE3
 
 from osc_contact.contacts.pairs.pair import knows_where_it_slides
-from osc_contact.control.records import Settings, TickRecords, pack_model
+from osc_contact.control.controller_settings import Settings
+from osc_contact.control.packing import pack_model
+from osc_contact.control.records import TickRecords
 from osc_contact.control.signals import Signals
 from osc_contact.control.status import Phase
 from osc_contact.errors import ContactError, InvalidInputError
@@ -80,6 +82,29 @@ def motion_law(make: Callable[[], MotionCommand]) -> Callable[[Any], Any]:
     return lambda controller: controller.with_laws(motion=make())
 
 
+@dataclass
+class TickParts:
+    """Parts of one tick, which are run one after the other.
+
+    Attributes:
+        records: of the controller.
+        given, switches: arguments of the law, see `inputs.read_tick`.
+    """
+
+    records: TickRecords
+    given: tuple[Array, ...]
+    switches: int
+
+    def run(self, begin: int, stop: int, more: int = 0) -> bool:
+        """Run the parts from `begin` to the one before `stop`; `more`: switches beside those.
+
+        Returns:
+            Whether they were computed; else the tick has ended HELD.
+        """
+        self.records.run(self.given, self.switches | more, begin, stop)
+        return bool(self.records.memory.status != at.HELD)
+
+
 class CustomParts:
     """Calls the parts of a tick one by one, and Python code in between.
 
@@ -107,78 +132,89 @@ class CustomParts:
 
     def tick(
         self,
-        controller: Any,
+        parts: TickParts,
         measurement: Measurement,
         reference: Reference,
-        args: tuple[Any, ...],
-        flags: int,
+        replace: Callable[[TickRecords], None],
     ) -> Exception | None:
-        """One tick; torques and status go to the controller's records.
+        """Compute one tick; torques and status go to the records.
 
         Args:
-            controller: whose tick. measurement, reference: of the tick.
-            args, flags: of the compiled law.
+            parts: of the tick, none of which was run yet.
+            measurement, reference: of the tick.
+            replace: called with new records of the controller where custom pairs have changed
+                their number of columns.
 
         Returns:
-            What custom code raised: then the posture is held.
+            An error that custom code raised, so that the tick is to be held, or None.
         """
-        laws = self.laws
-        records = controller._records
-
-        def run(begin: int, stop: int, more: int = 0) -> bool:
-            records.run(args, flags | more, begin, stop)
-            return bool(records.memory.status != at.HELD)
-
-        if not run(at.LOOK, at.MEASURE, law.PARTIAL if self._pairs else 0):
+        if not parts.run(at.LOOK, at.MEASURE, law.PARTIAL if self._pairs else 0):
             return None
+        begin = at.MEASURE
         try:
-            evaluated = self._evaluate(records, measurement) if self._pairs else {}
-            columns = {number: N.shape[1] for number, (N, _, _) in evaluated.items()}
-            counts = records.model.pairs.count
-            if any(r != counts[number] for number, r in columns.items()):
-                records = self._repack(controller, columns)
-                if not run(at.LOOK, at.MEASURE):
+            if not self._fill_contacts(parts, measurement, reference, replace):
+                return None
+            if self.laws != Laws():
+                if not self._command(parts, reference):
                     return None
-            for number, (N, n_gamma, points) in evaluated.items():
-                first = records.model.pairs.first[number]
-                rows = records.work.columns[first : first + N.shape[1]]
-                rows.N = N.T
-                rows.n_gamma = n_gamma
-                if points is not None:
-                    rows.point = points
-            if self._bodies and measurement.touched is not None:
-                self._answer(records, measurement.touched)
-            misfit = np.size(reference.alpha_d) != len(records.work.columns)
-            if misfit and records.memory.engaged and not run(at.LOOK, at.MEASURE):
-                return None
-            if not (laws.force or laws.motion or laws.structure):
-                run(at.MEASURE, at.END)
-                return None
-            force = law.OWN_FORCE if laws.force else 0
-            motion = law.OWN_MOTION if laws.motion else 0
-            if not run(at.MEASURE, at.COMMAND, force):
-                return None
-            work = records.work
-            if laws.force is not None:
-                r = int(work.rank)
-                returned = laws.force(work.alpha_d[:r].copy(), work.alpha_meas[:r].copy())
-                words = f"{r} finite numbers, one for each column of N"
-                work.alpha_u[:r] = _require("force", returned, (r,), words)
-            if laws.motion is not None:
-                X_WO = SE3(work.X_WO)
-                V_O = work.V_O.copy()
-                returned = laws.motion(reference, X_WO, V_O)
-                a = _require("motion", returned, (6,), "six finite numbers")
-                work.a_u[:] = classical_to_spatial(a, V_O)
-            if not run(at.COMMAND, at.ALLOCATE, force | motion):
-                return None
-            if laws.structure is not None:
-                self._structure(records)
+                begin = at.ALLOCATE
         except Exception as error:  # whatever custom code raises ends as a status
-            controller._hold(measurement)
             return error
-        run(at.ALLOCATE, at.END)
+        parts.run(begin, at.END)
         return None
+
+    def _fill_contacts(
+        self,
+        parts: TickParts,
+        measurement: Measurement,
+        reference: Reference,
+        replace: Callable[[TickRecords], None],
+    ) -> bool:
+        """Evaluate custom pairs and bodies into WORK; returns whether the tick can go on."""
+        evaluated = self._evaluate(parts.records, measurement) if self._pairs else {}
+        columns = {number: N.shape[1] for number, (N, _, _) in evaluated.items()}
+        counts = parts.records.model.pairs.count
+        if any(r != counts[number] for number, r in columns.items()):
+            parts.records = self._repack(parts.records, columns)
+            replace(parts.records)
+            if not parts.run(at.LOOK, at.MEASURE):
+                return False
+        records = parts.records
+        for number, (N, n_gamma, points) in evaluated.items():
+            first = records.model.pairs.first[number]
+            rows = records.work.columns[first : first + N.shape[1]]
+            rows.N = N.T
+            rows.n_gamma = n_gamma
+            if points is not None:
+                rows.point = points
+        if self._bodies and measurement.touched is not None:
+            self._answer(records, measurement.touched)
+        misfit = np.size(reference.alpha_d) != len(records.work.columns)
+        return not (misfit and records.memory.engaged) or parts.run(at.LOOK, at.MEASURE)
+
+    def _command(self, parts: TickParts, reference: Reference) -> bool:
+        """Compute the commands, custom ones among them; returns whether the tick can go on."""
+        laws = self.laws
+        force = law.OWN_FORCE if laws.force else 0
+        motion = law.OWN_MOTION if laws.motion else 0
+        if not parts.run(at.MEASURE, at.COMMAND, force):
+            return False
+        work = parts.records.work
+        if laws.force is not None:
+            r = int(work.rank)
+            returned = laws.force(work.alpha_d[:r].copy(), work.alpha_meas[:r].copy())
+            words = f"{r} finite numbers, one for each column of N"
+            work.alpha_u[:r] = _require("force", returned, (r,), words)
+        if laws.motion is not None:
+            X_WO = SE3(work.X_WO)
+            V_O = work.V_O.copy()
+            a = _require("motion", laws.motion(reference, X_WO, V_O), (6,), "six finite numbers")
+            work.a_u[:] = classical_to_spatial(a, V_O)
+        if not parts.run(at.COMMAND, at.ALLOCATE, force | motion):
+            return False
+        if laws.structure is not None:
+            self._structure(parts.records)
+        return True
 
     def _evaluate(self, records: TickRecords, measurement: Measurement) -> dict[int, Any]:
         """N (6, r), n_γ (r,) and points (r, 3) from O, if known, of custom pairs in force."""
@@ -217,9 +253,8 @@ class CustomParts:
             e = body.environment(SE3(touched.X_WE[c]), touched.V_E[c], touched.A_E[c], O)
             records.work.bodies.answer[c] = *e.Phi_e.flat, *e.b_e, *e.V_e
 
-    def _repack(self, controller: Any, changed: dict[int, int]) -> TickRecords:
+    def _repack(self, old: TickRecords, changed: dict[int, int]) -> TickRecords:
         """Records with other numbers of columns; the rest of the memory is kept."""
-        old = controller._records
         columns = {**self.columns(old.model), **changed}
         new = TickRecords(pack_model(self.settings, columns))
         begin = at.MEMORY.dtype.fields["layout"][0].itemsize
@@ -227,8 +262,6 @@ class CustomParts:
         new.memory_bytes[begin:same] = old.memory_bytes[begin:same]
         phase = new.memory.contacts.phase[new.model.columns.contact]
         new.memory.columns.closed[:] = phase == Phase.CLOSED
-        controller._take_records(new)
-        controller._limits = None
         return new
 
     def _structure(self, records: TickRecords) -> None:

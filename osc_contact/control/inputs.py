@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from osc_contact.control.records import STILL, UNNAMED, Settings, TickRecords
+from osc_contact.control.controller_settings import Settings
+from osc_contact.control.records import STILL, UNNAMED, TickRecords
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference, Touched, as_numbers
 from osc_contact.law import tick as law
@@ -91,26 +92,26 @@ def touched_rows(touched: Touched) -> Array:
 def read_tick(
     records: TickRecords, measurement: Measurement, reference: Reference
 ) -> tuple[tuple[Array, ...], int]:
-    """What the law's call takes in a tick, and its switches; the marks of readings go to MEMORY.
+    """Arguments of the law's call in a tick, and its switches; the marks of readings go to MEMORY.
 
     Args:
         records: of the controller. measurement, reference: of the tick.
     """
-    memory = records.memory
     if measurement.estimated:
-        memory.derived = 1
+        records.memory.derived = 1
     if measurement.wrench_valid is not None and not measurement.wrench_valid:
-        memory.wrench_missing = 1
+        records.memory.wrench_missing = 1
     flags = 0
     squeeze = reference.squeeze_d
-    memory.squeeze[:] = squeeze
+    records.squeeze[:] = squeeze
     # with three arms and more, the number 0 leaves internal forces at least effort
-    if len(memory.squeeze) > 1 and not (np.ndim(squeeze) == 0 and squeeze == 0.0):
+    if len(records.squeeze) > 1 and not (np.ndim(squeeze) == 0 and squeeze == 0.0):
         flags = law.COMMANDED
     table = STILL
     if measurement.touched is not None:
         table = touched_rows(measurement.touched)
         flags |= law.MOVING
+    alpha_d = reference.alpha_d
     given = (
         measurement.q,
         measurement.v,
@@ -118,7 +119,7 @@ def read_tick(
         reference.X_WD.homogeneous,
         reference.V_D,
         reference.A_D,
-        reference.alpha_d if reference.alpha_d.size else NO_FORCES,
+        alpha_d if alpha_d.size else NO_FORCES,
         table,
         UNNAMED if reference.active is None else reference.active,
     )
@@ -152,7 +153,7 @@ class Freshness:
         self.repeated = self.flags = 0
 
     def look(self, measurement: Measurement) -> int:
-        """Compare a measurement with those before it: `flags`."""
+        """Compare a measurement with those before it; returns `flags`."""
         stamps = measurement.stamps
         number = measurement.sequence
         given = {} if stamps is None else {"encoders": stamps.encoders, "wrists": stamps.wrists}

@@ -4,8 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from osc_contact.control.controller_settings import Settings
+from osc_contact.control.ending import TickEnd
 from osc_contact.control.inputs import require_sizes
-from osc_contact.control.records import Settings, TickRecords
+from osc_contact.control.records import TickRecords
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law import records as at
@@ -71,13 +73,7 @@ class _Facts(dict[str, Any]):
         return self.settings.contacts[self.rows.model.columns.contact[column]].name
 
 
-def explain(
-    records: TickRecords,
-    settings: Settings,
-    measurement: Measurement,
-    reference: Reference,
-    failure: Exception | None,
-) -> str:
+def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
     """The sentence for a tick that ended HELD, or in which the arms stop.
 
     A sensor found faulty after a tick stops the arms in it, whether it was computed or held for
@@ -85,9 +81,9 @@ def explain(
 
     Args:
         records: of the tick. settings: of the controller.
-        measurement, reference: what came in, of a tick that ended HELD.
-        failure: error of Python code called in it.
+        ended: inputs of a tick that ended HELD, and the error of Python code called in it.
     """
+    failure = ended.failure
     memory = records.memory
     code = int(records.work.reason)
     cause = int(memory.cause)
@@ -111,8 +107,8 @@ def explain(
         return f"stopped, until reset() is called. Cause: {why}{warning}"
     if failure is not None:
         return f"{failure}{warning}"
-    if code == BAD_INPUT:
-        return _describe_input(records, settings, measurement, reference) + warning
+    if code == BAD_INPUT and ended.inputs is not None:
+        return _describe_input(records, settings, *ended.inputs) + warning
     lasting = (code >= LASTING) * _RESET
     return f"{SENTENCES[code].format_map(facts)}{warning}{lasting}"
 

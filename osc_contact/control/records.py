@@ -1,484 +1,59 @@
-"""One controller's records: its MODEL row as packed from settings, and views of all its bytes."""
+"""One controller's records: views of all its bytes, and the law's calls on them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
-from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.pairs.keys import require_object_fits, store
-from osc_contact.contacts.pairs.law_pair import PairRow, law_row
-from osc_contact.contacts.pairs.pair import count_forces, knows_where_it_slides, pushes_only
-from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
-from osc_contact.contacts.pairs.vertex_and_edge import FaceOnVertex
 from osc_contact.control.status import LostDirection
-from osc_contact.dynamics.arm import effort_scale, stretched_length
-from osc_contact.dynamics.assembly import require_in_range
-from osc_contact.dynamics.closed_chain import ClosedChain, pack_chain
-from osc_contact.dynamics.environment import Body, Conveyor, Guided, Yielding
-from osc_contact.errors import InvalidInputError, ModelError, as_tuple, brief, require_kind
 from osc_contact.law import records as at
 from osc_contact.law import vectors
 from osc_contact.law.compiled import rows as law_rows
-from osc_contact.law.holding import BRAKE_RATE
-from osc_contact.law.records import Bytes, Rows, new_model, views
-from osc_contact.law.safety import SURE
-from osc_contact.projections import unit_diagonal
-from osc_contact.robots.model import position_limits
-from osc_contact.settings.control import (
-    HEADROOM,
-    LEAST_CEILING,
-    Friction,
-    Gains,
-    JointFriction,
-    PhaseSettings,
-    PostureTask,
-    SafetySettings,
-)
-from osc_contact.settings.quantities import Spec
-from osc_contact.spatial import Array, as_array, norm
-
-# What a controller is made of: taken once, never changed.
-#
-# Contact forces are read off the wrists by the filter of fig. 5, or by least squares. The filter
-# takes all that pushes at a contact for N_μα: it is exact without friction, or with friction known,
-# whatever the object does. Least squares let each point of contact push along its tangents, too
-# (`osc_contact.law.reading`): neither friction nor a wrong normal changes their answer, but it
-# depends on the commanded acceleration of the object. The answer is unique where the columns of N
-# are independent of the tangents. Two points can always push against one another along the line
-# between them; so the points must lie in one plane, whose normal is that of them all.
-
-
-Reading = Literal["filter", "least_squares"]
-
-_SAME = 1e-3  #: normals and planes (m) that differ by less are one
-
-#: Of a joint's range; how far beyond its limits `posture` may lie. It is a goal that the push away
-#: from the limits keeps the joint from reaching, so a goal just outside does no harm; one that is
-#: further out than this is given in other units (degrees, mm).
-GOAL_BEYOND = 1.5
-
-
-#: s; a longer control period is given in another unit: motion at 10 Hz is no control of force.
-LONGEST_PERIOD = 0.1
-#: What settings are, and how they are written in a program.
-_KINDS: dict[str, tuple[type, str]] = {
-    "gains": (Gains, "osc.Gains(osc.MotionGains(frequency=3.0), osc.ForceGains(bandwidth=5.0))"),
-    "posture_task": (PostureTask, "PostureTask(stiffness=10.0)"),
-    "friction": (Friction, "osc.Friction(mu=0.2)"),
-    "life": (PhaseSettings, "osc.PhaseSettings(), or None for contacts that are made already"),
-    "safety": (SafetySettings, "osc.SafetySettings(), whose keys are its limits"),
-    "joint_friction": (JointFriction, "osc.JointFriction(), or True or False"),
-}
-
-
-@dataclass(frozen=True, eq=False)
-class Settings:
-    """Everything a controller is given; see `Controller`. `reading` None becomes what it chooses.
-
-    Raises:
-        InvalidInputError: an object of another class, dt not positive or above 0.1 s, unknown
-            metric, a posture far outside the joints' limits, or an arm without a wrist sensor
-            although there are contacts: their forces could not be measured.
-        ModelError: a redundant arm with passive joints.
-    """
-
-    chain: ClosedChain
-    contacts: Sequence[ContactPair]
-    gains: Gains
-    dt: float
-    B: Array | str
-    bodies: Sequence[Body | None]
-    posture: Array | None
-    posture_task: PostureTask
-    friction: Friction | None
-    life: PhaseSettings | None
-    safety: SafetySettings
-    joint_friction: JointFriction | bool | None
-    reading: Reading | None
-
-    def __post_init__(self) -> None:
-        self._require_kinds()
-        chain = self.chain
-        self._require_period()
-        if isinstance(self.B, str):
-            if self.B not in ("object", "chain"):
-                raise InvalidInputError(
-                    f"B = '{self.B}'; give 'object', 'chain' or a (6, 6) matrix"
-                )
-        else:
-            store(self, B=as_array("B", self.B, (6, 6)))
-            unit_diagonal(self.B, "the metric B of eq. 24", "an inverse inertia", InvalidInputError)
-        contacts = self._listed_contacts()
-        blind = [arm.name for arm in chain.arms if arm.wrist_sensor is None]
-        if contacts and blind:
-            raise InvalidInputError(
-                "contact forces are measured in the wrists of all arms together, but "
-                f"{blind} have no wrist_sensor; name its frame when loading the arm"
-            )
-        bodies = as_tuple("Controller: bodies", self.bodies, "[None, osc.Yielding()]")
-        bodies = bodies or (None,) * len(contacts)
-        if len(bodies) != len(contacts):
-            raise InvalidInputError(
-                f"{len(contacts)} contacts but {len(bodies)} bodies; give one for each contact"
-            )
-        posture = np.zeros(chain.nq)
-        if self.posture is not None:
-            posture = as_array("posture", self.posture, (chain.nq,))
-            lower, upper = position_limits(chain.model)
-            with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
-                beyond = GOAL_BEYOND * (upper - lower)
-            require_in_range("posture", chain, posture, beyond)
-        for pair in contacts:
-            if self.friction is not None and not knows_where_it_slides(pair):
-                raise InvalidInputError(
-                    f"contact '{pair.name}' is a {type(pair).__name__}, which has no points of "
-                    "contact, so its friction is not known. Leave control.friction out, or give "
-                    "the pair a method points_of_contact(X_WO, X_WE)"
-                )
-        how = self.joint_friction
-        store(
-            self,
-            contacts=contacts,
-            bodies=bodies,
-            posture=posture,
-            joint_friction=JointFriction() if how is True else how or None,
-            reading=choose_reading(self.reading, contacts, bodies),
-        )
-        if self.gains.force.integral * self.dt >= 1.0:
-            raise InvalidInputError(
-                f"force gain integral = {self.gains.force.integral:g} 1/s at a period of "
-                f"{self.dt:g} s leaves no stability margin; keep integral × period below 1"
-            )
-        for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
-            if arm.model.nv > grasp.N.shape[1] and arm.passive_joints:
-                raise ModelError(
-                    f"arm '{arm.name}' has {arm.model.nv} joints, {len(arm.passive_joints)} of "
-                    f"them passive, to move the object in {grasp.N.shape[1]} ways: posture torques "
-                    "for redundant arms need a motor in every joint"
-                )
-
-    def _require_kinds(self) -> None:
-        """Refuse objects of other classes: numbers, truth values, groups of keys."""
-        require_kind("Controller", self.chain, ClosedChain, "osc.ClosedChain([arm])")
-        for name, (kind, example) in _KINDS.items():
-            value = getattr(self, name)
-            if value is not None and not (name == "joint_friction" and isinstance(value, bool)):
-                require_kind(f"{name}=", value, kind, example)
-
-    def _require_period(self) -> None:
-        """Refuse a control period that is no time, or given in another unit than seconds."""
-        try:
-            dt = float(self.dt)
-        except (TypeError, ValueError):
-            dt = np.nan
-        if not (np.isfinite(dt) and dt > 0.0):
-            raise InvalidInputError(
-                f"dt = {brief(self.dt)}; give the control period in seconds, > 0, such as 1e-3"
-            )
-        if dt > LONGEST_PERIOD:
-            raise InvalidInputError(
-                f"dt = {dt:g} s, longer than {LONGEST_PERIOD:g} s; give the control period in "
-                f"seconds: {1e-3 * dt:g} for {dt:g} ms, {1.0 / dt:.3g} for a rate of {dt:g} Hz"
-            )
-        store(self, dt=dt)
-
-    def _listed_contacts(self) -> tuple[ContactPair, ...]:
-        """The contact pairs, whose geometry must fit the arms."""
-        example = "[osc.VertexOnFace([0, 0, 0], point=p, normal=n)]"
-        contacts = as_tuple("Controller: contacts", self.contacts, example)
-        for pair in contacts:
-            if not isinstance(pair, ContactPair):
-                raise InvalidInputError(
-                    f"Controller: contacts has {brief(pair)}, which is no contact pair: it lacks "
-                    f"name, contact or gaps; give pairs, such as {example}"
-                )
-            require_object_fits(pair, max(map(stretched_length, self.chain.arms)))
-        return contacts
-
-
-def choose_reading(
-    requested: Reading | None,
-    pairs: Sequence[ContactPair],
-    bodies: Sequence[Body | None],
-) -> Reading:
-    """What is requested, or the better one: least squares where their answer is unique.
-
-    Args:
-        requested: None: choose. pairs: the contacts. bodies: of each.
-
-    Raises:
-        InvalidInputError: unknown, or least squares where they are not possible.
-    """
-    if requested not in (None, "filter", "least_squares"):
-        raise InvalidInputError(
-            f"reading = '{requested}'; give 'filter', 'least_squares' or None, which chooses"
-        )
-    unknown = [pair.name for pair in pairs if not knows_where_it_slides(pair)]
-    if requested == "least_squares" and unknown:
-        raise InvalidInputError(
-            f"reading = 'least_squares' needs contacts that know where they touch; {unknown} do "
-            "not. Give 'filter'"
-        )
-    if requested is not None:
-        return requested
-    unique = pairs and not unknown and _in_one_plane(pairs, bodies)
-    return "least_squares" if unique else "filter"
-
-
-def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:
-    """Whether all points of contact stay in one plane, of the environment or of the object."""
-    if any(body is not bodies[0] for body in bodies):
-        return False
-    planes: list[tuple[float, ...]] = []
-    for pair in pairs:
-        if isinstance(pair, PointsOnPlanes):
-            columns = zip(pair.into.T, pair.surface_point @ pair.into, strict=True)
-            planes.extend((*into, height, 0.0) for into, height in columns)
-        elif isinstance(pair, FaceOnVertex):
-            planes.append((*pair.normal, float(pair.normal @ pair.point), 1.0))
-        else:
-            return len(pairs) == count_forces(pair) == 1  # one point
-    return bool(np.ptp(np.array(planes), axis=0).max() < _SAME)
-
-
-_GIVEN = PairRow(at.GIVEN, ())
-#: Bodies that the law evaluates, and their parameters.
-_BODIES: dict[type, tuple[int, tuple[str, ...]]] = {
-    type(None): (at.UNYIELDING, ()),
-    Conveyor: (at.CONVEYOR, ()),
-    Yielding: (at.YIELDING, ("compliance",)),
-    Guided: (at.CART, ("direction", "inertia", "stiffness", "damping", "preload", "descent")),
-}
-_NEVER = 1e12  #: ticks
-_WHOLE = np.pi  #: rad or m; a larger range of a joint, or one that is open, counts as this much
-#: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
-SLIP = 3e-4
-SLIDING = 0.3  #: m/rad: of sliding joints
-_UNLIMITED = 100.0  #: N m, N: stands for the torque limit of motors that have none
-_NOISE = 0.003  #: of the torque limit: residuals that are no friction
-_ROUNDING = 2e-4  #: likewise, of a model without errors: of discrete time
-#: where the model has less friction than noise: standard deviations by which residuals must show it
-_SURELY = 2.0
-#: of F, D, A, bias and wrong masses, where F, and D and A at 1 rad/s and 1 rad/s², are at most 1:
-#: standard deviation at the start, beside half of the model's value; at most; bound
-_DOUBT = np.array([0.07, 0.07, 0.07, 0.017, 0.07])
-_SPREAD = np.array([0.5, 0.5, 0.5, 0.5, 0.2])
-_BOUND = np.array([1.0, 20.0, 20.0, 1.0, 0.5])
-
-
-def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
-    """The bytes of MODEL, which also determine the sizes of MEMORY and WORK.
-
-    Args:
-        settings: of the controller.
-        columns: of N, by number of the pair, for pairs that only Python can evaluate; unknown: 0.
-    """
-    chain = settings.chain
-    pairs = [law_row(pair) or _GIVEN for pair in settings.contacts]
-    counts = [
-        columns.get(number, 0) if row.kind == at.GIVEN else len(row.shapes) - row.freedoms
-        for number, row in enumerate(pairs)
-    ]
-    shapes = [shape for row in pairs for shape in row.shapes]
-    raw = new_model(len(chain.arms), chain.nq, chain.n_a, len(pairs), len(shapes), sum(counts))
-    head = at.MODEL.view(raw)
-    pack_chain(chain, raw, chain.leader)
-    _pack_joints(settings, head)
-    first_column = first_shape = 0
-    for number, row in enumerate(pairs):
-        r = counts[number]
-        contact = settings.contacts[number]
-        touched = settings.bodies[number]
-        pair = head.pairs[number]
-        body = head.bodies[number]
-        pair.kind = row.kind
-        pair.first = first_column
-        pair.count = r
-        pair.shape_at = first_shape
-        pair.freedoms = row.freedoms
-        pair.address = row.address
-        pair.has_friction = knows_where_it_slides(contact)
-        head.columns.contact[first_column : first_column + r] = number
-        body.pushes = pushes_only(contact)
-        body.kind, names = _BODIES.get(type(touched), (at.ELSEWHERE, ()))
-        body.same = number if touched is None else settings.bodies.index(touched)
-        given: Any = touched
-        if isinstance(touched, Guided):
-            given = touched.rail
-            if given.joints == [1]:
-                body.kind = at.ELSEWHERE
-        numbers = np.hstack([[], *(getattr(given, name) for name in names)])
-        body.parameters[: len(numbers)] = numbers
-        first_column += r
-        first_shape += len(row.shapes)
-    head.shapes.row[:] = np.reshape(shapes, (-1, 16))
-    pack_gains(settings, head)
-    pack_safety(settings, head)
-    return raw
-
-
-#: Gains as fields of MODEL, and of rows of MEMORY's contacts where phases do not set these.
-GAIN_FIELDS: dict[str, tuple[str, str]] = {
-    "motion.stiffness": ("stiffness", ""),
-    "motion.damping": ("damping", ""),
-    "motion.integral": ("integral", ""),
-    "force.integral": ("force_gain", "gain"),
-    "force.damping": ("force_damping", "damping"),
-}
-
-
-#: Keys of `PhaseSettings` whose fields of MODEL have other names.
-PHASE_NAMES = {
-    "speed": "approach_speed",
-    "damping": "approach_damping",
-    "least": "least_force",
-    "share": "lost_share",
-    "torque_rate": "phase_rate",
-}
-
-
-def pack_gains(settings: Settings, head: Any) -> None:
-    """What may differ between controllers of one structure."""
-    dt = settings.dt
-    motion = settings.gains.motion
-    force = settings.gains.force
-    _copy(motion, head)
-    head.period = dt
-    _copy(
-        force,
-        head,
-        integral="force_gain",
-        damping="force_damping",
-        brake="force_brake",
-        rise="step_time",
-    )
-    drifts = force.brake > 0.0 or force.tilt > 0.0
-    head.drift_share = -np.expm1(-force.drift * dt) if drifts else 0.0
-    head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # of a chord
-    _copy(settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping")
-    _copy(settings.friction or Friction(mu=0.0), head)
-    _pack_friction(settings, head)
-    head.reading = at.LEAST_SQUARES if settings.reading == "least_squares" else at.FILTER
-    B = settings.B
-    kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
-    head.metric = kinds[B] if isinstance(B, str) else at.BY_MATRIX
-    head.B_inv[:] = np.eye(6) if isinstance(B, str) else np.linalg.inv(B)
-    head.phased = settings.life is not None
-    # torques go gently after the active set has changed, without phases, too
-    _copy(settings.life or PhaseSettings(), head, **PHASE_NAMES)
-
-
-def pack_safety(settings: Settings, head: Any) -> None:
-    """Limits of the robot, and what becomes of ticks that cannot be computed."""
-    safety = settings.safety
-    _copy(safety, head, stop_after="fault_ticks")
-    # s from the decision to stop until the brakes are on, as far as stopping ways are concerned
-    head.reaction = 0.5 / safety.hold_rate + 0.5 / BRAKE_RATE + SURE
-    for key in ("contact", "wrist"):  # a ceiling that is not given follows the commands
-        given = getattr(safety, f"{key}_ceiling")
-        setattr(head, f"{key}_ceiling", LEAST_CEILING if given is None else given)
-        setattr(head, f"{key}_headroom", HEADROOM if given is None else 0.0)
-    head.guarded = 1
-    head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER))
-    weight = 9.81 * settings.chain.reference.inertia.mass
-    head.force_range = max(safety.force_range, 3.0 * weight)
-    head.torque_range = max(safety.torque_range, 3.0 * weight)  # on a lever of 1 m
-    model = settings.chain.model
-    rows = head.joints
-    watched = (rows.motor >= 0) & (safety.brake_time > 0.0)
-    rows.lower[:] = np.where(watched, model.lowerPositionLimit, -np.inf)
-    rows.upper[:] = np.where(watched, model.upperPositionLimit, np.inf)
-    rows.brake[:] = 0.5 * safety.brake_time / rows.speed_max
-
-
-def _pack_joints(settings: Settings, head: Any) -> None:
-    chain = settings.chain
-    posture = settings.posture_task
-    rows = head.joints
-    margins = joint_limit_margins(chain.model, posture.limit_stiffness, posture.limit_margin)
-    effort = effort_scale(chain.tau_max)
-    rows.motor[chain.actuated] = np.arange(chain.n_a)
-    rows.effort[chain.actuated] = effort**2
-    rows.tau_max[chain.actuated] = chain.tau_max
-    rows.ease[chain.actuated] = 1.0 / effort**2
-    speed = chain.model.velocityLimit
-    rows.rated[:] = np.where(np.isfinite(speed) & (speed > 0.0), speed, np.inf)
-    rows.speed_max[:] = np.where(rows.motor < 0, np.inf, rows.rated)
-    rows.posture[:] = settings.posture
-    for name, values in zip(("low", "high", "width", "most"), margins, strict=True):
-        rows[name][:] = values
-
-
-def _pack_friction(settings: Settings, head: Any) -> None:
-    """Friction of the joints as the model has it, and how far it may be learned otherwise."""
-    how: Any = settings.joint_friction
-    if how is None:
-        return
-    model = settings.chain.model
-    rows = head.joints
-    known = np.zeros((len(rows), 5))
-    known[:, 0] = model.upperDryFrictionLimit
-    known[:, 1] = model.damping
-    head.rubs = how.learning or how.errors or known.any()
-    head.friction_learning = how.learning
-    head.friction_errors = bool(how.errors)
-    head.friction_share = how.share
-    head.friction_smoothing = how.smoothing
-    limit = np.minimum(rows.tau_max, _UNLIMITED)
-    most = how.most * limit
-    priors = head.priors
-    priors.noise[:] = _NOISE * limit
-    priors.rounding[:] = _ROUNDING * limit
-    rows.slip[:] = np.where(rows.slides != 0, SLIDING * SLIP, SLIP)
-    rows.theta[:] = known
-    scale = np.ones_like(known)
-    scale[:, :4] = most[:, None]
-    priors.sure[:] = np.where(known.sum(axis=1) > priors.noise, 0.0, _SURELY)
-    priors.doubt[:] = 0.5 * known + scale * _DOUBT
-    priors.spread[:] = scale * _SPREAD
-    priors.high[:] = np.maximum(scale * _BOUND, known)
-    priors.low[:, 2] = -np.array(model.armature)  # F and D cannot be below zero
-    priors.low[:, 3:] = -priors.high[:, 3:]
-
-
-def joint_limit_margins(
-    model: pin.Model, stiffness: float, margin: float
-) -> tuple[Array, Array, Array, Array]:
-    """Where the posture task keeps redundant arms off their joint limits, (n,) each.
-
-    At depth s of the margin w (0 where it begins, 1 at the limit and beyond it) a joint is pushed
-    back by a = k w (3s² − 2s³), the slope of a potential of k w² (s³ − s⁴/2): continuous with its
-    first derivative, and never above k w (a potential field after Khatib, 1986).
-
-    Args:
-        model: of all arms. stiffness: k (1/s²). margin: share of a joint's range, at each end of
-            it; a range counts as π (rad or m) at most.
-
-    Returns:
-        Where the margins begin (low, high; −inf, inf at ends without limit), their width w, k w.
-    """
-    lower, upper = position_limits(model)
-    with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
-        width = margin * np.minimum(upper - lower, _WHOLE)
-    return lower + width, upper - width, width, stiffness * width
-
-
-def _copy(settings: Spec, head: Any, **names: str) -> None:
-    """Copy settings into the fields of their names, or of `names` where these differ."""
-    for key in type(settings).model_fields:
-        value = getattr(settings, key)
-        if value is not None and (name := names.get(key, key)) in at.MODEL.dtype.names:
-            setattr(head, name, value)
-
+from osc_contact.law.records import Bytes, Rows, views
+from osc_contact.spatial import Array, norm
 
 STILL = np.zeros((0, 28))  #: motion of the touched bodies where all of them rest
 UNNAMED = np.zeros(0)  #: the active set of a reference that names none
+_ENDED_OK = 2  #: what the law returns for one row whose tick ended OK
 _WHOLE_TICK = 0, at.LOOK, at.END
+#: What `TickRecords.forget` sets to zero: fields of MEMORY, and of the rows of its tables (all of
+#: their fields where none is named).
+FORGOTTEN = (
+    "age",
+    "faults",
+    "lost",
+    "overspeed",
+    "powered",
+    "ending",
+    "compared",
+    "frozen",
+    "still",
+    "wrench_age",
+    "old_joints",
+    "old_wrists",
+    "balanced",
+    "apart",
+    "mixed",
+    "tested",
+    "above",
+    "missed",
+    "repeats",
+    "fresh",
+    "step_left",
+    "squeeze_left",
+    "motion_sum",
+    "force_sum",
+    "over_contact",
+    "over_wrist",
+    "over_tip",
+    "centre_rate",
+)
+FORGOTTEN_TABLES: dict[str, tuple[str, ...]] = {
+    "joints": (),
+    "arms": (),
+    "columns": ("underforce", "overforce", "time_since_loss", "has_desired", "integral"),
+}
 
 
 class TickRecords:
@@ -487,6 +62,7 @@ class TickRecords:
     Attributes:
         rows: the bytes; index, thread: which row of them, whose WORK. at: of its JOB.
         model, memory, work: views, see `law.records`; model_bytes, memory_bytes, work_bytes.
+        torques, squeeze: (n_a,) and (bars,) of MEMORY.
     """
 
     def __init__(self, rows: Rows | Bytes, index: int = 0, thread: int = 0) -> None:
@@ -499,6 +75,8 @@ class TickRecords:
         self.work_bytes: Bytes = rows.work[thread]
         self._job = rows.jobs[thread].view(np.int64)  # `switches`, `begin` and `stop` first
         self.model, self.memory, self.work, _ = views(rows, index, thread)
+        self.torques: Array = self.memory.torques
+        self.squeeze: Array = self.memory.squeeze
 
     def run(
         self, given: tuple[Any, ...], flags: int = 0, begin: int = at.LOOK, stop: int = at.END
@@ -515,6 +93,27 @@ class TickRecords:
             return int(law_rows()(self.rows.raw, 0, given))
         finally:
             self._job[:3] = _WHOLE_TICK
+
+    def tick(self, given: tuple[Array, ...], switches: int = 0) -> bool:
+        """Compute a whole tick of one row; returns whether it ended OK.
+
+        Args:
+            given, switches: see `run`.
+        """
+        if switches:
+            return self.run(given, switches) == _ENDED_OK
+        return bool(law_rows()(self.rows.raw, 0, given) == _ENDED_OK)
+
+    def forget(self) -> None:
+        """Zero what ticks have gathered, but for tare, bias, phases and learned values."""
+        for name in FORGOTTEN:
+            self.memory.head[name] = 0
+        for table, names in FORGOTTEN_TABLES.items():
+            rows = getattr(self.memory, table).view(np.ndarray)
+            if not names:
+                rows[:] = np.zeros(1, rows.dtype)
+            for name in names:
+                rows[name] = 0
 
     def hold(self, q: Array, v: Array, reading: float = np.nan, begin: int = at.LOOK) -> None:
         """Run a tick, or its part `begin`, that has no reference.

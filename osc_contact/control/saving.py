@@ -2,8 +2,8 @@
 
 import zlib
 from struct import Struct
-from typing import Any
 
+from osc_contact.control.controller_state import ControllerState
 from osc_contact.control.record_ranges import require_ranges
 from osc_contact.control.torque_limits import MotorLimits
 from osc_contact.errors import InvalidInputError
@@ -16,19 +16,19 @@ _HEAD = Struct("<8sI4x64s2Q")  #: magic, format, law, sizes of the two parts
 HEAD = _HEAD.size
 
 
-def controller_bytes(controller: Any) -> bytes:
+def controller_bytes(controller: ControllerState) -> bytes:
     """A controller as it is, as the content of a file.
 
     Raises:
         InvalidInputError: pairs, bodies or laws that only Python can evaluate, pairs whose function
             is at an address of this process, or a number that no file may hold.
     """
-    if controller._custom.needed:
+    if controller.needs_python:
         raise InvalidInputError(
             "this controller has pairs, bodies or laws that only Python can evaluate, so it cannot "
             "run without: use the packaged ones"
         )
-    own = controller._records
+    own = controller.records
     if (own.model.pairs.kind == FUNCTION).any():
         raise InvalidInputError(
             "this controller calls a function of this process (CompiledPair), which a file cannot "

@@ -7,7 +7,8 @@ import numpy as np
 from pinocchio import SE3
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.control.records import Settings, TickRecords
+from osc_contact.control.controller_settings import Settings
+from osc_contact.control.records import TickRecords
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.dynamics.environment import Environment
 from osc_contact.interface import Reference, Touched

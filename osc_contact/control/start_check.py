@@ -5,12 +5,12 @@ made, a reading that differs from that weight is no contact force: its gravity c
 its axes or the payload is wrong, or a tare is missing.
 """
 
-from typing import Any
-
 import numpy as np
 from pinocchio import SE3
 
-from osc_contact.control.records import Settings
+from osc_contact.control.controller_settings import Settings
+from osc_contact.control.controller_state import ControllerState
+from osc_contact.control.records import TickRecords
 from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError
@@ -44,7 +44,7 @@ class StartCheck:
         self.readings: list[Array] = []
         self.expected = np.zeros(6)
 
-    def look(self, controller: Any, measurement: Measurement) -> bool:
+    def look(self, controller: ControllerState, measurement: Measurement) -> bool:
         """Look at the joints as they are now, and at the wrists as of the last computed tick.
 
         Args:
@@ -59,7 +59,7 @@ class StartCheck:
         if self.refused:
             raise InvalidInputError(self.refused)
         settings = controller.settings
-        rows = controller._records
+        rows = controller.records
         if not self.inside:
             require_start(settings.chain, measurement.q)
             self.inside = True
@@ -82,7 +82,7 @@ class StartCheck:
         self.done = True
         return True
 
-    def judge(self, controller: Any) -> None:
+    def judge(self, controller: ControllerState) -> None:
         """Compare the median of the readings with the limit.
 
         Not where there is a tare: it takes away what would be compared, as of another moment.
@@ -106,7 +106,7 @@ def require_start(chain: ClosedChain, q: Array) -> None:
     require_in_range("measured q", chain, q, RANGE * upper - RANGE * lower)
 
 
-def is_clear(settings: Settings, rows: Any) -> bool:
+def is_clear(settings: Settings, rows: TickRecords) -> bool:
     """Whether no contact is made: every gap of the controller's model is open.
 
     Args:

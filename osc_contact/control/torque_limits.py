@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from osc_contact.control.records import Settings, TickRecords
+from osc_contact.control.controller_settings import Settings
+from osc_contact.control.records import TickRecords
 from osc_contact.control.status import LimitLoss
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.law.limits import TorqueLimits, fill_program, settle

@@ -1,11 +1,10 @@
 """Desired contact forces that are not there although every tick is computed: why, in words."""
 
-from typing import Any
-
 import numpy as np
 from pinocchio import SE3
 
-from osc_contact.control.records import Settings
+from osc_contact.control.controller_settings import Settings
+from osc_contact.control.records import TickRecords
 from osc_contact.control.status import Phase
 from osc_contact.spatial import Array
 
@@ -16,21 +15,27 @@ class Idle:
     """Ticks with desired contact forces in which the contacts are not engaged.
 
     Attributes:
-        ticks: so many in a row, up to the last one.
+        waiting: whether the contacts are not engaged, so that ticks are counted.
+        ticks: number in a row, up to the last one.
         logged: whether it was logged.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, waiting: bool) -> None:
+        self.begin(waiting=waiting)
+
+    def begin(self, *, waiting: bool) -> None:
+        """Count from zero, where contacts are not engaged (`waiting`)."""
+        self.waiting = waiting
         self.ticks = 0
         self.logged = False
 
-    def count(self, settings: Settings, alpha_d: Any) -> bool:
+    def count(self, settings: Settings, alpha_d: Array) -> bool:
         """Take in a tick without engaged contacts; returns whether this is to be logged now.
 
         Args:
             settings: of the controller. alpha_d: (r,) desired magnitudes (N).
         """
-        desired = len(settings.contacts) > 0 and np.any(np.asarray(alpha_d) > 0.0)
+        desired = len(settings.contacts) > 0 and bool(np.any(np.asarray(alpha_d) > 0.0))
         self.ticks = self.ticks + 1 if desired else 0
         due = not self.logged and self.ticks * settings.dt > PATIENCE_S
         self.logged = self.logged or due
@@ -48,7 +53,7 @@ class Idle:
         )
 
 
-def standing_approaches(records: Any, settings: Settings) -> str:
+def standing_approaches(records: TickRecords, settings: Settings) -> str:
     """Which approaches have covered `travel` and met nothing, with the distance left.
 
     Args:

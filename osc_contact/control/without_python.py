@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from osc_contact.control.controller import FORGOTTEN, FORGOTTEN_TABLES
+from osc_contact.control.packing import GAIN_FIELDS, PHASE_NAMES
 from osc_contact.control.record_ranges import (
     ENDS,
     MOST_ROWS,
@@ -24,7 +24,7 @@ from osc_contact.control.record_ranges import (
     number_ranges,
     read_relation,
 )
-from osc_contact.control.records import GAIN_FIELDS, PHASE_NAMES
+from osc_contact.control.records import FORGOTTEN, FORGOTTEN_TABLES
 from osc_contact.control.saving import FORMAT, HEAD, MAGIC
 from osc_contact.control.status import Phase, SafetyState, Status
 from osc_contact.files import write_whole

@@ -125,6 +125,7 @@ def task_of_robot(
     pairs = settings.contacts
     chain = settings.chain
     dt = settings.dt
+    assert settings.posture is not None  # settings choose the neutral one
     owners = force_owners(pairs)
     _require_forces(given, len(owners))
     measured = _reading(robot, controller, given[0])
@@ -353,7 +354,7 @@ def _acceleration(controller: Controller) -> Array:
     they drift until a joint comes near its limit.
     """
     chain = controller.settings.chain
-    joints = controller._records.work.joints
+    joints = controller.records.work.joints
     a = controller.joint_acceleration()
     for arm, s, grasp in zip(chain.arms, chain.slices, chain.grasps, strict=True):
         n = arm.model.nv
@@ -433,7 +434,7 @@ def first_tick(task: Task) -> Values:
     trial.tick(task.measured, next(task.every(task.dt)))
     if trial.status is Status.HELD:
         yield 1.0, {"why": trial.reason}
-    elif task.pairs and is_clear(trial.settings, trial._records):
+    elif task.pairs and is_clear(trial.settings, trial.records):
         error = trial.residual_wrench() - trial.f_tare
         most = trial.settings.safety.load_error
         why = judge_load(trial.chain, most, error, trial.result().bias_out)

@@ -27,7 +27,7 @@ from osc_contact.contacts.pairs.pair import (
     pushes_only,
 )
 from osc_contact.control.controller import Controller
-from osc_contact.control.records import choose_reading
+from osc_contact.control.controller_settings import choose_reading
 from osc_contact.dynamics.chain_state import modes
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
 from osc_contact.interface import Reference, Robot

@@ -38,13 +38,13 @@ class Tape:
         self._ticks: list[bytes] = []
         self._controller = controller
         self._tick: Callable[[Measurement, Reference], Array] = controller.tick
-        self._memory = controller._records.memory_bytes.copy()
+        self._memory = controller.records.memory_bytes.copy()
         controller.__dict__["tick"] = self.tick
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """The controller's own, noted."""
         controller = self._controller
-        memory = controller._records.memory_bytes
+        memory = controller.records.memory_bytes
         before = self.count
         first = memory.copy()
         changed = not np.array_equal(first, self._memory)
@@ -58,18 +58,18 @@ class Tape:
         self, measurement: Measurement, reference: Reference, memory: Any, tau: Array
     ) -> None:
         controller = self._controller
-        model = controller._records.model
+        model = controller.records.model
         squeeze = np.ravel(reference.squeeze_d)
         given = squeeze.any() and model.n_bars > 0
         missing = measurement.wrench_valid is not None and not measurement.wrench_valid
         flags = MEMORY * (memory is not None) + TOUCHED * (measurement.touched is not None)
         flags += WRENCH_MISSING * missing + ESTIMATED * bool(measurement.estimated)
         flags += SQUEEZE * bool(given) + ACTIVE * (reference.active is not None)
-        flags += controller._freshness.flags << REPEATED
+        flags += controller.freshness.flags << REPEATED
         forces = np.zeros(model.n_columns)
         alpha = np.ravel(reference.alpha_d)
         forces[: len(alpha)] = alpha
-        age = -1 if measurement.stamps is None else controller._records.memory.late
+        age = -1 if measurement.stamps is None else controller.records.memory.late
         parts: list[Any] = [np.array([flags, controller.status, age], np.int64)]
         parts += [] if memory is None else [memory]
         numbers = [

@@ -54,7 +54,7 @@ class Start:
             ),
             "a tare": scenario.tare is not None,
             "a joint torque loop": scenario.control.joint_torque is not None,
-            "pairs, bodies or laws written in Python": controller._custom.needed,
+            "pairs, bodies or laws written in Python": controller.needs_python,
         }
         why = [obstacle for obstacle, present in obstacles.items() if present]
         if why:

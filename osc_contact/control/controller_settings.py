@@ -1,0 +1,232 @@
+"""What a controller is made of: its arguments, validated once and never changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from osc_contact.contacts.pairs import ContactPair
+from osc_contact.contacts.pairs.keys import require_object_fits, store
+from osc_contact.contacts.pairs.pair import count_forces, knows_where_it_slides
+from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
+from osc_contact.contacts.pairs.vertex_and_edge import FaceOnVertex
+from osc_contact.dynamics.arm import stretched_length
+from osc_contact.dynamics.assembly import require_in_range
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.environment import Body
+from osc_contact.errors import InvalidInputError, ModelError, as_tuple, brief, require_kind
+from osc_contact.projections import unit_diagonal
+from osc_contact.robots.model import position_limits
+from osc_contact.settings.control import (
+    Friction,
+    Gains,
+    JointFriction,
+    PhaseSettings,
+    PostureTask,
+    SafetySettings,
+)
+from osc_contact.spatial import Array, as_array
+
+# Contact forces are read off the wrists by the filter of fig. 5, or by least squares. The filter
+# takes all that pushes at a contact for N_μα: it is exact without friction, or with friction known,
+# whatever the object does. Least squares let each point of contact push along its tangents, too
+# (`osc_contact.law.reading`): neither friction nor a wrong normal changes their answer, but it
+# depends on the commanded acceleration of the object. The answer is unique where the columns of N
+# are independent of the tangents. Two points can always push against one another along the line
+# between them; so the points must lie in one plane, whose normal is that of them all.
+
+
+Reading = Literal["filter", "least_squares"]
+
+_SAME = 1e-3  #: normals and planes (m) that differ by less are one
+
+#: Of a joint's range; how far beyond its limits `posture` may lie. It is a goal that the push away
+#: from the limits keeps the joint from reaching, so a goal just outside does no harm; one that is
+#: further out than this is given in other units (degrees, mm).
+GOAL_BEYOND = 1.5
+
+
+#: s; a longer control period is given in another unit: motion at 10 Hz is no control of force.
+LONGEST_PERIOD = 0.1
+#: What settings are, and how they are written in a program.
+_KINDS: dict[str, tuple[type, str]] = {
+    "gains": (Gains, "osc.Gains(osc.MotionGains(frequency=3.0), osc.ForceGains(bandwidth=5.0))"),
+    "posture_task": (PostureTask, "PostureTask(stiffness=10.0)"),
+    "friction": (Friction, "osc.Friction(mu=0.2)"),
+    "life": (PhaseSettings, "osc.PhaseSettings(), or None for contacts that are made already"),
+    "safety": (SafetySettings, "osc.SafetySettings(), whose keys are its limits"),
+    "joint_friction": (JointFriction, "osc.JointFriction(), or True or False"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """Everything a controller is given; see `Controller`. `reading` None becomes what it chooses.
+
+    Raises:
+        InvalidInputError: an object of another class, dt not positive or above 0.1 s, unknown
+            metric, a posture far outside the joints' limits, or an arm without a wrist sensor
+            although there are contacts: their forces could not be measured.
+        ModelError: a redundant arm with passive joints.
+    """
+
+    chain: ClosedChain
+    contacts: Sequence[ContactPair]
+    gains: Gains
+    dt: float
+    B: Array | str
+    bodies: Sequence[Body | None]
+    posture: Array | None
+    posture_task: PostureTask
+    friction: Friction | None
+    life: PhaseSettings | None
+    safety: SafetySettings
+    joint_friction: JointFriction | bool | None
+    reading: Reading | None
+
+    def __post_init__(self) -> None:
+        self._require_kinds()
+        chain = self.chain
+        self._require_period()
+        if isinstance(self.B, str):
+            if self.B not in ("object", "chain"):
+                raise InvalidInputError(
+                    f"B = '{self.B}'; give 'object', 'chain' or a (6, 6) matrix"
+                )
+        else:
+            store(self, B=as_array("B", self.B, (6, 6)))
+            unit_diagonal(self.B, "the metric B of eq. 24", "an inverse inertia", InvalidInputError)
+        contacts = self._listed_contacts()
+        blind = [arm.name for arm in chain.arms if arm.wrist_sensor is None]
+        if contacts and blind:
+            raise InvalidInputError(
+                "contact forces are measured in the wrists of all arms together, but "
+                f"{blind} have no wrist_sensor; name its frame when loading the arm"
+            )
+        bodies = as_tuple("Controller: bodies", self.bodies, "[None, osc.Yielding()]")
+        bodies = bodies or (None,) * len(contacts)
+        if len(bodies) != len(contacts):
+            raise InvalidInputError(
+                f"{len(contacts)} contacts but {len(bodies)} bodies; give one for each contact"
+            )
+        posture = np.zeros(chain.nq)
+        if self.posture is not None:
+            posture = as_array("posture", self.posture, (chain.nq,))
+            lower, upper = position_limits(chain.model)
+            with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
+                beyond = GOAL_BEYOND * (upper - lower)
+            require_in_range("posture", chain, posture, beyond)
+        for pair in contacts:
+            if self.friction is not None and not knows_where_it_slides(pair):
+                raise InvalidInputError(
+                    f"contact '{pair.name}' is a {type(pair).__name__}, which has no points of "
+                    "contact, so its friction is not known. Leave control.friction out, or give "
+                    "the pair a method points_of_contact(X_WO, X_WE)"
+                )
+        how = self.joint_friction
+        store(
+            self,
+            contacts=contacts,
+            bodies=bodies,
+            posture=posture,
+            joint_friction=JointFriction() if how is True else how or None,
+            reading=choose_reading(self.reading, contacts, bodies),
+        )
+        if self.gains.force.integral * self.dt >= 1.0:
+            raise InvalidInputError(
+                f"force gain integral = {self.gains.force.integral:g} 1/s at a period of "
+                f"{self.dt:g} s leaves no stability margin; keep integral × period below 1"
+            )
+        for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
+            if arm.model.nv > grasp.N.shape[1] and arm.passive_joints:
+                raise ModelError(
+                    f"arm '{arm.name}' has {arm.model.nv} joints, {len(arm.passive_joints)} of "
+                    f"them passive, to move the object in {grasp.N.shape[1]} ways: posture torques "
+                    "for redundant arms need a motor in every joint"
+                )
+
+    def _require_kinds(self) -> None:
+        """Refuse objects of other classes: numbers, truth values, groups of keys."""
+        require_kind("Controller", self.chain, ClosedChain, "osc.ClosedChain([arm])")
+        for name, (kind, example) in _KINDS.items():
+            value = getattr(self, name)
+            if value is not None and not (name == "joint_friction" and isinstance(value, bool)):
+                require_kind(f"{name}=", value, kind, example)
+
+    def _require_period(self) -> None:
+        """Refuse a control period that is no time, or given in another unit than seconds."""
+        try:
+            dt = float(self.dt)
+        except (TypeError, ValueError):
+            dt = np.nan
+        if not (np.isfinite(dt) and dt > 0.0):
+            raise InvalidInputError(
+                f"dt = {brief(self.dt)}; give the control period in seconds, > 0, such as 1e-3"
+            )
+        if dt > LONGEST_PERIOD:
+            raise InvalidInputError(
+                f"dt = {dt:g} s, longer than {LONGEST_PERIOD:g} s; give the control period in "
+                f"seconds: {1e-3 * dt:g} for {dt:g} ms, {1.0 / dt:.3g} for a rate of {dt:g} Hz"
+            )
+        store(self, dt=dt)
+
+    def _listed_contacts(self) -> tuple[ContactPair, ...]:
+        """The contact pairs, whose geometry must fit the arms."""
+        example = "[osc.VertexOnFace([0, 0, 0], point=p, normal=n)]"
+        contacts = as_tuple("Controller: contacts", self.contacts, example)
+        for pair in contacts:
+            if not isinstance(pair, ContactPair):
+                raise InvalidInputError(
+                    f"Controller: contacts has {brief(pair)}, which is no contact pair: it lacks "
+                    f"name, contact or gaps; give pairs, such as {example}"
+                )
+            require_object_fits(pair, max(map(stretched_length, self.chain.arms)))
+        return contacts
+
+
+def choose_reading(
+    requested: Reading | None,
+    pairs: Sequence[ContactPair],
+    bodies: Sequence[Body | None],
+) -> Reading:
+    """What is requested, or the better one: least squares where their answer is unique.
+
+    Args:
+        requested: None: choose. pairs: the contacts. bodies: of each.
+
+    Raises:
+        InvalidInputError: unknown, or least squares where they are not possible.
+    """
+    if requested not in (None, "filter", "least_squares"):
+        raise InvalidInputError(
+            f"reading = '{requested}'; give 'filter', 'least_squares' or None, which chooses"
+        )
+    unknown = [pair.name for pair in pairs if not knows_where_it_slides(pair)]
+    if requested == "least_squares" and unknown:
+        raise InvalidInputError(
+            f"reading = 'least_squares' needs contacts that know where they touch; {unknown} do "
+            "not. Give 'filter'"
+        )
+    if requested is not None:
+        return requested
+    unique = pairs and not unknown and _in_one_plane(pairs, bodies)
+    return "least_squares" if unique else "filter"
+
+
+def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:
+    """Whether all points of contact stay in one plane, of the environment or of the object."""
+    if any(body is not bodies[0] for body in bodies):
+        return False
+    planes: list[tuple[float, ...]] = []
+    for pair in pairs:
+        if isinstance(pair, PointsOnPlanes):
+            columns = zip(pair.into.T, pair.surface_point @ pair.into, strict=True)
+            planes.extend((*into, height, 0.0) for into, height in columns)
+        elif isinstance(pair, FaceOnVertex):
+            planes.append((*pair.normal, float(pair.normal @ pair.point), 1.0))
+        else:
+            return len(pairs) == count_forces(pair) == 1  # one point
+    return bool(np.ptp(np.array(planes), axis=0).max() < _SAME)

@@ -1,0 +1,252 @@
+"""The MODEL row of a controller, packed from its settings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs.law_pair import PairRow, law_row
+from osc_contact.contacts.pairs.pair import knows_where_it_slides, pushes_only
+from osc_contact.control.controller_settings import Settings
+from osc_contact.dynamics.arm import effort_scale
+from osc_contact.dynamics.chain_records import pack_chain
+from osc_contact.dynamics.environment import Conveyor, Guided, Yielding
+from osc_contact.law import records as at
+from osc_contact.law.holding import BRAKE_RATE
+from osc_contact.law.records import Bytes, new_model
+from osc_contact.law.safety import SURE
+from osc_contact.robots.model import position_limits
+from osc_contact.settings.control import HEADROOM, LEAST_CEILING, Friction, PhaseSettings
+from osc_contact.settings.quantities import Spec
+from osc_contact.spatial import Array
+
+_GIVEN = PairRow(at.GIVEN, ())
+#: Bodies that the law evaluates, and their parameters.
+_BODIES: dict[type, tuple[int, tuple[str, ...]]] = {
+    type(None): (at.UNYIELDING, ()),
+    Conveyor: (at.CONVEYOR, ()),
+    Yielding: (at.YIELDING, ("compliance",)),
+    Guided: (at.CART, ("direction", "inertia", "stiffness", "damping", "preload", "descent")),
+}
+_NEVER = 1e12  #: ticks
+_WHOLE = np.pi  #: rad or m; a larger range of a joint, or one that is open, counts as this much
+#: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
+SLIP = 3e-4
+SLIDING = 0.3  #: m/rad: of sliding joints
+_UNLIMITED = 100.0  #: N m, N: stands for the torque limit of motors that have none
+_NOISE = 0.003  #: of the torque limit: residuals that are no friction
+_ROUNDING = 2e-4  #: likewise, of a model without errors: of discrete time
+#: where the model has less friction than noise: standard deviations by which residuals must show it
+_SURELY = 2.0
+#: of F, D, A, bias and wrong masses, where F, and D and A at 1 rad/s and 1 rad/s², are at most 1:
+#: standard deviation at the start, beside half of the model's value; at most; bound
+_DOUBT = np.array([0.07, 0.07, 0.07, 0.017, 0.07])
+_SPREAD = np.array([0.5, 0.5, 0.5, 0.5, 0.2])
+_BOUND = np.array([1.0, 20.0, 20.0, 1.0, 0.5])
+
+
+def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
+    """The bytes of MODEL, which also determine the sizes of MEMORY and WORK.
+
+    Args:
+        settings: of the controller.
+        columns: of N, by number of the pair, for pairs that only Python can evaluate; unknown: 0.
+    """
+    chain = settings.chain
+    pairs = [law_row(pair) or _GIVEN for pair in settings.contacts]
+    counts = [
+        columns.get(number, 0) if row.kind == at.GIVEN else len(row.shapes) - row.freedoms
+        for number, row in enumerate(pairs)
+    ]
+    shapes = [shape for row in pairs for shape in row.shapes]
+    raw = new_model(len(chain.arms), chain.nq, chain.n_a, len(pairs), len(shapes), sum(counts))
+    head = at.MODEL.view(raw)
+    pack_chain(chain, raw, chain.leader)
+    _pack_joints(settings, head)
+    first_column = first_shape = 0
+    for number, row in enumerate(pairs):
+        r = counts[number]
+        contact = settings.contacts[number]
+        touched = settings.bodies[number]
+        pair = head.pairs[number]
+        body = head.bodies[number]
+        pair.kind = row.kind
+        pair.first = first_column
+        pair.count = r
+        pair.shape_at = first_shape
+        pair.freedoms = row.freedoms
+        pair.address = row.address
+        pair.has_friction = knows_where_it_slides(contact)
+        head.columns.contact[first_column : first_column + r] = number
+        body.pushes = pushes_only(contact)
+        body.kind, names = _BODIES.get(type(touched), (at.ELSEWHERE, ()))
+        body.same = number if touched is None else settings.bodies.index(touched)
+        given: Any = touched
+        if isinstance(touched, Guided):
+            given = touched.rail
+            if given.joints == [1]:
+                body.kind = at.ELSEWHERE
+        numbers = np.hstack([[], *(getattr(given, name) for name in names)])
+        body.parameters[: len(numbers)] = numbers
+        first_column += r
+        first_shape += len(row.shapes)
+    head.shapes.row[:] = np.reshape(shapes, (-1, 16))
+    pack_gains(settings, head)
+    pack_safety(settings, head)
+    return raw
+
+
+#: Gains as fields of MODEL, and of rows of MEMORY's contacts where phases do not set these.
+GAIN_FIELDS: dict[str, tuple[str, str]] = {
+    "motion.stiffness": ("stiffness", ""),
+    "motion.damping": ("damping", ""),
+    "motion.integral": ("integral", ""),
+    "force.integral": ("force_gain", "gain"),
+    "force.damping": ("force_damping", "damping"),
+}
+
+
+#: Keys of `PhaseSettings` whose fields of MODEL have other names.
+PHASE_NAMES = {
+    "speed": "approach_speed",
+    "damping": "approach_damping",
+    "least": "least_force",
+    "share": "lost_share",
+    "torque_rate": "phase_rate",
+}
+
+
+def pack_gains(settings: Settings, head: Any) -> None:
+    """What may differ between controllers of one structure."""
+    dt = settings.dt
+    motion = settings.gains.motion
+    force = settings.gains.force
+    _copy(motion, head)
+    head.period = dt
+    _copy(
+        force,
+        head,
+        integral="force_gain",
+        damping="force_damping",
+        brake="force_brake",
+        rise="step_time",
+    )
+    drifts = force.brake > 0.0 or force.tilt > 0.0
+    head.drift_share = -np.expm1(-force.drift * dt) if drifts else 0.0
+    head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # of a chord
+    _copy(settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping")
+    _copy(settings.friction or Friction(mu=0.0), head)
+    _pack_friction(settings, head)
+    head.reading = at.LEAST_SQUARES if settings.reading == "least_squares" else at.FILTER
+    B = settings.B
+    kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
+    head.metric = kinds[B] if isinstance(B, str) else at.BY_MATRIX
+    head.B_inv[:] = np.eye(6) if isinstance(B, str) else np.linalg.inv(B)
+    head.phased = settings.life is not None
+    # torques go gently after the active set has changed, without phases, too
+    _copy(settings.life or PhaseSettings(), head, **PHASE_NAMES)
+
+
+def pack_safety(settings: Settings, head: Any) -> None:
+    """Limits of the robot, and what becomes of ticks that cannot be computed."""
+    safety = settings.safety
+    _copy(safety, head, stop_after="fault_ticks")
+    # s from the decision to stop until the brakes are on, as far as stopping ways are concerned
+    head.reaction = 0.5 / safety.hold_rate + 0.5 / BRAKE_RATE + SURE
+    for key in ("contact", "wrist"):  # a ceiling that is not given follows the commands
+        given = getattr(safety, f"{key}_ceiling")
+        setattr(head, f"{key}_ceiling", LEAST_CEILING if given is None else given)
+        setattr(head, f"{key}_headroom", HEADROOM if given is None else 0.0)
+    head.guarded = 1
+    head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER))
+    weight = 9.81 * settings.chain.reference.inertia.mass
+    head.force_range = max(safety.force_range, 3.0 * weight)
+    head.torque_range = max(safety.torque_range, 3.0 * weight)  # on a lever of 1 m
+    model = settings.chain.model
+    rows = head.joints
+    watched = (rows.motor >= 0) & (safety.brake_time > 0.0)
+    rows.lower[:] = np.where(watched, model.lowerPositionLimit, -np.inf)
+    rows.upper[:] = np.where(watched, model.upperPositionLimit, np.inf)
+    rows.brake[:] = 0.5 * safety.brake_time / rows.speed_max
+
+
+def _pack_joints(settings: Settings, head: Any) -> None:
+    chain = settings.chain
+    posture = settings.posture_task
+    rows = head.joints
+    margins = joint_limit_margins(chain.model, posture.limit_stiffness, posture.limit_margin)
+    effort = effort_scale(chain.tau_max)
+    rows.motor[chain.actuated] = np.arange(chain.n_a)
+    rows.effort[chain.actuated] = effort**2
+    rows.tau_max[chain.actuated] = chain.tau_max
+    rows.ease[chain.actuated] = 1.0 / effort**2
+    speed = chain.model.velocityLimit
+    rows.rated[:] = np.where(np.isfinite(speed) & (speed > 0.0), speed, np.inf)
+    rows.speed_max[:] = np.where(rows.motor < 0, np.inf, rows.rated)
+    rows.posture[:] = settings.posture
+    for name, values in zip(("low", "high", "width", "most"), margins, strict=True):
+        rows[name][:] = values
+
+
+def _pack_friction(settings: Settings, head: Any) -> None:
+    """Friction of the joints as the model has it, and how far it may be learned otherwise."""
+    how: Any = settings.joint_friction
+    if how is None:
+        return
+    model = settings.chain.model
+    rows = head.joints
+    known = np.zeros((len(rows), 5))
+    known[:, 0] = model.upperDryFrictionLimit
+    known[:, 1] = model.damping
+    head.rubs = how.learning or how.errors or known.any()
+    head.friction_learning = how.learning
+    head.friction_errors = bool(how.errors)
+    head.friction_share = how.share
+    head.friction_smoothing = how.smoothing
+    limit = np.minimum(rows.tau_max, _UNLIMITED)
+    most = how.most * limit
+    priors = head.priors
+    priors.noise[:] = _NOISE * limit
+    priors.rounding[:] = _ROUNDING * limit
+    rows.slip[:] = np.where(rows.slides != 0, SLIDING * SLIP, SLIP)
+    rows.theta[:] = known
+    scale = np.ones_like(known)
+    scale[:, :4] = most[:, None]
+    priors.sure[:] = np.where(known.sum(axis=1) > priors.noise, 0.0, _SURELY)
+    priors.doubt[:] = 0.5 * known + scale * _DOUBT
+    priors.spread[:] = scale * _SPREAD
+    priors.high[:] = np.maximum(scale * _BOUND, known)
+    priors.low[:, 2] = -np.array(model.armature)  # F and D cannot be below zero
+    priors.low[:, 3:] = -priors.high[:, 3:]
+
+
+def joint_limit_margins(
+    model: pin.Model, stiffness: float, margin: float
+) -> tuple[Array, Array, Array, Array]:
+    """Where the posture task keeps redundant arms off their joint limits, (n,) each.
+
+    At depth s of the margin w (0 where it begins, 1 at the limit and beyond it) a joint is pushed
+    back by a = k w (3s² − 2s³), the slope of a potential of k w² (s³ − s⁴/2): continuous with its
+    first derivative, and never above k w (a potential field after Khatib, 1986).
+
+    Args:
+        model: of all arms. stiffness: k (1/s²). margin: share of a joint's range, at each end of
+            it; a range counts as π (rad or m) at most.
+
+    Returns:
+        Where the margins begin (low, high; −inf, inf at ends without limit), their width w, k w.
+    """
+    lower, upper = position_limits(model)
+    with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
+        width = margin * np.minimum(upper - lower, _WHOLE)
+    return lower + width, upper - width, width, stiffness * width
+
+
+def _copy(settings: Spec, head: Any, **names: str) -> None:
+    """Copy settings into the fields of their names, or of `names` where these differ."""
+    for key in type(settings).model_fields:
+        value = getattr(settings, key)
+        if value is not None and (name := names.get(key, key)) in at.MODEL.dtype.names:
+            setattr(head, name, value)

@@ -1,0 +1,248 @@
+"""State of a closed chain from the results of the law, and their comparison with Pinocchio."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from pinocchio import SE3
+
+from osc_contact.dynamics.chain_state import ArmTerms, ChainState, ObjectTerms, SingularDirection
+from osc_contact.dynamics.grasp import Grasp
+from osc_contact.errors import ModelError
+from osc_contact.law import records as at
+from osc_contact.law.compiled import rows as law_rows
+from osc_contact.law.records import Bytes, Rows, views
+from osc_contact.law.vectors import motions, reflection, wrenches
+from osc_contact.spatial import Array, carry_twist, columns_of
+
+if TYPE_CHECKING:
+    from osc_contact.dynamics.closed_chain import ClosedChain
+
+_NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
+
+_NONE = np.zeros(0)
+
+
+def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | None) -> Any:
+    """Record WORK, in memory of its own, after the law's first part: the arms without contacts.
+
+    Args:
+        row: row of MODEL by `chain_row`; a led one, if no pose is given.
+        q, v: (n,) joint positions and velocities (rad, m; rad/s, m/s).
+        X_WO: pose of the object; None: the joints determine it.
+        V_O: (6,) twist of the object; None: the joints determine it.
+    """
+    rows = Rows(row)
+    head, memory, work, _ = views(rows)
+    if X_WO is not None:
+        memory.located = 1
+        memory.X_WO = X_WO.homogeneous
+        memory.given = at.GIVEN_POSE if V_O is None else at.GIVEN_TWIST
+        memory.V_O = 0.0 if V_O is None else V_O
+    rows.job.stop = at.MEASURE
+    six = np.zeros(6)
+    wrenches = np.zeros((len(head.arms), 6))
+    given = (q, v, wrenches, np.eye(4), six, six, _NONE, np.zeros((0, 28)), _NONE)
+    law_rows()(rows.raw, 0, given)
+    return work
+
+
+def mass_matrix(work: Any, arms: Sequence[slice]) -> Array:
+    """Mass matrix M (n, n) of all arms.
+
+    Args:
+        work: record WORK.
+        arms: part of the joints of each arm.
+    """
+    n = len(work.joints)
+    M = np.zeros((n, n))
+    for s in arms:
+        M[s, s] = work.joints.M[s, : s.stop - s.start]
+    return M
+
+
+def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> ChainState:
+    """State of a chain from the results of the law.
+
+    Args:
+        chain: the arms.
+        work: record WORK at (q, v).
+        rest: record WORK at q and v = 0, in which all forces are those of gravity.
+        data: data of Pinocchio with the placements at q.
+
+    Raises:
+        ModelError: the motors cannot drive every motion, and the chain does not permit that.
+    """
+    joints = work.joints
+    motion = motions(work)
+    wrench = wrenches(work)
+    m = int(work.locked)
+    locked, free = np.split(reflection(work).T, [m], axis=1)  # in energy coordinates
+    S = motion @ free
+    sigma = work.sigma[:m]
+    sigma_e = locked @ sigma
+    Lambda = work.Lambda[m:, m:].copy()
+    p = rest.chain_bias[m:].copy()
+    mu = work.chain_bias[m:] + work.Lambda[m:, :m] @ sigma - p
+    W = joints.J_bar @ free
+    G = W.T[:, chain.actuated]
+    M = mass_matrix(work, chain.slices)
+    reference = at.MODEL.view(chain.law_row(led=False)).reference
+    X_WO = pin.SE3(work.X_WO)
+    V_O = work.V_O.copy()
+    return ChainState(
+        X_WO=X_WO,
+        V_O=V_O,
+        S=S,
+        C=wrench @ locked,
+        Lambda_S=Lambda,
+        Phi=S @ np.linalg.solve(Lambda, S.T),
+        mu_S=mu,
+        p_S=p,
+        sigma=motion @ sigma_e,
+        G=G,
+        W=W,
+        w=joints.offset + joints.J_bar @ sigma_e,
+        h=joints.h.copy(),
+        M=M,
+        arms=tuple(
+            _arm_terms(own, grasp, work.joints[s], rest.joints.h[s], M[s, s], motion, wrench)
+            for own, grasp, s in zip(work.arms, chain.grasps, chain.slices, strict=True)
+        ),
+        payload=_payload_terms(chain, X_WO, V_O),
+        metric=wrench @ wrench.T,
+        grasp_points=np.array([tip.translation for tip in chain.tip_poses(data)]),
+        sensors=chain.sensor_poses(data),
+        filters=_filters(chain, work.arms, motion, wrench),
+        Lambda_out=wrench @ work.out_T.T @ wrench.T,
+        bias_out=work.bias_out.copy(),
+        unactuated=chain.unactuated_motions(G, S),
+        reference=(wrench * reference) @ wrench.T,
+        full_ranks=chain.full_ranks,
+        singular_directions=tuple(
+            _singular_directions(chain, work.arms, reference, motion, wrench)
+        ),
+    )
+
+
+def _payload_terms(chain: ClosedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
+    """Terms of the held object at its pose and twist (6,); zero without an object."""
+    if chain.payload is None:
+        return _NOTHING
+    return chain.payload.terms(X_WO, V_O, chain.model.gravity.linear)
+
+
+def _filters(
+    chain: ClosedChain, arms: Any, motion: Array, wrench: Array
+) -> tuple[Array | None, ...]:
+    """Factors (6, 6) of the wrist readings at O; None of a rigid grasp, or without a sensor.
+
+    Args:
+        chain: the arms.
+        arms: `WORK.arms`.
+        motion, wrench: (6, 6) bases of energy coordinates in world axes at O.
+    """
+    return tuple(
+        wrench @ own.filter @ motion.T if links and not grasp.is_rigid else None
+        for grasp, links, own in zip(chain.grasps, chain.outboard, arms, strict=True)
+    )
+
+
+def _arm_terms(
+    own: Any, grasp: Grasp, joints: Any, weight: Array, M: Array, motion: Array, wrench: Array
+) -> ArmTerms:
+    """Operational-space terms of one arm from the results of the law.
+
+    Args:
+        own: record of the arm in `WORK.arms`.
+        grasp: grasp of the arm.
+        joints: records of its joints in `WORK.joints`.
+        weight: (n,) torques of gravity (N m, N).
+        M: (n, n) mass matrix of the arm.
+        motion, wrench: (6, 6) bases of energy coordinates in world axes at O.
+    """
+    J = motion @ joints.J.T
+    J_bar = joints.J_bar @ wrench.T
+    gamma = motion @ own.gamma
+    Lambda = wrench @ own.Lambda @ wrench.T
+    p = J_bar.T @ weight
+    rank = int(own.n_kept)
+    return ArmTerms(
+        J=J,
+        gamma=gamma,
+        M=M,
+        Phi=J @ np.linalg.solve(M, J.T),
+        Lambda=Lambda,
+        J_bar=J_bar,
+        mu=J_bar.T @ joints.h - p - Lambda @ gamma,
+        p=p,
+        C=wrench @ own.resisted[: int(own.n_locked)].T,
+        N=np.eye(6) if grasp.is_rigid else wrench @ own.kept[:rank].T,
+        rank=rank,
+    )
+
+
+def _singular_directions(
+    chain: ClosedChain, arms: Any, reference: Array, motion: Array, wrench: Array
+) -> Iterator[SingularDirection]:
+    """Directions in which arms hardly move the object, from the results of the law.
+
+    Args:
+        chain: the arms.
+        arms: `WORK.arms`.
+        reference: (6,) diagonal of Λ_ref in energy coordinates.
+        motion, wrench: (6, 6) bases of energy coordinates in world axes at O.
+    """
+    for i, (own, s) in enumerate(zip(arms, chain.slices, strict=True)):
+        for e in range(int(own.n_lost)):
+            lost = own.lost[e]
+            yield SingularDirection(
+                arm=i,
+                chi=float(own.chi[e]),
+                share=float(own.share[e]),
+                wrench=wrench @ lost,
+                twist=motion @ (lost / reference),
+                mode=own.mode[e, : s.stop - s.start].copy(),
+                locked=bool(own.gone[e]),
+            )
+
+
+STATES = 3  #: random states at which the law is compared with Pinocchio
+TOLERANCE = 1e-9  #: largest difference over the largest element, or over 1
+
+
+def require_pinocchio_agrees(chain: ClosedChain, row: Bytes) -> None:
+    """Compare J, M and h = C v + g of the law with Pinocchio's on a few random states.
+
+    Args:
+        chain: the arms.
+        row: row of MODEL by `chain_row`, not led, as the object's pose does not matter.
+
+    Raises:
+        ModelError: a difference above TOLERANCE: a kind of joint or a property of the model that
+            the law does not support.
+    """
+    rng = np.random.default_rng(0)
+    data = chain.model.createData()
+    n = chain.nq
+    for _ in range(STATES):
+        q = rng.uniform(-1.0, 1.0, n)
+        v = rng.normal(size=n)
+        work = chain_work(row, q, v, SE3.Identity(), np.zeros(6))
+        pin.computeAllTerms(chain.model, data, q, v)
+        for name, ours, theirs in (
+            ("J", carry_twist(work.joints.column.T, work.p_C, np.zeros(3)), columns_of(data.J)),
+            ("M", mass_matrix(work, chain.slices), data.M),
+            ("h", work.joints.h, data.nle),
+        ):
+            worst = float(np.abs(ours - theirs).max(initial=0.0))
+            if not worst <= TOLERANCE * np.abs(theirs).max(initial=1.0):
+                raise ModelError(
+                    f"the control law's {name} differs from Pinocchio's by {worst:.3g} on a random "
+                    "state: the model has a joint or a property that the law does not support. "
+                    "Please report it with the model; a chain of plain revolute and prismatic "
+                    "joints is supported"
+                )
