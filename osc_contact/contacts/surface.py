@@ -16,8 +16,8 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.errors import InvalidInputError, ModelError
-from osc_contact.law.contact import is_near, nearest
 from osc_contact.law.jit import as_python
+from osc_contact.law.surfaces import is_near, nearest
 from osc_contact.spatial import Array, as_array
 
 _UPWARD = 0.5  #: least z of the unit normal of a triangle that is part of a fitted surface
@@ -183,7 +183,7 @@ class Surface:
         return cls.fitted(np.unique(corners[np.unique(triangles[up])], axis=0), cells)
 
     def rows(self, ball: Array, radius: float, X_ES: pin.SE3) -> tuple[Array, ...]:
-        """SHAPE rows of a ball on this surface, see `law.contact`.
+        """SHAPE rows of a ball on this surface, see `law.surfaces`.
 
         Args:
             ball: (3,) centre of the ball in A (m).

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from math import atan2, copysign, sqrt
 
-from osc_contact.law.contact import learn_normal
 from osc_contact.law.jit import inner, leaf, local
+from osc_contact.law.normals import learn_normal
 from osc_contact.law.phases import APPROACHING, predict_force
 from osc_contact.law.records import SATURATED, YIELDING, body_of, contact_of
 from osc_contact.law.vectors import (

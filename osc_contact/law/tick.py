@@ -24,10 +24,10 @@ from osc_contact.law.algebra import project_onto_columns
 from osc_contact.law.allocation import (
     allocate_torques,
     command_object,
-    internal_forces,
     limit_torques,
     predict_joints,
 )
+from osc_contact.law.bars import internal_forces
 from osc_contact.law.ceilings import watch_ceilings
 from osc_contact.law.chain import OBJECT_UNKNOWN, solve_chain
 from osc_contact.law.columns import (
@@ -53,9 +53,10 @@ from osc_contact.law.commands import (
     shape_squeeze,
     shape_steps,
 )
-from osc_contact.law.contact import place_contacts, take_turns
+from osc_contact.law.contact import place_contacts
 from osc_contact.law.jit import entry, inner, leaf, local, prefetch
 from osc_contact.law.joint_friction import compensate_friction
+from osc_contact.law.normals import take_turns
 from osc_contact.law.plausibility import check_readings
 from osc_contact.law.reading import (
     add_friction,

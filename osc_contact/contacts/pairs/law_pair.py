@@ -1,4 +1,4 @@
-"""Pairs whose N and n_γ are computed by the law (`law.contact`) from rows of numbers.
+"""Pairs whose N and n_γ are computed by the law (`law.pair_geometry`) from rows of numbers.
 
 The tick runs compiled functions. `LawPair` runs the same source as Python, on floats for one
 instant or on arrays for many instants.
@@ -18,7 +18,7 @@ from osc_contact.contacts.pairs.pair import AT_REST, Bodies, ContactPair
 from osc_contact.contacts.pairs.register import PackagedPair
 from osc_contact.contacts.surface import OF_ARRAYS, Shapes
 from osc_contact.errors import ContactError
-from osc_contact.law import contact as law
+from osc_contact.law import pair_geometry as law
 from osc_contact.law.jit import as_python
 from osc_contact.law.records import SURFACE, TANGENTS
 from osc_contact.spatial import Array, Poses
@@ -40,7 +40,7 @@ class PairRow(NamedTuple):
     Attributes:
         kind: POINTS, FACE_ON_VERTEX, EDGES, TANGENTS, SURFACE or FUNCTION of `law.records`.
         shapes: arrays (16,) for the columns of N, then for the permitted motions; the functions of
-            `law.contact` state their contents.
+            `law.pair_geometry` state their contents.
         freedoms: number of permitted motions among the shapes.
         address: address of the C function of a FUNCTION pair; else 0.
     """

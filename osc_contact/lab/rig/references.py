@@ -432,7 +432,7 @@ def _shortest(start: Array, n: Array) -> Array:
 # The force ±s u between two points of contact, u the line through both, adds nothing to what wrists
 # read. Only the normals distinguish it from the commanded forces: errors of these along u, of the
 # standard deviation σ each, leave s uncertain by ασ/√(τ_1² + τ_2²), τ_j the part of u along face j,
-# and the force on j by |u·n_j| of that. A normal shows where its point slides (`law.contact`).
+# and the force on j by |u·n_j| of that. A normal shows where its point slides (`law.normals`).
 
 SHOWN_TO = np.deg2rad(0.5)  #: rad, of normals after a dither, under all errors of a workcell
 

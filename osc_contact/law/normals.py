@@ -1,0 +1,229 @@
+"""Estimate of contact normals from sliding."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.pair_geometry import crossing, fill_line, turned_edge, vertex
+from osc_contact.law.records import (
+    EDGES,
+    FACE_ON_VERTEX,
+    FUNCTION,
+    GIVEN,
+    SURFACE,
+)
+from osc_contact.law.vectors import (
+    add3,
+    cross,
+    divided3,
+    dot3,
+    dot6,
+    fill3,
+    linear,
+    minus3,
+    plus3,
+    rotated,
+    rotated9,
+    rotated_back,
+    scaled3,
+    velocity_at,
+)
+
+# --- Estimation of contact normals from sliding ---------------------------------------------------
+#
+# If the assumed normal n of a face is wrong by ε, a point that slides along the true face at v_t
+# has the speed v = εᵀv_t along n. Where a pair has a single point on a single face, n is turned
+# until this speed vanishes; a speed that remains without sliding is v̄ of `commands`. Where two
+# edges cross, the edge of the touched body is turned, and g (`_shown_by_edges`) takes the place of
+# v_t. docs/tuning.md has the benefit of the estimate and the proof of its stability.
+#
+# P is the covariance of ε. The part of v that an error of n does not explain (for example the
+# speed of a yielding face) is modelled as independent after 1/c; r is its mean square, computed
+# after a low-pass at 4c. With ĝ along v_t,
+#
+#     κ = c dt σ λ,   λ = p/(p + r),   p = |v_t|² ĝᵀPĝ
+#     P ← (1 − κĝĝᵀ) P (1 − κĝĝᵀ) + κ²/(c dt) r/|v_t|² ĝĝᵀ
+#
+# P starts from P_0 = (tilt²/4)(1 − nnᵀ), the covariance in a cone of half angle `tilt`; for crossed
+# edges from (tilt²/4) nnᵀ. The share 1 − σλ of v, which does not turn n, changes v̄.
+
+_LEAST_SQUARE = 1e-30  # (m/s)², keeps quotients finite
+_FASTER = 4.0  # corner frequency of the low-pass of v, in multiples of c
+_SLIDES = 0.01  #: v_1 (m/s), sliding speed at which half of v is attributed to the normal
+
+
+@inner
+def take_turns(t):
+    """Copy v̄ and the turns of the assumed normals from MEMORY to the columns of WORK.
+
+    Fills `drift`, `turn`, `turned` (equal to `turn`), and zeroes `slides`, `lever` and `prior`.
+    """
+    for j in range(t.model.n_columns):
+        row = t.work.columns[j]
+        last = t.memory.columns[j]
+        row.drift = last.drift
+        row.slides = 0.0
+        row.lever = 0.0
+        fill3(row.turn, last.turn)
+        fill3(row.turned, last.turn)
+        row.prior[:] = 0.0
+
+
+@inner
+def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
+    """Turn the assumed normal of a face by the speed along it while a point slides.
+
+        n ← n − κ (NᵀV_rel − v̄) v_t / v_t²,   σ = v_t⁴ / (v_t⁴ + v_1⁴)
+
+    v_t is the desired velocity of the point along the face, so neither measurement noise nor a
+    point at rest turns the normal. n stays within the angle `tilt` of the declared normal, in the
+    axes of the object or body that carries the face; a larger deviation changes v̄ instead. On a
+    curved face n is the normal at the point touched: an error δ of a ball's position turns it by
+    −δ/R everywhere.
+
+    Fills `turned` (the normal after this tick less the declared one), `slides` (σλ, 0 … 1),
+    `shown`, `lever`, `prior` and `unexplained` of the column.
+
+    Args:
+        pair: PAIR row with one column, whose N, `turn` and `drift` are filled.
+        X_WO: (4, 4) pose of the object.
+        R_E: (4, 4) pose of the touched body.
+        V_rel: (6,) measured twist of the object relative to the body, at O.
+        V_goal: (6,) desired twist of the object relative to the body, at O.
+    """
+    model = t.model
+    shapes = model.shapes
+    column = t.work.columns[pair.first]
+    last = t.memory.columns[pair.first]
+    N = column.N
+    size = sqrt(dot3(N, N))
+    v = tangential_part(velocity_at(V_goal, _tracked(pair, shapes, X_WO, R_E, column)), N)
+    if pair.kind == EDGES:
+        v = _shown_by_edges(shapes[pair.shape_at].row, X_WO, R_E, column, v)
+    column.lever = square = dot3(v, v)
+    column.unexplained = (dot6(N, V_rel) - column.drift) / size
+    axes = X_WO if pair.kind == FACE_ON_VERTEX else R_E
+    v = rotated_back(axes, v)
+    n = rotated_back(axes, scaled3(1.0 / size, N))
+    fill3(column.shown, scaled3(1.0 / sqrt(max(square, _LEAST_SQUARE)), v))
+    for i in range(3):
+        for j in range(3):  # a face turns about axes across n, an edge changes n along n
+            across = (1.0 if i == j else 0.0) - n[i] * n[j]
+            share = n[i] * n[j] if pair.kind == EDGES else across
+            column.prior[3 * i + j] = 0.25 * model.tilt * model.tilt * share
+    expected = square * _quadratic(last.covariance, column.shown)
+    column.slides = square * square / (square * square + _SLIDES**4)
+    if expected > 0.0:
+        column.slides *= expected / (expected + last.residual)
+    gain = model.drift_share * column.slides * column.unexplained / max(square, _LEAST_SQUARE)
+    n = add3(plus3(column.believed, column.turn), -gain, v)
+    turn = minus3(divided3(n, sqrt(dot3(n, n))), column.believed)
+    angle = sqrt(dot3(turn, turn))
+    if angle > model.tilt:
+        column.slides = 0.0
+        turn = scaled3(model.tilt / angle, turn)
+    fill3(column.turned, turn)
+
+
+@leaf
+def tangential_part(v, N):
+    """Component of a velocity v (m/s) perpendicular to the line of force N (6,)."""
+    return add3(v, -dot3(N, v) / dot3(N, N), N)
+
+
+@inner
+def _shown_by_edges(row, X_WO, R_E, column, v):
+    """Sensitivity g (m/s) of NᵀV_rel to a turn δ of the body's edge f: NᵀV_rel changes by gᵀδ.
+
+    g = ±(v_t × e)/|e × f|, with e the edge of the object.
+
+    Args:
+        row: (16,) shape of the edges, see `_edges`.
+        X_WO, R_E: (4, 4) poses of the object and the touched body.
+        column: COLUMN_WORK, of which N and `turn` are read.
+        v: velocity of the crossing along the face (m/s).
+    """
+    e = rotated(X_WO, row[3:])
+    m = cross(e, turned_edge(row, R_E, column.turn))
+    return scaled3(1.0 / dot3(column.N, m), cross(v, e))
+
+
+@inner
+def _quadratic(P, u):
+    """Quadratic form uᵀPu of a 3×3 matrix P (9 numbers, by rows) and a vector u."""
+    return dot3(u, rotated9(P, u))
+
+
+@leaf
+def learn_normal(share, last, column):
+    """Update the covariance P, `normal_std` and the mean square `residual` of an assumed normal.
+
+    Args:
+        share: c dt, the share of a tick in the estimate; 0 where it is not updated.
+        last: COLUMN_MEMORY, changed.
+        column: COLUMN_WORK after `follow_face`.
+    """
+    P = last.covariance
+    u = column.shown
+    if P[0] + P[4] + P[8] == 0.0:
+        for i in range(9):
+            P[i] = column.prior[i]
+    if share == 0.0 and last.normal_std > 0.0:
+        return
+    square = column.lever * column.lever
+    last.unexplained += _FASTER * share * (column.unexplained - last.unexplained)
+    found = last.unexplained * last.unexplained - column.lever * _quadratic(P, u)
+    last.residual += share * square / (square + _SLIDES**4) * (max(found, 0.0) - last.residual)
+    k = share * column.slides
+    w = rotated9(P, u)
+    noise = last.residual / (max(column.lever, _LEAST_SQUARE) * max(share, 1e-12))
+    s = k * k * (dot3(u, w) + noise)
+    for i in range(3):
+        for j in range(3):
+            P[3 * i + j] += s * u[i] * u[j] - k * (w[i] * u[j] + u[i] * w[j])
+    half = 0.5 * (P[0] + P[4] + P[8])  # largest eigenvalue of P, which has rank two
+    minors = P[0] * P[4] - P[1] * P[3] + P[0] * P[8] - P[2] * P[6] + P[4] * P[8] - P[5] * P[7]
+    last.normal_std = sqrt(half + sqrt(max(half * half - minors, 0.0)))
+
+
+@inner
+def _tracked(pair, shapes, X_WO, R_E, column):
+    """Return the point (m, from O) that slides on the face of a pair with one column.
+
+    Fills `believed` of the column with the declared normal, in the axes of the object or body that
+    carries the face. The normals of a SURFACE, a GIVEN and a FUNCTION pair are filled elsewhere.
+    """
+    if pair.kind == GIVEN or pair.kind == FUNCTION:
+        return linear(column.point)
+    row = shapes[pair.shape_at].row
+    if pair.kind == FACE_ON_VERTEX:
+        fill3(column.believed, row)
+        return vertex(row, X_WO, R_E)
+    if pair.kind == EDGES:
+        fill3(column.believed, row[9:])
+        return crossing(row, X_WO, R_E, turned_edge(row, R_E, column.turn))[0]
+    if pair.kind != SURFACE:
+        fill3(column.believed, row[3:])
+    return rotated(X_WO, row)
+
+
+@inner
+def turn_given(column, R_E):
+    """Turn the N of a GIVEN or FUNCTION pair with one column by the estimate of its normal.
+
+    The point of contact stays where it is. Fills `believed` with the normal before the turn.
+
+    Args:
+        column: COLUMN_WORK with N, `point` and `turn`; N is changed.
+        R_E: (4, 4) pose of the touched body.
+    """
+    N = column.N
+    turn = column.turn
+    size = sqrt(dot3(N, N))
+    n = rotated_back(R_E, divided3(N, size))
+    fill3(column.believed, n)
+    if turn[0] == 0.0 and turn[1] == 0.0 and turn[2] == 0.0:
+        return
+    n = plus3(n, turn)
+    fill_line(N, column.point, rotated(R_E, scaled3(size / sqrt(dot3(n, n)), n)))

@@ -1,0 +1,331 @@
+"""Geometry of every packaged pair: N and n_γ of its columns, points and permitted motions."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from math import copysign, sqrt
+
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.records import (
+    COUPLE,
+    EDGES,
+    FACE_ON_VERTEX,
+    POINTS,
+    SCREW,
+    SLIDE,
+    SURFACE,
+    THREAD,
+)
+from osc_contact.law.surfaces import normal_at
+from osc_contact.law.vectors import (
+    ZERO,
+    ZERO_3,
+    add,
+    add3,
+    cross,
+    cross_motion,
+    divided3,
+    dot3,
+    dot6,
+    fill,
+    fill3,
+    join,
+    linear,
+    minus3,
+    origin,
+    plus3,
+    rotated,
+    rotated_back,
+    scaled3,
+    velocity_at,
+)
+
+# --- N and n_γ at the operational point, in world axes, of every packaged pair --------------------
+#
+# A PAIR has its kind, its first column of N, the number of its columns, and the first SHAPE of its
+# geometry; the docstring of each function lists the numbers of its shape. Positions are from O,
+# twists at O. Matrices are read element by element, so that the same functions work on numbers and
+# on arrays of numbers over time (`contacts.pairs.pair`).
+
+PARALLEL = 1e-6  #: sine of the angle below which two edges have no common normal
+
+#: X_WO, R_E: (4, 4) poses of the object and of the touched body. V_O, V_E: (6,) their twists at O.
+#: V_rel: (6,) twist of the object relative to the body, at O. moving: False if the body rests.
+Motion = namedtuple("Motion", "X_WO V_O R_E V_E V_rel moving")
+
+
+@leaf
+def fill_line(N, p, n):
+    """Fill N (6,) with [n; p × n], the wrench at O of a unit force along n through p."""
+    fill(N, join(n, cross(p, n)))
+
+
+@inner
+def place_pair(pair, shapes, columns, motion):
+    """Fill N and n_γ of one pair's columns.
+
+    Args:
+        pair: PAIR row. shapes: SHAPE rows. columns: COLUMN_WORK rows.
+        motion: `Motion` of the object and the touched body.
+
+    Returns:
+        A number that is near zero where N does not exist: the sine of the angle between two edges,
+        the magnitude of the gradient of a surface, 1 for all other pairs.
+    """
+    first = pair.first
+    shape = pair.shape_at
+    if pair.kind == POINTS:
+        for j in range(pair.count):
+            _point_on_plane(shapes[shape + j].row, motion, columns[first + j])
+    elif pair.kind == FACE_ON_VERTEX:
+        _face_on_vertex(shapes[shape].row, motion, columns[first])
+    elif pair.kind == SURFACE:
+        return _on_surface(shapes, shape, motion, columns[first])
+    elif pair.kind == EDGES:
+        return _edges(shapes[shape].row, motion, columns[first])
+    else:
+        _tangents(pair, shapes, motion, columns)
+    return 1.0
+
+
+@inner
+def _point_on_plane(row, motion, column):
+    """Fill N and n_γ of a point of the object on a plane of the touched body.
+
+    Args:
+        row: (16,) point in the object's axes (0:3), unit vector into the plane in the body's axes
+            (3:6), distance of the plane from the body's origin along it (6).
+        motion: `Motion`.
+        column: COLUMN_WORK, filled.
+    """
+    p = rotated(motion.X_WO, row)
+    n = plus3(row[3:], column.turn)
+    if motion.moving:
+        n = rotated(motion.R_E, n)
+    fill_line(column.N, p, n)
+    column.n_gamma = _carried(p, n, motion)
+
+
+@inner
+def _carried(p, n, motion):
+    """Normal acceleration n_γ = −ṄᵀV_rel of a point p fixed to the object, n fixed to the body.
+
+    Args:
+        p: point of contact from O (m), world axes. n: unit vector, world axes. motion: `Motion`.
+    """
+    V_rel = motion.V_rel
+    s = -dot3(n, cross(V_rel[3:], velocity_at(motion.V_O, p)))
+    if motion.moving:
+        s -= dot3(cross(motion.V_E[3:], n), velocity_at(V_rel, p))
+    return s
+
+
+@inner
+def point_of_contact(kind, row, X_WO, R_E, N):
+    """Point of contact (m, from O, world axes) of a column of a pair with unilateral contact.
+
+    It is the projection of a point on its plane, the point of a ball on its face, the vertex (less
+    its radius) or the point of the object's edge.
+
+    Args:
+        kind: of the pair. row: (16,) SHAPE of the column. X_WO, R_E: (4, 4) poses of the object
+            and the touched body. N: (6,) line of force at O.
+    """
+    if kind == FACE_ON_VERTEX:
+        return add3(vertex(row, X_WO, R_E), -row[6], N)
+    if kind == EDGES:
+        return crossing(row, X_WO, R_E, rotated(R_E, row[9:]))[0]
+    p = rotated(X_WO, row)
+    ahead = row[3]
+    if kind == POINTS:  # to the assumed plane
+        x, y, z = minus3(minus3(origin(R_E), origin(X_WO)), p)
+        a, b, c = rotated(R_E, row[3:])
+        ahead = row[6] + a * x + (b * y + c * z)
+    return add3(p, ahead, N)
+
+
+@inner
+def _rate(p, n, p_dot, n_dot):
+    """Rate of a line of force [n; p × n]: [ṅ; ṗ × n + p × ṅ], six numbers."""
+    return join(n_dot, plus3(cross(p_dot, n), cross(p, n_dot)))
+
+
+@inner
+def _on_surface(shapes, at, motion, column):
+    """Fill N and n_γ of a ball of the object on a curved surface of the body; return |∇F|.
+
+    n rotates with the body and changes along the surface with the velocity of the ball.
+
+    Args:
+        shapes: SHAPE rows. at: the first one of this surface, see below. motion: `Motion`.
+        column: COLUMN_WORK, filled (`believed`, too).
+    """
+    X_WO, _, R_E, _, V_rel, _ = motion
+    p = rotated(X_WO, shapes[at].row)
+    p_E = rotated_back(R_E, minus3(plus3(p, origin(X_WO)), origin(R_E)))
+    v = velocity_at(V_rel, p)
+    size, n, n_dot = normal_at(shapes, at, p_E, rotated_back(R_E, v))
+    fill3(column.believed, scaled3(-1.0, n))
+    n = rotated(R_E, minus3(column.turn, n))
+    s = 1.0 / sqrt(dot3(n, n))
+    n = scaled3(s, n)
+    fill_line(column.N, p, n)
+    bend = dot3(rotated(R_E, scaled3(s, n_dot)), add3(v, -dot3(n, v), n))
+    column.n_gamma = _carried(p, n, motion) + bend
+    return size
+
+
+@leaf
+def vertex(row, X_WO, R_E):
+    """Position of a vertex of the touched body from O (m, world axes); `row` has it in 3:6."""
+    return minus3(plus3(origin(R_E), rotated(R_E, row[3:])), origin(X_WO))
+
+
+@inner
+def _face_on_vertex(row, motion, column):
+    """Fill N and n_γ of a face of the object on a vertex of the touched body.
+
+    Args:
+        row: (16,) unit normal of the face in the object's axes (0:3), vertex in the body's frame
+            (3:6, m), its radius (6, m).
+        motion: `Motion`.
+        column: COLUMN_WORK, filled.
+    """
+    X_WO, V_O, R_E, V_E, V_rel, _ = motion
+    n = rotated(X_WO, plus3(row, column.turn))
+    p = vertex(row, X_WO, R_E)
+    fill_line(column.N, p, n)
+    rate = _rate(p, n, velocity_at(V_E, p), cross(V_O[3:], n))
+    column.n_gamma = -dot6(rate, V_rel)
+
+
+@inner
+def _along_first(a, e, m, mm):
+    """Solve s e_A − t e_E = a for s, in the plane perpendicular to m = e_A × e_E.
+
+    Args:
+        a: vector (m or m/s). e: direction e_E. m: e_A × e_E. mm: m · m.
+    """
+    return dot3(cross(a, e), m) / mm
+
+
+@inner
+def turned_edge(row, R_E, turn):
+    """Direction of the body's edge with its estimated turn: a unit vector in world axes."""
+    f = plus3(row[9:], turn)
+    return rotated(R_E, divided3(f, sqrt(dot3(f, f))))
+
+
+@inner
+def crossing(row, X_WO, R_E, f):
+    """Nearest points of two edges.
+
+    Args:
+        row: (16,) shape, see `_edges`. X_WO, R_E: (4, 4) poses of object and body. f: direction of
+            the body's edge, in world axes.
+
+    Returns:
+        The point of the object's edge that is nearest to the body's edge (m, from O), and the
+        vector from the declared point of the object's edge to that of the body's (m).
+    """
+    e = rotated(X_WO, row[3:])
+    m = cross(e, f)
+    q = rotated(X_WO, row)
+    p = plus3(origin(R_E), rotated(R_E, row[6:]))
+    apart = minus3(minus3(p, origin(X_WO)), q)
+    return add3(q, _along_first(apart, f, m, dot3(m, m)), e), apart
+
+
+@inner
+def _edges(row, motion, column):
+    """Fill N and n_γ of crossed edges; return the sine of the angle between them.
+
+    Where the sine is near zero the column is not finite.
+
+    Args:
+        row: (16,) point and direction of the object's edge (0:3, 3:6), of the body's edge (6:9,
+            9:12), side (12), outward normal of the body (13:16). A side of ±1 gives the sign of
+            n = ±e × f; with 0 the outward normal determines it.
+        motion: `Motion`.
+        column: COLUMN_WORK, filled.
+    """
+    X_WO, V_O, R_E, V_E, V_rel, _ = motion
+    e = rotated(X_WO, row[3:])
+    f = turned_edge(row, R_E, column.turn)
+    m = cross(e, f)
+    mm = dot3(m, m)
+    sine = sqrt(mm)
+    side = row[12]
+    if side == 0.0:
+        side = -dot3(rotated(R_E, row[13:]), m)
+    n = scaled3(copysign(1.0 / sine, side), m)
+    p, apart = crossing(row, X_WO, R_E, f)
+    gap = dot3(n, apart)
+    m_dot = plus3(cross(cross(V_O[3:], e), f), cross(e, cross(V_E[3:], f)))
+    n_dot = divided3(add3(m_dot, -dot3(n, m_dot), n), dot3(n, m))
+    v_A = velocity_at(V_O, p)
+    apart_dot = minus3(v_A, velocity_at(V_E, add3(p, gap, n)))
+    s_dot = _along_first(add3(apart_dot, gap, n_dot), f, m, mm)
+    fill_line(column.N, p, n)
+    column.n_gamma = -dot6(_rate(p, n, add3(v_A, -s_dot, e), n_dot), V_rel)
+    return sine
+
+
+@inner
+def permitted_motion(row, X_WO, R_E):
+    """Twist at O (six numbers) of one freedom of a pair that is declared by its permitted motions.
+
+    Args:
+        row: point of the object (0:3), axis (3:6), kind (6): TURN about an axis of the object;
+            SLIDE along an axis of the body; SCREW, a turn about the object's axis with a
+            translation by the pitch (10, m/rad) along the body's axis 7:10.
+        X_WO: (4, 4) pose of the object. R_E: (4, 4) pose of the touched body.
+    """
+    if row[6] == SLIDE:
+        return join(rotated(R_E, row[3:]), ZERO_3)
+    w = rotated(X_WO, row[3:])
+    v = cross(rotated(X_WO, row), w)
+    if row[6] == SCREW:
+        v = add3(v, row[10], rotated(R_E, row[7:]))
+    return join(v, w)
+
+
+@inner
+def _tangents(pair, shapes, motion, columns):
+    """Fill N and n_γ = NᵀṪβ of a pair that is declared by its permitted motions T.
+
+    Args:
+        pair: PAIR row. Its shapes are those of the columns of N, then those of its freedoms (see
+            `permitted_motion`).
+        shapes: SHAPE rows. That of a column of N has a point of the object (0:3), a direction of
+            the body (3:6) and a kind (6): FORCE along the direction through the point; COUPLE
+            about the cross product of an arm of the object (0:3) and a direction of the body;
+            THREAD, a force along the direction with a couple −pitch / cos about it, where 7:10
+            is the object's axis, 10 the pitch (m/rad) and cos the cosine between both axes.
+        motion: `Motion`.
+        columns: COLUMN_WORK rows, filled.
+    """
+    X_WO, V_O, R_E, V_E, V_rel, _ = motion
+    Tdot_beta = ZERO
+    for k in range(pair.count, pair.count + pair.freedoms):
+        row = shapes[pair.shape_at + k].row
+        t = permitted_motion(row, X_WO, R_E)
+        if row[6] == SLIDE:
+            rate = dot3(t, velocity_at(V_rel, rotated(X_WO, row)))
+            Tdot_beta = add(Tdot_beta, rate, cross_motion(V_E, t))
+        else:
+            Tdot_beta = add(Tdot_beta, dot3(t[3:], V_rel[3:]), cross_motion(V_O, t))
+    for j in range(pair.count):
+        row = shapes[pair.shape_at + j].row
+        column = columns[pair.first + j]
+        N = column.N
+        p = rotated(X_WO, row)
+        d = rotated(R_E, row[3:])
+        if row[6] == COUPLE:
+            fill(N, join(ZERO_3, cross(p, d)))
+        else:
+            fill_line(N, p, d)
+        if row[6] == THREAD:
+            f = row[10] / dot3(d, rotated(X_WO, row[7:]))
+            fill(N, join(linear(N), add3(N[3:], -f, d)))
+        column.n_gamma = dot6(N, Tdot_beta)

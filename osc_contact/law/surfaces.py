@@ -1,0 +1,137 @@
+"""Smooth surfaces: signed distance, normal and curvature at the foot of any point."""
+
+from __future__ import annotations
+
+from math import floor, sqrt
+
+from osc_contact.law.jit import inner, leaf
+from osc_contact.law.vectors import (
+    add3,
+    divided3,
+    dot3,
+    minus3,
+    plus3,
+    rotated9,
+    rotated9_back,
+)
+
+# --- Smooth surfaces: signed distance, normal and curvature at the foot of any point ------------
+#
+# A surface is F(x) = ½(q₁x² + q₂y² + q₃z²) + b z + c − h(x, y) = 0 in its own axes S; h is bicubic
+# in each cell of a grid, or zero. The foot f of a point p solves p = f + λ∇F(f), F(f) = 0. There
+# n = ∇F/|∇F| is the normal, and λ|∇F| the signed distance of p, whose gradient is n. Where p moves
+# by v, f moves by df = (1 + λH)⁻¹(v − dλ ∇F) with ∇Fᵀdf = 0, and n by (1 − nnᵀ)H df/|∇F|.
+#
+# Its SHAPE rows are, in this order: 1. centre of the ball in the object (0:3), its radius (3), q
+# (4:7), b, c (7, 8), corner of the grid (9, 10), cells per metre (11, 12), numbers of cells (13,
+# 14; 0 without h); 2. R_ES by rows (0:9) and the origin of S in the body (9:12); 3. one row for
+# each cell, in which 4 p + q holds the factor of uᵖvᵠ of h, with u, v = 0 … 1 along x, y.
+
+_ITERATIONS = 25
+_EXACT = 1e-28  #: m²; square of a Newton step that ends the iteration
+
+
+@leaf
+def is_near(step):
+    """Whether a Newton step (three numbers, m) is small enough to end the iteration."""
+    return dot3(step, step) < _EXACT
+
+
+@leaf
+def _cell(x, count):
+    """Index of the grid cell that contains x, and the coordinate in it (0 … 1).
+
+    The outermost cells extend to infinity, so that the coordinate may be beyond 0 … 1 there.
+
+    Args:
+        x: coordinate in cells. count: number of cells.
+    """
+    i = int(min(max(floor(x), 0.0), count - 1.0))
+    return i, x - i
+
+
+@inner
+def _height(shapes, at, x, y):
+    """Height h (m) of a gridded surface at (x, y), and its derivatives by x, y, xx, xy, yy."""
+    row = shapes[at].row
+    if row[13] == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    i, u = _cell((x - row[9]) * row[11], row[13])
+    j, v = _cell((y - row[10]) * row[12], row[14])
+    a = shapes[at + 2 + i * int(row[14]) + j].row
+    h = h_u = h_uu = h_v = h_uv = h_vv = 0.0
+    for k in range(3, -1, -1):  # Horner's scheme, differentiated
+        f = ((a[4 * k + 3] * v + a[4 * k + 2]) * v + a[4 * k + 1]) * v + a[4 * k]
+        f_v = (3.0 * a[4 * k + 3] * v + 2.0 * a[4 * k + 2]) * v + a[4 * k + 1]
+        f_vv = 6.0 * a[4 * k + 3] * v + 2.0 * a[4 * k + 2]
+        h_uu = h_uu * u + 2.0 * h_u
+        h_u = h_u * u + h
+        h = h * u + f
+        h_uv = h_uv * u + h_v
+        h_v = h_v * u + f_v
+        h_vv = h_vv * u + f_vv
+    s = row[11]
+    r = row[12]
+    return h, s * h_u, r * h_v, s * s * h_uu, s * r * h_uv, r * r * h_vv
+
+
+@inner
+def nearest(shapes, at, p):
+    """Foot of a point on a surface, found by Newton's method.
+
+    Args:
+        shapes: SHAPE rows. at: the first one of the surface. p: point in the surface's axes S (m).
+
+    Returns:
+        λ, with p = foot + λ∇F; ∇F at the foot; the Hessian H there, as (xx, xy, yy, zz);
+        (1 + λH)⁻¹, as (xx, xy, yy, zz).
+    """
+    row = shapes[at].row
+    foot = p
+    s = 0.0
+    for _ in range(_ITERATIONS):
+        x, y, z = foot
+        h, h_x, h_y, h_xx, h_xy, h_yy = _height(shapes, at, x, y)
+        g = (row[4] * x - h_x, row[5] * y - h_y, row[6] * z + row[7])
+        F = 0.5 * (row[4] * x * x + row[5] * y * y + row[6] * z * z) + row[7] * z + row[8] - h
+        H = (row[4] - h_xx, -h_xy, row[5] - h_yy, row[6])
+        xx = 1.0 + s * H[0]
+        xy = s * H[1]
+        yy = 1.0 + s * H[2]
+        det = xx * yy - xy * xy
+        M = (yy / det, -xy / det, xx / det, 1.0 / (1.0 + s * H[3]))
+        m = _times(M, g)
+        off = add3(minus3(p, foot), -s, g)
+        ds = (dot3(m, off) + F) / dot3(m, g)
+        step = _times(M, add3(off, -ds, g))
+        foot = plus3(foot, step)
+        s = s + ds
+        if is_near(step):
+            break
+    return s, g, H, M
+
+
+@leaf
+def _times(M, v):
+    """Product of a symmetric matrix, given as (xx, xy, yy, zz), and a vector."""
+    return M[0] * v[0] + M[1] * v[1], M[1] * v[0] + M[2] * v[1], M[3] * v[2]
+
+
+@inner
+def normal_at(shapes, at, p, v):
+    """Gradient magnitude |∇F|, normal n and its rate dn/dt at the foot of a moving point.
+
+    All vectors are in the axes of the touched body.
+
+    Args:
+        shapes: SHAPE rows. at: the first one of the surface. p: the point (m). v: its velocity
+            (m/s).
+    """
+    seat = shapes[at + 1].row
+    _, g, H, M = nearest(shapes, at, rotated9_back(seat, minus3(p, seat[9:])))
+    size = sqrt(dot3(g, g))
+    v_foot = _times(M, rotated9_back(seat, v))
+    m = _times(M, g)
+    bend = _times(H, add3(v_foot, -dot3(g, v_foot) / dot3(m, g), m))
+    n_dot = divided3(add3(bend, -dot3(g, bend) / (size * size), g), size)
+    return size, rotated9(seat, divided3(g, size)), rotated9(seat, n_dot)
