@@ -220,7 +220,8 @@ class SelectionRows:
         J = pin.computeFrameJacobian(model, data, q, at, pin.LOCAL_WORLD_ALIGNED)
         sensor = pin.updateFramePlacement(model, data, chain.sensors[0])
         assert chain.payload is not None
-        beyond = sum(link.inertia.mass for link in (*chain.outboard[0], chain.payload))
+        beyond = chain.payload.inertia.mass
+        beyond += sum(link.inertia.mass for link in chain.outboard[0])
         read = sensor.rotation @ wrench[:3] + beyond * model.gravity.linear
         return (J, weight, float(INTO @ read))
 

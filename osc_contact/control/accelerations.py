@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from osc_contact.control.controller import Controller
@@ -35,7 +33,7 @@ def expected_acceleration(controller: Controller) -> Array:
         (6,)
     """
     commanded = controller.joint_acceleration()
-    work: Any = controller.records.work
+    work = controller.records.work
     r = int(work.rank)
     if r == 0 or work.status == HELD or work.n_lost > 0:
         return commanded

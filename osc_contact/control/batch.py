@@ -93,7 +93,7 @@ class BatchController:
         one = at.MEMORY.view(memory[0])
         starts = dict(zip(at.MEMORY.tables, one.layout.tolist(), strict=False))
 
-        def table(name: str) -> Any:
+        def table(name: str) -> Array:
             rows = getattr(one, name)
             return memory[:, starts[name] :][:, : rows.nbytes].view(rows.dtype)
 
@@ -139,15 +139,11 @@ class BatchController:
         n, k, r, c = (
             self._structure[name] for name in ("n_joints", "n_arms", "n_columns", "n_contacts")
         )
-        flags = 0
+        flags = self._command_squeeze(squeeze_d)
         motion = STILL
         if touched is not None:
             motion = _table("touched", touched, (B, c, 28))
             flags |= law.MOVING
-        self._squeeze[:] = 0.0
-        if squeeze_d is not None:
-            self._squeeze[:] = np.reshape(np.asarray(squeeze_d, dtype=float), (B, -1))
-            flags |= law.COMMANDED if k > 2 else 0
         joints = _table("q", q, (B, n))
         args = (
             joints,
@@ -163,7 +159,24 @@ class BatchController:
         if wrench_valid is not None:
             self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
         self._locate(joints.reshape(B, n))
-        ends = np.linspace(0, B, self.threads + 1).astype(int).tolist()
+        self._run_threads(flags, args)
+        return np.array(self._torques)
+
+    def _command_squeeze(self, squeeze_d: npt.ArrayLike | None) -> int:
+        """Write desired internal forces, see `tick`; return the switch of the law for them."""
+        self._squeeze[:] = 0.0
+        if squeeze_d is None:
+            return 0
+        self._squeeze[:] = np.reshape(np.asarray(squeeze_d, dtype=float), (self.rows, -1))
+        return law.COMMANDED if self._structure["n_arms"] > 2 else 0
+
+    def _run_threads(self, flags: int, args: tuple[Array, ...]) -> None:
+        """Run the ticks of all rows, a part of them in each thread.
+
+        Args:
+            flags, args: switches and arguments of the law.
+        """
+        ends = np.linspace(0, self.rows, self.threads + 1).astype(int).tolist()
         others = [
             self._pool.submit(self._run, i, ends[i], ends[i + 1], flags, args)
             for i in range(1, self.threads)
@@ -174,7 +187,6 @@ class BatchController:
             wait(others)
         for part in others:
             part.result()
-        return np.array(self._torques)
 
     def _run(self, thread: int, lo: int, hi: int, flags: int, args: tuple[Array, ...]) -> None:
         job = self._jobs[thread]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from osc_contact.control.controller_settings import Settings
+from osc_contact.control.controller_state import ControllerState
 from osc_contact.control.status import SafetyState
 from osc_contact.law import records as at
 
@@ -25,7 +26,7 @@ class Changes:
     A look at a controller of which nothing has changed compares some bytes and returns at once.
     """
 
-    def __init__(self, controller: Any) -> None:
+    def __init__(self, controller: ControllerState) -> None:
         """Begin with the controller as it is."""
         self._controller = controller
         self._take_records()

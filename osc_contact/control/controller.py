@@ -158,8 +158,13 @@ class Controller(ControllerState):
             )
         chain.law_row(led=False)  # judges the arms
         self._begin(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))
+        self._begin_contacts(engaged=engaged, in_contact=in_contact)
+
+    def _begin_contacts(self, *, engaged: bool, in_contact: bool) -> None:
+        """Set the contacts in a new MEMORY; for the arguments see `__init__`."""
         memory = self.records.memory
-        force = settings.gains.force
+        life = self.settings.life
+        force = self.settings.gains.force
         memory.X_WO[:] = np.eye(4)
         memory.engaged = engaged
         self.idle.begin(waiting=not engaged)

@@ -11,20 +11,23 @@ import numpy.typing as npt
 import pinocchio as pin
 from pinocchio import SE3
 
+from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.pair import knows_where_it_slides
 from osc_contact.control.controller_settings import Settings
 from osc_contact.control.packing import pack_model
 from osc_contact.control.records import TickRecords
 from osc_contact.control.signals import Signals
 from osc_contact.control.status import Phase
+from osc_contact.dynamics.environment import Body
 from osc_contact.errors import ContactError, InvalidInputError
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.law import records as at
 from osc_contact.law import tick as law
+from osc_contact.law.nested import View
 from osc_contact.spatial import Array, as_array, classical_to_spatial, pose_error
 
 ForceCommand = Callable[[Array, Array], Array]
-MotionCommand = Callable[[Any, Any, Array], Array]
+MotionCommand = Callable[[Reference, SE3, Array], Array]
 StructureCommand = Callable[[Signals], tuple[Array, Array]]
 
 
@@ -112,21 +115,21 @@ class CustomParts:
         needed: whether there is anything to call.
     """
 
-    def __init__(self, settings: Settings, laws: Laws, head: Any) -> None:
+    def __init__(self, settings: Settings, laws: Laws, head: View) -> None:
         self.settings = settings
         self.laws = laws
-        self._pairs: list[tuple[int, Any]] = [
+        self._pairs: list[tuple[int, ContactPair]] = [
             (number, settings.contacts[number])
             for number in np.flatnonzero(head.pairs.kind == at.GIVEN).tolist()
         ]
-        self._bodies: list[tuple[int, Any]] = [
-            (number, settings.bodies[number])
-            for number, row in enumerate(head.bodies)
-            if row.kind == at.ELSEWHERE and row.same == number
+        self._bodies: list[tuple[int, Body]] = [
+            (number, body)
+            for number, (row, body) in enumerate(zip(head.bodies, settings.bodies, strict=True))
+            if row.kind == at.ELSEWHERE and row.same == number and body is not None
         ]
         self.needed = bool(self._pairs or self._bodies) or laws != Laws()
 
-    def columns(self, model: Any) -> dict[int, int]:
+    def columns(self, model: View) -> dict[int, int]:
         """How many columns of N the custom pairs have in a MODEL, by number of the pair."""
         return {number: int(model.pairs[number].count) for number, _ in self._pairs}
 
@@ -225,7 +228,7 @@ class CustomParts:
         for number, pair in self._pairs:
             if not records.memory.contacts.active[number]:
                 continue
-            face: tuple[Any, ...] = ()
+            face: tuple[SE3, Array] | tuple[()] = ()
             if touched is not None:
                 X_WE = SE3(np.asarray(touched.X_WE[number], dtype=float))
                 face = X_WE, touched.V_E[number]
@@ -407,7 +410,7 @@ class _Structure:
         work.force_next[:] = 0.0  # the integrals of the laws that are replaced rest
         work.motion_next[:] = 0.0
 
-    def command(self, work: Any, desired: Array, reading: Array) -> tuple[Array, Array]:
+    def command(self, work: View, desired: Array, reading: Array) -> tuple[Array, Array]:
         """Classical acceleration (6,), and a wrench (6,) beside what that takes.
 
         Args:
@@ -429,7 +432,7 @@ class _Impedance(_Structure):
     K: Array
     ratio: float
 
-    def command(self, work: Any, desired: Array, reading: Array) -> tuple[Array, Array]:
+    def command(self, work: View, desired: Array, reading: Array) -> tuple[Array, Array]:
         return work.A_D, self.K * work.error + desired
 
     def damp(self, Lambda: Array, turn: Array, rate: Array) -> Array:
@@ -450,7 +453,7 @@ class _Admittance(_Structure):
     def __post_init__(self) -> None:
         self.c = self.rate = np.zeros(6)
 
-    def command(self, work: Any, desired: Array, reading: Array) -> tuple[Array, Array]:
+    def command(self, work: View, desired: Array, reading: Array) -> tuple[Array, Array]:
         dt = float(work.dt)
         before = self.rate
         pushed = self.M * before + dt * (desired - reading - self.K * self.c)

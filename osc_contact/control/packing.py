@@ -15,6 +15,7 @@ from osc_contact.dynamics.chain_records import pack_chain
 from osc_contact.dynamics.environment import Conveyor, Guided, Yielding
 from osc_contact.law import records as at
 from osc_contact.law.holding import BRAKE_RATE
+from osc_contact.law.nested import View
 from osc_contact.law.records import Bytes, new_model
 from osc_contact.law.safety import SURE
 from osc_contact.robots.model import position_limits
@@ -118,7 +119,7 @@ PHASE_NAMES = {
 }
 
 
-def pack_gains(settings: Settings, head: Any) -> None:
+def pack_gains(settings: Settings, head: View) -> None:
     """What may differ between controllers of one structure."""
     dt = settings.dt
     motion = settings.gains.motion
@@ -149,7 +150,7 @@ def pack_gains(settings: Settings, head: Any) -> None:
     _copy(settings.life or PhaseSettings(), head, **PHASE_NAMES)
 
 
-def pack_safety(settings: Settings, head: Any) -> None:
+def pack_safety(settings: Settings, head: View) -> None:
     """Limits of the robot, and what becomes of ticks that cannot be computed."""
     safety = settings.safety
     _copy(safety, head, stop_after="fault_ticks")
@@ -172,7 +173,7 @@ def pack_safety(settings: Settings, head: Any) -> None:
     rows.brake[:] = 0.5 * safety.brake_time / rows.speed_max
 
 
-def _pack_joints(settings: Settings, head: Any) -> None:
+def _pack_joints(settings: Settings, head: View) -> None:
     chain = settings.chain
     posture = settings.posture_task
     rows = head.joints
@@ -190,7 +191,7 @@ def _pack_joints(settings: Settings, head: Any) -> None:
         rows[name][:] = values
 
 
-def _pack_friction(settings: Settings, head: Any) -> None:
+def _pack_friction(settings: Settings, head: View) -> None:
     """Friction of the joints as the model has it, and how far it may be learned otherwise."""
     how: Any = settings.joint_friction
     if how is None:
@@ -244,7 +245,7 @@ def joint_limit_margins(
     return lower + width, upper - width, width, stiffness * width
 
 
-def _copy(settings: Spec, head: Any, **names: str) -> None:
+def _copy(settings: Spec, head: View, **names: str) -> None:
     """Copy settings into the fields of their names, or of `names` where these differ."""
     for key in type(settings).model_fields:
         value = getattr(settings, key)

@@ -36,7 +36,7 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.law import records as at
 from osc_contact.law.limits import PROGRAM
-from osc_contact.law.nested import Bytes, Nested
+from osc_contact.law.nested import Bytes, Nested, View
 from osc_contact.law.reasons import CODES
 from osc_contact.settings.control import PhaseSettings, SafetySettings
 from osc_contact.settings.quantities import may_be_infinite
@@ -323,7 +323,7 @@ def _holds(text: str, value: Callable[[str], int]) -> bool:
 class _Names:
     """Values of the names of relations, while the rows of a table are gone through."""
 
-    def __init__(self, kind: Nested, record: Any, model: Any) -> None:
+    def __init__(self, kind: Nested, record: View, model: View) -> None:
         self.kind, self.record, self.model = kind, record, model
         self.own: Any = None
         self.before: Any = None
@@ -360,7 +360,7 @@ class _Names:
         return int(self.model.head[name])
 
 
-def _surface_shapes(model: Any, pair: Any) -> int:
+def _surface_shapes(model: View, pair: np.record) -> int:
     """Shapes that a SURFACE pair reads: its own, that of its axes, one of each cell."""
     first = int(pair["shape_at"])
     if pair["kind"] != at.SURFACE:
@@ -374,7 +374,7 @@ def _surface_shapes(model: Any, pair: Any) -> int:
     return 2 + int(x) * int(y) if whole else MOST_ROWS + 1
 
 
-def broken_relations(name: str, record: Any, model: Any) -> Iterator[str]:
+def broken_relations(name: str, record: View, model: View) -> Iterator[str]:
     """Clauses that name the fields of a record that are out of their ranges.
 
     Args:
@@ -396,7 +396,7 @@ def broken_relations(name: str, record: Any, model: Any) -> Iterator[str]:
     yield from _strange_numbers(name, record)
 
 
-def _strange_numbers(name: str, record: Any) -> Iterator[str]:
+def _strange_numbers(name: str, record: View) -> Iterator[str]:
     """Floating-point numbers out of their ranges, a clause each."""
     for table, field, (low, high) in number_ranges(name):
         rows = getattr(record, table).view(np.ndarray) if table else record.head
@@ -437,7 +437,7 @@ def broken_ranges(raw: Bytes, program: Bytes) -> list[str]:
 _PLACES = ("model", "memory", "work", "input")
 
 
-def _strange_torques(model: Any, memory: Any) -> Iterator[str]:
+def _strange_torques(model: View, memory: View) -> Iterator[str]:
     """The torques given out last are within the motors' limits, which are above zero."""
     joints = model.joints.view(np.ndarray)
     limits = joints["tau_max"][joints["motor"] >= 0]

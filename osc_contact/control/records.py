@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from osc_contact.control.status import LostDirection
@@ -79,7 +77,7 @@ class TickRecords:
         self.squeeze: Array = self.memory.squeeze
 
     def run(
-        self, given: tuple[Any, ...], flags: int = 0, begin: int = at.LOOK, stop: int = at.END
+        self, given: tuple[Array, ...], flags: int = 0, begin: int = at.LOOK, stop: int = at.END
     ) -> int:
         """Parts of a tick; what the law's call returns, of one row 2 where it ended OK.
 

@@ -1,7 +1,5 @@
 """Torques of a saturated tick within the motors' limits, and what that costs."""
 
-from typing import Any
-
 import numpy as np
 
 from osc_contact.control.controller_settings import Settings
@@ -9,6 +7,7 @@ from osc_contact.control.records import TickRecords
 from osc_contact.control.status import LimitLoss
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.law.limits import TorqueLimits, fill_program, settle
+from osc_contact.law.nested import View
 
 
 def relieve(program: TorqueLimits, rows: TickRecords) -> None:
@@ -29,7 +28,7 @@ NEAR_SINGULAR = 2  #: motions that a singular posture may add to those of a redu
 class MotorLimits:
     """The quadratic program of one controller, its arrays made once."""
 
-    def __init__(self, settings: Settings, model: Any) -> None:
+    def __init__(self, settings: Settings, model: View) -> None:
         chain = settings.chain
         self.chain = chain
         self.program = TorqueLimits(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -10,6 +10,7 @@ from pinocchio import SE3
 
 from osc_contact.errors import ModelError
 from osc_contact.law import records as at
+from osc_contact.law.nested import Table
 from osc_contact.law.records import Bytes, new_model
 from osc_contact.robots.model import joint_axis, slides
 from osc_contact.spatial import Array, cross, norm
@@ -66,7 +67,7 @@ def pack_chain(chain: ClosedChain, raw: Bytes, leader: int | None) -> None:
     head.X_LP[:] = _flat_pose(X_LO * SE3(axes, body.lever))
 
 
-def _pack_arms(chain: ClosedChain, rows: Any) -> None:
+def _pack_arms(chain: ClosedChain, rows: Table) -> None:
     """Write the records of the arms.
 
     Args:
@@ -112,7 +113,7 @@ def _pack_arms(chain: ClosedChain, rows: Any) -> None:
         row.X_TO[:] = _flat_pose(grasp.X_TO)
 
 
-def _pack_joints(chain: ClosedChain, rows: Any) -> None:
+def _pack_joints(chain: ClosedChain, rows: Table) -> None:
     """Write the records of the joints.
 
     Args:

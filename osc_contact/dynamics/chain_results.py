@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -14,6 +14,7 @@ from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import ModelError
 from osc_contact.law import records as at
 from osc_contact.law.compiled import rows as law_rows
+from osc_contact.law.nested import Table, View
 from osc_contact.law.records import Bytes, Rows, views
 from osc_contact.law.vectors import motions, reflection, wrenches
 from osc_contact.spatial import Array, carry_twist, columns_of
@@ -26,7 +27,7 @@ _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
 _NONE = np.zeros(0)
 
 
-def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | None) -> Any:
+def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | None) -> View:
     """Record WORK, in memory of its own, after the law's first part: the arms without contacts.
 
     Args:
@@ -50,7 +51,7 @@ def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | No
     return work
 
 
-def mass_matrix(work: Any, arms: Sequence[slice]) -> Array:
+def mass_matrix(work: View, arms: Sequence[slice]) -> Array:
     """Mass matrix M (n, n) of all arms.
 
     Args:
@@ -64,7 +65,7 @@ def mass_matrix(work: Any, arms: Sequence[slice]) -> Array:
     return M
 
 
-def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> ChainState:
+def read_state(chain: ClosedChain, work: View, rest: View, data: pin.Data) -> ChainState:
     """State of a chain from the results of the law.
 
     Args:
@@ -93,6 +94,11 @@ def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> Chai
     reference = at.MODEL.view(chain.law_row(led=False)).reference
     X_WO = pin.SE3(work.X_WO)
     V_O = work.V_O.copy()
+    parts = zip(work.arms, chain.grasps, chain.slices, strict=True)
+    arms = [
+        _arm_terms(own, grasp, work.joints[s], rest.joints.h[s], M[s, s], motion, wrench)
+        for own, grasp, s in parts
+    ]
     return ChainState(
         X_WO=X_WO,
         V_O=V_O,
@@ -108,10 +114,7 @@ def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> Chai
         w=joints.offset + joints.J_bar @ sigma_e,
         h=joints.h.copy(),
         M=M,
-        arms=tuple(
-            _arm_terms(own, grasp, work.joints[s], rest.joints.h[s], M[s, s], motion, wrench)
-            for own, grasp, s in zip(work.arms, chain.grasps, chain.slices, strict=True)
-        ),
+        arms=tuple(arms),
         payload=_payload_terms(chain, X_WO, V_O),
         metric=wrench @ wrench.T,
         grasp_points=np.array([tip.translation for tip in chain.tip_poses(data)]),
@@ -122,9 +125,7 @@ def read_state(chain: ClosedChain, work: Any, rest: Any, data: pin.Data) -> Chai
         unactuated=chain.unactuated_motions(G, S),
         reference=(wrench * reference) @ wrench.T,
         full_ranks=chain.full_ranks,
-        singular_directions=tuple(
-            _singular_directions(chain, work.arms, reference, motion, wrench)
-        ),
+        singular_directions=_singular_directions(chain, work.arms, reference, motion, wrench),
     )
 
 
@@ -136,7 +137,7 @@ def _payload_terms(chain: ClosedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
 
 
 def _filters(
-    chain: ClosedChain, arms: Any, motion: Array, wrench: Array
+    chain: ClosedChain, arms: Table, motion: Array, wrench: Array
 ) -> tuple[Array | None, ...]:
     """Factors (6, 6) of the wrist readings at O; None of a rigid grasp, or without a sensor.
 
@@ -152,7 +153,13 @@ def _filters(
 
 
 def _arm_terms(
-    own: Any, grasp: Grasp, joints: Any, weight: Array, M: Array, motion: Array, wrench: Array
+    own: np.record,
+    grasp: Grasp,
+    joints: Table,
+    weight: Array,
+    M: Array,
+    motion: Array,
+    wrench: Array,
 ) -> ArmTerms:
     """Operational-space terms of one arm from the results of the law.
 
@@ -186,8 +193,8 @@ def _arm_terms(
 
 
 def _singular_directions(
-    chain: ClosedChain, arms: Any, reference: Array, motion: Array, wrench: Array
-) -> Iterator[SingularDirection]:
+    chain: ClosedChain, arms: Table, reference: Array, motion: Array, wrench: Array
+) -> tuple[SingularDirection, ...]:
     """Directions in which arms hardly move the object, from the results of the law.
 
     Args:
@@ -196,18 +203,19 @@ def _singular_directions(
         reference: (6,) diagonal of Λ_ref in energy coordinates.
         motion, wrench: (6, 6) bases of energy coordinates in world axes at O.
     """
-    for i, (own, s) in enumerate(zip(arms, chain.slices, strict=True)):
-        for e in range(int(own.n_lost)):
-            lost = own.lost[e]
-            yield SingularDirection(
-                arm=i,
-                chi=float(own.chi[e]),
-                share=float(own.share[e]),
-                wrench=wrench @ lost,
-                twist=motion @ (lost / reference),
-                mode=own.mode[e, : s.stop - s.start].copy(),
-                locked=bool(own.gone[e]),
-            )
+    return tuple(
+        SingularDirection(
+            arm=i,
+            chi=float(own.chi[e]),
+            share=float(own.share[e]),
+            wrench=wrench @ own.lost[e],
+            twist=motion @ (own.lost[e] / reference),
+            mode=own.mode[e, : s.stop - s.start].copy(),
+            locked=bool(own.gone[e]),
+        )
+        for i, (own, s) in enumerate(zip(arms, chain.slices, strict=True))
+        for e in range(int(own.n_lost))
+    )
 
 
 STATES = 3  #: random states at which the law is compared with Pinocchio

@@ -137,10 +137,7 @@ class ClosedChain:
         self.actuated = np.flatnonzero(~np.isin(self.joint_names, passive))
         self.tau_max = effort_limits(self.model, self.actuated)
         self.full_ranks = tuple(map(_full_rank, self.arms, self.grasps))
-        self.arm_mass = max(
-            sum(i.mass for i in arm.model.inertias) + heaviest_rotor(arm.model, GYRATION)
-            for arm in self.arms
-        )
+        self.arm_mass = max(map(_mass_with_rotors, self.arms))
         self.tips = [robots.frame_id(self.model, f"{arm.name}/{arm.tip}") for arm in self.arms]
         self.sensors = [_sensor_frame(self.model, arm) for arm in self.arms]
         self.outboard = [
@@ -304,6 +301,12 @@ class ClosedChain:
         rows = {led: chain_row(self, led) for led in (False, True)}
         require_pinocchio_agrees(self, rows[False])
         return rows
+
+
+def _mass_with_rotors(arm: Arm) -> float:
+    """Mass of an arm, with that of the ball that represents its heaviest rotor (kg)."""
+    links = sum(inertia.mass for inertia in arm.model.inertias)
+    return float(links + heaviest_rotor(arm.model, GYRATION))
 
 
 def _arms_of(arms: Arm | Sequence[Arm]) -> tuple[Arm, ...]:

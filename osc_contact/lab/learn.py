@@ -51,6 +51,7 @@ def begin(rig: Rig) -> tuple[EntityCfg, Controller]:
     if not isinstance(plant, MujocoPlant):
         raise InvalidInputError("mjlab takes rigs with plant.type=mujoco and ideal sensors")
     spec = plant.spec
+    assert spec is not None
     joints = (name.split("/")[-1] for name in rig.chain.joint_names)
     positions = dict(zip(joints, rig.q_start.tolist(), strict=True))
     entity = EntityCfg(

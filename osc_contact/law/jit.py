@@ -17,12 +17,25 @@ from contextlib import suppress
 from functools import cache, cached_property
 from importlib import import_module
 from types import FunctionType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from osc_contact.errors import missing
 from osc_contact.law import library
+
+if TYPE_CHECKING:
+    from osc_contact.law.numba_types import (
+        Builder,
+        CPUContext,
+        IntegerLiteral,
+        Intrinsic,
+        Signature,
+        Type,
+        TypingContext,
+        Value,
+        Values,
+    )
 
 #: Whether the law runs as Python.
 PLAIN_PYTHON = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
@@ -183,7 +196,9 @@ if not COMPILES:
 else:
 
     @intrinsic(prefer_literal=True)
-    def local(typing: Any, rows: Any, columns: Any = None) -> Any:
+    def local(
+        typing: TypingContext, rows: IntegerLiteral, columns: IntegerLiteral | None = None
+    ) -> Intrinsic:
         """A new array (rows,) or (rows, columns) of numbers on the stack, not initialised.
 
         It lasts until the function that makes it returns; made in a loop, it is the same array each
@@ -197,7 +212,9 @@ else:
         strides = tuple(8 * int(np.prod(shape[axis + 1 :])) for axis in range(len(shape)))
         kind = types.NestedArray(types.float64, shape)
 
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        def generate(
+            context: CPUContext, builder: Builder, signature: Signature, given: Values
+        ) -> Value:
             with builder.goto_entry_block():
                 place = builder.alloca(ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))
             array = context.make_array(kind)(context, builder)
@@ -218,10 +235,12 @@ else:
     view = njit(**VIEW)
 
     @intrinsic
-    def _pointer(typing: Any, address: Any) -> Any:
+    def _pointer(typing: TypingContext, address: Type) -> Intrinsic:
         """An address as a pointer."""
 
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        def generate(
+            context: CPUContext, builder: Builder, signature: Signature, arguments: Values
+        ) -> Value:
             return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
 
         return types.voidptr(types.uintp), generate
@@ -252,10 +271,14 @@ else:
         return numbers_at(_place(x) + np.uintp(8 * start), (rows, columns))
 
     @intrinsic
-    def _call(typing: Any, at: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> Any:
+    def _call(
+        typing: TypingContext, at: Type, a: Type, b: Type, c: Type, d: Type, e: Type, f: Type
+    ) -> Intrinsic:
         """Call the C function at an address with addresses."""
 
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        def generate(
+            context: CPUContext, builder: Builder, signature: Signature, given: Values
+        ) -> Value:
             kind = ir.FunctionType(ir.VoidType(), [ir.IntType(64)] * 6)
             builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
             return context.get_dummy_value()
@@ -269,10 +292,12 @@ else:
         _call(np.uintp(address), *at)
 
     @intrinsic
-    def _prefetch(typing: Any, address: Any) -> Any:
+    def _prefetch(typing: TypingContext, address: Type) -> Intrinsic:
         """Prefetch the cache line at an address."""
 
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        def generate(
+            context: CPUContext, builder: Builder, signature: Signature, arguments: Values
+        ) -> Value:
             line = ir.IntType(8).as_pointer()
             flag = ir.IntType(32)
             kind = ir.FunctionType(ir.VoidType(), [line, flag, flag, flag])

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 from llvmlite import ir
+
+if TYPE_CHECKING:
+    from osc_contact.law.numba_types import Builder, Value
 
 BYTE = ir.IntType(8)
 WORD = ir.IntType(64)
 
 
-def layout_word(builder: Any, record: Any, slot: int) -> Any:
+def layout_word(builder: Builder, record: Value, slot: int) -> Value:
     """Code that loads a word of a record's layout, which never changes: it is loaded once.
 
     Args:
@@ -22,7 +25,7 @@ def layout_word(builder: Any, record: Any, slot: int) -> Any:
     return found
 
 
-def table_address(builder: Any, record: Any, slot: int) -> Any:
+def table_address(builder: Builder, record: Value, slot: int) -> Value:
     """Code for the address of a table, so many bytes behind its record as a word of layout says.
 
     Args:

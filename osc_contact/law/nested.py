@@ -92,7 +92,7 @@ class Nested:
         start = layout[self.start(name)]
         shape = [int(layout[self.slot(one)]) if isinstance(one, str) else one for one in sizes]
         rows = raw[start : start + kind.itemsize * prod(shape)].view(kind).reshape(shape)
-        return rows.view((np.record, kind), Rows) if kind.names else rows
+        return rows.view((np.record, kind), Table) if kind.names else rows
 
     def view(self, raw: Bytes) -> View:
         """The record at the beginning of these bytes."""
@@ -100,7 +100,7 @@ class Nested:
         return view
 
 
-class Rows(np.ndarray[Any, Any]):
+class Table(np.ndarray[Any, Any]):
     """A table in plain Python: its columns are attributes, as of `numpy.recarray`, but quickly."""
 
     def __getattr__(self, name: str) -> Any:

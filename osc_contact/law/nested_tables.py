@@ -8,7 +8,7 @@ where one of them is missing, `jit` finds no `units`, and `nested_type` takes th
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numba
 from llvmlite import ir
@@ -19,10 +19,14 @@ from numba.np.arrayobj import make_array, populate_array
 
 from osc_contact.law.layout_code import WORD, layout_word, table_address
 
+if TYPE_CHECKING:
+    from osc_contact.law.nested import Nested
+    from osc_contact.law.numba_types import Builder, CPUContext, Type, Value
+
 _public: Any = numba  #: its type hints leave out `from_dtype`
 
 
-def lower_tables(record: Any, kind: Any) -> None:
+def lower_tables(record: type[Type], kind: Nested) -> None:
     """Make the tables of a record attributes that compiled code takes as arrays.
 
     Args:
@@ -36,7 +40,7 @@ def lower_tables(record: Any, kind: Any) -> None:
 
         key = record
 
-        def generic_resolve(self, value: Any, attr: str) -> Any:  # type: ignore[override]
+        def generic_resolve(self, value: Type, attr: str) -> Type | None:  # type: ignore[override]
             return tables[attr].array if attr in tables else None
 
     for name, table in tables.items():
@@ -50,14 +54,14 @@ class _Table:
         array: its type.
     """
 
-    def __init__(self, kind: Any, name: str) -> None:
+    def __init__(self, kind: Nested, name: str) -> None:
         dtype, sizes = kind.tables[name]
         self.array = types.Array(_public.from_dtype(dtype), len(sizes), "C")
         self._item = dtype.itemsize
         self._start = kind.start(name)
         self._sizes = [kind.slot(one) if isinstance(one, str) else WORD(one) for one in sizes]
 
-    def lower(self, context: Any, builder: Any, record: Any, value: Any) -> Any:
+    def lower(self, context: CPUContext, builder: Builder, record: Type, value: Value) -> Value:
         """Code for the array, as `numba.extending.lower_getattr` takes it.
 
         Args:

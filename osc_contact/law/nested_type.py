@@ -9,17 +9,34 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from hashlib import sha256
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, models, register_model
+from numpy.typing import NDArray
 
 from osc_contact.law import jit
 from osc_contact.law.jit import VIEW, view
 from osc_contact.law.layout_code import BYTE, WORD, layout_word, table_address
+
+if TYPE_CHECKING:
+    from osc_contact.law.nested import Nested, View
+    from osc_contact.law.numba_types import (
+        Builder,
+        CPUContext,
+        Intrinsic,
+        Signature,
+        Type,
+        TypingContext,
+        Value,
+        Values,
+    )
+
+#: Function of a record that numba compiles to read a table.
+Implementation = Callable[["View"], NDArray[Any]]
 
 _public: Any = numba  #: its type hints leave out `carray` and options of `overload_attribute`
 
@@ -31,10 +48,10 @@ class _Pointer(models.PrimitiveModel):
         super().__init__(manager, record, ir.ArrayType(BYTE, record.size).as_pointer())
 
 
-_records: dict[str, Any] = {}  #: types of records by their names
+_records: dict[str, Type] = {}  #: types of records by their names
 
 
-def record_named(name: str) -> Any:
+def record_named(name: str) -> Type:
     """The type of a record that was made in this process.
 
     Raises:
@@ -43,7 +60,7 @@ def record_named(name: str) -> Any:
     return _records[name]
 
 
-def pointer_to(kind: Any) -> Any:
+def pointer_to(kind: Nested) -> Any:
     """A compiled function (bytes, offset) that takes what is there for a record of this kind."""
 
     class Record(types.Record):
@@ -59,7 +76,7 @@ def pointer_to(kind: Any) -> Any:
             layout = f"{kind.dtype} {kind.tables}"
             self.name = f"record_{sha256(layout.encode()).hexdigest()[:16]}"
 
-        def __reduce__(self) -> Any:
+        def __reduce__(self) -> tuple[Callable[[str], Type], tuple[str]]:
             return record_named, (self.name,)
 
         def __repr__(self) -> str:
@@ -78,8 +95,10 @@ def pointer_to(kind: Any) -> Any:
         jit.UNITS.lower_tables(Record, kind)
 
     @intrinsic
-    def point(typing: Any, address: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def point(typing: TypingContext, address: Type) -> Intrinsic:
+        def generate(
+            context: CPUContext, builder: Builder, signature: Signature, given: Values
+        ) -> Value:
             return builder.inttoptr(given[0], context.get_value_type(record))
 
         return record(types.uintp), generate
@@ -91,7 +110,7 @@ def pointer_to(kind: Any) -> Any:
     return at
 
 
-def _attribute(kind: Any, name: str) -> Callable[[Any], Any]:
+def _attribute(kind: Nested, name: str) -> Callable[[Type], Implementation]:
     """The implementation of a table as `numba.extending.overload_attribute` takes it.
 
     Args:
@@ -104,13 +123,13 @@ def _attribute(kind: Any, name: str) -> Callable[[Any], Any]:
     columns = shape[-1]
     carray = _public.carray
 
-    def one_size(record: Any) -> Any:
+    def one_size(record: View) -> NDArray[Any]:
         return carray(start(record), (rows(record),), dtype)
 
-    def two_sizes(record: Any) -> Any:
+    def two_sizes(record: View) -> NDArray[Any]:
         return carray(start(record), (rows(record), columns(record)), dtype)
 
-    def choose(record: Any) -> Any:
+    def choose(record: Type) -> Implementation:
         return one_size if len(shape) == 1 else two_sizes
 
     return choose
@@ -124,8 +143,10 @@ def _start(slot: int) -> Any:
     """
 
     @intrinsic
-    def start(typing: Any, record: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def start(typing: TypingContext, record: Type) -> Intrinsic:
+        def generate(
+            context: CPUContext, builder: Builder, signature: Signature, given: Values
+        ) -> Value:
             return table_address(builder, given[0], slot)
 
         return types.voidptr(record), generate
@@ -141,8 +162,10 @@ def _count(slot: int) -> Any:
     """
 
     @intrinsic
-    def count(typing: Any, record: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def count(typing: TypingContext, record: Type) -> Intrinsic:
+        def generate(
+            context: CPUContext, builder: Builder, signature: Signature, given: Values
+        ) -> Value:
             return layout_word(builder, given[0], slot)
 
         return types.intp(record), generate
@@ -154,7 +177,7 @@ def _fixed(size: int) -> Any:
     """A compiled function of a record: a size of its tables that is known beforehand."""
 
     @intrinsic
-    def fixed(typing: Any, record: Any) -> Any:
+    def fixed(typing: TypingContext, record: Type) -> Intrinsic:
         return types.intp(record), lambda context, builder, signature, given: WORD(size)
 
     return fixed

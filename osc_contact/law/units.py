@@ -27,7 +27,8 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, NamedTuple
 from zlib import compress, decompress
 
 import llvmlite
@@ -50,6 +51,18 @@ from osc_contact.law import library
 from osc_contact.law.ingredients import digest
 from osc_contact.law.nested_tables import lower_tables as lower_tables  # for `nested_type`
 from osc_contact.law.store import Store
+
+if TYPE_CHECKING:
+    from osc_contact.law.numba_types import (
+        Builder,
+        CPUContext,
+        Intrinsic,
+        Signature,
+        Type,
+        TypingContext,
+        Value,
+        Values,
+    )
 
 for _class, _names in (
     (Flags, ("no_compile", "no_cpython_wrapper", "no_cfunc_wrapper", "error_model", "nrt")),
@@ -93,8 +106,8 @@ class Call(NamedTuple):
     """Which part another one calls, and the type of the result that it counts on."""
 
     unit: str
-    kinds: tuple[Any, ...]
-    returned: Any
+    kinds: tuple[Type, ...]
+    returned: Type
 
 
 class Part(NamedTuple):
@@ -108,12 +121,12 @@ class Part(NamedTuple):
     """
 
     symbol: str
-    returned: Any
+    returned: Type
     code: bytes
     calls: tuple[Call, ...]
     plain: bytes
 
-    def module(self, plain: bool) -> Any:
+    def module(self, plain: bool) -> llvm.ModuleRef:
         """Its code.
 
         Args:
@@ -130,17 +143,17 @@ class Unit:
             take it in. known: its parts by the types of the arguments.
     """
 
-    def __init__(self, function: Any, inlined: bool) -> None:
+    def __init__(self, function: FunctionType, inlined: bool) -> None:
         name = f"{function.__module__}.{function.__qualname__}".removeprefix(f"{__package__}.")
         same = sum(other.partition("~")[0] == name for other in _units)
         self.name = f"{name}~{same}" if same else name
         self.py_func = function
         self.inlined = inlined
-        self.known: dict[tuple[Any, ...], Part] = {}
+        self.known: dict[tuple[Type, ...], Part] = {}
         _units[self.name] = self
 
     @global_compiler_lock
-    def translated(self, kinds: tuple[Any, ...]) -> Part:
+    def translated(self, kinds: tuple[Type, ...]) -> Part:
         """The part for arguments of these types: the one that was kept, or a new one."""
         if kinds not in self.known:
             symbol = f"{self.name}.{sha256(str(kinds).encode()).hexdigest()[:12]}"
@@ -156,12 +169,12 @@ class Unit:
                 watch(sum(bool(unit.known) for unit in _units.values()) / len(_units), kept)
         return self.known[kinds]
 
-    def key(self, kinds: tuple[Any, ...]) -> str:
+    def key(self, kinds: tuple[Type, ...]) -> str:
         """Hash of all that the part for these types is made of, but for the parts that it calls."""
         made_of = (_machinery(), self.name, self.inlined, kinds, digest(self.py_func))
         return sha256("\n".join(map(str, made_of)).encode()).hexdigest()
 
-    def _translate(self, kinds: tuple[Any, ...], symbol: str) -> Part:
+    def _translate(self, kinds: tuple[Type, ...], symbol: str) -> Part:
         flags: Any = Flags()
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         flags.error_model = "numpy"
@@ -196,7 +209,7 @@ def all_units() -> list[Unit]:
     return [*_units.values()]
 
 
-def translate_from_the_end(parameter: str, kind: Any) -> None:
+def translate_from_the_end(parameter: str, kind: Type) -> None:
     """Translate the units with one parameter of this name, the last one first.
 
     Units that take no argument of this type are left out.
@@ -213,7 +226,7 @@ def translate_from_the_end(parameter: str, kind: Any) -> None:
 class _Pipeline(CompilerBase):
     """The passes of numba that the law needs: it has no closures and no array expressions."""
 
-    def define_pipelines(self) -> Any:
+    def define_pipelines(self) -> list[PassManager]:
         """One pipeline; what it cannot translate is an error."""
         passes = PassManager("law")
         for one in (
@@ -247,7 +260,7 @@ class _Helper(JITCodeLibrary):
         super().__init__(*given)
         self.plain: list[bytes] = []
 
-    def add_llvm_module(self, module: Any) -> None:
+    def add_llvm_module(self, module: llvm.ModuleRef) -> None:
         """Keep the bitcode of a module before it is optimised.
 
         Args:
@@ -260,12 +273,12 @@ class _Helper(JITCodeLibrary):
 class _Library(_Helper):
     """Modules of one part, which are optimised later, with those of the helpers that they call."""
 
-    def _optimize_functions(self, module: Any) -> None:
+    def _optimize_functions(self, module: llvm.ModuleRef) -> None:
         module.data_layout = self._codegen._data_layout
 
 
 @contextmanager
-def _helpers_kept_plain(codegen: Any) -> Iterator[None]:
+def _helpers_kept_plain(codegen: JITCPUCodegen) -> Iterator[None]:
     """Within it helpers that numba compiles are kept as it wrote them, too.
 
     Args:
@@ -279,7 +292,7 @@ def _helpers_kept_plain(codegen: Any) -> Iterator[None]:
         codegen._library_class = usual
 
 
-def _plain(library: Any, name: str, symbol: str) -> bytes:
+def _plain(library: _Helper, name: str, symbol: str) -> bytes:
     """Bitcode of a part and its helpers as numba wrote them; empty: one was compiled before.
 
     Args:
@@ -318,12 +331,14 @@ def called(unit: Unit) -> Any:
     translation serves all sizes, and LLVM finds the size again where it inlines it.
     """
 
-    def typed(typing: Any, *given: Any) -> Any:
+    def typed(typing: TypingContext, *given: Type) -> Intrinsic:
         given = tuple(types.unliteral(one) for one in given)
         kinds = tuple(_any_size(one) for one in given) if unit.inlined else given
         part = unit.translated(kinds)
 
-        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        def generate(
+            context: CPUContext, builder: Builder, signature: Signature, values: Values
+        ) -> Value:
             convention = context.call_conv
             kind = convention.get_function_type(part.returned, kinds)
             function = cgutils.get_or_insert_function(builder.module, kind, part.symbol)
@@ -349,7 +364,7 @@ def called(unit: Unit) -> Any:
     return made
 
 
-def _any_size(kind: Any) -> Any:
+def _any_size(kind: Type) -> Type:
     """The type of an array whatever its size, if the size is part of its own type."""
     if isinstance(kind, types.NestedArray):
         return types.Array(kind.dtype, kind.ndim, "C")
@@ -401,7 +416,7 @@ def _find(key: str, symbol: str) -> Part | None:
 # --- Machine code ---------------------------------------------------------------------------------
 
 
-def target_of(triple: str = "") -> Any:
+def target_of(triple: str = "") -> llvm.TargetMachine:
     """LLVM's description of what every processor of a platform has.
 
     Args:
@@ -428,18 +443,18 @@ def target_of(triple: str = "") -> Any:
 
 
 @cache
-def _own_target() -> Any:
+def _own_target() -> llvm.TargetMachine:
     return target_of()
 
 
-def _pass_builder(target: Any) -> Any:
+def _pass_builder(target: llvm.TargetMachine) -> llvm.PassBuilder:
     """Maker of the passes of LLVM's third level for a target."""
     tuning = llvm.create_pipeline_tuning_options(3)
     tuning.loop_vectorization = tuning.slp_vectorization = True
     return llvm.create_pass_builder(target, tuning)
 
 
-def _simplified(linked: Any, symbol: str) -> Any:
+def _simplified(linked: llvm.ModuleRef, symbol: str) -> llvm.ModuleRef:
     """A part as others take it in: simplified, with the helpers that it calls and no others.
 
     Args:
@@ -450,7 +465,7 @@ def _simplified(linked: Any, symbol: str) -> Any:
     return _with_own_helpers(linked, symbol)
 
 
-def _with_own_helpers(linked: Any, symbol: str) -> Any:
+def _with_own_helpers(linked: llvm.ModuleRef, symbol: str) -> llvm.ModuleRef:
     """A part with the helpers that it calls and no others, under names of its own.
 
     Args:
@@ -469,7 +484,7 @@ def _with_own_helpers(linked: Any, symbol: str) -> Any:
     return module
 
 
-def _defined(module: Any) -> list[Any]:
+def _defined(module: llvm.ModuleRef) -> list[llvm.ValueRef]:
     """Functions and variables of a module that are defined in it."""
     return [one for one in (*module.functions, *module.global_variables) if not one.is_declaration]
 
@@ -486,7 +501,7 @@ def _needed(roots: dict[str, Part]) -> list[Part]:
     return [found[symbol] for symbol in sorted(found)]
 
 
-def link(roots: dict[str, Part], target: Any, plain: bool) -> Any:
+def link(roots: dict[str, Part], target: llvm.TargetMachine, plain: bool) -> llvm.ModuleRef:
     """A module of some parts and all that they call, which offers nothing else.
 
     Args:
@@ -523,7 +538,9 @@ def _pointer_bytes(layout: str) -> int:
 
 @global_compiler_lock
 def emit(
-    roots: dict[str, Part], target: Any, report: Callable[[float], None] = lambda share: None
+    roots: dict[str, Part],
+    target: llvm.TargetMachine,
+    report: Callable[[float], None] = lambda share: None,
 ) -> bytes:
     """An object file of some parts and all that they call, for every processor of a platform.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from osc_contact.law.jit import inner, leaf
+from osc_contact.law.nested import View
 
 # --- Vectors of three and six numbers as tuples, which a compiler keeps in registers --------------
 #
@@ -431,28 +431,28 @@ def turned_back(work, x):
 # `work` is a WORK record after a tick, or after its first part.
 
 
-def motions(work: Any) -> NDArray[np.float64]:
+def motions(work: View) -> NDArray[np.float64]:
     """Matrix L⁻ᵀ (6, 6) from energy coordinates to motions at O in world axes."""
     out = _blocks(work, 2)
     out[:3, 3:] = _lever(work) @ out[3:, 3:]
     return out
 
 
-def wrenches(work: Any) -> NDArray[np.float64]:
+def wrenches(work: View) -> NDArray[np.float64]:
     """Matrix L (6, 6) from energy coordinates to wrenches at O in world axes."""
     out = _blocks(work, 0)
     out[3:, :3] = _lever(work) @ out[:3, :3]
     return out
 
 
-def _blocks(work: Any, k: int) -> NDArray[np.float64]:
+def _blocks(work: View, k: int) -> NDArray[np.float64]:
     out = np.zeros((6, 6))
     out[:3, :3] = work["axes"][k].T
     out[3:, 3:] = work["axes"][k + 1].T
     return out
 
 
-def reflection(work: Any) -> NDArray[np.float64]:
+def reflection(work: View) -> NDArray[np.float64]:
     """Orthogonal matrix (6, 6) that turns energy coordinates to locked axes first."""
     reflection = np.eye(6)
     for k in range(int(work["locked"])):
@@ -461,7 +461,7 @@ def reflection(work: Any) -> NDArray[np.float64]:
     return reflection
 
 
-def _lever(work: Any) -> NDArray[np.float64]:
+def _lever(work: View) -> NDArray[np.float64]:
     """Cross-product matrix (3, 3) of the vector from O to C."""
     x, y, z = (work["p_C"] - work["p_O"]).tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +13,7 @@ import pinocchio as pin
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.law_pair import normals_over
 from osc_contact.errors import InvalidInputError
+from osc_contact.files import Json
 from osc_contact.interface import Robot
 from osc_contact.spatial import Array, Poses
 
@@ -152,7 +153,7 @@ class Judge(Protocol):
 class Pictured(Protocol):
     """A judge that can draw its bodies; a recording carries them, where no scenario does."""
 
-    def picture(self) -> dict[str, Any]:
+    def picture(self) -> Json:
         """Bodies and their shapes as plain data, see `robots.pictures`."""
 
 

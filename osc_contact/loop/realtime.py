@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from osc_contact.errors import PlantError
+from osc_contact.files import Json
 from osc_contact.loop.shadow import ShadowReport
 
 _log = logging.getLogger(__name__)
@@ -96,7 +97,7 @@ class LoopReport:
         times = {name: 1e6 * BIN_S * (int(k) + 1) for name, k in bins.items()}
         return {**times, "max": 1e6 * self.largest}
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Json:
         """JSON-able form, which recordings carry."""
         names = ("ticks", "missed", "read_to_write_us", "histogram", "notes")
         return {name: getattr(self, name) for name in names}

@@ -24,6 +24,7 @@ from osc_contact.control.controller import Controller
 from osc_contact.control.signals import TickResult, internal_forces
 from osc_contact.control.status import SafetyState, Status
 from osc_contact.errors import InvalidInputError, RecordingError
+from osc_contact.files import Json
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.library import law_hash
 from osc_contact.loop.channels import Subject, channels, recording_of
@@ -351,7 +352,7 @@ def own_subject(controller: Controller) -> Subject:
     return subject_of(controller, pairs, world, force_owners(pairs))
 
 
-def describe_subject(of: Subject, controller: Controller) -> dict[str, Any]:
+def describe_subject(of: Subject, controller: Controller) -> Json:
     """Meta data on what is recorded."""
     chain = controller.chain
     limits = [limit if limit < np.inf else None for limit in chain.tau_max.tolist()]

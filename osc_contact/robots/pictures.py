@@ -17,6 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.files import Json
 from osc_contact.robots.mjcf import bodies_of, compile_mjcf, joint_name, load_mjcf
 from osc_contact.robots.model import joint_axis, joint_names, slides
 from osc_contact.spatial import Array, norm
@@ -79,7 +80,7 @@ def scene_picture(
     q: Array,
     joints: Mapping[int, int],
     only: Collection[int] = (),
-) -> dict[str, Any]:
+) -> Json:
     """Picture of a MuJoCo scene, as JSON data.
 
     A body of the arm is drawn by its geoms that cannot collide or, if it has none, by all of its
@@ -118,7 +119,7 @@ def scene_picture(
     return {"joints": [_joint(model, j) for j in range(1, model.njoints)], "shapes": shapes}
 
 
-def _joint(model: pin.Model, j: int) -> dict[str, Any]:
+def _joint(model: pin.Model, j: int) -> Json:
     """Name, parent, placement and axis of a joint, as JSON data."""
     S = joint_axis(model, j).reshape(2, 3)
     along = slides(model, j)
@@ -131,7 +132,7 @@ def _joint(model: pin.Model, j: int) -> dict[str, Any]:
     }
 
 
-def _describe(mj: MjModel, g: int) -> dict[str, Any] | None:
+def _describe(mj: MjModel, g: int) -> Json | None:
     """Type and size, or corners and faces, of a geom as JSON data; None if it is not drawn."""
     kind = int(mj.geom_type[g])
     size = _round(mj.geom_size[g])

@@ -3,13 +3,14 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NotRequired, TypedDict
+from typing import Literal, NotRequired, TypedDict
 
 import numpy as np
 import pinocchio as pin
 from pydantic_core import to_jsonable_python
 
 from osc_contact.errors import ModelError
+from osc_contact.files import Json
 from osc_contact.robots.checks import Inertias, JointLimits, check_mesh_files
 from osc_contact.robots.elements import ModelFinding
 from osc_contact.robots.loading import load
@@ -373,7 +374,7 @@ class RobotReport:
             lines.append(f"{robot.more_tips} more tips are not shown: name one with --tip")
         return lines
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Json:
         """Result as JSON data."""
         left_out = {"findings": {"__all__": {"file"}}}
         whole = to_jsonable_python(self, exclude=left_out, inf_nan_mode="null")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 from pinocchio import SE3
@@ -98,7 +98,19 @@ def has_place(pair: ContactPair) -> bool:
     return getattr(pair, "surface_point", None) is not None
 
 
-def knows_where_it_slides(pair: ContactPair) -> bool:
+class SlidingPair(ContactPair, Protocol):
+    """Contact pair that pushes at known points."""
+
+    def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
+        """Points (3, r) at which the magnitudes of force act, in world axes (m).
+
+        Args:
+            X_WO: pose of the object.
+            X_WE: pose of the touched body; None: that of the world.
+        """
+
+
+def knows_where_it_slides(pair: ContactPair) -> TypeGuard[SlidingPair]:
     """Whether friction at the pair can be computed, because it pushes at known points.
 
     Forces of either sign (hinges, holes, grooves) act at unknown points of a gap.

@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from osc_contact.contacts.feet import feet
 from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.dynamics.chain_state import ChainState
+from osc_contact.files import Json
 from osc_contact.lab.rig.references import gain_in_words, known_to
 from osc_contact.lab.rig.rig import Rig, landings
 from osc_contact.lab.visual.screws import common_perpendicular, echelon
@@ -42,7 +42,7 @@ class Inspection:
     free: Array
     conditioning: float
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Json:
         """JSON-able form."""
         values = {name: np.asarray(value).tolist() for name, value in vars(self).items()}
         return values | {"free_motions": self.d - self.r}

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from osc_contact.errors import PlantError
 from osc_contact.spatial import Array, as_array
+
+if TYPE_CHECKING:
+    from mujoco import MjsJoint, MjSpec
 
 SPRING = "spring"  #: suffix of the second joint that the plant puts behind a motor
 
@@ -99,7 +102,7 @@ class JointDrives:
 _IMPEDANCE = 0.9999  #: the most that MuJoCo permits
 
 
-def set_dry_friction(joint: Any, friction: float, step: float) -> None:
+def set_dry_friction(joint: MjsJoint, friction: float, step: float) -> None:
     """Let a joint have Coulomb friction, also when it is light.
 
     In MuJoCo a torque τ below the friction moves a joint of inertia I by (1 − d) T τ/(2 I). With
@@ -114,7 +117,7 @@ def set_dry_friction(joint: Any, friction: float, step: float) -> None:
     joint.solimp_friction = [_IMPEDANCE, _IMPEDANCE, 1.0, 0.5, 1.0]  # the width does not matter
 
 
-def add_drives(spec: Any, names: Sequence[str], drives: JointDrives) -> None:
+def add_drives(spec: MjSpec, names: Sequence[str], drives: JointDrives) -> None:
     """Put springs, motor inertias and friction into a MuJoCo scene.
 
     The named joint keeps its name, its limits and its motor and becomes the motor's; a second,

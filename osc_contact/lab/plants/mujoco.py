@@ -10,7 +10,8 @@ import logging
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -30,10 +31,13 @@ from osc_contact.loop.judge import Truth, require_duration
 from osc_contact.robots.mjcf import placed
 from osc_contact.spatial import Array, as_array, cross
 
+if TYPE_CHECKING:
+    from mujoco import MjData, MjModel, MjSpec
+
 _log = logging.getLogger(__name__)
 
 
-def quieten(mujoco: Any) -> None:
+def quieten(mujoco: ModuleType) -> None:
     """Let MuJoCo write no MUJOCO_LOG.TXT and read no clock: the plant counts warnings itself."""
     mujoco.set_mju_user_warning(_log.debug)
     if mujoco.get_mjcb_time() is None:  # its profiler reads the clock thirty times a step
@@ -53,7 +57,7 @@ class MujocoPlant:
         face_q: their places in qpos.
     """
 
-    spec: Any = None
+    spec: MjSpec | None = None
     pushes: Sequence[Push] = ()
     drives = JointDrives()
     place = pin.SE3.Identity()
@@ -115,6 +119,19 @@ class MujocoPlant:
         self.body_of = np.full(model.ngeom, OBJECT)
         for i in range(len(bodies)):
             self.body_of[self._geoms_of(model.body(f"face{i}/root").id)] = i
+        self._find_guides(faces)
+        if faces.driven:  # the drive's mass must not set the scale of the solver's accuracy
+            model.stat.meaninertia = 1.0
+        self._sensed = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
+        readings = [model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
+        self._readings = np.add.outer(np.array(readings, dtype=int), np.arange(6))
+
+    def _find_guides(self, faces: Faces) -> None:
+        """Find the coordinates of the joints that guide bodies of the environment.
+
+        Args:
+            faces: bodies and their rails.
+        """
         self.guided = guided_joints(faces.rails)
         guides = [f"face{i}/{GUIDES[k]}" for i, k in zip(*self.guided, strict=True)]
         self.face_q, self._face_v = self._places(guides)
@@ -122,21 +139,16 @@ class MujocoPlant:
         self._driven = tuple(x[by_drive] for x in self.guided)
         self._driven_q = self.face_q[by_drive]
         self._driven_v = self._face_v[by_drive]
-        if faces.driven:  # the drive's mass must not set the scale of the solver's accuracy
-            model.stat.meaninertia = 1.0
-        self._sensed = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
-        readings = [model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
-        self._readings = np.add.outer(np.array(readings, dtype=int), np.arange(6))
 
     def _connect(
-        self, model: Any, chain: ClosedChain, contacts: Sequence[ContactPair], faces: Faces
+        self, model: MjModel, chain: ClosedChain, contacts: Sequence[ContactPair], faces: Faces
     ) -> None:
         """The state of a compiled scene, and views of what every step reads and writes."""
         import mujoco
 
-        self._mj: Any = mujoco
+        self._mj: ModuleType = mujoco
         self.model = model
-        self.data: Any = mujoco.MjData(model)
+        self.data: MjData = mujoco.MjData(model)
         self.chain = chain
         self.contacts = tuple(contacts)
         self.faces = faces

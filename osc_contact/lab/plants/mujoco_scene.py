@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -30,6 +30,9 @@ from osc_contact.lab.scenarios.hardware import PlantSpec
 from osc_contact.robots import is_mjcf
 from osc_contact.robots.mjcf import mjcf_skeleton, placed, weld_joints
 from osc_contact.spatial import Array
+
+if TYPE_CHECKING:
+    from mujoco import MjSpec
 
 #: The joint between the first arm's tip and the object, if its grasp is a hinge or a ball.
 GRASP_JOINT = "object/grasp"
@@ -50,7 +53,7 @@ def scene(
     bodies: Sequence[tuple[Path, pin.SE3]],
     options: PlantSpec,
     rails: Sequence[Rail],
-) -> Any:
+) -> MjSpec:
     """The uncompiled specification, see `MujocoPlant`.
 
     Args:
@@ -96,6 +99,26 @@ def scene(
         )
         motor.set_to_motor()
     _hold_object(spec, chain, object_urdf)
+    _place_bodies(spec, bodies, rails, options)
+    if options.friction > 0.0:
+        _add_friction(spec, options)
+    return spec
+
+
+def _place_bodies(
+    spec: MjSpec,
+    bodies: Sequence[tuple[Path, pin.SE3]],
+    rails: Sequence[Rail],
+    options: PlantSpec,
+) -> None:
+    """Attach the bodies of the environment, each on its rail, with their softness and friction.
+
+    Args:
+        spec: scene, which is changed.
+        bodies: URDF and pose of each body touched.
+        rails: how each body moves.
+        options: of the plant.
+    """
     for i, ((file, placement), rail) in enumerate(zip(bodies, rails, strict=True)):
         part, root = _read_body(file)
         for geom in part.geoms:
@@ -110,12 +133,9 @@ def scene(
             _put_on_rail(part, root, placement, rail)
         frame = spec.worldbody.add_frame(**placed(placement))
         spec.attach(part, prefix=f"face{i}/", frame=frame)
-    if options.friction > 0.0:
-        _add_friction(spec, options)
-    return spec
 
 
-def _arm(arm: Arm, file: Path) -> Any:
+def _arm(arm: Arm, file: Path) -> MjSpec:
     """An arm without shapes and losses, locked joints welded, a site where its wrist sensor is."""
     import mujoco
 
@@ -151,7 +171,7 @@ def _read_body(urdf: Path) -> tuple[Any, Any]:
     return part, root
 
 
-def _hold_object(spec: Any, chain: ClosedChain, urdf: Path) -> None:
+def _hold_object(spec: MjSpec, chain: ClosedChain, urdf: Path) -> None:
     """The object rides on the first arm; equality constraints tie it to the others."""
     import mujoco
 
@@ -223,7 +243,7 @@ _FRICTION_IMPEDANCE = 0.9  #: d of the friction itself
 _FRICTION_DAMPING = 1e3
 
 
-def _add_friction(spec: Any, options: PlantSpec) -> None:
+def _add_friction(spec: MjSpec, options: PlantSpec) -> None:
     """Coulomb friction between the object's geometries and those of all bodies.
 
     MuJoCo's cone couples slip and normal force: what slides at v rests higher by μ b v/(d k), d the

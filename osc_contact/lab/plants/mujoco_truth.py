@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -16,6 +16,9 @@ from osc_contact.dynamics.environment import Rail
 from osc_contact.lab.plants.faces import Faces
 from osc_contact.loop.judge import Truths
 from osc_contact.spatial import Array, Poses, cross
+
+if TYPE_CHECKING:
+    from mujoco import MjData, MjModel
 
 OBJECT = -1  #: in `Noted.body_of`: a geom of the object
 OTHER = -2  #: neither of the object nor of the environment
@@ -32,8 +35,8 @@ class Noted(Protocol):
         face_q: places in qpos of the joints of moving bodies, see `guided_joints`.
     """
 
-    model: Any
-    data: Any
+    model: MjModel
+    data: MjData
     chain: ClosedChain
     contacts: tuple[ContactPair, ...]
     faces: Faces

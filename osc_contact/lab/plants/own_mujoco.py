@@ -6,7 +6,7 @@ import copy
 import logging
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import pinocchio as pin
@@ -19,12 +19,16 @@ from osc_contact.dynamics.assembly import close, require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Rail
 from osc_contact.errors import InvalidInputError, ModelError, PlantError, did_you_mean
+from osc_contact.files import Json
 from osc_contact.lab.plants.faces import Faces
 from osc_contact.lab.plants.mujoco import MujocoPlant, quieten
 from osc_contact.lab.plants.mujoco_truth import OBJECT, OTHER
 from osc_contact.robots.mjcf import compile_mjcf, joint_name, motors_of, pose
 from osc_contact.robots.pictures import scene_picture
 from osc_contact.spatial import Array, as_array
+
+if TYPE_CHECKING:
+    from mujoco import MjData, MjModel
 
 # --- Distances of points and of the tool from what the tool can touch -----------------------------
 
@@ -42,8 +46,8 @@ class MujocoScene:
 
     def __init__(
         self,
-        model: Any,
-        data: Any,
+        model: MjModel,
+        data: MjData,
         tool: Sequence[int],
         others: Sequence[int],
         *,
@@ -112,7 +116,7 @@ def require_whole_steps(duration: float, step: float) -> None:
         )
 
 
-def _nearest(model: Any, data: Any, pairs: list[tuple[int, int]]) -> tuple[float, str]:
+def _nearest(model: MjModel, data: MjData, pairs: list[tuple[int, int]]) -> tuple[float, str]:
     from mujoco import mj_geomDistance
 
     ends = np.zeros(6)
@@ -120,7 +124,7 @@ def _nearest(model: Any, data: Any, pairs: list[tuple[int, int]]) -> tuple[float
     return (least if least < FAR_M else np.inf), model.geom(geom).name or f"geom {geom}"
 
 
-def _can_touch(model: Any, a: int, b: int) -> bool:
+def _can_touch(model: MjModel, a: int, b: int) -> bool:
     """Whether MuJoCo lets two geoms touch."""
     kinds = model.geom_contype
     others = model.geom_conaffinity
@@ -157,7 +161,7 @@ class MujocoRobot(MujocoPlant):
     @classmethod
     def from_model(
         cls,
-        mjmodel: Any,
+        mjmodel: MjModel,
         *,
         tip: str,
         wrist_sensor: str | None = None,
@@ -210,7 +214,7 @@ class MujocoRobot(MujocoPlant):
         robot._place(np.array(robot._qpos[robot._q]))
         return robot
 
-    def _take(self, mj: Any, chain: ClosedChain, contacts: Sequence[ContactPair]) -> None:
+    def _take(self, mj: MjModel, chain: ClosedChain, contacts: Sequence[ContactPair]) -> None:
         for pair in contacts:
             require_object_fits(pair, stretched_length(chain.arms[0]))
         self._connect(mj, chain, contacts, Faces([Rail()], (0,) * len(contacts)))
@@ -344,7 +348,7 @@ class MujocoRobot(MujocoPlant):
         require_whole_steps(duration, self._step)
         super().command(tau, duration)
 
-    def picture(self) -> dict[str, Any]:
+    def picture(self) -> Json:
         """What is seen of the scene, as JSON data; recordings carry it, see `robots.pictures`."""
         model = self.chain.model
         mj = self.model

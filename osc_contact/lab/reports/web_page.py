@@ -21,7 +21,7 @@ from osc_contact.control.saving import controller_bytes
 from osc_contact.control.status import SafetyState, Status
 from osc_contact.control.web_assembly import MODULE, law_wasm
 from osc_contact.errors import InvalidInputError
-from osc_contact.files import write_whole
+from osc_contact.files import Json, write_whole
 from osc_contact.lab.checks.preflight import require_ready
 from osc_contact.lab.plants.mujoco import MujocoPlant
 from osc_contact.lab.reports.mujoco_web import mujoco_files
@@ -70,10 +70,10 @@ class Hindrance(NamedTuple):
     name: str
     words: str
     found: Callable[[Scenario], bool]
-    left_out: Callable[[Scenario], dict[str, Any]] | None
+    left_out: Callable[[Scenario], Json] | None
 
 
-def _plant_without(key: str, value: Any) -> Callable[[Scenario], dict[str, Any]]:
+def _plant_without(key: str, value: Any) -> Callable[[Scenario], Json]:
     return lambda s: {"plant": {**dict(s.plant), key: value}}
 
 
@@ -159,7 +159,7 @@ def write_web_page(
     require_ready(rig)
     controller = rig.controller()
     plant = rig.plant()
-    assert isinstance(plant, MujocoPlant)
+    assert isinstance(plant, MujocoPlant) and plant.spec is not None
     drawn = _Drawn(rig, plant)
     columns, table = folded(_references(rig))
     task = _task(rig, plant, columns)
@@ -203,7 +203,7 @@ def _references(rig: Rig) -> Array:
     return np.column_stack((np.array(poses), plan.V_D, plan.A_D, plan.alpha_d))
 
 
-def folded(table: Array) -> tuple[dict[str, Any], bytes]:
+def folded(table: Array) -> tuple[Json, bytes]:
     """A table as third differences of whole numbers, which compress well; what changes only.
 
     Args:
@@ -226,7 +226,7 @@ def folded(table: Array) -> tuple[dict[str, Any], bytes]:
     return about, b"".join(parts)
 
 
-def _task(rig: Rig, plant: MujocoPlant, references: dict[str, Any]) -> dict[str, Any]:
+def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
     """What the worker needs beside the files; JSON-able."""
     model = plant.model
     names = rig.chain.joint_names
@@ -263,7 +263,7 @@ def _task(rig: Rig, plant: MujocoPlant, references: dict[str, Any]) -> dict[str,
     }
 
 
-def _forces(rig: Rig) -> list[dict[str, Any]]:
+def _forces(rig: Rig) -> list[Json]:
     """Of each force its name, mean and largest command, and where MuJoCo alone gives its true
     magnitude the number of its wall."""
     owners, on = rig.owners.tolist(), rig.on
@@ -293,7 +293,7 @@ def _couples(rig: Rig) -> list[bool]:
     return [bool(norm(column[:3]) < 1e-9) for column in rig.contact.N.T]
 
 
-def _walls(rig: Rig, plant: MujocoPlant) -> list[dict[str, Any]]:
+def _walls(rig: Rig, plant: MujocoPlant) -> list[Json]:
     """Of each body of the environment its name, a point that is touched, and axes to move along."""
     found = []
     N = rig.contact.N
@@ -362,7 +362,7 @@ class _Drawn:
                 return str(model.body(int(model.joint(joint).bodyid[0])).name)
         return ""
 
-    def _node(self, path: str) -> dict[str, Any]:
+    def _node(self, path: str) -> Json:
         """A node with its place in its body."""
         name = self._body(path)
         body = self._plant.data.body(name)
@@ -377,7 +377,7 @@ class _Drawn:
             "offset": X_WB.actInv(X_WN).homogeneous.ravel().tolist(),
         }
 
-    def _marks(self) -> list[dict[str, Any]]:
+    def _marks(self) -> list[Json]:
         """Of each force where its arrows are in the object, and their rotation at the start."""
         place = next(node for node in self._nodes if node["object"])
         found = []

@@ -21,6 +21,7 @@ from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import object_pose, outside_limits, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
+from osc_contact.files import Json
 from osc_contact.lab.checks.preflight import preflight
 from osc_contact.lab.rig.rig import build_chain, build_rig, given_pose, posture_of
 from osc_contact.lab.runs.run import run
@@ -187,7 +188,7 @@ def rest(chain: ClosedChain) -> Array:
         return np.nan_to_num(0.5 * (low + high), posinf=0.0, neginf=0.0)
 
 
-def as_dict(chain: ClosedChain, q: Array) -> dict[str, Any]:
+def as_dict(chain: ClosedChain, q: Array) -> Json:
     """JSON-able: joints and poses, (4, 4) in the world."""
     X = object_pose(chain, q)
     tips = zip(chain.arms, chain.tip_poses(), strict=True)

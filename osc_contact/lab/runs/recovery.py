@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from osc_contact.contacts.feet import force_owners
 from osc_contact.errors import ModelError, RecordingError, ScenarioError
-from osc_contact.files import StrPath
+from osc_contact.files import Json, StrPath
 from osc_contact.lab.rig.contacts import (
     build_pairs,
     environment_bodies,
@@ -62,7 +61,7 @@ def recover(path: StrPath, folder: StrPath | None = None) -> Recording:
     return recording
 
 
-def scenario_of(meta: dict[str, Any], path: Path, folder: StrPath | None = None) -> Scenario:
+def scenario_of(meta: Json, path: Path, folder: StrPath | None = None) -> Scenario:
     """The scenario that a recording was made of.
 
     A recording holds no folders (SECURITY.md): URDFs that its scenario gives by path are looked for

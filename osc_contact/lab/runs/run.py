@@ -12,6 +12,7 @@ from osc_contact.errors import (
     InvalidInputError,
     PlantError,
 )
+from osc_contact.files import Json
 from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.checks.preflight import require_ready
 from osc_contact.lab.rig.references import force_steps, known_to
@@ -76,18 +77,12 @@ def run(
     doubts = check(rig)
     simulated, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
-    meta = {
-        "scenario": scenario.as_dict(),
-        "source": scenario.source and scenario.source.name,
-        "plant": scenario.plant.type,
-        "seed": seed,
-        "robot_files": rig.file_hashes(),
-        "force_steps_s": force_steps(scenario),
-        "doubts": doubts,
-        "force_per_normal": known_to(rig.pairs, rig.state, 1.0),
-    }
     recorder = Recorder(
-        controller, simulated, subject=rig.subject(controller), journal=journal, meta=meta
+        controller,
+        simulated,
+        subject=rig.subject(controller),
+        journal=journal,
+        meta=_describe(rig, seed, doubts),
     )
     robot = rig.robot(simulated, controller)
     taring = controller if scenario.tare is None else Taring(rig, controller)
@@ -106,6 +101,27 @@ def run(
             interrupted.recording = recorder.recording({"ended_s": ended})
             raise interrupted from error
     return recorder.recording()
+
+
+def _describe(rig: Rig, seed: int, doubts: list[str]) -> Json:
+    """Entries of a recording's `meta` that are known before the run.
+
+    Args:
+        rig: of the scenario.
+        seed: of everything random in the run.
+        doubts: sentences of the checks before it.
+    """
+    scenario = rig.scenario
+    return {
+        "scenario": scenario.as_dict(),
+        "source": scenario.source and scenario.source.name,
+        "plant": scenario.plant.type,
+        "seed": seed,
+        "robot_files": rig.file_hashes(),
+        "force_steps_s": force_steps(scenario),
+        "doubts": doubts,
+        "force_per_normal": known_to(rig.pairs, rig.state, 1.0),
+    }
 
 
 def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plant, Controller]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from osc_contact.control.controller import Controller
 from osc_contact.control.inputs import touched_rows
@@ -15,6 +16,7 @@ from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.checks.preflight import require_ready
 from osc_contact.lab.rig.rig import Rig
 from osc_contact.lab.runs.run import Taring, start
+from osc_contact.law.records import Bytes
 from osc_contact.loop.loop import run_loop
 from osc_contact.spatial import Array
 
@@ -55,7 +57,7 @@ class Tape:
         return tau
 
     def _note(
-        self, measurement: Measurement, reference: Reference, memory: Any, tau: Array
+        self, measurement: Measurement, reference: Reference, memory: Bytes | None, tau: Array
     ) -> None:
         controller = self._controller
         model = controller.records.model
@@ -70,7 +72,7 @@ class Tape:
         alpha = np.ravel(reference.alpha_d)
         forces[: len(alpha)] = alpha
         age = -1 if measurement.stamps is None else controller.records.memory.late
-        parts: list[Any] = [np.array([flags, controller.status, age], np.int64)]
+        parts: list[npt.NDArray[Any]] = [np.array([flags, controller.status, age], np.int64)]
         parts += [] if memory is None else [memory]
         numbers = [
             measurement.q,

@@ -18,6 +18,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails
 
 from osc_contact.errors import ScenarioError
+from osc_contact.files import Json
 from osc_contact.lab.scenarios.bodies import ArmSpec, BodySpec, GraspSpec, Name, ObjectSpec
 from osc_contact.lab.scenarios.checks import problems_across
 from osc_contact.lab.scenarios.contact_keys import AnyContact
@@ -299,7 +300,7 @@ class Scenario(Spec):
         """
         return self.from_dict({**dict(self), **parts}, self.source)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Json:
         """Return plain JSON-able data (SI) that loads back to an equal scenario."""
         return self.model_dump(mode="json")
 

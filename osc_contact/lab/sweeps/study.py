@@ -21,6 +21,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from osc_contact.errors import InvalidInputError, ScenarioError
+from osc_contact.files import Json
 from osc_contact.lab.scenarios.loader import Template, read_text
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.spatial import Array, norm
@@ -448,7 +449,7 @@ class SweepStudy:
         return shlex.join([*words, "--seed", str(sample.seed)])
 
     @cached_property
-    def _stated(self) -> dict[str, Any]:
+    def _stated(self) -> Json:
         """Own values of the scenario, by path, of keys that vary relative to them."""
         return {
             path: self.template.value(path, self.overrides)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from osc_contact.errors import InvalidInputError, ViewerError
-from osc_contact.files import whole_file, write_whole
+from osc_contact.files import Json, whole_file, write_whole
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -149,7 +149,7 @@ class Browser:
         os.close(self.answers)
         self.folder.cleanup()
 
-    def request(self, method: str, **params: Any) -> dict[str, Any]:
+    def request(self, method: str, **params: Any) -> Json:
         """Send a command, wait for its answer; complaints of the page go to `errors`.
 
         Raises:
@@ -157,7 +157,7 @@ class Browser:
         """
         self.number += 1
         message = {"id": self.number, "method": method, "params": params} | self.session
-        answer: dict[str, Any] = {}
+        answer: Json = {}
         try:
             os.write(self.commands, json.dumps(message).encode() + b"\0")
             while answer.get("id") != self.number:
@@ -168,7 +168,7 @@ class Browser:
             raise ViewerError(f"the browser refused {method}: {answer['error']}")
         return answer["result"]
 
-    def _next_answer(self) -> dict[str, Any]:
+    def _next_answer(self) -> Json:
         """Read the next message of the browser; errors of the page are kept.
 
         Raises:

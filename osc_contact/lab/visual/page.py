@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from osc_contact.errors import InvalidInputError
-from osc_contact.files import write_whole
+from osc_contact.files import Json, write_whole
 from osc_contact.lab.visual.messages import packed
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ POLICY = (
 _SLOT = re.compile(r"\{\{(\w+)\}\}")
 _COLOUR = re.compile(r"^#[0-9A-Fa-f]{6}$")
 
-EMPTY: dict[str, Any] = {
+EMPTY: Json = {
     "live": False,
     "legend": [],
     "labels": [],
@@ -78,7 +78,7 @@ class CommandSink:
     """
 
     def __init__(self) -> None:
-        self.commands: list[dict[str, Any]] = []
+        self.commands: list[Json] = []
         self.animation = b""
 
     def send(self, command: Any) -> None:
@@ -90,9 +90,7 @@ class CommandSink:
         return _meshcat().Visualizer(window=self)
 
 
-def page_text(
-    sink: CommandSink, title: str, config: dict[str, Any], around: Around | None = None
-) -> str:
+def page_text(sink: CommandSink, title: str, config: Json, around: Around | None = None) -> str:
     """The page that draws the sink's commands, with everything it needs inside.
 
     Args:
@@ -128,9 +126,7 @@ def page_text(
     return filled("page.html", parts)
 
 
-def write_page(
-    sink: CommandSink, path: str | Path, title: str, config: dict[str, Any] = EMPTY
-) -> Path:
+def write_page(sink: CommandSink, path: str | Path, title: str, config: Json = EMPTY) -> Path:
     """Write `page_text` to a file, which appears complete or not at all; returns its path.
 
     Args:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.files import Json
 from osc_contact.lab.visual import OKABE_ITO, contact_colour, marks
 from osc_contact.lab.visual.key_frames import Animation
 from osc_contact.lab.visual.page import EMPTY, CommandSink, write_page
@@ -72,7 +73,7 @@ class Scene:
         samples = self._with_normals(samples)
         return {path: one for part in self.parts for path, one in part.states(samples).items()}
 
-    def look(self, scene: Visualizer, samples: Samples) -> list[dict[str, Any]]:
+    def look(self, scene: Visualizer, samples: Samples) -> list[Json]:
         """Floor, background, and cameras that see what the samples show.
 
         Args:
@@ -111,7 +112,7 @@ class Scene:
             cameras.append({"name": name, "target": target.tolist(), "offset": offset.tolist()})
         return cameras
 
-    def config(self, **more: Any) -> dict[str, Any]:
+    def config(self, **more: Any) -> Json:
         """Configuration of the page's scripts: legend, labels and plots; `more` is added."""
         numbers = {(line["key"], line["index"]): k for k, line in enumerate(self.lines)}
         labels = [
@@ -132,7 +133,7 @@ class Scene:
         return EMPTY | {"legend": legend, "labels": labels, "panels": self.panels} | more
 
 
-def label(path: str, text: str, colour: str, **more: Any) -> dict[str, Any]:
+def label(path: str, text: str, colour: str, **more: Any) -> Json:
     """A label for the page's scripts.
 
     Args:
@@ -199,9 +200,7 @@ def write_scene(
     return write_page(sink, path, content.title, config)
 
 
-def samples_at(
-    channels: Mapping[str, Any], ticks: int | slice | NDArray[np.intp] | None
-) -> dict[str, Any]:
+def samples_at(channels: Mapping[str, Any], ticks: int | slice | NDArray[np.intp] | None) -> Json:
     """The channels at some ticks.
 
     Args:
@@ -323,7 +322,7 @@ _POWERS = (
 
 def panels_of(
     samples: Samples, names: Sequence[str] = (), owners: Sequence[int] = ()
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """The panels and their lines, for what was recorded; JSON-able.
 
     Args:
@@ -357,7 +356,7 @@ def panels_of(
     return [panel for panel in panels if panel["lines"]]
 
 
-def values(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> Array:
+def values(lines: Sequence[Json], channels: Mapping[str, Any]) -> Array:
     """Values (lines, T) of all lines.
 
     Args:
@@ -379,7 +378,7 @@ def rounded(numbers: Array) -> list[float | None]:
 BINS = 450  #: stretches of equally many ticks
 
 
-def thinned(lines: Sequence[dict[str, Any]], channels: Mapping[str, Any]) -> dict[str, Any]:
+def thinned(lines: Sequence[Json], channels: Mapping[str, Any]) -> Json:
     """Times and values of all lines: the smallest and largest value of each of `BINS` stretches.
 
     Short peaks stay visible this way, however long the recording is.

@@ -12,7 +12,6 @@ import pickle
 import socket
 import sys
 from collections.abc import Iterable
-from typing import Any
 
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop, PeriodicCallback
@@ -20,6 +19,7 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
+from osc_contact.files import Json
 from osc_contact.lab.visual.messages import packed
 from osc_contact.lab.visual.page import CommandSink, page_text
 from osc_contact.lab.visual.parts import Content, Frames, Samples, changes
@@ -44,7 +44,7 @@ class LivePage:
         self.content = content
         self.scene: Scene | None = None
         self.drawn = CommandSink()
-        self.trails: dict[str, dict[str, Any]] = {}
+        self.trails: dict[str, Json] = {}
         self.browsers: set[BrowserLink] = set()
         self.frame: Frames = {}
         self.numbers = ""
@@ -126,7 +126,7 @@ class BrowserLink(WebSocketHandler):
         self.page: LivePage = self.settings["page"]
         self.busy = False
         self.shown: Frames = {}
-        self.late: dict[str, dict[str, Any]] = {}
+        self.late: dict[str, Json] = {}
 
     def open(self, *_: str, **__: str) -> None:
         """Handle a new connection: send the drawing that is not part of the page's text."""
@@ -148,7 +148,7 @@ class BrowserLink(WebSocketHandler):
         self.page.browsers.discard(self)
         self.page.count()
 
-    def send(self, trails: Iterable[dict[str, Any]] = ()) -> None:
+    def send(self, trails: Iterable[Json] = ()) -> None:
         """Send what this browser does not show yet, unless it is still drawing."""
         self.late |= {command["path"]: command for command in trails}
         if self.busy or not self.page.frame:

@@ -1,0 +1,20 @@
+"""Types of objects of numba and LLVM, for annotations only: it is imported by no running program.
+
+An intrinsic of numba returns the signature of a call, and the function that generates its code.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+from llvmlite import ir
+from numba.core.cpu import CPUContext as CPUContext
+from numba.core.types import IntegerLiteral as IntegerLiteral
+from numba.core.types import Type as Type
+from numba.core.typing.context import BaseContext
+from numba.core.typing.templates import Signature as Signature
+
+TypingContext: TypeAlias = BaseContext
+Builder: TypeAlias = ir.IRBuilder
+Value: TypeAlias = ir.Value
+Values: TypeAlias = Sequence[ir.Value]
+Intrinsic: TypeAlias = tuple[Signature, Callable[[CPUContext, Builder, Signature, Values], Value]]
