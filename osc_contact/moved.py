@@ -73,8 +73,15 @@ MOVED_NAMES = {
         "shape": "contacts.pairs.law_pair",
         "store": "contacts.pairs.keys",
     },
+    "control.records": {
+        "Reading": "control.controller_settings",
+        "Settings": "control.controller_settings",
+        "choose_reading": "control.controller_settings",
+        "joint_limit_margins": "control.packing",
+    },
     "dynamics.closed_chain": {
         "OutboardLink": "dynamics.merged_model",
+        "require_pinocchio_agrees": "dynamics.chain_results",
     },
     "lab.runs.run": {
         "recover": "lab.runs.recovery",
