@@ -329,7 +329,7 @@ def draw(learned: dict[tuple[str, int], tuple[Array, Array]], path: Path) -> Non
         curves, forces = figure.subplots(1, 2)
         colours = dict(zip(LAWS, ("#0072B2", "#E69F00", "#D55E00"), strict=True))
         for (law, seed), (policy, curve) in learned.items():
-            named = "_" * bool(seed)  # not in a legend
+            named = "_" if seed else ""  # not in a legend
             curves.plot(100 * curve, color=colours[law], label=named + law)
             if law == "ours":
                 forces.plot(1e3 * KNOTS, policy, color=colours[law], label=f"{named}learned")

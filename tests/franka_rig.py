@@ -143,7 +143,7 @@ class Press:
                 self.state.append(self.controller.state)
             if not self.landed and k > 50 and self.controller.phases()[0] == 2:
                 self.landed = k
-            t = 1e-3 * (k - self.landed) * bool(self.landed)
+            t = 1e-3 * (k - self.landed) if self.landed else 0.0
             if t > self.hold or self.state[-100:] == [osc.SafetyState.SAFE_STOP] * 100:
                 return
             if t >= SLID and not self.released:

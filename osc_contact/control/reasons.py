@@ -109,7 +109,7 @@ def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
         return f"{failure}{warning}"
     if code == BAD_INPUT and ended.inputs is not None:
         return _describe_input(records, settings, *ended.inputs) + warning
-    lasting = (code >= LASTING) * _RESET
+    lasting = _RESET if code >= LASTING else ""
     return f"{SENTENCES[code].format_map(facts)}{warning}{lasting}"
 
 

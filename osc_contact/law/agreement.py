@@ -155,7 +155,9 @@ def _find_apart(t):
     model = t.model
     X = t.work.X_WO
     apart = -1
-    for k in range(model.n_arms if model.n_arms > 1 else 0):
+    if model.n_arms == 1:
+        return apart
+    for k in range(model.n_arms):
         arm = model.arms[k]
         tip = place_point(t.work.joints[arm.tip_joint], arm.tip[9:])
         gap = transformed(minus3(origin(X), tip), X, arm.point)

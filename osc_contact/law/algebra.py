@@ -360,7 +360,7 @@ def orthonormalise(X, r, m, Q, L):
         whole = dot6(x, x)
         for b in range(a):
             L[a, b] = 0.0
-        for _ in range(2 if a > 0 else 0):
+        for _ in range(2):  # twice: the first pass leaves rounding errors
             for b in range(a):
                 t = dot6(x, Q[b])
                 L[a, b] += t

@@ -290,9 +290,10 @@ def torque_rate(t, share):
     if t.memory.chosen_set:
         gently *= _GENTLER
     changes = model.phased or t.memory.chosen_set
-    for c in range(model.n_contacts if changes and slow > 0.0 else 0):
-        if t.memory.contacts[c].since < _CHANGES:
-            rate = min(rate, gently / (slow * slow))
+    if changes and slow > 0.0:
+        for c in range(model.n_contacts):
+            if t.memory.contacts[c].since < _CHANGES:
+                rate = min(rate, gently / (slow * slow))
     return rate
 
 
@@ -325,8 +326,9 @@ def slew(tau, last, step, begun):
         begun: whether torques of a last tick exist; without them `tau` is not limited.
     """
     share = 0.0
-    for i in range(len(tau) if begun else 0):
-        share = max(share, abs(tau[i] - last[i]) / step[i])
+    if begun:
+        for i in range(len(tau)):
+            share = max(share, abs(tau[i] - last[i]) / step[i])
     for i in range(len(tau)):
         if share > 1.0:
             tau[i] = last[i] + (tau[i] - last[i]) / share

@@ -6,7 +6,10 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, NoReturn
+from types import FrameType
+from typing import Any, NoReturn, ParamSpec
+
+Given = ParamSpec("Given")
 
 #: What ends a program, where the system has it: signal → what is called by default.
 _USUAL: dict[int, Any] = {
@@ -33,20 +36,21 @@ class RaisedSignals:
         """Of the first, such as SIGTERM; empty: none came."""
         return signal.Signals(self.seen[0]).name if self.seen else ""
 
-    def note(self, number: int, frame: Any) -> None:
+    def note(self, number: int, frame: FrameType | None) -> None:
         """Take a signal in: as a handler is called."""
         self.seen.append(number)
         if not self.busy or len(self.seen) > 2:
             self.end()
 
-    def whole(self, call: Callable[..., Any], *given: Any) -> None:
+    def whole(self, call: Callable[Given, None], *given: Given.args, **named: Given.kwargs) -> None:
         """Call something that no signal interrupts; one that came meanwhile ends the block then.
 
         Args:
-            call, given: a function and its arguments.
+            call: function.
+            given, named: its arguments.
         """
         self.busy = True
-        call(*given)
+        call(*given, **named)
         self.busy = False
         if self.seen:
             self.end()

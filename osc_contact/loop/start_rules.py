@@ -287,9 +287,9 @@ def postures(task: Task) -> Values:
             away = norm(object_pose(chain, q).translation - X.translation)
             ends = np.flatnonzero(np.minimum(q - low, high - q) < 1e-6)
             names = ", ".join(chain.joint_names[j] for j in ends)
-            left = f": {1e3 * away:.0f} mm are left" + f" with {names} at the end stop" * bool(
-                names
-            )
+            left = f": {1e3 * away:.0f} mm are left"
+            if names:
+                left += f" with {names} at the end stop"
         yield away, {"t": task.times[k], "where": rounded(X.translation, 3), "left": left}
         if away > postures.doubtful:
             return

@@ -115,7 +115,9 @@ class References:
         tare = self.scenario.tare
         if tare is None:
             return 0.0
-        return tare.duration + tare.approach * (self.scenario.control.life is None)
+        if self.scenario.control.life is not None:
+            return tare.duration
+        return tare.duration + tare.approach
 
     def at(self, t: float) -> Reference:
         """The reference at time t (s); accelerations are classical."""

@@ -250,7 +250,8 @@ class Press:
 
     def __str__(self) -> str:
         k = np.abs(self.axis).argmax()
-        return f"{'-' * (self.axis[k] < 0.0)}{'xyz'[k]}"
+        sign = "-" if self.axis[k] < 0.0 else ""
+        return f"{sign}{'xyz'[k]}"
 
     @classmethod
     def parse(cls, text: str) -> Press:

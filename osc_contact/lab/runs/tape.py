@@ -44,7 +44,7 @@ class Tape:
         controller.__dict__["tick"] = self.tick
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """The controller's own, noted."""
+        """Run the tick of the controller and note it; see `Controller.tick`."""
         controller = self._controller
         memory = controller.records.memory_bytes
         before = self.count
@@ -64,9 +64,15 @@ class Tape:
         squeeze = np.ravel(reference.squeeze_d)
         given = squeeze.any() and model.n_bars > 0
         missing = measurement.wrench_valid is not None and not measurement.wrench_valid
-        flags = MEMORY * (memory is not None) + TOUCHED * (measurement.touched is not None)
-        flags += WRENCH_MISSING * missing + ESTIMATED * bool(measurement.estimated)
-        flags += SQUEEZE * bool(given) + ACTIVE * (reference.active is not None)
+        present = {
+            MEMORY: memory is not None,
+            TOUCHED: measurement.touched is not None,
+            WRENCH_MISSING: missing,
+            ESTIMATED: measurement.estimated,
+            SQUEEZE: given,
+            ACTIVE: reference.active is not None,
+        }
+        flags = sum(flag for flag, is_present in present.items() if is_present)
         flags += controller.freshness.flags << REPEATED
         forces = np.zeros(model.n_columns)
         alpha = np.ravel(reference.alpha_d)
@@ -92,7 +98,7 @@ class Tape:
         self.count += 1
 
     def content(self) -> bytes:
-        """Of a file that replay.c reads."""
+        """Bytes of a file that replay.c reads."""
         head = np.array([self.count, len(self._memory)], np.int64)
         return b"".join((MAGIC, head.tobytes(), *self._ticks))
 

@@ -244,7 +244,7 @@ class Step(OfQuantity, Generic[Q]):
 
     def at(self, t: Any) -> Values:
         """Return (0 or value, 0, 0)."""
-        return (t >= self.start) * float(self.value), 0.0, 0.0
+        return np.where(t >= self.start, float(self.value), 0.0)[()], 0.0, 0.0
 
 
 class Sine(OfQuantity, Generic[Q]):
