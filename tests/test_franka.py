@@ -320,7 +320,14 @@ def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path
         return True
 
     course = Commissioning(
-        robot, tmp_path, PROBE + RADIUS + 0.003, confirm, 3.0, False, draw_forces
+        robot,
+        tmp_path,
+        PROBE + RADIUS + 0.003,
+        confirm,
+        shadow_time=3.0,
+        realtime=False,
+        draw=draw_forces,
+        holds_itself=True,
     )
     assert course.run(), course.lines
     assert steps == ["model", "wrench", "shadow", "contact"]

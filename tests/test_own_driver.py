@@ -8,6 +8,7 @@ from rigs import largest, shift, vector
 from samples import parametrize
 
 import osc_contact as osc
+from osc_contact.loop.commissioning import Commissioning
 from osc_contact.testing import check_robot
 
 SCENE = """
@@ -141,3 +142,38 @@ def test_what_is_wrong_is_reported(fault, sentence):
     with plant_error(sentence):
         check_robot(robot)
     assert robot.stops, "it was stopped all the same"
+
+
+@parametrize(
+    "fault, sentence",
+    {
+        "no weight": "leaves its place though it is braked",
+        "mirrored wrench": "the sign or the axes of the frame are others",
+    },
+)
+def test_commissioning_of_any_robot_ends_where_a_step_fails(tmp_path, fault, sentence):
+    """It is stopped before each question, held in between, and pushed at the tool in the second."""
+    robot = Driver(fault)
+    robot.added = 3.0 * robot.added
+    asked = []
+
+    def confirm(step):
+        asked.append((step.split(":")[0], len(robot.stops)))
+        body = robot.plant.model.site("tip").bodyid[0]
+        robot.push = body if asked[-1][0] == "wrench" else None
+        return True
+
+    measure = robot.measure
+
+    def pushed():
+        if len(asked) == 2 and robot.ticks > 950:
+            robot.plant.data.xfrc_applied[robot.push, 1] = 8.0
+        return measure()
+
+    robot.measure = pushed
+    course = Commissioning(robot, tmp_path, 0.03, confirm, realtime=False)
+    assert not course.run()
+    report = (tmp_path / "report.md").read_text()
+    assert "failed" in report and sentence in report, report
+    assert [stops for _, stops in asked] == list(range(1, len(asked) + 1))
+    assert robot.stops[-1] == ""

@@ -10,66 +10,102 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.control.controller import Controller
-from osc_contact.drivers.franka import FrankaRobot
+from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import OscContactError, PlantError
 from osc_contact.files import write_whole
-from osc_contact.interface import Reference, pose_reference
+from osc_contact.interface import Measurement, Reference, Robot, pose_reference
 from osc_contact.jerk_limits import rise
 from osc_contact.loop.loop import run_loop
 from osc_contact.loop.realtime import latency
 from osc_contact.loop.recorder import Recorder
-from osc_contact.loop.testing import mean_outside, require_nudge
+from osc_contact.loop.testing import HeldRobot, mean_outside, require_model, require_nudge
 from osc_contact.recorder import Recording
 from osc_contact.settings.control import PhaseSettings
 from osc_contact.spatial import Array
 
 MASS_ERROR = 0.15  #: of the largest element, by which mass matrices may differ
 TORQUE_ERROR = 0.05  #: of the motors' limits, by which torques at rest may differ
-FORCES = 5.0, 8.0  #: N, of the approach and of the step
+FORCES = (5.0, 8.0)  #: N, of the approach and of the step
 SLIDE = 0.02  #: m
 ERROR = 0.1  #: of the force, rms
-NUDGE = 0.0, 1.0, 0.0  #: direction of the push at the tool, in axes of the base
+NUDGE = (0.0, 1.0, 0.0)  #: direction of the push at the tool, in axes of the base
 PATIENCE = 10.0  #: s, until it comes
+READ_S = 0.3  #: time over which the readings of a robot at rest are averaged (s)
+ENGAGE_S = 0.05  #: time at rest before the approach (s)
+APPROACH_S = 15.0  #: longest time of the approach (s)
+JUDGED_S = (
+    1.2,
+    3.9,
+)  #: ends of the intervals in which the two forces are judged, after landing (s)
+JUDGE_S = 0.5  #: length of these intervals (s)
 
 
 @dataclass
 class Commissioning:
-    """The steps on one Franka.
+    """Course of the first steps of one arm that passes `check_robot`.
+
+    A robot may have two methods beyond `Robot`: `mass_matrix()` returns its own mass matrix (n, n)
+    at its last reading, which is compared with the model's; `recover()` permits commands again
+    after `stop`. Without `recover`, commands have to be accepted after `stop`.
 
     Attributes:
-        robot: connected. folder: of the report.
-        gap: m, from the tip down to a level plate.
-        confirm: called with what comes next; False ends the commissioning.
-        shadow_time: s, in which somebody leads the arm by the hand.
-        realtime: as of `run_loop`.
-        draw: makes a picture of the forces of a recording in a folder, and returns its file's name;
-            None: there is no picture.
-        lines: the report so far.
+        robot: driver of the robot, connected and at rest.
+        folder: folder of the report.
+        gap: distance from the tip down to a level plate (m).
+        confirm: function that is called with a sentence on the next step; False ends the course.
+        shadow_time: time in which somebody leads the arm by the hand (s).
+        realtime: see `run_loop`.
+        draw: function that draws the forces of a recording into a folder and returns the name of
+            the file; None: there is no picture.
+        chain: model of the arm, with a wrist sensor, all joints with motors; None: `robot.chain`.
+        dt: control period of the robot (s).
+        holds_itself: True: the robot holds its posture while no torques are commanded, and
+            `measure` waits for the next reading, as `FrankaRobot`; False: torques of the model
+            hold it, and it is stopped while a step is to be confirmed.
+        lines: lines of the report so far.
     """
 
-    robot: FrankaRobot
+    robot: Robot
     folder: Path
     gap: float
     confirm: Callable[[str], bool]
     shadow_time: float = 10.0
     realtime: bool = True
     draw: Callable[[Recording, Path], str] | None = None
+    chain: ClosedChain | None = None
+    dt: float = 1e-3
+    holds_itself: bool = False
     lines: list[str] = field(default_factory=list)
 
     def run(self) -> bool:
-        """All steps, until one fails or is not confirmed; writes report.md and its pictures."""
+        """Take the steps until one fails or is not confirmed; write report.md and its pictures.
+
+        Returns:
+            Whether all steps were taken.
+
+        Raises:
+            InvalidInputError: there is no model of the robot, or it has joints without motors.
+            PlantError: the first measurement has wrong sizes, or `robot.stop` fails.
+        """
+        self._chain = require_model(self.robot, self.chain)
+        self._model = self._chain.model
+        self._held = HeldRobot(self.robot, self._chain, self.dt)
         steps = {
-            "model: nothing moves": self._model,
+            "model: nothing moves": self._compare_model,
             f"wrench: push the tool along {list(NUDGE)}, in axes of the base": self._nudge,
             "shadow: lead the arm by the hand, at the tool, after a moment of rest": self._shadow,
             f"contact: presses with {FORCES[0]:g} and {FORCES[1]:g} N, slides": self._press,
         }
         done = 0
         for what, step in steps.items():
+            if not self.holds_itself:
+                self.robot.stop("the next step is to be confirmed")
             if not self.confirm(what):
                 self.lines.append(f"- {what}: left out")
                 break
             try:
+                if not self.holds_itself:
+                    self._recover()
                 self.lines += [f"- {what}", *(f"  - {line}" for line in step())]
             except OscContactError as error:
                 self.lines += [f"- {what}: failed", f"  - {error}"]
@@ -80,71 +116,112 @@ class Commissioning:
         write_whole(text, self.folder / "report.md")
         return done == len(steps)
 
-    def _model(self) -> Iterator[str]:
-        """Mass matrix and weight, against the robot's own; bias and noise of the wrist."""
-        robot = self.robot
-        model = robot.chain.model
-        read = [robot.measure() for _ in range(300)]
+    def _read(self) -> Measurement:
+        """Read the next measurement of the robot at rest.
+
+        Raises:
+            PlantError: a measurement that breaks the contract, or an arm that moves away.
+        """
+        if self.holds_itself:
+            self._held.now = self._held.read()
+        else:
+            self._held.settle(1)
+        return self._held.now
+
+    def _compare_model(self) -> Iterator[str]:
+        """Compare mass matrix and weight with the robot's own; measure bias and noise of the wrist.
+
+        Yields:
+            Lines of the report.
+
+        Raises:
+            PlantError: they differ by more than `MASS_ERROR` and `TORQUE_ERROR`.
+        """
+        read = [self._read() for _ in range(round(READ_S / self.dt))]
+        data = self._model.createData()
         q = read[-1].q
-        data = model.createData()
-        M = np.array(pin.crba(model, data, q))
-        theirs = robot.mass_matrix()
-        worst = np.abs(M - theirs).max() / np.abs(theirs).max()
-        if worst > MASS_ERROR:
-            raise PlantError(
-                f"the mass matrices of model and robot differ by {100 * worst:.3g} % of the "
-                "largest element; is this the URDF of the robot, with its hand?"
-            )
-        yield f"mass matrices differ by {100 * worst:.2g} %"
-        torques = np.mean([np.asarray(m.joint_torques) for m in read], axis=0)
-        left = torques - pin.computeGeneralizedGravity(model, data, q)
-        share = np.abs(left) / robot.chain.tau_max
-        if share.max() > TORQUE_ERROR:
-            j = share.argmax()
-            raise PlantError(
-                f"at rest joint '{robot.chain.joint_names[j]}' carries {torques[j]:.3g} N m, "
-                f"{left[j]:.3g} N m more than the model's weight; correct masses, hand or payload"
-            )
-        yield f"torques at rest differ by {100 * share.max():.2g} % of the limits"
+        mass_matrix: Callable[[], Array] | None = getattr(self.robot, "mass_matrix", None)
+        if mass_matrix is None:
+            yield "mass matrices are not compared: the robot has no mass_matrix()"
+        else:
+            M = np.array(pin.crba(self._model, data, q))
+            own = mass_matrix()
+            worst = np.abs(M - own).max() / np.abs(own).max()
+            if worst > MASS_ERROR:
+                raise PlantError(
+                    f"the mass matrices of model and robot differ by {100 * worst:.3g} % of the "
+                    "largest element; is this the model of the robot, with its hand?"
+                )
+            yield f"mass matrices differ by {100 * worst:.2g} %"
+        given = [m.joint_torques for m in read if m.joint_torques is not None]
+        if not given:
+            yield "torques at rest are not compared: the robot measures none"
+        else:
+            torques = np.mean(given, axis=0)
+            left = torques - pin.computeGeneralizedGravity(self._model, data, q)
+            share = np.abs(left) / self._chain.tau_max
+            if share.max() > TORQUE_ERROR:
+                j = share.argmax()
+                raise PlantError(
+                    f"at rest joint '{self._chain.joint_names[j]}' carries {torques[j]:.3g} N m, "
+                    f"{left[j]:.3g} N m more than the model's weight; correct masses, hand or "
+                    "payload"
+                )
+            yield f"torques at rest differ by {100 * share.max():.2g} % of the limits"
         wrenches = np.array([m.wrenches[0] for m in read])
         mean = wrenches.mean(axis=0).round(2).tolist()
         noise = wrenches.std(axis=0).round(3).tolist()
         yield f"wrist: {mean}, noise {noise} N, N m"
 
     def _nudge(self) -> Iterator[str]:
-        """Sign and axes of the wrench, while the robot holds by itself."""
-        chain = self.robot.chain
+        """Compare sign and axes of the wrench with a push of the tool while the arm is held."""
 
         def outside() -> Array:
-            return mean_outside(chain, self.robot.measure)
+            return mean_outside(self._chain, self._read)
 
-        require_nudge(outside, chain.arms[0].base.rotation @ NUDGE, PATIENCE, 1e-3)
+        base = self._chain.arms[0].base
+        require_nudge(outside, base.rotation @ NUDGE, PATIENCE, self.dt)
         yield "the wrist reads the push in its direction"
 
     def _shadow(self) -> Iterator[str]:
-        """See `loop.shadow`."""
+        """Judge the model while somebody leads the arm, see `loop.shadow`."""
         q, X = self._stands()
-        controller = Controller(self.robot.chain, [], dt=1e-3, posture=q)
-        ticks = round(1e3 * self.shadow_time)
+        controller = Controller(self._chain, [], dt=self.dt, posture=q)
+        ticks = round(self.shadow_time / self.dt)
         hold = repeat(pose_reference(X.translation, X.rotation), ticks)
         found = run_loop(self.robot, controller, hold, shadow=True, realtime=self.realtime).shadow
         assert found is not None
         yield from found.lines()
         if not found.forces:
             raise PlantError("; ".join(found.findings))
-        self.robot.recover()
+        if self.holds_itself:
+            self._recover()
+
+    def _recover(self) -> None:
+        """Permit the next motion, which begins where the arm is now.
+
+        Raises:
+            PlantError: the robot does not recover, or breaks the contract of `Robot`.
+        """
+        recover: Callable[[], None] | None = getattr(self.robot, "recover", None)
+        if recover is not None:
+            recover()
+        self._held = HeldRobot(self.robot, self._chain, self.dt)
+        if not self.holds_itself:
+            self._held.settle(round(READ_S / self.dt))
 
     def _stands(self) -> tuple[Array, pin.SE3]:
-        q = self.robot.measure().q
-        return q, self.robot.chain.state(q).X_WO
+        """Return the joint positions (n,) and the pose of the tip now."""
+        q = np.asarray(self.robot.measure().q)
+        return (q, self._chain.state(q).X_WO)
 
     def _press(self) -> Iterator[str]:
-        """Approach, two forces, a slide, a retreat."""
+        """Approach a plate, press with two forces, slide and retreat."""
         q, X = self._stands()
         below = X.translation - [0.0, 0.0, self.gap]
         plate = VertexOnFace(np.zeros(3), point=below, normal=np.array([0.0, 0.0, 1.0]))
         life = PhaseSettings(travel=self.gap + 0.03)
-        controller = Controller(self.robot.chain, [plate], dt=1e-3, posture=q, life=life)
+        controller = Controller(self._chain, [plate], dt=self.dt, posture=q, life=life)
         recorder = Recorder(controller)
         motion = _Motion(controller, X)
         loop = run_loop(
@@ -155,10 +232,10 @@ class Commissioning:
             raise PlantError(f"no plate was found within {1e3 * life.travel:.0f} mm below the tip")
         yield f"from state to torques: {latency(loop.as_dict())}"
         shown = "" if self.draw is None else f"; ![forces]({self.draw(recording, self.folder)})"
-        yield f"landed after {motion.landed / 1e3:.2f} s{shown}"
+        yield f"landed after {motion.landed * self.dt:.2f} s{shown}"
         read, commanded = (recording[key][:, 0] for key in ("alpha_meas", "alpha_cmd"))
         for k, force in zip(motion.judged, FORCES, strict=True):
-            part = slice(k - 500, k)
+            part = slice(k - round(JUDGE_S / self.dt), k)
             error = np.sqrt(np.mean((read[part] / commanded[part] - 1.0) ** 2))
             yield f"{force:g} N: {100 * error:.2g} % rms"
             if error > ERROR:
@@ -178,15 +255,19 @@ class _Motion:
     judged: tuple[int, int] = (0, 0)
 
     def each(self) -> Iterator[Reference]:
-        for k in range(20_000):
-            if not self.landed and k > 50 and self.controller.phases()[0] == 2:
+        """Return the references of the ticks: approach, two forces, slide and retreat."""
+        dt = self.controller.dt
+        engaged = round(ENGAGE_S / dt)
+        for k in range(round((APPROACH_S + 5.0) / dt)):
+            if not self.landed and k > engaged and self.controller.phases()[0] == 2:
                 self.landed = k
-                self.judged = k + 1200, k + 3900
-            t = 1e-3 * (k - self.landed) if self.landed else 0.0
+                first, second = (k + round(t / dt) for t in JUDGED_S)
+                self.judged = (first, second)
+            t = dt * (k - self.landed) if self.landed else 0.0
             if t > 5.0:
                 return
             slid = rise(t, 2.0, 2.0)
             raised = rise(t, 4.0, 0.8)
-            force = 0.0 if k < 50 or t > 4.0 else FORCES[t > 1.2]
+            force = 0.0 if k < engaged or t > 4.0 else FORCES[t > JUDGED_S[0]]
             p, v, a = SLIDE * np.column_stack((np.zeros(3), slid, raised))
             yield pose_reference(self.X.translation + p, self.X.rotation, v, a, alpha_d=[force])

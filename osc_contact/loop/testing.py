@@ -65,6 +65,24 @@ def check_robot(
             that fails.
         InvalidInputError: there is no model, or it has joints without motors.
     """
+    chain = require_model(robot, chain)
+    check = _Check(robot, chain, dt)
+    try:
+        return list(check.run(nudge, patience))
+    finally:
+        check.stop()
+
+
+def require_model(robot: Robot, chain: ClosedChain | None) -> ClosedChain:
+    """Return the model by which a robot is checked and held.
+
+    Args:
+        robot: driver of the robot.
+        chain: model of the robot, all joints with motors; None: `robot.chain`.
+
+    Raises:
+        InvalidInputError: there is no model, or it has joints without motors.
+    """
     chain = getattr(robot, "chain", None) if chain is None else chain
     if chain is None:
         raise InvalidInputError(
@@ -78,15 +96,19 @@ def check_robot(
             f"the check turns every joint by its motor, and {', '.join(motorless)} has none: give "
             "a chain of the arm alone, without what it holds"
         )
-    check = _Check(robot, chain, dt)
-    try:
-        return list(check.run(nudge, patience))
-    finally:
-        check.stop()
+    return chain
 
 
-class _Check:
-    """Course of a check: the robot, its model, and the readings now and at the start."""
+class HeldRobot:
+    """Robot at rest that is read, and held where it began by its model.
+
+    Attributes:
+        robot: driver of the robot.
+        chain: model of the robot.
+        dt: control period (s).
+        now: last measurement.
+        rest: first measurement.
+    """
 
     def __init__(self, robot: Robot, chain: ClosedChain, dt: float) -> None:
         """Read the robot for the first time.
@@ -107,22 +129,6 @@ class _Check:
         self.names = chain.joint_names
         self.fresh = Freshness()
         self.now = self.rest = self.read()
-
-    def run(self, nudge: ArrayLike | None, patience: float) -> Iterator[str]:
-        """Check everything but `Robot.stop`; for arguments and errors see `check_robot`.
-
-        Yields:
-            Sentences on properties that could not be checked.
-        """
-        self.require_range()
-        self.hold()
-        yield from self.weigh()
-        for joint in range(self.chain.nq):
-            self.pulse(joint)
-        if nudge is not None:
-            require_nudge(self.outside, as_array("nudge", nudge, (3,)), patience, self.dt)
-
-    # --- one tick --------------------------------------------------------------------------------
 
     def read(self) -> Measurement:
         """Read the next measurement.
@@ -176,6 +182,24 @@ class _Check:
                     f"{away[worst]:.3g} rad away at {v[worst]:.3g} rad/s; are speeds or torques "
                     "reversed, or is the unit of one another?"
                 )
+
+
+class _Check(HeldRobot):
+    """Course of a check: the robot, its model, and the readings now and at the start."""
+
+    def run(self, nudge: ArrayLike | None, patience: float) -> Iterator[str]:
+        """Check everything but `Robot.stop`; for arguments and errors see `check_robot`.
+
+        Yields:
+            Sentences on properties that could not be checked.
+        """
+        self.require_range()
+        self.hold()
+        yield from self.weigh()
+        for joint in range(self.chain.nq):
+            self.pulse(joint)
+        if nudge is not None:
+            require_nudge(self.outside, as_array("nudge", nudge, (3,)), patience, self.dt)
 
     # --- checks ----------------------------------------------------------------------------------
 

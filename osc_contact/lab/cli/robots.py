@@ -179,7 +179,9 @@ def commission(
     # the robot compensates the friction of its joints by itself
     arm = Arm.from_urdf(urdf, name=robot, tip=tip, wrist_sensor=tip, friction_factor=0.0)
     driver = FrankaRobot(host, ClosedChain([arm]))
-    course = Commissioning(driver, folder, gap, confirm, shadow_time, realtime, draw_forces)
+    course = Commissioning(
+        driver, folder, gap, confirm, shadow_time, realtime, draw_forces, holds_itself=True
+    )
     done = course.run()
     say(*course.lines)
     if not done:
