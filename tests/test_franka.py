@@ -315,8 +315,10 @@ def test_commissioning_goes_from_the_model_to_the_first_contact(franka, tmp_path
     def confirm(what):
         steps.append(what.split(":")[0])
         robot.at = robot.ticks + 100 * (steps[-1] == "wrench")
+        franka.send(nudge=[0.0, 0.0, 0.0], push=None)
+        franka.wait(500)  # until it rests: the plate is put below the place where it is
         push = [8.0, 6.0] if steps[-1] == "shadow" else None
-        franka.send(nudge=[0.0, 0.0, 0.0], push=push, plate=0.003)
+        franka.send(push=push, plate=0.003 if steps[-1] == "contact" else 0.2)
         return True
 
     course = Commissioning(
