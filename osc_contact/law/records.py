@@ -693,7 +693,7 @@ WORK = Nested(
     multipliers="6e",
     rest="n",
     rest_weighed="n",
-    # internal forces, see `commands` and `allocation.settable_bars`
+    # internal forces, see `commands` and `bars.settable_bars`
     internal=(BAR_WORK, "squeezes"),
     bars="squeezes",
     points=("k", 3),
