@@ -81,7 +81,6 @@ MOVED_NAMES = {
     },
     "dynamics.closed_chain": {
         "OutboardLink": "dynamics.merged_model",
-        "require_pinocchio_agrees": "dynamics.chain_results",
     },
     "lab.runs.run": {
         "recover": "lab.runs.recovery",
