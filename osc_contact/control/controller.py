@@ -1,4 +1,4 @@
-"""The decoupled force/motion controller, fig. 4: its tick, its state, and copies of it."""
+"""Decoupled force/motion controller, fig. 4: tick, state, reports and copies."""
 
 from __future__ import annotations
 
@@ -62,11 +62,11 @@ from osc_contact.settings.control import (
 from osc_contact.spatial import Array, as_array
 
 _log = logging.getLogger(__name__)
-# The members of enumerations by their numbers: looked up in every tick.
+# Members of enumerations by their numbers, for fast access in every tick.
 _STATUS = tuple(Status)
 _STATES = tuple(SafetyState)
 _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_integral", "force_integral")
-#: What `reset` sets to zero: of MEMORY, and of rows of its tables, all of them where none is named.
+#: Fields of MEMORY that `reset` sets to zero; below, fields of its tables (all if none is named).
 FORGOTTEN = (
     "age",
     "faults",
@@ -105,7 +105,11 @@ FORGOTTEN_TABLES: dict[str, tuple[str, ...]] = {
 
 
 def _six_numbers(field: str, doc: str) -> property:
-    """A property of a controller: six numbers of MEMORY, which can be set."""
+    """Settable property of a controller for a field of six numbers in MEMORY.
+
+    Args:
+        field: name in MEMORY. doc: docstring of the property.
+    """
 
     def read(controller: Any) -> Array:
         return np.array(controller._memory[field])
@@ -119,13 +123,14 @@ def _six_numbers(field: str, doc: str) -> property:
 class Controller:
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
-    Everything is taken at construction and stays: `with_gains` and `with_laws` make another
-    controller that continues from here. Controllers share nothing that changes, can be copied,
-    pickled, and each used in a separate thread.
+    Settings are fixed at construction; `with_gains`, `with_safety` and `with_laws` make another
+    controller that continues with the present state. Controllers share no mutable state: they can
+    be copied, pickled, and used in separate threads.
 
     Attributes:
-        settings, laws: as given. chain, contacts, gains, dt, B, bodies, posture, friction, life:
-            of the settings. reading: as given, or as chosen.
+        settings: all settings. laws: custom laws.
+        chain, contacts, gains, dt, B, bodies, posture, friction, life, reading: single settings
+            (`reading` as chosen if it was None).
 
     Example:
         >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
@@ -136,11 +141,11 @@ class Controller:
         (8,) OK
     """
 
-    dt: float  #: of the settings, see `__getattr__`
+    dt: float  #: control period of the settings (s)
     _limits: MotorLimits | None = None
     _given_up: LimitLoss | None = None
     _failure: Exception | None = None
-    _inputs: tuple[Any, Any] = (None, None)  #: of the last tick that did not end OK
+    _inputs: tuple[Any, Any] = (None, None)  #: input of the last tick that did not end OK
     _result: TickResult | None = None
 
     def __init__(
@@ -163,39 +168,40 @@ class Controller:
         safety: SafetySettings | None = None,
         joint_friction: JointFriction | bool = True,
     ) -> None:
-        """Assemble the loops.
+        """Make a controller with zero integrals.
 
         Args:
             chain: model of arms and object.
             contacts: a pair, or several in the order of alpha_d.
-            gains: of both loops.
+            gains: gains of both loops.
             dt: control period (s).
             B: metric of the motion filter Ω_m(B), eq. 24: "object" (Λ_o⁻¹), "chain"
                 ((ΣΛ_i + Λ_o)⁻¹ within the chain's motions) or a positive definite (6, 6).
-            bodies: how the body at each contact answers forces; None: it does not, though it may
-                be seen to move. The same object twice: both contacts are on one body.
-            posture: (n,) where redundant arms return to (default: neutral). A goal, which may lie
-                somewhat outside the joints' limits: the posture task keeps the joints inside.
-            engaged: whether the contacts are part of the model from the start.
-            in_contact: whether contacts that push are made at the start; False: they begin open,
-                and are approached once they are active. Without `life` they are made.
-            friction: what is known of the contacts' friction; None: nothing.
-            reading: how contact forces are read off the wrists, 'filter' (fig. 5) or
-                'least_squares', which friction and tilted faces do not fool; None: the latter
-                where its answer is unique (see `law.reading`).
-            life: opens, approaches and closes the contacts one by one; None: all of them are
-                closed as long as they are engaged.
-            laws: of the user's own, in place of force law, motion law or control structure.
-            posture_task: what redundant arms do with joints they do not need.
-            safety: when ticks that cannot be computed end in a hold, and in a stop.
-            joint_friction: how friction of the joints is learned and compensated; True:
-                `JointFriction()`; False: not at all.
+            bodies: dynamics of the touched body at each contact; None: contact forces do not move
+                it, though its motion may be measured. The same object twice: both contacts are on
+                one body.
+            posture: (n,) joint positions to which redundant arms return (default: neutral). This
+                goal may be somewhat outside the joints' limits, since the posture task keeps the
+                joints within them.
+            engaged: whether the law includes the contacts from the start.
+            in_contact: whether contacts that push are closed at the start; False: they are open,
+                and approached once they are active. Without `life` they are always closed.
+            friction: friction at the contacts that is taken into account; None: none.
+            reading: method of computing contact forces from the wrist readings, 'filter' (fig. 5)
+                or 'least_squares', which is not affected by friction and tilted faces; None: the
+                latter if its result is unique (see `law.reading`).
+            life: settings of contact phases, by which contacts are opened, approached and closed
+                one by one; None: all contacts are closed while they are engaged.
+            laws: the user's laws in place of force law, motion law or control structure.
+            posture_task: settings of the posture task of redundant arms.
+            safety: limits of the robot, and conditions of a hold and a stop.
+            joint_friction: settings for identification and compensation of joint friction; True:
+                `JointFriction()`; False: no compensation.
 
         Raises:
-            InvalidInputError: an argument of another class or unit, unknown metric, or an arm
-                without a wrist sensor although there are contacts: their forces could not be
-                measured.
-            ModelError: an arm that the law cannot take.
+            InvalidInputError: an argument of another class or unit, an unknown metric, or contacts
+                and an arm without a wrist sensor, so that contact forces cannot be measured.
+            ModelError: an arm that the law does not support.
         """
         settings = Settings(
             chain,
@@ -220,7 +226,7 @@ class Controller:
                 "osc.Laws(force=function), osc.Laws(motion=function) or "
                 "osc.Laws(structure=function)",
             )
-        chain.law_row(led=False)  # judges the arms
+        chain.law_row(led=False)  # checks the arms
         self._begin(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))
         memory = self._memory
         force = settings.gains.force
@@ -233,14 +239,14 @@ class Controller:
         contact.damping[:] = force.damping
         contact.brake[:] = force.brake
         contact.least[:] = -np.inf
-        contact.since[:] = np.inf  # as if for ever
+        contact.since[:] = np.inf
         memory.columns.closed[:] = 1
         if life is not None and not (engaged and in_contact):
             contact.phase[self._records.model.bodies.pushes != 0] = Phase.OPEN
             memory.columns.closed[:] = 0
 
     def _begin(self, settings: Settings, laws: Laws, start: StartCheck, model: Bytes) -> None:
-        """Take what a controller is made of; `model`: bytes of MODEL."""
+        """Set settings and parts of a new controller, with the bytes of its MODEL."""
         self.__dict__.update(settings=settings, laws=laws)
         records = TickRecords(model)
         self._custom = CustomParts(settings, laws, records.model)
@@ -255,7 +261,7 @@ class Controller:
         self._plan()
 
     def _plan(self) -> None:
-        """Choose how the ticks to come are computed: by one call of the law, or part by part."""
+        """Choose whether the next ticks are computed by one call of the law or part by part."""
         memory = self._memory
         special = self._custom.needed or not self._start.done or not memory.engaged
         self._tables = (
@@ -276,7 +282,7 @@ class Controller:
         object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        """Settings that were taken when the controller was made."""
+        """Return a setting of the controller as an attribute."""
         if name in Settings.__dataclass_fields__ and "settings" in self.__dict__:
             return getattr(self.settings, name)
         raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
@@ -284,11 +290,11 @@ class Controller:
     # --- a tick ----------------------------------------------------------------------------------
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """Motor torques (n_a,) for one control period.
+        """Compute the motor torques (n_a,) for one control period (N m, N).
 
-        Never raises on bad data, but for the first tick, which refuses arrays of wrong shapes: that
-        is no fault of a sensor. Never returns a torque that is not finite or exceeds a limit: a
-        tick that cannot be computed repeats the last good torques, see `status`.
+        Raises only in the first tick, for arrays of wrong shapes (a programming error, not a sensor
+        fault). Torques are always finite and within the limits: a tick that cannot be computed
+        repeats the last torques, holds the posture or stops the arms, see `status` and `state`.
         """
         raw, squeeze, torques, call, plain = self._tables
         try:
@@ -317,11 +323,15 @@ class Controller:
                 done = call(raw, 0, given)
                 return torques.copy() if done == 2 else self._end(measurement, reference)
             return self._tick(measurement, reference)
-        except Exception as error:  # nothing that comes in may end the control loop
+        except Exception as error:  # bad input must not end the control loop
             return self._refuse(measurement, reference, error)
 
     def _tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """At the start; with bodies that move, stamps, three arms, or custom code."""
+        """Compute a tick that needs more than one call of the law.
+
+        Such ticks are the first ones, and those with moving bodies, time stamps, three or more
+        arms, or custom code.
+        """
         memory = self._memory
         if measurement.stamps is not None or measurement.sequence is not None:
             memory.repeated = self._freshness.look(measurement)
@@ -342,19 +352,19 @@ class Controller:
         return self._end(measurement, reference, error)
 
     def _refuse(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
-        """Torques (n_a,) of a tick that cannot be taken in; `error`: what the law made of it."""
+        """Torques (n_a,) of a tick whose input cannot be read; `error` is that of the law."""
         if not self._memory.ticked:
             require_shapes(measurement, reference, self.settings)
         self._inputs = (measurement, reference)
         self._failure = error
         try:
             require_sizes(measurement, reference, self.settings)
-        except Exception as why:  # the same in words
+        except Exception as why:  # a sentence that names the array
             self._failure = why
         return self._hold(measurement)
 
     def _hold(self, measurement: Measurement) -> Array:
-        """Torques (n_a,) of a tick that failed outside of the law: one that is not computed."""
+        """Torques (n_a,) of a tick that failed outside of the law, as of one not computed."""
         n = self.chain.nq
         q, v = (read_joints(getattr(measurement, name, None), n) for name in "qv")
         self._records.hold(q, v)
@@ -363,9 +373,13 @@ class Controller:
     def _end(
         self, measurement: Measurement, reference: Reference, error: Exception | None = None
     ) -> Array:
-        """What is left to do after a tick; `error`: raised outside the law."""
+        """Post-process a tick (pose of the object, motor limits), and return its torques.
+
+        Args:
+            measurement, reference: input of the tick. error: exception of custom code, or None.
+        """
         code = int(self._memory.status)
-        if code in (OK, DEGRADED):  # the law did it all, nothing of the controller's has changed
+        if code in (OK, DEGRADED):  # the law has completed the tick
             return self.last_torques()
         self._given_up = None
         self._inputs = (measurement, reference)
@@ -389,9 +403,9 @@ class Controller:
         return self.last_torques()
 
     def _locate(self, q: Array) -> bool:
-        """Find the object from the joints alone; from then on the law does, tick by tick."""
+        """Find the object's pose from the joints alone, as a start for the law; return success."""
         memory = self._memory
-        if self.chain.leader is not None or memory.located == 2:  # 2: tried at this tick already
+        if self.chain.leader is not None or memory.located == 2:  # 2: tried in this tick
             memory.located = 0
             return False
         try:
@@ -403,10 +417,11 @@ class Controller:
         return True
 
     def engage(self) -> None:
-        """Take the contacts into the model, without a jump.
+        """Include the contacts in the law, without a jump of the torques.
 
-        What the motion integral holds in free space (weight errors, as a force) becomes a constant
-        wrench, in the contact directions too (bumpless transfer); the integrators start from zero.
+        The command of the motion integral in free space (by weight errors) is converted to a
+        constant wrench, also along the contact directions (bumpless transfer). Both integrals are
+        reset to zero.
         """
         if not self.engaged:
             self._require_tick()
@@ -416,19 +431,20 @@ class Controller:
             self.force_integral = np.zeros(0)
             self.engaged = True
 
-    # --- what it reports --------------------------------------------------------------------------
+    # --- reports ----------------------------------------------------------------------------------
 
     @property
     def status(self) -> Status:
-        """How the last tick ended."""
+        """Status of the last tick."""
         return _STATUS[self._memory.status]
 
     @property
     def reason(self) -> str:
-        """Why `status` is not OK, the arms stop, or a desired contact force is missing; else empty.
+        """Sentence on the cause of a status that is not OK, of a stop or of a missing contact force.
 
-        In the tick of a stop, too, whose torques still are those of the law where a sensor is found
-        faulty after it. Where a joint needs its mechanical brake (`unbraked`) it ends with that.
+        It is empty without such a cause. In the tick that detects a sensor fault it is set already,
+        although the torques of this tick are still those of the law. If a joint needs its
+        mechanical brake (`unbraked`), the sentence ends with this joint.
         """
         if self.status is Status.HELD or self.state is SafetyState.SAFE_STOP:
             return explain(self._records, self.settings, *self._inputs, self._failure)
@@ -441,34 +457,34 @@ class Controller:
 
     @property
     def state(self) -> SafetyState:
-        """Whether the controller runs, holds a posture or has stopped; see `SafetyState`."""
+        """State of the controller: running, holding a posture or stopped; see `SafetyState`."""
         return _STATES[self._memory.state]
 
     @property
     def state_age(self) -> int:
-        """Ticks since `state` last changed."""
+        """Number of ticks since `state` last changed."""
         return int(self._memory.age)
 
     @property
     def faults(self) -> int:
-        """Ticks in a row, up to the last one, that could not be computed."""
+        """Number of consecutive ticks, up to the last one, that could not be computed."""
         return int(self._memory.faults)
 
     @property
     def repeated(self) -> int:
-        """Ticks in a row, up to the last one, with readings that were there before."""
+        """Number of consecutive ticks, up to the last one, with repeated readings."""
         return self._freshness.repeated
 
     @property
     def unbraked(self) -> str | None:
-        """A joint without any sound reading, so that it cannot be braked reliably, or None.
+        """Name of a joint without a sound reading, which cannot be braked reliably, or None.
 
-        The arms are to be stopped by their mechanical brakes then.
+        With such a joint the arms must be stopped by their mechanical brakes.
         """
         return unbraked_joint(self._records, self.settings)
 
     def reset(self) -> None:
-        """Run again after a stop: both integrals at zero; tare, bias and phases are kept."""
+        """Run again after a stop, with zero integrals; tare, bias and phases are retained."""
         memory = self._memory
         self._freshness.forget()
         if self._start.refused:
@@ -486,7 +502,7 @@ class Controller:
 
     @property
     def given_up(self) -> LimitLoss | None:
-        """What motor limits cost in the last tick; None: nothing."""
+        """Force and motion lost to motor limits in the last tick, or None."""
         if self.status is not Status.SATURATED:
             return None
         if self._given_up is None and self._limits is not None:
@@ -495,26 +511,26 @@ class Controller:
 
     @property
     def lost_directions(self) -> tuple[LostDirection, ...]:
-        """In which motion commands were reduced near a singular posture."""
+        """Directions in which motion commands were reduced near a singular posture."""
         if self.status is Status.HELD:
             return ()
         return self._records.lost_directions([arm.name for arm in self.chain.arms])
 
     @property
     def signals(self) -> Signals:
-        """The signals of fig. 4 as the last computed tick left them.
+        """Signals of fig. 4 in the last computed tick.
 
         Raises:
-            InvalidInputError: there was none yet.
+            InvalidInputError: no tick has been computed.
         """
         self._require_tick()
         return Signals(self.settings, self._records)
 
     def result(self) -> TickResult:
-        """The numbers of the last tick that recordings keep; the next tick overwrites them.
+        """Numbers of the last tick for recordings, which the next tick overwrites.
 
         Raises:
-            InvalidInputError: there was no tick yet.
+            InvalidInputError: no tick has been computed.
         """
         self._require_tick()
         if self._result is None or self._result.records is not self._records:
@@ -529,11 +545,11 @@ class Controller:
             )
 
     def last_torques(self) -> Array:
-        """(n_a,) what the last tick gave out."""
+        """Motor torques (n_a,) of the last tick (N m, N)."""
         return self._memory.torques.copy()
 
     def joint_acceleration(self) -> Array:
-        """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
+        """Acceleration (n,) of all joints commanded by the last tick, q̈ = W η̇_c + w."""
         return np.array(self._records.work.joints.acceleration)
 
     def residual_wrench(self) -> Array:
@@ -546,14 +562,14 @@ class Controller:
         return result.f_meas + self.f_tare - result.bias_out
 
     def phases(self) -> Array:
-        """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""
+        """Phase (contacts,) of each contact in the last tick: open 0, approaching 1, closed 2."""
         contacts = self._memory.contacts
         phase = contacts.phase if self.life is not None else Phase.CLOSED
         return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
 
     @property
     def active(self) -> npt.NDArray[np.bool_]:
-        """(contacts,) which of them were active in the last tick: in N, approached or closed."""
+        """Mask (contacts,) of the contacts active in the last tick: approaching or closed, in N."""
         return np.array(self._memory.contacts.active != 0)
 
     f_tare = _six_numbers(
@@ -562,9 +578,9 @@ class Controller:
 
     @property
     def joint_friction(self) -> Array:
-        """(n, 2) Coulomb (N m; N) and viscous friction (N m s/rad; N s/m), as learned so far.
+        """Identified Coulomb (N m; N) and viscous friction (N m s/rad; N s/m), (n, 2) of the joints.
 
-        Columns are what `Arm` takes as friction and damping, to start with next time.
+        The columns are arguments of `Arm`, friction and damping, for the start of another session.
         """
         model = self.chain.model
         known = np.column_stack([model.upperDryFrictionLimit, model.damping])
@@ -574,17 +590,18 @@ class Controller:
 
     @property
     def missing_inertia(self) -> Array:
-        """(n,) inertia of each joint's rotor that the model lacks, as learned so far (kg m²; kg).
+        """Identified inertia (n,) of the joints' rotors that the model lacks (kg m²; kg).
 
-        Below zero where the model has too much.
+        It is negative if the model overestimates the inertia.
         """
         return np.array(self._memory.friction.theta[:, 2])
 
     @property
     def learned_friction(self) -> tuple[LearnedFriction, ...]:
-        """Friction of the joints of each arm as learned so far, with the identity of its robot.
+        """Identified friction of the joints of each arm, with the identity of its robot.
 
-        `LearnedFriction.save` and `load` keep it, `put_on` gives it to an arm to start with.
+        `LearnedFriction.save` and `load` store it in files; `put_on` adds it to the model of an
+        arm.
         """
         found = []
         for arm, s in zip(self.chain.arms, self.chain.slices, strict=True):
@@ -602,24 +619,24 @@ class Controller:
 
     @property
     def normal_covariance(self) -> Array:
-        """(r, 3, 3) covariance of the assumed normal of each force magnitude (rad²).
+        """Covariance (r, 3, 3) of the estimated normal of each force magnitude (rad²).
 
-        In the axes of the body that carries the normal; where edges cross, of the body's edge along
-        the normal. NaN: not estimated, or the contact is open.
+        It is in the axes of the body that carries the normal; for crossed edges it is the variance
+        of the body's edge along the normal. NaN: not estimated, or the contact is open.
         """
         P = np.array(self._memory.columns.covariance).reshape(-1, 3, 3)
         return np.where((self.normal_std > 0.0)[:, None, None], P, np.nan)
 
     @property
     def normal_std(self) -> Array:
-        """(r,) the same where each is least certain (rad); 0: not estimated."""
+        """Largest standard deviation (r,) of the estimated normals (rad); 0: not estimated."""
         return np.array(self._memory.columns.normal_std)
 
     f_bias = _six_numbers("f_bias", "(6,) constant wrench added to the command at O (N, N m).")
 
     @property
     def engaged(self) -> bool:
-        """Whether the contacts are part of the model; False: the object counts as free."""
+        """Whether the law includes the contacts; False: the object is controlled as free."""
         return bool(self._memory.engaged)
 
     @engaged.setter
@@ -634,7 +651,7 @@ class Controller:
 
     @property
     def force_integral(self) -> Array:
-        """(r,) K_i ∫(α_d − α_meas) dt of the force law (N)."""
+        """Integral (r,) of the force law, K_i ∫(α_d − α_meas) dt (N)."""
         memory = self._memory
         return np.array(memory.force_sum[: int(memory.force_rank)])
 
@@ -657,15 +674,17 @@ class Controller:
         """Write all numbers of this controller to a file, for C programs.
 
         Raises:
-            InvalidInputError: it has pairs, bodies or laws that only Python can evaluate.
+            InvalidInputError: pairs, bodies or laws of the controller can be evaluated by Python
+                only.
         """
         write_whole(controller_bytes(self), path)
 
     def with_gains(self, gains: Gains) -> Self:
-        """Another controller with these gains that continues from here (bumpless transfer).
+        """Another controller with new gains that continues with the present state (bumpless).
 
-        The force integral is a force and stays. The command of the motion integral stays too: ∫e
-        is scaled by the old gain over the new one, or added to `f_bias` if the new one is 0.
+        The force integral, which is a force, does not change. The command of the motion integral
+        does not change either: ∫e is scaled by the ratio of the old gain to the new one, or the
+        command is added to `f_bias` if the new gain is 0.
         """
         settings = replace(self.settings, gains=gains)
         other = self._another(settings, self.laws)
@@ -688,14 +707,14 @@ class Controller:
         return other
 
     def with_safety(self, safety: SafetySettings) -> Self:
-        """Another controller with these limits of the robot that continues from here."""
+        """Another controller with new limits of the robot that continues with the present state."""
         settings = replace(self.settings, safety=safety)
         other = self._another(settings, self.laws)
         pack_safety(settings, other._records.model)
         return other
 
     def with_laws(self, **laws: Callable[..., Any] | None) -> Self:
-        """Another controller that continues from here with custom laws, see `Laws`."""
+        """Another controller with custom laws (`Laws`) that continues with the present state."""
         return self._another(self.settings, replace(self.laws, **laws))
 
     def _another(self, settings: Settings, laws: Laws) -> Self:
@@ -707,7 +726,7 @@ class Controller:
         return other
 
     def __deepcopy__(self, memo: dict[int, object]) -> Self:
-        return copy(self)  # settings and laws are shared
+        return copy(self)  # shares the immutable settings and laws
 
     def __getstate__(self) -> dict[str, Any]:
         r = self._records

@@ -1,4 +1,4 @@
-"""One controller's records: its MODEL row as packed from settings, and views of all its bytes."""
+"""Records of one controller: MODEL packed from its settings, and views of all its bytes."""
 
 from __future__ import annotations
 
@@ -42,30 +42,30 @@ from osc_contact.settings.control import (
 from osc_contact.settings.quantities import Spec
 from osc_contact.spatial import Array, as_array, norm
 
-# What a controller is made of: taken once, never changed.
+# Immutable settings of a controller, and the choice of `reading`.
 #
-# Contact forces are read off the wrists by the filter of fig. 5, or by least squares. The filter
-# takes all that pushes at a contact for N_μα: it is exact without friction, or with friction known,
-# whatever the object does. Least squares let each point of contact push along its tangents, too
-# (`osc_contact.law.reading`): neither friction nor a wrong normal changes their answer, but it
-# depends on the commanded acceleration of the object. The answer is unique where the columns of N
-# are independent of the tangents. Two points can always push against one another along the line
-# between them; so the points must lie in one plane, whose normal is that of them all.
+# Contact forces are computed from wrist readings by the filter of fig. 5 or by least squares. The
+# filter attributes every contact force to N_μα; it is exact without friction or with known
+# friction, for any motion of the object. Least squares include tangential forces at each point of
+# contact (`osc_contact.law.reading`): neither friction nor a wrong normal changes the result, but
+# it depends on the commanded acceleration of the object. The result is unique if the columns of N
+# are independent of the tangents. Two points can always push against each other along the line
+# between them; therefore all points must be in one plane, perpendicular to the common normal.
 
 
 Reading = Literal["filter", "least_squares"]
 
-_SAME = 1e-3  #: normals and planes (m) that differ by less are one
+_SAME = 1e-3  #: largest difference of equal normals, and of equal planes (m)
 
-#: Of a joint's range; how far beyond its limits `posture` may lie. It is a goal that the push away
-#: from the limits keeps the joint from reaching, so a goal just outside does no harm; one that is
-#: further out than this is given in other units (degrees, mm).
+#: Permitted distance of `posture` beyond a joint's limits, as a share of its range. A goal slightly
+#: outside is harmless, because the joint is repelled by its limits; a goal further outside suggests
+#: another unit (degrees, mm).
 GOAL_BEYOND = 1.5
 
 
-#: s; a longer control period is given in another unit: motion at 10 Hz is no control of force.
+#: s, longest control period; a longer one suggests another unit.
 LONGEST_PERIOD = 0.1
-#: What settings are, and how they are written in a program.
+#: Classes of settings, with an example for error messages.
 _KINDS: dict[str, tuple[type, str]] = {
     "gains": (Gains, "osc.Gains(osc.MotionGains(frequency=3.0), osc.ForceGains(bandwidth=5.0))"),
     "posture_task": (PostureTask, "PostureTask(stiffness=10.0)"),
@@ -78,12 +78,12 @@ _KINDS: dict[str, tuple[type, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """Everything a controller is given; see `Controller`. `reading` None becomes what it chooses.
+    """All settings of a controller, see `Controller`; a `reading` of None is replaced by a choice.
 
     Raises:
-        InvalidInputError: an object of another class, dt not positive or above 0.1 s, unknown
-            metric, a posture far outside the joints' limits, or an arm without a wrist sensor
-            although there are contacts: their forces could not be measured.
+        InvalidInputError: an object of another class, dt not positive or above 0.1 s, an unknown
+            metric, a posture far outside the joints' limits, or contacts and an arm without a wrist
+            sensor, so that contact forces cannot be measured.
         ModelError: a redundant arm with passive joints.
     """
 
@@ -171,7 +171,7 @@ class Settings:
                 require_kind(f"{name}=", value, kind, example)
 
     def _require_period(self) -> None:
-        """Refuse a control period that is no time, or given in another unit than seconds."""
+        """Refuse a control period that is not positive, or too long to be in seconds."""
         try:
             dt = float(self.dt)
         except (TypeError, ValueError):
@@ -188,7 +188,7 @@ class Settings:
         store(self, dt=dt)
 
     def _listed_contacts(self) -> tuple[ContactPair, ...]:
-        """The contact pairs, whose geometry must fit the arms."""
+        """Check the contact pairs and their sizes; return them as a tuple."""
         example = "[osc.VertexOnFace([0, 0, 0], point=p, normal=n)]"
         contacts = as_tuple("Controller: contacts", self.contacts, example)
         for pair in contacts:
@@ -206,13 +206,15 @@ def choose_reading(
     pairs: Sequence[ContactPair],
     bodies: Sequence[Body | None],
 ) -> Reading:
-    """What is requested, or the better one: least squares where their answer is unique.
+    """Choose the method of computing contact forces: least squares if their result is unique.
 
     Args:
-        requested: None: choose. pairs: the contacts. bodies: of each.
+        requested: method that the user requests, or None.
+        pairs: contact pairs. bodies: touched body of each.
 
     Raises:
-        InvalidInputError: unknown, or least squares where they are not possible.
+        InvalidInputError: the requested method is unknown, or least squares are requested for pairs
+            without points of contact.
     """
     if requested not in (None, "filter", "least_squares"):
         raise InvalidInputError(
@@ -231,7 +233,7 @@ def choose_reading(
 
 
 def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:
-    """Whether all points of contact stay in one plane, of the environment or of the object."""
+    """Whether all points of contact remain in one plane, of the environment or of the object."""
     if any(body is not bodies[0] for body in bodies):
         return False
     planes: list[tuple[float, ...]] = []
@@ -247,36 +249,37 @@ def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -
 
 
 _GIVEN = PairRow(at.GIVEN, ())
-#: Bodies that the law evaluates, and their parameters.
+#: Kinds of bodies that the law evaluates, and their parameters.
 _BODIES: dict[type, tuple[int, tuple[str, ...]]] = {
     type(None): (at.UNYIELDING, ()),
     Conveyor: (at.CONVEYOR, ()),
     Yielding: (at.YIELDING, ("compliance",)),
     Guided: (at.CART, ("direction", "inertia", "stiffness", "damping", "preload", "descent")),
 }
-_NEVER = 1e12  #: ticks
-_WHOLE = np.pi  #: rad or m; a larger range of a joint, or one that is open, counts as this much
-#: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
-SLIP = 3e-4
-SLIDING = 0.3  #: m/rad: of sliding joints
-_UNLIMITED = 100.0  #: N m, N: stands for the torque limit of motors that have none
-_NOISE = 0.003  #: of the torque limit: residuals that are no friction
-_ROUNDING = 2e-4  #: likewise, of a model without errors: of discrete time
-#: where the model has less friction than noise: standard deviations by which residuals must show it
+_NEVER = 1e12  #: ticks, in place of an infinite time
+_WHOLE = np.pi  #: rad or m, largest range of a joint in the posture task
+SLIP = 3e-4  #: rad/s, s_0, speed of a revolute joint below which dry friction is regularised
+SLIDING = 0.3  #: m/rad, factor of that speed for prismatic joints
+_UNLIMITED = 100.0  #: N m, N, in place of the torque limit of a motor without one
+_NOISE = 0.003  #: noise of residuals, as a share of the torque limit
+_ROUNDING = 2e-4  #: residuals of an exact model in discrete time, as a share of the torque limit
+#: Number of standard deviations by which friction must be significant if the model has none.
 _SURELY = 2.0
-#: of F, D, A, bias and wrong masses, where F, and D and A at 1 rad/s and 1 rad/s², are at most 1:
-#: standard deviation at the start, beside half of the model's value; at most; bound
+# Priors of F, D, A, bias and μ, in units of the largest friction torque (D and A at 1 rad/s and
+# 1 rad/s²): standard deviation at the start, to which half of the model's value is added; largest
+# standard deviation; bound.
 _DOUBT = np.array([0.07, 0.07, 0.07, 0.017, 0.07])
 _SPREAD = np.array([0.5, 0.5, 0.5, 0.5, 0.2])
 _BOUND = np.array([1.0, 20.0, 20.0, 1.0, 0.5])
 
 
 def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
-    """The bytes of MODEL, which also determine the sizes of MEMORY and WORK.
+    """Pack settings into the bytes of MODEL, which also determine the sizes of MEMORY and WORK.
 
     Args:
-        settings: of the controller.
-        columns: of N, by number of the pair, for pairs that only Python can evaluate; unknown: 0.
+        settings: settings of the controller.
+        columns: number of columns of N of each pair that is evaluated by Python, by the index of
+            the pair; missing ones are 0.
     """
     chain = settings.chain
     pairs = [law_row(pair) or _GIVEN for pair in settings.contacts]
@@ -322,7 +325,7 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
     return raw
 
 
-#: Gains as fields of MODEL, and of rows of MEMORY's contacts where phases do not set these.
+#: Fields of gains in MODEL, and in the contacts of MEMORY if there are no phases.
 GAIN_FIELDS: dict[str, tuple[str, str]] = {
     "motion.stiffness": ("stiffness", ""),
     "motion.damping": ("damping", ""),
@@ -332,7 +335,7 @@ GAIN_FIELDS: dict[str, tuple[str, str]] = {
 }
 
 
-#: Keys of `PhaseSettings` whose fields of MODEL have other names.
+#: Keys of `PhaseSettings` that have another name in MODEL.
 PHASE_NAMES = {
     "speed": "approach_speed",
     "damping": "approach_damping",
@@ -343,7 +346,10 @@ PHASE_NAMES = {
 
 
 def pack_gains(settings: Settings, head: Any) -> None:
-    """What may differ between controllers of one structure."""
+    """Pack gains, phases, friction, metric and period into MODEL.
+
+    These settings may differ between controllers of the same structure.
+    """
     dt = settings.dt
     motion = settings.gains.motion
     force = settings.gains.force
@@ -359,7 +365,7 @@ def pack_gains(settings: Settings, head: Any) -> None:
     )
     drifts = force.brake > 0.0 or force.tilt > 0.0
     head.drift_share = -np.expm1(-force.drift * dt) if drifts else 0.0
-    head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # of a chord
+    head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # chord of the angle
     _copy(settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping")
     _copy(settings.friction or Friction(mu=0.0), head)
     _pack_friction(settings, head)
@@ -369,17 +375,17 @@ def pack_gains(settings: Settings, head: Any) -> None:
     head.metric = kinds[B] if isinstance(B, str) else at.BY_MATRIX
     head.B_inv[:] = np.eye(6) if isinstance(B, str) else np.linalg.inv(B)
     head.phased = settings.life is not None
-    # torques go gently after the active set has changed, without phases, too
+    # also without phases, as torques change slowly after a change of the active set
     _copy(settings.life or PhaseSettings(), head, **PHASE_NAMES)
 
 
 def pack_safety(settings: Settings, head: Any) -> None:
-    """Limits of the robot, and what becomes of ticks that cannot be computed."""
+    """Pack limits of the robot and settings of holds and stops into MODEL."""
     safety = settings.safety
     _copy(safety, head, stop_after="fault_ticks")
-    # s from the decision to stop until the brakes are on, as far as stopping ways are concerned
+    # s from the decision to stop until the brakes act, for the stopping distance
     head.reaction = 0.5 / safety.hold_rate + 0.5 / BRAKE_RATE + SURE
-    for key in ("contact", "wrist"):  # a ceiling that is not given follows the commands
+    for key in ("contact", "wrist"):  # ceilings that are not given rise with the commands
         given = getattr(safety, f"{key}_ceiling")
         setattr(head, f"{key}_ceiling", LEAST_CEILING if given is None else given)
         setattr(head, f"{key}_headroom", HEADROOM if given is None else 0.0)
@@ -415,7 +421,7 @@ def _pack_joints(settings: Settings, head: Any) -> None:
 
 
 def _pack_friction(settings: Settings, head: Any) -> None:
-    """Friction of the joints as the model has it, and how far it may be learned otherwise."""
+    """Pack the friction of the joints in the model, and the priors of its identification."""
     how: Any = settings.joint_friction
     if how is None:
         return
@@ -449,18 +455,18 @@ def _pack_friction(settings: Settings, head: Any) -> None:
 def joint_limit_margins(
     model: pin.Model, stiffness: float, margin: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Where the posture task keeps redundant arms off their joint limits, (n,) each.
+    """Margins of the joint limits in which the posture task repels joints, (n,) each.
 
-    At depth s of the margin w (0 where it begins, 1 at the limit and beyond it) a joint is pushed
-    back by a = k w (3s² − 2s³), the slope of a potential of k w² (s³ − s⁴/2): continuous with its
-    first derivative, and never above k w (a potential field after Khatib, 1986).
+    At the depth s in a margin of width w (0 at its beginning, 1 at the limit and beyond) a joint is
+    repelled by a = k w (3s² − 2s³), the slope of the potential k w² (s³ − s⁴/2): continuous with
+    its first derivative, and at most k w (a potential field after Khatib, 1986).
 
     Args:
-        model: of all arms. stiffness: k (1/s²). margin: share of a joint's range, at each end of
-            it; a range counts as π (rad or m) at most.
+        model: model of all arms. stiffness: k (1/s²). margin: width as a share of a joint's range,
+            of which at most π (rad or m) is counted.
 
     Returns:
-        Where the margins begin (low, high; −inf, inf at ends without limit), their width w, k w.
+        Beginning of the lower and of the upper margins (∓inf without a limit), widths w, and k w.
     """
     lower, upper = position_limits(model)
     with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
@@ -469,28 +475,34 @@ def joint_limit_margins(
 
 
 def _copy(settings: Spec, head: Any, **names: str) -> None:
-    """Copy settings into the fields of their names, or of `names` where these differ."""
+    """Copy settings into the fields of MODEL with the same names, or with those in `names`."""
     for key in type(settings).model_fields:
         value = getattr(settings, key)
         if value is not None and (name := names.get(key, key)) in at.MODEL.dtype.names:
             setattr(head, name, value)
 
 
-STILL = np.zeros((0, 28))  #: motion of the touched bodies where all of them rest
-UNNAMED = np.zeros(0)  #: the active set of a reference that names none
+STILL = np.zeros((0, 28))  #: motion of the touched bodies if all of them rest
+UNNAMED = np.zeros(0)  #: active set of a reference that does not name one
 _WHOLE_TICK = 0, at.LOOK, at.END
 
 
 class TickRecords:
-    """MODEL, MEMORY and WORK of one controller, in one run of bytes.
+    """Views of MODEL, MEMORY and WORK of one controller.
 
     Attributes:
-        rows: the bytes; index, thread: which row of them, whose WORK. at: of its JOB.
-        model, memory, work: views, see `law.records`; model_bytes, memory_bytes, work_bytes.
+        rows: the array of bytes. index: row of the controller. at: offset of the JOB.
+        model, memory, work: records, see `law.records`. model_bytes, memory_bytes, work_bytes:
+            their bytes.
     """
 
     def __init__(self, rows: Rows | Bytes, index: int = 0, thread: int = 0) -> None:
-        """Views of a row of `rows`; bytes: of new ones, which begin as this MODEL."""
+        """Make views of a row of `rows`, or of new records with the bytes of a MODEL.
+
+        Args:
+            rows: records of controllers, or bytes of a MODEL. index: row. thread: thread whose WORK
+                is used.
+        """
         self.rows = rows = rows if isinstance(rows, Rows) else Rows(rows)
         self.index = index
         self.at = rows.starts[thread]
@@ -503,12 +515,15 @@ class TickRecords:
     def run(
         self, given: tuple[Any, ...], flags: int = 0, begin: int = at.LOOK, stop: int = at.END
     ) -> int:
-        """Parts of a tick; what the law's call returns, of one row 2 where it ended OK.
+        """Run parts of a tick.
 
         Args:
             given: q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active.
-            flags: switches of `law.tick`.
-            begin, stop: first part, and the one before which it ends.
+            flags: flags of `law.tick`.
+            begin, stop: first part, and the part before which to stop.
+
+        Returns:
+            The result of `law.tick.rows`, which is 2 for one row that ended OK.
         """
         self._job[:3] = flags, begin, stop
         try:
@@ -517,21 +532,21 @@ class TickRecords:
             self._job[:3] = _WHOLE_TICK
 
     def hold(self, q: Array, v: Array, reading: float = np.nan, begin: int = at.LOOK) -> None:
-        """Run a tick, or its part `begin`, that has no reference.
+        """Run a tick, or one part of it, without a reference.
 
         Args:
-            q, v: (n,). reading: of all wrists; NaN: the tick cannot be computed.
-            begin: as in `run`.
+            q, v: (n,) joint positions and velocities. reading: value of all wrist readings; NaN
+                makes the tick one that cannot be computed. begin: first part.
         """
         wrenches = np.full((len(self.model.arms), 6), reading)
         six = np.zeros(6)
         self.run((q, v, wrenches, np.eye(4), six, six, np.zeros(0), STILL, UNNAMED), begin=begin)
 
     def places(self, *parts: Array) -> Array:
-        """(k,) where in `rows.numbers` the numbers of some views stand, one after the other.
+        """Indices (k,) in `rows.numbers` of the elements of some views, in sequence.
 
         Args:
-            parts: arrays that share the memory of `rows`, each element of eight bytes.
+            parts: arrays of eight-byte elements that share the memory of `rows`.
         """
         every = np.arange(len(self.rows.numbers))
         start = self.rows.raw.ctypes.data
@@ -542,7 +557,7 @@ class TickRecords:
         return np.concatenate([one.ravel() for one in own])
 
     def copy(self) -> TickRecords:
-        """The same in separate bytes."""
+        """Copy of the records in separate bytes."""
         other = TickRecords(self.model_bytes)
         other.memory_bytes[:] = self.memory_bytes
         other.work_bytes[:] = self.work_bytes
@@ -551,28 +566,32 @@ class TickRecords:
     # --- energy coordinates, turned, and back ----------------------------------------------------
 
     def reflection(self) -> Array:
-        """(6, 6) that turns energy coordinates so that the first axes are the locked ones."""
+        """Matrix (6, 6) that turns energy coordinates to locked axes first."""
         return vectors.reflection(self.work)
 
     def motions(self) -> Array:
-        """(6, 6) from energy coordinates to motions at O in world axes."""
+        """Matrix (6, 6) from energy coordinates to motions at O in world axes."""
         return vectors.motions(self.work)
 
     def acceleration(self) -> Array:
-        """(6,) of the object at O as commanded, spatial."""
+        """Commanded spatial acceleration (6,) of the object at O (m/s², rad/s²)."""
         return self.motions() @ (self.reflection().T @ self.work.acceleration_t)
 
     def kept(self) -> Array:
-        """(r,) which columns of N were kept, of all."""
+        """Indices (r,) of the independent columns of N among all."""
         return self.work.kept[: int(self.work.rank)]
 
     def shares(self) -> Array:
-        """R (r, columns in force): every column in force from the kept ones."""
+        """Coordinates R (r, count) of the active columns of N in the independent ones."""
         chosen = self.work.chosen[: int(self.work.count)]
         return self.work.columns.share[chosen, : int(self.work.rank)].T.copy()
 
     def lost_directions(self, names: list[str]) -> tuple[LostDirection, ...]:
-        """What arms near singular postures are losing, in words and units."""
+        """Directions that arms near singular postures lose.
+
+        Args:
+            names: names of the arms.
+        """
         if not self.work.n_lost:
             return ()
         to_motion = self.motions() / self.model.reference
