@@ -440,7 +440,7 @@ class Controller:
 
     @property
     def reason(self) -> str:
-        """Sentence on the cause of a status that is not OK, of a stop or of a missing contact force.
+        """Sentence on the cause of a status that is not OK, a stop or a missing contact force.
 
         It is empty without such a cause. In the tick that detects a sensor fault it is set already,
         although the torques of this tick are still those of the law. If a joint needs its
@@ -578,7 +578,7 @@ class Controller:
 
     @property
     def joint_friction(self) -> Array:
-        """Identified Coulomb (N m; N) and viscous friction (N m s/rad; N s/m), (n, 2) of the joints.
+        """Identified friction (n, 2) of the joints: Coulomb (N m; N), viscous (N m s/rad; N s/m).
 
         The columns are arguments of `Arm`, friction and damping, for the start of another session.
         """

@@ -159,7 +159,7 @@ class Unit:
         return self.known[kinds]
 
     def key(self, kinds: tuple[Any, ...]) -> str:
-        """Hash of the ingredients of the part for a list of argument types, without called parts."""
+        """Hash of the ingredients of a part for a list of argument types, without called parts."""
         made_of = (_machinery(), self.name, self.inlined, kinds, digest(self.py_func))
         return sha256("\n".join(map(str, made_of)).encode()).hexdigest()
 
