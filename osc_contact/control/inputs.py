@@ -1,4 +1,4 @@
-"""What comes in each tick: sizes, types, and whether readings are new."""
+"""Input of a tick: checks of sizes and types, detection of repeated readings."""
 
 from collections.abc import Iterator
 
@@ -91,10 +91,12 @@ def touched_rows(touched: Touched) -> Array:
 def read_tick(
     records: TickRecords, measurement: Measurement, reference: Reference
 ) -> tuple[tuple[Array, ...], int]:
-    """What the law's call takes in a tick, and its switches; the marks of readings go to MEMORY.
+    """Convert measurement and reference to the arguments of `TickRecords.run`.
+
+    Flags of the readings (missing wrenches, estimated speeds) are written to MEMORY.
 
     Args:
-        records: of the controller. measurement, reference: of the tick.
+        records: records of the controller. measurement, reference: input of the tick.
     """
     memory = records.memory
     if measurement.estimated:

@@ -209,7 +209,7 @@ class MujocoPlant:
         self._ctrl[:] = tau
 
     def readings(self, qpos: Array, qvel: Array, sensed: Array) -> tuple[Array, Array, Array]:
-        """What encoders and wrists read, of one plant or of the rows of a batch.
+        """Readings of encoders and wrists, of one plant or of the rows of a batch.
 
         Args:
             qpos, qvel, sensed: (…, m) MuJoCo's positions, velocities and sensor data.
@@ -258,7 +258,7 @@ class MujocoPlant:
         self.data.qfrc_applied[self._driven_v] = DRIVE_MASS * faces.second[self._driven]
 
     def truth(self) -> Truth:
-        """As of the last step's beginning, like the wrenches; see `MujocoTruth`."""
+        """Truth at the beginning of the last step, the instant of the wrenches."""
         log = self.log()
         log.note()
         return log.truths(log.noted())[0]
@@ -315,7 +315,7 @@ class MujocoPlant:
         return not (self.faces.moving or self.pushes or self.drives.motors is not None)
 
     def steps_in(self, period: float) -> int:
-        """How many of MuJoCo's steps a control period (s) has."""
+        """Number of MuJoCo's steps in a control period (s)."""
         return round(period / self._step) or 1
 
     def _push(self, push: Push, force: Array) -> None:

@@ -49,10 +49,10 @@ _PRESSES = 1e-5
 
 
 def guided_joints(rails: Sequence[Rail]) -> tuple[Array, Array]:
-    """Of each joint of the bodies that move: its body, and 0 of a travel, 1 of a turn.
+    """Body and kind (0 travel, 1 turn) of each joint of the moving bodies.
 
     Args:
-        rails: of the bodies of the environment.
+        rails: rails of the bodies of the environment.
     """
     guides = [(i, k) for i, rail in enumerate(rails) for k in rail.joints]
     bodies, kinds = np.array(guides, dtype=int).reshape(-1, 2).T

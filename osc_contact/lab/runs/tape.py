@@ -90,7 +90,7 @@ class Tape:
         self.count += 1
 
     def content(self) -> bytes:
-        """Of a file that replay.c reads."""
+        """Bytes of the file that replay.c reads."""
         head = np.array([self.count, len(self._memory)], np.int64)
         return b"".join((MAGIC, head.tobytes(), *self._ticks))
 
