@@ -57,7 +57,11 @@ class Commissioning:
     lines: list[str] = field(default_factory=list)
 
     def run(self) -> bool:
-        """All steps, until one fails or is not confirmed; writes report.md and its pictures."""
+        """Run the steps until one fails or is not confirmed; write report.md with its pictures.
+
+        Returns:
+            True if all steps were completed.
+        """
         steps = {
             "model: nothing moves": self._model,
             f"wrench: push the tool along {list(NUDGE)}, in axes of the base": self._nudge,

@@ -76,10 +76,10 @@ class MujocoPlant:
         """Compile the scene.
 
         Args:
-            chain: the true arms and grasps; names, frames, poses and what rotors and friction
-                add to the joints are taken from it.
-            arm_urdfs: one file for each arm. object_urdf: the held object.
-            contacts: what true forces are expressed in; what touches is decided by the geometry.
+            chain: the true arms and grasps, with names, frames, poses, rotors and joint friction.
+            arm_urdfs: one file for each arm. object_urdf: file of the held object.
+            contacts: pairs in whose magnitudes true forces are expressed; contact itself is
+                determined by the collision geometry.
             bodies: URDF and pose in the world of each body of the environment.
             options: step, softness, friction and pushes on the arms; default: a step of 0.25 ms.
             rails: how each body moves; default: all are fixed.

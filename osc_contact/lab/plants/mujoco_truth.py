@@ -67,11 +67,11 @@ class MujocoNotes:
     """
 
     def __init__(self, contacts: Sequence[ContactPair], faces: Faces, inertia: Array) -> None:
-        """Read notes of a plant with these contacts.
+        """Prepare the evaluation of the numbers that a plant stores for each tick.
 
         Args:
-            contacts: the pairs. faces: bodies of the environment.
-            inertia: (6, 6) of the object at its origin, in its axes.
+            contacts: contact pairs of the plant. faces: bodies of its environment.
+            inertia: (6, 6) inertia of the object at its origin, in its axes.
         """
         self._contacts = contacts
         self._faces = faces
