@@ -26,8 +26,8 @@ install = set -o pipefail; OSC_CONTACT_LAW=jit $(BIN)/pip install -q --no-compil
 		{ $(call install,-e '.[$(EXTRAS)]'); } && wait $$!
 	@touch $@
 
-# The task of the README first, and where its result is; then the paper's figures. Chromium, for
-# figure 3's picture, comes meanwhile; without it all but that picture is made.
+# Runs the task of the README and prints the path of its result, then makes the paper's figures.
+# Chromium, which figure 3 needs, is installed meanwhile; without it this picture is omitted.
 demo:
 	@mkdir -p out
 	@{ $(chromium); } > out/chromium.txt 2>&1 & chromium=$$!; set -e; \
@@ -41,7 +41,7 @@ demo:
 demo_venv = $(MAKE) --no-print-directory .venv/.demo
 
 # Pages are rendered and tested with Chromium, the law for web pages in Node.js; npm brings MuJoCo's
-# WebAssembly build. Root gets them by apt-get; for others the way is printed.
+# WebAssembly build. Root installs them by apt-get; other users get instructions.
 find_chromium = $(PYTHON) -m osc_contact.lab.visual.browser
 chromium = $(find_chromium) || { \
 		test "$$(id -u)" = 0 && command -v apt-get > /dev/null && echo "installing chromium" && \
@@ -59,7 +59,7 @@ browser: venv
 	@$(chromium)
 	@$(node)
 
-# Side by side, each one's lines together; all are run, though one fails.
+# Runs all checks in parallel, with the output of each check together, even if one fails.
 CHECKS := check-code check-format check-types check-layers
 .PHONY: $(CHECKS)
 check: venv
@@ -80,16 +80,16 @@ check-layers:
 test: check browser
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
-# With the tests marked slow: more states, runs and faults of the same kinds.
+# Runs the tests marked slow, too: more states, runs and faults of the same kinds.
 test-all: check browser
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-# The law's own tests as plain Python.
+# Runs the tests of the law as plain Python.
 LAW := $(addprefix tests/test_,$(addsuffix .py,law_kkt law_watch law_phases law_limits law_stages))
 test-plain: venv
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n auto -k "not checked_bounds" $(LAW)
 
-# The library as the oldest numba allowed makes it: `units.py` rests on what numba does not document.
+# Makes the library with the oldest numba allowed, as `units.py` uses undocumented parts of numba.
 OLDEST := out/oldest_numba
 oldest-numba: venv
 	$(PYTHON) -m venv $(OLDEST)
@@ -98,8 +98,8 @@ oldest-numba: venv
 	OSC_CONTACT_LAW=$$(ls $$PWD/$(OLDEST)/cache/law-*/*.so) $(BIN)/python -m pytest -n auto \
 		-m "not slow" tests/test_compiling.py tests/test_law_kkt.py tests/test_library.py
 
-# A replay on an emulated aarch64. Needs Debian's gcc-aarch64-linux-gnu, libc6-dev-arm64-cross and
-# qemu-user.
+# Runs a replay on an emulated aarch64; needs Debian's gcc-aarch64-linux-gnu, libc6-dev-arm64-cross
+# and qemu-user.
 aarch64: venv
 	$(BIN)/osc-contact build two_contact_rod --out out/aarch64
 	OSC_CONTACT_LAW=compile $(BIN)/python -m osc_contact.law.c_object aarch64-linux-gnu \
@@ -107,13 +107,13 @@ aarch64: venv
 	$(MAKE) -B -C out/aarch64 CC=aarch64-linux-gnu-gcc LDFLAGS=-static replay
 	qemu-aarch64 out/aarch64/replay
 
-# The tests with the oldest or newest versions of what the package needs, in an environment of
-# their own: make versions VERSIONS=lowest, or highest, within pyproject.toml.
+# Runs the tests in a separate environment with the oldest or newest versions of the dependencies
+# that pyproject.toml permits: make versions VERSIONS=lowest, or highest.
 versions: browser
 	$(BIN)/python tests/try_dist.py --suite --versions $(VERSIONS) $(PYTHONS)
 
-# Laws of other software beside ours, and the action term for mjlab, in an environment with theirs
-# (torch, warp: some GB). CPU only; some minutes.
+# Compares control laws of other software, and tests the action term for mjlab, in an environment
+# with that software (torch, warp: some GB). CPU only; some minutes.
 peers: .venv-peers/.installed
 	.venv-peers/bin/python -m benchmarks.force_laws
 	.venv-peers/bin/python -m pytest -q -s -W default -p no:cacheprovider tests/try_mjlab.py
@@ -126,15 +126,15 @@ peers: .venv-peers/.installed
 		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
 	@touch $@
 
-# Branches that the tests run. The law is compiled, which coverage cannot look into: its own tests run
-# without compilation first.
+# Measures the branches that the tests run. Coverage cannot see compiled code, so the tests of the
+# law are first run without compilation.
 coverage: venv browser
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m "not slow" -k "not checked_bounds" --cov \
 		--cov-report= --cov-fail-under=0 $(LAW)
 	$(BIN)/python -m pytest -n auto --dist loadfile --cov --cov-append --cov-report=term
 
-# Small faults put into the law, one at a time: how many do the tests notice? For a machine that
-# has nothing else to do; options: make mutants MUTANTS="--count 500 --seed 2 --only law/reading"
+# Counts the small faults in the law, inserted one at a time, that the tests detect. For an idle
+# machine; options: make mutants MUTANTS="--count 500 --seed 2 --only law/reading"
 mutants: venv
 	@$(BIN)/python -c "import cosmic_ray" 2> /dev/null || \
 		$(BIN)/pip install -q -c constraints.txt -e '.[mutation]'
@@ -144,14 +144,14 @@ docs: venv
 	$(BIN)/sphinx-build -W --keep-going -q -c docs -d out/doctrees . out/site
 	@echo "out/site/index.html"
 
-# Runs every packaged scenario and films it: some minutes. With NAMES="ur5_wipe fig2" only these, and
-# the cards are printed; without it docs/gallery.md is written.
+# Runs every packaged scenario and makes its moving picture: some minutes. With NAMES="ur5_wipe"
+# only those named are run and their cards printed; otherwise docs/gallery.md is written.
 gallery: venv browser
 	$(BIN)/python docs/_ext/gallery.py $(NAMES)
 
-# Wheel and sdist, each tried in an empty environment outside of this folder: some minutes.
-# More than one Python: make dist PYTHONS="python3.11 python3.12". Other versions of what it needs
-# than those of constraints.txt: make dist VERSIONS=lowest, or highest, within pyproject.toml.
+# Builds wheel and sdist, and tries each in an empty environment outside of this folder: some
+# minutes. For several Pythons: make dist PYTHONS="python3.11 python3.12". For other versions of the
+# dependencies than those of constraints.txt: make dist VERSIONS=lowest, or highest.
 PYTHONS ?= $(PYTHON)
 VERSIONS ?= pinned
 dist: venv browser

@@ -1,1 +1,1 @@
-"""What the tick costs beside its floor and its peers, by size, on the clock, and in a whole run."""
+"""Benchmarks: cost of the tick by size, compared with a lower bound and with other software."""

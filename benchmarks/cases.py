@@ -81,7 +81,7 @@ Timed = tuple[Callable[[], Array], Callable[[], None]]
 
 
 def repeatable(controller: Controller) -> Controller:
-    """The same controller, to be ticked with the very same readings again and again."""
+    """Configure a controller so that it can be ticked repeatedly with identical readings."""
     rules = ("stuck_speed", "frozen_time", "speed_error", "position_drift", "wrist_error")
     return controller.with_safety(
         controller.settings.safety.replaced(**dict.fromkeys(rules, np.inf))
@@ -110,7 +110,7 @@ class TickCase:
 
     @property
     def given(self) -> tuple[Measurement, Reference]:
-        """What a tick at this instant is given."""
+        """Measurement and reference of a tick at this instant."""
         return (self.measurement, self.reference)
 
     def controller(self) -> Controller:

@@ -113,7 +113,7 @@ class Outcome:
 
 @without_logged_doubts()
 def judge(seed: int, number: int, without: str = "") -> Outcome:
-    """Run a task, whatever `preflight` finds.
+    """Run a task regardless of the findings of `preflight`.
 
     Args:
         seed, number: of the task. without: a group of errors that is left out; "": none.

@@ -1,4 +1,4 @@
-"""All errors of a real workcell at once: what they cost the contact forces.
+"""Benchmark of the contact forces with all errors of a real workcell together.
 
     python -m benchmarks.combined_errors [--rigs two_contact_rod --rigs panda_edge] [--duration 4]
                                          [--dither]

@@ -1,4 +1,4 @@
-"""How long the law takes to compile: whole, on one core, and after an edit of one function."""
+"""Benchmark of the time to compile the law: whole, on one core, after an edit of one function."""
 
 import ast
 import os

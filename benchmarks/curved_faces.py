@@ -1,4 +1,4 @@
-"""A tool that follows curved faces: what friction and misplacement cost the contact force.
+"""Benchmark of a tool on curved faces: errors of the contact force by friction and misplacement.
 
     python -m benchmarks.curved_faces
 

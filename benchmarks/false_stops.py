@@ -62,7 +62,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a run ended.
+    """End of a run.
 
     Attributes:
         errors: of it. stopped: whether it was; a stop lasts to the end. reason: of the stop.

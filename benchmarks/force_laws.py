@@ -269,7 +269,7 @@ UNDAMPED = "Isaac Lab 2, rebuilt"  #: without damping near singular postures
 
 
 class Done(NamedTuple):
-    """What a law did, tick by tick.
+    """Result of a law, tick by tick.
 
     Attributes:
         planned: ticks of the whole run. force, force_goal: (k,) N.

@@ -31,7 +31,7 @@ STAY_S = 0.5  #: at each goal; theirs: 2.5 s or 7.5 s with the way
 
 
 class Goal(NamedTuple):
-    """Where the finger is to be, and the force there.
+    """Desired position and force of the finger.
 
     Attributes:
         point: (3,) in the robot's base (m); what counts is where it is along the wall.

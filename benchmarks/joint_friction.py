@@ -60,7 +60,7 @@ def _stribeck(rig: Rig, seed: int) -> Any:
 
 
 class Case(NamedTuple):
-    """One run: what is changed, and the most its rms error may be (%)."""
+    """Case of the benchmark: changes of the scenario, and the largest rms error (%)."""
 
     name: str
     scenario: str

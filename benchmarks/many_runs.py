@@ -1,4 +1,4 @@
-"""What a run costs within a sweep.
+"""Benchmark of the cost of a run within a sweep.
 
 Workers make rows side by side. One process hands them jobs, keeps their rows and writes the table;
 what it spends on a row bounds how many workers have work.

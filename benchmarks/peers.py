@@ -1,4 +1,4 @@
-"""The tick beside what else could be run in its place, on the same rigs."""
+"""Benchmark of the tick and of alternatives from other software, on the same rigs."""
 
 import json
 import subprocess

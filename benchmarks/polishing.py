@@ -53,7 +53,7 @@ def softness(y: Array) -> Array:
 
 
 def best_forces(y: Array) -> Array:
-    """Forces (N) that wear evenly: what a learner should find."""
+    """Forces (N) that wear evenly, the optimum of a learner."""
     return MEAN / softness(y)
 
 

@@ -1,4 +1,4 @@
-"""Straight reversals with friction: what of the force error is the simulator's.
+"""Straight reversals with friction: the share of the force error that is due to the simulator.
 
     python -m benchmarks.reversals
 

@@ -1,4 +1,4 @@
-"""How the tick grows: with arms, with the degree of constraint r, with contacts."""
+"""Benchmark of the tick over the number of arms, the degree of constraint r, and contacts."""
 
 import numpy as np
 

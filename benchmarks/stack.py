@@ -94,7 +94,7 @@ def harness(folder: Path) -> Any:
 
 
 def stack_of(case: TickCase, call: Any) -> int:
-    """Bytes of stack that a tick touches after one that has made the case's first state.
+    """Number of bytes of the stack that a tick uses, after a tick that sets the initial state.
 
     Args:
         case: with one controller. call: from `harness`.

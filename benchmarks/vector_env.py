@@ -1,4 +1,4 @@
-"""How fast the rows of a vector environment advance, and what of it is control."""
+"""Benchmark of a vector environment: steps per second, and the share of control."""
 
 from time import perf_counter
 from typing import Any

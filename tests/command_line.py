@@ -26,7 +26,7 @@ def done(line, *words):
 
 
 def answered(line, *words):
-    """The same: (result, what it writes with --json)."""
+    """Run a command, and return its result and the content that it writes with --json."""
     with TemporaryDirectory() as folder:
         file = Path(folder, "found.json")
         return (done(line, *words, "--json", file), read_json(file))

@@ -49,7 +49,7 @@ def whole_fields(kind):
 
 
 def on_spline(controller):
-    """The same controller, whose sphere is cells of a spline."""
+    """Variant of the controller whose sphere is a surface of spline cells."""
     own = controller.settings
     (pair,) = own.contacts
     radius = 1.0 / pair.surface.bend[0]
@@ -183,7 +183,7 @@ class Base:
         return found
 
     def tried(self, program: Path, patches: list[list[tuple[int, int]]]) -> list[int]:
-        """How the C program ended with each."""
+        """Results of the C program for each crafted file."""
         words = []
         for patch in patches:
             words.append(struct.pack("<Q", len(patch)))

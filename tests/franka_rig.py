@@ -156,6 +156,6 @@ class Press:
             yield osc.pose_reference(x + away + p, self.start.rotation, v, a, alpha_d=[force])
 
     def error(self):
-        """Of the force from half a second after landing until the release, rms, of the command."""
+        """Relative rms error of the force from half a second after landing until the release."""
         part = self.normal[self.landed + 500 : self.released]
         return np.sqrt(np.mean((part / self.force - 1.0) ** 2))

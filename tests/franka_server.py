@@ -70,7 +70,7 @@ class Robot(simulator.FrankaMujocoRobot):
 
     @property
     def state(self):
-        """As of the last step; what no test reads is left out: that is four times as fast."""
+        """State at the last step, without fields that no test reads: four times as fast."""
         errors = tuple(k == self.error for k in range(41))
         inner = self._get_state()
         X = self.kinematics(np.array(inner.q)).homogeneous
@@ -102,7 +102,7 @@ class Robot(simulator.FrankaMujocoRobot):
         self._joint_position_control(target_q)
 
     def _post_step(self):
-        """No derivatives: they are in no state."""
+        """Skip derivatives, which are not part of a state."""
 
 
 class Server(FrankaRobotServer):
@@ -180,7 +180,7 @@ class Server(FrankaRobotServer):
         self.owed = self.begun and bool(packets)
 
     def spoil(self, packets, k):
-        """What goes over the wire in place of packet k since the faults began."""
+        """Bytes sent in place of packet k since the faults began."""
         faults = self.faults
         hit = {name: k % (faults[name] or k + 1) == 0 for name in ("drop", "repeat", "swap")}
         if str(k) in faults["freeze"]:  # a sleep of 0 s gives the processor away, too

@@ -35,6 +35,6 @@ def pixels_of(picture):
 
 
 def near(pixels, colour, tolerance=24):
-    """How many pixels have about this colour ``#RRGGBB``."""
+    """Number of pixels with approximately the colour ``#RRGGBB``."""
     expected = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
     return int((np.abs(pixels - expected).max(axis=2) <= tolerance).sum())

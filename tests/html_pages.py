@@ -1,4 +1,4 @@
-"""What a page of HTML shows, loads and leads to, read without a browser."""
+"""Content, resources and links of an HTML page, read without a browser."""
 
 from lxml.html import document_fromstring
 

@@ -354,7 +354,7 @@ class State:
         self.at(x[: self.n], x[self.n :])
 
     def answer(self, tau, exact=True):
-        """What motor torques (n_a,) make of all that is connected; `exact`: there is an answer."""
+        """Response of the connected bodies to motor torques (n_a,); `exact`: a response exists."""
         s = self.system
         n = self.n + 6
         ends = np.cumsum([n, *(len(b.v) for b in self.bodies)])
@@ -441,7 +441,7 @@ class State:
         return self.S @ inv(mobility) @ self.S.T
 
     def apart(self, N=None):
-        """How far the columns are from dependence, as object and arms feel them: 0 … 1."""
+        """Distance (0 … 1) of the columns from dependence in the metric of object and arms."""
         N = self.N if N is None else N
         inertia = self.system.I
         S = self.S

@@ -223,7 +223,7 @@ def pytest_sessionfinish():
 
 
 class Judges:
-    """Which tests run which lines, and how long they take."""
+    """Tests by the lines that they run, and their durations."""
 
     def __init__(self, out, names):
         self.seconds = {}

@@ -44,7 +44,7 @@ def scaled(X, size):
 
 @dataclass(frozen=True)
 class Coordinates:
-    """How the geometry is written: environment frame E′ in E, 1/metre."""
+    """Coordinates in which geometry is written: environment frame E′ in E, 1/metre."""
 
     X_E: pin.SE3 = field(default_factory=pin.SE3.Identity)
     per_metre: float = 1.0

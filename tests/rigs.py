@@ -103,7 +103,7 @@ def data_at(model, q, *rates):
 
 
 def pose_at(model, q, frame):
-    """Of a frame, at q."""
+    """Pose of a frame at q."""
     return data_at(model, q).oMf[model.getFrameId(frame)]
 
 
@@ -238,7 +238,7 @@ def velocity_at(V, p):
 
 
 def object_poses(chain):
-    """Of the object according to each arm, its grasp at zero, at the positions set last."""
+    """Pose of the object by each arm, its grasp at zero, at the positions set last."""
     grasps = zip(chain.tip_poses(), chain.grasps, strict=True)
     return [tip * grasp.X_TO for tip, grasp in grasps]
 
@@ -268,7 +268,7 @@ def contact_of(pairs, state):
 
 
 def sliding(pairs, X_WO, V_O, touched, slip):
-    """Of each point of contact: p from O, its normal, and s = v_t / √(v_t² + v_0²) there."""
+    """Point p from O, normal, and s = v_t / √(v_t² + v_0²) of each point of contact."""
     out = []
     for i, pair in enumerate(pairs):
         face = () if touched is None else (pin.SE3(np.array(touched.X_WE[i])), touched.V_E[i])
@@ -296,13 +296,13 @@ def in_contact(chain, rng, r):
 
 
 def touched_of(rows):
-    """What is seen of bodies, from rows (contacts, 28) of X_WE, V_E and A_E."""
+    """Measured motion of bodies, from rows (contacts, 28) of X_WE, V_E and A_E."""
     X_WE, V_E, A_E = np.split(np.array(rows), (16, 22), axis=1)
     return osc.interface.Touched(X_WE.reshape(-1, 4, 4), V_E, A_E)
 
 
 def with_motors(chain, tau_max):
-    """The same chain with other motors."""
+    """Copy of a chain with other motors."""
     parts = (chain.arms, chain.grasps, chain.payload)
     how = {"rank_tolerance": chain.rank_tolerance, "angle_tolerance": chain.angle_tolerance}
     out = osc.ClosedChain(*parts, **how)
@@ -324,7 +324,7 @@ def without_contacts(case, **how):
 
 
 def strong(chain):
-    """The same chain with motors in the same proportions that reach no limit."""
+    """Copy of a chain with motors in the same proportions that never reach their limits."""
     return with_motors(chain, 1e4 * chain.tau_max)
 
 

@@ -11,7 +11,7 @@ def scenario_of(given, changes):
 
 
 def rig_of(given="two_contact_rod", *changes):
-    """What a scenario describes."""
+    """Rig of a scenario."""
     return osc.build_rig(scenario_of(given, changes))
 
 
@@ -26,7 +26,7 @@ def run_of(given="two_contact_rod", *changes, **how):
 
 
 def verdict_of(given="two_contact_rod", *changes, **how):
-    """What a run of it is judged to be."""
+    """Verdict on a run of a scenario."""
     return osc.metrics(run_of(given, *changes, **how))
 
 

@@ -32,7 +32,7 @@ def largest_difference(model, theirs):
 
 
 def urdf_difference(file, **how):
-    """Of a model of a URDF; mimic joints follow their masters."""
+    """Difference of a model from its URDF; mimic joints follow their masters."""
     other = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
 
     def placements(joints):

@@ -65,7 +65,7 @@ def marker(picture, row):
 
 
 def hinge(tick):
-    """The same for the hinge, by Pinocchio."""
+    """Motion of the hinge, computed by Pinocchio."""
     return links(RECORDING["q"][tick])["hinge"].translation - BASE.translation
 
 

@@ -43,7 +43,7 @@ def test_all_that_is_wrong_reaches_the_scenario_and_the_plant_and_can_be_left_ou
 
 @parametrize("number", first([2, 0], 1))
 def test_a_task_runs_to_its_end_and_is_judged(number):
-    """Of seed 1: a Kinova and a Z1 on walls that spring."""
+    """The task of seed 1 has a Kinova and a Z1 on elastic walls."""
     found = judge(1, number)
     assert found.word == "OK" and not found.noticed and not found.wrong_ok
     assert 0.0 < found.rms < 0.05

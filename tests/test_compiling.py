@@ -1,4 +1,4 @@
-"""How parts of the law are compiled: what they read, in which ways, and that all ways agree."""
+"""Compilation of the law: values that parts read, ways of compiling, and their agreement."""
 
 import ast
 import io

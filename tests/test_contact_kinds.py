@@ -209,7 +209,7 @@ def test_only_contacts_that_push_are_kept_from_pulling():
 
 
 def test_a_new_pair_whose_axes_are_a_choice_passes_the_tests_of_all_pairs():
-    """Those of tests/test_pairs.py and of this file, on the pair of tests/scratch_pair.py."""
+    """Runs tests/test_pairs.py and this file on the pair of tests/scratch_pair.py."""
     files = [str(ROOT / "tests" / name) for name in ("test_pairs.py", "test_contact_kinds.py")]
     plugins = ("-p", "scratch_pair", "-p", "no:cacheprovider")
     done = python("-m", "pytest", "-q", *plugins, "-k", "ball_in_tube", *files, cwd=ROOT)

@@ -51,7 +51,7 @@ def ready(rig):
 
 
 def test_places_of_views_are_where_their_numbers_stand(ready):
-    """Of whole tables, columns of tables and fields, in the order in which they are given."""
+    """Views are tables, columns of tables and fields, in the given order."""
     records = ready[0].records
     columns = records.memory.columns
     views = [columns.alpha, records.work.X_WO, columns.covariance, records.work.f_meas[::2]]
@@ -62,7 +62,7 @@ def test_places_of_views_are_where_their_numbers_stand(ready):
 
 
 def test_signals_of_a_tick_stay(ready):
-    """What is set afterwards does not change them; recordings keep the permitted error (7)."""
+    """Later assignments do not change them; recordings keep the permitted error (7)."""
     controller, measurement, reference = ready
     tau = ticked(controller, measurement, reference)
     signals = controller.signals
@@ -310,7 +310,7 @@ HELD = {"list": 8, "none": 11, "row": 11, "column": 11}
 
 
 def forged(record, **fields):
-    """The same with other fields, past what its constructor converts or refuses."""
+    """Copy with other fields that bypass the checks of the constructor."""
     other = copy.copy(record)
     other.__dict__.update(fields)
     return other
@@ -404,7 +404,7 @@ KINDS = {
 
 
 def of_kind(make, measurement, reference):
-    """The same tick in arrays of another kind."""
+    """Copy of a tick with arrays of another type."""
     m = {name: make(getattr(measurement, name)) for name in ("q", "v", "wrenches")}
     r = {name: make(getattr(reference, name)) for name in ("V_D", "A_D", "alpha_d")}
     return (replace(measurement, **m), replace(reference, **r))

@@ -29,7 +29,7 @@ SOME, FEW = 10_000, 400
 
 @module_fixture
 def program(tmp_path_factory):
-    """That of crafted.c, with the library around the law."""
+    """Program of crafted.c with the library of the law."""
     folder = tmp_path_factory.mktemp("crafted")
     write_library(folder / "library")
     return built(folder / "library", folder)
@@ -124,7 +124,7 @@ def drawn(items, count, seed):
 
 
 def test_no_word_that_places_something_may_be_another(program, rod):
-    """Where records and tables begin, and how many rows they have."""
+    """Words are offsets of records and tables, and numbers of rows."""
     sizes = [
         f"MODEL.[0].{name}" for name in (*records.COUNTED.values(), "row_bytes", "memory_bytes")
     ]

@@ -31,7 +31,7 @@ SHORT = ["control.rate=250 Hz"]  # few ticks: only the keys matter
 
 
 def text_of(page):
-    """Of a page, or of one in docs/ by its name."""
+    """Text of a page, or of a page in docs/ by its name."""
     return (ROOT / "docs" / page).read_text()
 
 
@@ -341,7 +341,7 @@ def defines(path, name):
 
 
 def complaint(reference, *, test):
-    """What is wrong with a reference path::name; None: nothing."""
+    """Error in a reference path::name, or None."""
     file, _, name = reference.partition("::")
     if not (ROOT / file).is_file():
         return f"no file {file}"

@@ -1,4 +1,4 @@
-"""What Reference, ClosedChain and Controller are given: converted, or refused with its cure."""
+"""Arguments of Reference, ClosedChain and Controller: converted, or refused with a cure."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ MATRIX = X.homogeneous
 
 
 def test_a_plain_number_of_force_is_an_array_of_one():
-    """As a number it ran, and recordings held NaN in its place."""
+    """A plain number used to run, with NaN in recordings."""
     reference = osc.Reference(X, alpha_d=10.0)
     assert_array_equal(reference.alpha_d, [10.0])
     rig = rig_of("panda_edge")

@@ -1,4 +1,4 @@
-"""What drags at an arm inboard of its wrist sensor, as a cable does, is not its friction."""
+"""A drag on the arm inboard of its wrist sensor (a cable) is not joint friction."""
 
 import mujoco
 import numpy as np

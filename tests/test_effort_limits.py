@@ -242,7 +242,7 @@ def test_integrals_rest_while_motors_are_at_their_limits():
 
 @module_fixture
 def run():
-    """With integral action in both loops: what winds up is seen."""
+    """Run with integrals in both loops, so that windup would be visible."""
     return run_of("limited_rod", "gains.motion.integral=8000")
 
 

@@ -189,7 +189,7 @@ OTHERS = sorted(ROOT.glob("tests/scenarios/*.yaml"))
 
 
 def test_steps_at_once_are_followed_as_before():
-    """The same gains without a rise time: what the law itself reaches, to the last digit given."""
+    """Gains without a rise time show the law alone, to the last given digit."""
     force = verdict_of("two_contact_rod", "gains.force.rise=0 s")["force"]
     assert force["left_end"]["rms_error_rel"] == approx(1.63e-4, abs=5e-7)
     assert force["right_end"]["rms_error_rel"] == approx(2.25e-4, abs=5e-7)
@@ -363,7 +363,7 @@ def test_a_pair_of_ones_own_cannot_be_displaced():
 
 
 def test_friction_that_turns_back_is_commanded_in_time():
-    """Of two Pandas that slide to and fro, with friction that they learn."""
+    """Two Pandas slide back and forth, with identification of friction."""
     assert worst_force(verdict_of("dual_panda_rod", "plant.friction=0.2", "duration=4 s")) < 0.015
 
 

@@ -58,7 +58,7 @@ def test_it_approaches_presses_slides_and_retreats(franka, case):
 
 
 def test_the_page_has_a_program_that_runs_against_its_command_line(tmp_path):
-    """As on the page, at an address that no other test has."""
+    """Uses an address that no other test uses."""
     page = (ROOT / "docs" / "franka.md").read_text().split("## On franky-sim")[1]
     (line,) = re.findall(r"^\$ franky-sim (.*)$", page, re.MULTILINE)
     (program, *_) = re.findall(

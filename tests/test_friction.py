@@ -56,7 +56,7 @@ def test_reversals_on_rigid_faces_and_in_a_cone_that_strikes():
 
 @parametrize("solref", [[0.01, 1], [0.004, 0.7]])
 def test_friction_leaves_a_face_as_stiff_as_it_is(solref):
-    """How deep 10 N press the peg, against contacts without friction."""
+    """Compares the penetration of a peg at 10 N with that of frictionless contacts."""
     plants = []
 
     @register_plant("kept")

@@ -147,7 +147,7 @@ def pressed(scenario, step_of, value=10.0):
 
 
 def overshoots(run):
-    """Of the first contact and of the step, shares; and what the step does to other forces (N)."""
+    """Relative overshoots of first contact and step, and effect of the step on other forces (N)."""
     commanded = run["alpha_cmd"]
     k = int(np.searchsorted(run["t"], 0.5 - 1e-9))
     over = run["alpha_true"] - commanded

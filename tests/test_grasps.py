@@ -404,7 +404,7 @@ def test_an_arm_whose_idle_motion_no_motor_drives_still_moves_the_object():
 
 @parametrize("arm", ["panda", "ur5", "2R", "3R", "4R"])
 def test_forces_at_a_tip_that_holds_nothing(arm):
-    """What moves beyond the sensor is taken out, whatever the motions that the tip has."""
+    """Inertial forces beyond the sensor are removed for any permitted motions of the tip."""
     rng = default_rng(27)
     seen = 0
     for _ in range(12):

@@ -1,4 +1,4 @@
-"""What `import osc_contact` costs: no more than Python itself; a name costs what it needs."""
+"""Cost of `import osc_contact`: that of Python itself; a name costs only its own modules."""
 
 from processes import python
 from pytest import mark, raises

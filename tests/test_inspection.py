@@ -193,7 +193,7 @@ def test_turns_about_points_are_products_of_poses():
 
 
 def test_the_object_rests_off_the_contacts_while_wrists_are_tared():
-    """What accelerates it would be taken for an error of the wrists."""
+    """Inertial forces would enter the tare as an error of the wrists."""
     references = two_turns()
     assert any(signal.at(0.1)[2] for move in references.scenario.motion for signal in move.signals)
     plan = references.over(np.linspace(0.0, references.scenario.tare.duration, 9))

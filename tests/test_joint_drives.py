@@ -25,7 +25,7 @@ LOOP = "control.joint_torque={rate: 4 kHz}"
 
 
 def free_rig(*changes):
-    """No faces."""
+    """Rig without faces."""
     return rig_of("two_contact_rod", "contacts=[]", "force={}", "motion=[]", *changes)
 
 

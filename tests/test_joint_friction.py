@@ -89,7 +89,7 @@ def test_the_estimate_is_that_of_least_squares():
 
 
 def test_the_noise_is_the_mean_square_of_what_the_estimate_does_not_explain():
-    """By a first-order lag of 0.5 s; outliers count as ten deviations."""
+    """The lag is 0.5 s (first order); outliers are limited to ten deviations."""
     expected = 0.04
     r = default_rng(6).normal(scale=0.5, size=400)
     r[::50] = 30.0
@@ -332,7 +332,7 @@ def test_friction_is_learned_and_must_be_sure_where_the_model_has_none(friction,
 
 @parametrize("mass", [0.8, 1.2])
 def test_errors_of_links_are_compensated_beside_a_tare(mass):
-    """By 0.7 of them, while e is within its bound: at rest that is the weight."""
+    """A share of 0.7 is compensated while e is within its bound: at rest, the weight."""
     rms = []
     for changes in ([], ["control.joint_friction.errors=false"]):
         words = [f"model_error.arm_mass={mass}", "tare={}", *changes]

@@ -27,7 +27,7 @@ def panda(**joints):
 
 
 def test_friction_damping_and_armature_are_shown_wherever_a_robot_is():
-    """By `check`, by `inspect`, and by the verdict of a run: non-zero values with their units."""
+    """`check`, `inspect` and verdicts show values other than zero with their units."""
     checked = "\n".join(robots.check_robot(robots.find_robot("xarm7")[0]).lines())
     assert "joints: friction 1 N m (every joint); damping 10 N m s/rad (joint1, joint2)" in checked
     changes = ["arms.left.friction=[1, 1, 20, 0.5, 0]", "arms.right.armature=0.1"]

@@ -95,7 +95,7 @@ def poles(eigenvalues):
 
 
 def assert_same_poles(got, expected):
-    """As sets: each has a partner."""
+    """Compare poles as sets: each has a partner."""
     distance = np.abs(got[:, None] - expected[None, :])
     scale = largest(expected)
     assert distance.min(axis=0).max() < 2e-4 * scale and distance.min(axis=1).max() < 2e-4 * scale
@@ -136,7 +136,7 @@ def test_it_is_the_selection_that_makes_the_classic_scheme_unstable():
 
 
 def test_search_counts_what_it_reports():
-    """The same draw again: the regular postures, and the least real part of each."""
+    """Repeats the draw: regular postures, and the least real part of each."""
     q, counts = ks.search(4, 400, 0.6)
     drawn = default_rng(4).uniform(-np.pi, np.pi, (400, 6))
     judged = sorted(drawn, key=lambda q: -regularity(q))[:240]

@@ -121,7 +121,7 @@ def any_arms(*grasps):
 
 @dataclass(frozen=True)
 class Rig:
-    """How random arms are made, and in how many ways they let the object move."""
+    """Properties of random arms, and number of motions that they leave to the object."""
 
     make: Callable
     d: set
@@ -162,7 +162,7 @@ def on_one(rng, contacts):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What is touched: where, with which friction, and whether every contact counts twice."""
+    """Touched bodies: positions, friction, and whether every contact occurs twice."""
 
     on: Callable
     pairs: tuple = tuple(sorted(PAIRS))
@@ -287,7 +287,7 @@ def ticks(rig, surroundings):
 
 
 def parts_of_contacts(t):
-    """What the law found of each contact, with the contact."""
+    """Results of the law for each contact, with the contact."""
     contacts = [c for c in t.contacts if len(c.along_object)]  # not what may move in every way
     return aligned(t.controller.signals.parts, contacts)
 
@@ -502,7 +502,7 @@ def test_torques_bring_the_commanded_forces_and_motion(rig, surroundings):
 
 @parametrize("arms", [3, 5])
 def test_arms_that_differ_and_hold_with_balls_squeeze_as_commanded(arms):
-    """By bar and by number; of the ten bars of five arms nine are independent."""
+    """Five arms have ten bars, nine of which are independent."""
     rng = default_rng([70, arms])
     for i in range(3):
         kinds = ["ball", "rigid", *rng.choice(["rigid", "ball"], arms - 2)]

@@ -26,7 +26,7 @@ S_MAX = 3
 
 @dataclass(frozen=True)
 class Case:
-    """What `TorqueLimits` is given; six coordinates, the last d of them free."""
+    """Operands of `TorqueLimits`; six coordinates, the last d of them free."""
 
     d: int
     desired: np.ndarray
@@ -116,7 +116,7 @@ MADE = {}  #: by the number of motors
 
 
 def solve(case):
-    """By arrays that other cases have used before."""
+    """Solve a case with arrays that other cases have used before."""
     n = len(case.desired)
     r = len(case.alpha)
     s = len(case.E)

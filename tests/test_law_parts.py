@@ -234,7 +234,7 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
 
 @parametrize("i", [0, 4, 8])
 def test_what_is_learned_of_a_normal_that_turns_about_one_axis_is_kept(i):
-    """As at edges along an axis of their body; only a covariance of zeros begins with the prior."""
+    """Edges turn along one axis; only a zero covariance starts from the prior."""
     t = records(contacts=1, columns=1)
     last = t.memory.columns[0]
     t.work.columns[0].prior[:] = 1e-4

@@ -344,7 +344,7 @@ def random_ticks(rng, n, ticks):
 
 
 def assert_rules(phases, before, goal, commanded, pushing, k):
-    """What holds after any tick: phases `before` it, and goals."""
+    """Check invariants after a tick: phases `before` it, and goals."""
     rows = phases.contacts
     columns = phases.columns
     assert_array_equal(rows.active, rows.phase != OPEN)

@@ -82,7 +82,7 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
 
 
 def test_bodies_do_not_yield_while_their_motion_is_unknown():
-    """What an older tick found of it is left out."""
+    """Results of an older tick are not used."""
     t = records(contacts=1, columns=1)
     write(t.work, rank=1, N_factor=np.eye(1), N_basis=np.ones((1, 6)), out_T=np.eye(6))
     pushes = []
@@ -259,7 +259,7 @@ def test_a_metric_that_is_not_definite_is_reported():
 
 @parametrize("arms", [1, 3])
 def test_every_number_that_comes_in_is_looked_at(arms):
-    """With one number for the squeeze of up to two arms, and one of each bar of more."""
+    """Squeeze is one number for up to two arms, and one for each bar of more."""
     t = records(arms=arms, joints=2, contacts=2, columns=3)
     given = {name: getattr(t.input, name) for name in ("q", "v", "wrenches", "alpha_d", "touched")}
     given |= {name: getattr(t.input, name) for name in ("X_WD", "V_D", "A_D")}
@@ -421,7 +421,7 @@ def test_phases_keep_what_was_measured(phased):
 
 
 def settled(ticked, n_arms=2, n_internal=1, rate=100.0):
-    """What `settle` makes of 6 and −1 N m found where 0 and 0 were given: torques, squeeze."""
+    """Torques and squeeze after `settle` with the solution 6 and −1 N m in place of 0 and 0."""
     rows = Rows(new_model(n_arms, 2, 2, columns=1))
     model, memory, work, _ = views(rows)
     write(model, torque_rate=rate, phase_rate=1.0, period=1e-3)

@@ -241,7 +241,7 @@ def test_a_face_shows_its_tilt_where_it_carries_three_tenths_of_its_force(share,
 
 
 def test_an_impact_is_not_held_where_phases_close_a_contact():
-    """What is measured at the moment of contact may be many times what is wanted."""
+    """The force measured at the impact may be many times the desired one."""
     for phased, start in ((1, 2.0), (0, 40.0)):
         forces = Forces(phased=phased)
         assert forces.tick([2.0], measured=[40.0])[0] == approx(start)

@@ -223,7 +223,7 @@ def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sig
 
 
 def readings():
-    """What `check_readings` is given, all of it credible."""
+    """Plausible arguments of `check_readings`."""
     t = joints(2, wrench_timeout=0.0205, force_range=100.0, torque_range=10.0, plausible_speed=3.0)
     t.model.joints.rated = t.model.joints.speed_max = [2.0, 4.0]
     write(t.memory, has_wrench=1, compared=1)
@@ -470,7 +470,7 @@ def noisy(state=at.RUN, joints=(0, 1), **how):
 
 @parametrize("state", [at.RUN, at.SAFE_STOP])
 def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest(state):
-    """By the noise that its readings had before; also in a stop."""
+    """Former noise of the readings distinguishes them; also during a stop."""
     sensors = noisy(state)
     assert sensors.until(**STILL) == (12, FROZEN)
     assert (sensors.joints.faulty == 3).all(), "no reading of it is sound"

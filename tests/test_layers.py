@@ -63,7 +63,7 @@ for door in {doors!r}:
 
 @fixture(scope="module")
 def loaded():
-    """By door: names of the modules that are loaded behind it."""
+    """Names of the modules that each door loads."""
     lines = python("-c", OPEN.format(doors=HOMES)).stdout.splitlines()
     return dict(zip(HOMES, map(json.loads, lines), strict=True))
 

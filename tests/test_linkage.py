@@ -66,7 +66,7 @@ def settable_bars(state, chain):
 
 @module_fixture
 def plate():
-    """With gains for one mass."""
+    """Rig with gains for one mass."""
     gains = "gains={force: {integral: 10, damping: 3000}}"
     return rig_of("three_arm_plate", gains)
 
@@ -163,7 +163,7 @@ def answer(state, chain):
 
 
 def assert_same(got, expected):
-    """The same levers, and bases that span the same."""
+    """Check for equal levers and bases with the same span."""
     assert_near(got[0], expected[0], atol=1e-10 * largest(expected[0]), rtol=0)
     assert got[1].shape == expected[1].shape
     assert_close(got[1] @ got[1].T, expected[1] @ expected[1].T, tolerance=1e-9)

@@ -223,7 +223,7 @@ def test_a_dead_viewer_is_reported_once_and_never_waited_for(viewer, caplog):
 
 
 def test_a_viewer_that_takes_nothing_for_a_while_continues_afterwards(viewer, caplog):
-    """As on a loaded machine: nobody waits for it, and it is not given up."""
+    """On a loaded machine nothing waits for the viewer, and it is not closed."""
     with caplog.at_level(logging.INFO, "osc_contact.viewer"):
         feed(viewer, 0.5)
         viewer._process.send_signal(signal.SIGSTOP)

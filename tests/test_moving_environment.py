@@ -121,7 +121,7 @@ def test_one_body_behind_every_contact_stays_what_it_is():
 
 @parametrize("seed", range(8))
 def test_the_environment_of_several_contacts_follows_from_the_inertia_of_the_object(seed):
-    """By the inverse of Nᵀ that it makes, so in any frame and any units (here mm)."""
+    """The inverse of Nᵀ is valid in any frame and units (here mm)."""
     rng = default_rng([seed, 45])
     N = rng.standard_normal((6, 3))
     half, b_N, V_N = rng.standard_normal((3, 3))

@@ -193,7 +193,7 @@ def landing_at(tick, **channels):
 
 
 def test_a_run_that_begins_with_an_approach_is_judged_by_its_phases():
-    """No force during the approach, the landing by its overshoot, the rms where it is closed."""
+    """The approach has no force limits, the landing an overshoot, closed contacts an rms error."""
     verdict = osc.metrics(made(**landing_at(1500)))
     force = verdict["force"]["tip"]
     assert verdict["task"]["word"] == "OK" and force["rms_error_N"] == 0.0 == force["peak_error_N"]
@@ -227,7 +227,7 @@ AWAY = (
 def test_runs_end_with_the_exit_code_of_their_verdict(
     words, code, verdict, failed, sentence, tmp_path, no_figures
 ):
-    """Where the left face is driven away faster than the arms follow, nobody closes the contact."""
+    """A left face that moves away faster than the arms leaves its contact open."""
     result = call("run two_contact_rod --duration 1.6", *words, "--out", tmp_path)
     task = read_json(tmp_path / "metrics.json")["task"]
     assert (result.exit_code, task["word"], task["failed"]) == (code, verdict, failed), task

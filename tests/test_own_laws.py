@@ -230,7 +230,7 @@ def inertial(s, A):
 
 @parametrize("ratio", [0.0, 0.7])
 def test_impedance_is_a_spring_and_a_damper_on_the_arms_own_inertia(exact, ratio):
-    """With D the solution of D Λ⁻¹ D = 4ζ²K, here 2ζΛ(Λ⁻¹K)^½, along the motions."""
+    """D solves D Λ⁻¹ D = 4ζ²K, here 2ζΛ(Λ⁻¹K)^½, along the motions."""
     for seed in range(4):
         plant, reference = moving(exact, seed)
         controller = exact.controller().with_laws(**vars(osc.impedance(KEYS, ratio)))

@@ -313,7 +313,7 @@ def test_a_wrist_without_gravity_is_refused_at_the_door():
 
 
 def test_force_sensors_read_the_same_after_a_step_in_two_halves():
-    """What the lower bound of MuJoCo rests on: 3.5 leaves out what velocities contribute."""
+    """MuJoCo 3.5, below the lower bound, omits the contribution of velocities."""
     model = scene()
     whole, halves = mujoco.MjData(model), mujoco.MjData(model)
     for data in (whole, halves):

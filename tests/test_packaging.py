@@ -1,4 +1,4 @@
-"""What a stranger installs: the wheel's content, the pinned versions, the files of the root."""
+"""Installed package: content of the wheel, pinned versions, files of the root folder."""
 
 import re
 import subprocess

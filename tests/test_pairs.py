@@ -33,7 +33,7 @@ def drawn(name, seed):
 
 @cache
 def class_of(name):
-    """Of the pairs of a kind. Not before a test runs: one of them is compiled when it is made."""
+    """Class of the pairs of a kind, made only in a test, because one of them is compiled."""
     return type(drawn(name, 0)[0])
 
 
@@ -176,7 +176,7 @@ POSSIBLE = {"radius": {0.0}, "pitch": {-1.0}, "edge_outward": {-1.0}}
 
 @parametrize("name", ALL)
 def test_impossible_geometry_is_refused(name):
-    """No numbers, no directions, lengths that are none; the field is named."""
+    """NaN, zero directions and negative lengths are refused with the name of the field."""
     pair, _, _ = drawn(name, 1)
     for field in fields(pair):
         value = getattr(pair, field.name) if field.init else None

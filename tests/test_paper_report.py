@@ -158,7 +158,7 @@ def test_the_report_fetches_nothing(report):
 
 
 def test_it_fits_phones_and_desks_and_unfolds_scenes_that_are_opened(report):
-    """What is opened plays from then on: the browser must not outlive the test."""
+    """Opened scenes keep playing, so the browser must end with the test."""
     with Browser(report.as_uri(), ready=READY) as browser:
         for width, count in ((390, 1), (1280, 2)):
             browser.visit(report.as_uri(), width, ready=READY)

@@ -128,7 +128,7 @@ class Sources:
                 self._imported[module, alias.asname or alias.name] = (alias.name, None)
 
     def _reads(self, function):
-        """What a function reads: module and name where it is bound, and where it is defined."""
+        """Values that a function reads: module and name of binding and definition."""
         module, _ = function
         for name, member in names_in_body(self.functions[function]):
             home, original = self._imported.get((module, name), (module, name))

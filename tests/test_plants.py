@@ -151,7 +151,7 @@ def test_the_scene_needs_an_object(rig):
 
 
 def test_a_registered_plant_is_named_in_scenarios(own_plants):
-    """That it runs shows the program of docs/extend.md."""
+    """The program of docs/extend.md tests a run of it."""
     osc.register_plant("halved", exact=True)(PLANTS["rigid"])
     rig = rig_of("approach_and_slide", "plant.type=halved")
     assert rig.scenario.plant.exact

@@ -1,4 +1,4 @@
-"""Where arms stand and where runs start: `pose`, postures, and scenarios for any arm by `new`."""
+"""Positions of arms and starts of runs: `pose`, postures, and scenarios for any arm by `new`."""
 
 from functools import cache
 

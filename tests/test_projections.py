@@ -84,7 +84,7 @@ def test_every_projection_is_the_decomposition_it_stands_for(seed, r):
 
 @on_every_contact
 def test_identities_9_to_12(seed, r):
-    """With the bars that eqs. 10 and 12 lost; as printed they hold only where a space is empty."""
+    """Eqs. 10 and 12 need bars that are not printed; without them they hold for empty spaces."""
     c = case(seed, r)
     f1, f2 = (P.Omega_f(c.N, inverse(A)) for A in c.A)
     g1, g2 = (P.Omega_f_bar(c.T, A) for A in c.A)

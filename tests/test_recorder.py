@@ -82,7 +82,7 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
 
 
 def written(save, *given, **arrays):
-    """What a function of NumPy writes."""
+    """Bytes that a function of NumPy writes."""
     stream = io.BytesIO()
     save(stream, *given, **arrays)
     return stream.getvalue()

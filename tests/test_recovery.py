@@ -1,4 +1,4 @@
-"""What a run leaves when it is killed, interrupted or has no disk; two runs, the same file."""
+"""Recovery of runs that were killed, interrupted, or ran out of disk space or shared a file."""
 
 import csv
 import json

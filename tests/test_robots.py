@@ -21,7 +21,7 @@ MIRROR = np.diag([1.0, -1.0, 1.0])
 
 
 def limits(model):
-    """Of effort, speed, and the lower and upper ones of position."""
+    """Limits of effort, speed, and lower and upper position."""
     position = (model.lowerPositionLimit, model.upperPositionLimit)
     return [x.tolist() for x in (model.effortLimit, model.velocityLimit, *position)]
 

@@ -96,7 +96,7 @@ def run_plainly(rig):
 
 
 def judged(plant):
-    """Of the plant's truth; of MuJoCo from its own functions, contact by contact."""
+    """Truth of the plant; for MuJoCo from its own functions, contact by contact."""
     if not isinstance(plant, MujocoPlant):
         truth = plant.truth()
         E = truth.X_WE or [WORLD] * len(plant.contacts)
@@ -142,7 +142,7 @@ def truths(X, V, E, alpha, closed):
 
 
 def moved(model, data, body, rail):
-    """Where a slide and the hinge on it have carried a body; without either, nowhere."""
+    """Displacement of a body by a slide and the hinge on it; identity without either."""
     if not rail.joints:
         return WORLD
     joints = {model.joint(j).name: data.qpos[model.jnt_qposadr[j]] for j in range(model.njnt)}
@@ -174,7 +174,7 @@ def lines(rig, truth):
 
 
 def free_part(chain, q, X_WO, N, x):
-    """Of one instant, by singular values: x in range(S) ∩ T, cut in the object's metric."""
+    """Part in range(S) ∩ T at one instant, by singular values in the object's metric."""
     L = cholesky(chain.reference_inertia(X_WO))
     pin.computeJointJacobians(chain.model, chain.data, q)
     J = L.T @ columns_at(chain.data.J, X_WO.translation)
@@ -200,7 +200,7 @@ def outside(columns, least=1e-6):
 
 
 def error(controller, q):
-    """Of the pose error, what the arms and the contacts in force permit."""
+    """Part of the pose error that arms and active contacts permit."""
     found = controller.signals
     X_WO = pin.SE3(found.X_WO.copy())
     return free_part(controller.chain, q, X_WO, found.contact.N, found.error)

@@ -456,7 +456,7 @@ def test_what_does_not_fit_is_reported_as_for_a_file(parts, words):
 
 
 def test_scenarios_are_taken_by_name_and_by_path():
-    """By every public function that takes one, as by `load_scenario`; unknown names have a cure."""
+    """Every public function accepts them like `load_scenario`; unknown names have a cure."""
     by_name = osc.run("two_contact_rod", duration=0.02)
     by_path = osc.run(FILES / "two_contact_rod.yaml", duration=0.02)
     made = osc.run(osc.load_scenario("two_contact_rod"), duration=0.02)

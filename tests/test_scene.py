@@ -181,7 +181,7 @@ def test_a_column_with_a_couple_is_a_screw(tmp_path):
 
 
 def test_key_frames_are_read_as_written():
-    """By the reader of MessagePack: single precision, keys inside equal stretches left out."""
+    """The reader of MessagePack checks single precision and omitted keys in equal stretches."""
     rng = np.random.default_rng(5)
     positions = rng.standard_normal((70_000, 3))
     positions[3:9] = positions[3]

@@ -1,4 +1,4 @@
-"""What `osc-contact check` compares: our reading of a URDF and yourdfpy's."""
+"""Comparison by `osc-contact check` of our reading of a URDF with yourdfpy's."""
 
 import yourdfpy
 from command_line import answered

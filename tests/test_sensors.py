@@ -188,7 +188,7 @@ BITS = "sensors.encoder={rate: %g Hz, angle: {resolution: %.9e rad}, length: {re
 @parametrize("rate", first([250, 500, 1000], 1))
 @parametrize("name", first(["two_contact_rod", "ur5_wipe"], 1))
 def test_a_better_encoder_is_never_worse(name, rate):
-    """By contact forces, 2 s judged, MuJoCo."""
+    """Contact forces are compared over 2 s in MuJoCo."""
     encoders = [BITS % (rate, 2 * np.pi / 2**bits, 1.0 / 2**bits) for bits in (20, 23, 26)]
     errors = []
     for encoder in (*encoders, f"sensors.encoder={{rate: {rate} Hz}}"):
@@ -202,7 +202,7 @@ def test_a_better_encoder_is_never_worse(name, rate):
 
 
 def at_rest(R, mass, com, bias):
-    """What holds a body up, by hand: minus its weight, through its centre of mass."""
+    """Wrench that holds a body at rest: minus its weight, through its centre of mass."""
     weight = mass * R.T @ [0.0, 0.0, -9.81]
     return np.concatenate((-weight, np.cross(com, -weight))) + bias
 
@@ -358,7 +358,7 @@ def scattered(rng):
 
 
 def noisy(X, rng):
-    """As the plant's camera errs: shifted, and turned about its own origin in world axes."""
+    """Pose with the errors of the plant's camera: shifted, and turned about its origin."""
     R = pin.exp3(NOISE[1] * rng.standard_normal(3)) @ X.rotation
     return pin.SE3(R, X.translation + NOISE[0] * rng.standard_normal(3))
 

@@ -115,7 +115,7 @@ def _closed(q):
 
 
 def ranks_on_the_way(chain, postures, v, posture):
-    """Of the first arm; torques have to be continuous, and what fades that of the definition."""
+    """Ranks of the first arm; torques must be continuous, and shares match their definition."""
     before = controller = None
     ranks = set()
     for k, q in enumerate(postures):

@@ -81,7 +81,7 @@ W = GAINS.drift
 
 
 def poles(ratio, passive):
-    """Of σ v = −(1 + K_i/σ) e − b, e = k/m v/σ; b of a soft face, or κ σ/(σ + w) v."""
+    """Poles of σ v = −(1 + K_i/σ) e − b, e = k/m v/σ; b of a soft face, or κ σ/(σ + w) v."""
     brake = [KAPPA, KAPPA * K_I if passive else 0.0]
     own = np.polymul(np.polyadd([1.0, W, 0.0], brake), [1.0, 0.0, 0.0])
     return np.roots(np.polyadd(own, ratio * np.polymul([1.0, K_I], [1.0, W])))

@@ -20,7 +20,7 @@ MOTION_LAWS = (P.Omega_m, P.Omega_f_bar)
 
 @fixture(params=[0.01, 1.0, 100.0], ids=["stricter", "as is", "laxer"])
 def limits(request, monkeypatch):
-    """No verdict here may hang on a limit: each holds with limits a hundred times off."""
+    """Limits a hundred times larger or smaller, which must not change any verdict."""
     for name in ("DEPENDENT", "BLOCKED", "BLURRED", "_NO_MOBILITY"):
         monkeypatch.setattr(P, name, getattr(P, name) * request.param)
 

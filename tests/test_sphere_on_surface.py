@@ -107,7 +107,7 @@ for _name, _how in KINDS.items():
 @parametrize("R", [0.03, 0.1, 1.0])
 @parametrize("face", ["sphere", "cylinder"])
 def test_normals_gaps_and_points_are_those_of_the_shapes_that_touch(face, R):
-    """By hand, and as detection finds them."""
+    """Results are compared with those by hand and by detection."""
     rng = default_rng(5)
     pair = osc.SphereOnSurface([0.1, 0.2, -0.3], 0.012, getattr(osc.Surface, face)(R))
     solid = coal.Sphere(R) if face == "sphere" else coal.Cylinder(R, 10.0)
@@ -164,7 +164,7 @@ def normal(pair, X_WO):
 
 
 class Own(osc.SphereOnSurface):
-    """The same as a pair that only Python evaluates."""
+    """Equivalent pair that only Python evaluates."""
 
     def contact(self, *args):
         return super().contact(*args)

@@ -36,7 +36,7 @@ def case():
 
 
 def first_words(name):
-    """Of a reason's sentence: what stands before the first value that is filled in."""
+    """Words of a reason's sentence before the first value."""
     return SENTENCES[CODES[name]].partition("{")[0]
 
 
@@ -157,7 +157,7 @@ def test_a_dead_packet_stops_with_the_request_for_brakes_at_once(case):
 
 
 def test_brakes_are_requested_once_more_where_they_are_needed_after_the_stop(case):
-    """No joint is read from 5 ms after the stop on."""
+    """Joints have no readings from 5 ms after the stop on."""
     controller = prepared(case, "frozen wrist")
     m = case.measurement
     blind = replace(m, q=m.q * np.nan, v=m.v * np.nan)

@@ -204,7 +204,7 @@ def test_an_encoder_that_dies_while_the_stopped_arm_rests_is_replaced_by_its_spe
 @mark.slow
 @parametrize("how", drawn(24, 55, tuple(DEATHS)), ids=str)
 def test_whatever_dies_stopped_arms_stay_where_they_are(how):
-    """Where friction holds them it may not be found: they stay without encoders, too."""
+    """A dead encoder may remain undetected if friction holds the joint; it does not move."""
     seen = stop(how)
     assert seen.stopped is not None
     assert seen.travel < REST_TRAVEL and seen.speed < REST_SPEED, seen

@@ -276,7 +276,7 @@ def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tm
 
 
 def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path):
-    """And its workers end with it."""
+    """Workers end with a killed sweep."""
     line = f"sweep two_contact_rod --samples 40 --workers 2 --out {tmp_path} --vary"
     rows = tmp_path / ROWS
     changes = [word for one in SHORT for word in ("--set", one)]
@@ -474,7 +474,7 @@ def test_what_is_shared_of_a_robot_does_not_depend_on_errors_and_limits(name):
 
 
 def test_files_that_changed_are_read_anew_and_what_is_returned_is_nobodys(tmp_path):
-    """What was read is kept by its bytes: same length, same second, another robot."""
+    """Cached files are identified by their bytes: same length, same second, another robot."""
     file = tmp_path / "body.urdf"
     text = robots.urdf_path("rod").read_text()
     heavier = text.replace('<mass value="1.5"/>', '<mass value="2.5"/>')

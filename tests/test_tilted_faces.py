@@ -113,13 +113,13 @@ def test_the_estimate_is_not_worse_than_none_on_soft_faces_that_move(face):
 
 
 def noisy(scenario, angle):
-    """With noise of encoders."""
+    """Rig with noisy encoders."""
     return scenario.replaced(sensors={"encoder": {"rate": "1 kHz", "angle": {"noise": angle}}})
 
 
 @parametrize("about", [0.0, 45.0, 90.0, 135.0])
 def test_the_covariance_is_that_of_the_error_and_settles(about):
-    """With noise of encoders; half of an error of 5° is gone 0.4 s after the motion has begun."""
+    """Encoders are noisy; half of an error of 5° is corrected 0.4 s after the start."""
     off, _, run, controller = slid(noisy(circle(0.5, about), "0.02 mrad"), 3.0)
     std = run["normal_std"][:, 0]
     assert std[np.flatnonzero(np.isfinite(std))[0]] == approx(5.0 * DEGREE, rel=0.01)
@@ -153,7 +153,7 @@ def test_what_stands_keeps_its_face_and_its_uncertainty():
 
 
 def point_of(pair, X, X_WE):
-    """Where it slides, in the world: a vertex, a centre; where the object's edge is nearest."""
+    """Sliding point in the world: a vertex, a centre, or the nearest point of the object's edge."""
     if isinstance(pair, osc.FaceOnVertex):
         return X_WE.act(pair.body_vertex)
     if not isinstance(pair, osc.EdgeOnEdge):
@@ -177,7 +177,7 @@ def turned_in_the_law(pair, turn, q, v, reference, touched):
 
 
 def correction(shown, across):
-    """What the law takes off a normal (3,) that shows itself so by sliding."""
+    """Correction of a normal (3,) by the law for an error that sliding reveals."""
     square = shown @ shown
     share = square**2 / (square**2 + SLIDES**4)
     rate = 1 - np.exp(-osc.Gains().force.drift * DT)

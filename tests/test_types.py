@@ -112,7 +112,7 @@ def pyright(folder):
 
 @module_fixture
 def complaints(folder):
-    """Of each checker."""
+    """Messages of each type checker."""
     return {checker.__name__: checker(folder) for checker in (mypy, pyright)}
 
 

@@ -132,7 +132,7 @@ def test_following_the_scenario_is_rewarded_and_leaving_it_is_not():
 
 
 def test_seeds_draw_the_same_episodes_again_and_others_draw_others():
-    """And each row begins with the masses of its episode, which its wrist reads."""
+    """Each row begins with the masses of its episode, which its wrist measures."""
     env = make_vector_env("panda_edge", 6, vary=MASS, overrides=SHORT, episodes=5, threads=1)
     (_, one), (_, two), (seen, other) = (env.reset(seed=s) for s in (7, 7, 8))
     assert list(one["sample"]) == list(two["sample"]) != list(other["sample"])

@@ -142,7 +142,7 @@ def test_every_box_shows_every_signal_that_it_reads_and_puts_out(diagram):
 
 
 def test_diagrams_are_legible(diagram):
-    """No name covers another, no connection crosses a box or a name, the colours are explained."""
+    """Names do not overlap, connections cross neither boxes nor names, colours are explained."""
     boxes, ax = diagram
     shown = [(t.get_text(), t.get_window_extent()) for t in ax.texts if t.get_text()]
     assert {block.name for block, _ in boxes} <= {text.replace("\n", " ") for text, _ in shown}

@@ -35,7 +35,7 @@ TASKS = (
 
 
 def node(*words):
-    """What Node.js prints; `make browser` brings it."""
+    """Output of Node.js, which `make browser` installs."""
     assert shutil.which("node"), "there is no Node.js here: make browser, or apt-get install nodejs"
     return completed("node", *words).stdout
 

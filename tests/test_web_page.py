@@ -60,7 +60,7 @@ def opened(page, address, **how):
 
 
 def flat(page, ticks, **more):
-    """What so many ticks without pictures ended in."""
+    """Result of a number of ticks without pictures."""
     order = json.dumps(more | {"kind": "flat", "ticks": ticks})
     page.run(f"delete measured.flat; task.postMessage({order})")
     page.until(f"{TOLD}.flat", 300.0)

@@ -304,7 +304,7 @@ def test_a_saved_controller_continues_and_takes_gains_tare_and_reset(
     ],
 )
 def test_ceilings_stop_in_c_as_in_python(library, tmp_path, ceilings, cause):
-    """Those of a program whose commands are not known follow the largest one there, too."""
+    """If a program's commands are unknown, ceilings rise with the largest one in C, too."""
     rig = rig_of("two_contact_rod", "control.life=off")
     limits = osc.SafetySettings(overforce_time=np.inf, contact_power=np.inf, **ceilings)
     controller = repeatable(rig.controller().with_safety(limits))
@@ -324,12 +324,12 @@ def test_ceilings_stop_in_c_as_in_python(library, tmp_path, ceilings, cause):
 
 
 def code_of(name):
-    """Of an error of the C library."""
+    """Error code of the C library."""
     return -list(ERRORS).index(name)
 
 
 def numbers_of(c, handle, name, *counted, size, kind=ctypes.c_double):
-    """What a getter fills in."""
+    """Numbers that a getter of the C library returns."""
     out = (kind * size)()
     assert getattr(c, name)(handle, out, *counted) == 0
     return np.array(out)

@@ -119,7 +119,7 @@ def suite(python, versions):
 
 
 def core(file, python):
-    """What Pinocchio alone brings, and what the wheel adds; its loop runs without extras."""
+    """Modules of Pinocchio alone and those added by the wheel; its loop runs without extras."""
     with tempfile.TemporaryDirectory(prefix="osc_contact_core_") as name:
         folder = Path(name)
         around, pip = environment(folder, python)
@@ -144,7 +144,7 @@ def size(folder):
 
 
 def beside(file, python):
-    """What pip chooses where the package with all extras is installed beside others, each alone."""
+    """Versions that pip selects for the package with all extras beside other packages."""
     with tempfile.TemporaryDirectory(prefix="osc_contact_beside_") as name:
         folder = Path(name)
         around, pip = environment(folder, python)

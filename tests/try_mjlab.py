@@ -45,7 +45,7 @@ def environment(parts, count, **changes):
 
 
 def poses(env, parts):
-    """Of the objects, from mjlab's own joints."""
+    """Poses of the objects, from mjlab's own joints."""
     _, controller = parts
     q = env.scene["panda"].data.joint_pos.numpy().astype(float)
     return [controller.chain.state(one).X_WO for one in q]

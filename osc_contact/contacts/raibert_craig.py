@@ -340,7 +340,12 @@ def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
 
 
 def _space(E: Array, p: Array, chosen: Array) -> Array:
-    """Orthonormal bases (B, 6, r) of the spaces that frames describe; see `sines`."""
+    """Orthonormal bases (B, 6, r) of the force spaces of B Raibert–Craig frames.
+
+    Args:
+        E: (B, 3, 3) axes of the frames. p: (B, 3) their origins from O (m). chosen: (B, 6) selected
+            forces, then selected couples; r in each row.
+    """
     full = np.zeros((len(E), 6, 6))
     full[:, :3, :3] = full[:, 3:, 3:] = E
     full[:, 3:, :3] = np.einsum("bl,lij,bjk->bik", p, _SKEW, E)

@@ -210,7 +210,11 @@ class BatchController:
             self._run(thread, i, i + 1, int(self._jobs[thread].switches) | law.MISFIT, args)
 
     def _locate(self, q: Array) -> None:
-        """Where no arm holds the object rigidly: find it once, from the joints alone."""
+        """Find the objects' initial poses from the joints alone, if no arm holds one rigidly.
+
+        Args:
+            q: (rows, n) joint positions.
+        """
         if self._settings[0].chain.leader is not None:
             return
         for i in np.flatnonzero(self._memories["located"] == 0):

@@ -1,4 +1,4 @@
-"""What changes in a controller from one tick to the next, as events for a log."""
+"""Changes of a controller from one tick to the next, as events for a log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The decoupled force/motion controller, fig. 4: its tick, its state, and copies of it."""
+"""Decoupled force/motion controller, fig. 4: tick, state, reports and copies."""
 
 from __future__ import annotations
 
@@ -55,13 +55,14 @@ _SETTABLE = ("f_tare", "f_bias", "engaged", "motion_integral", "force_integral")
 class Controller(ControllerState):
     """Dynamically decoupled force/motion control of one held object (fig. 4).
 
-    Everything is taken at construction and stays: `with_gains` and `with_laws` make another
-    controller that continues from here. Controllers share nothing that changes, can be copied,
-    pickled, and each used in a separate thread.
+    Settings are fixed at construction; `with_gains`, `with_safety` and `with_laws` make another
+    controller that continues with the present state. Controllers share no mutable state: they can
+    be copied, pickled, and used in separate threads.
 
     Attributes:
-        settings, laws: as given. chain, contacts, gains, dt, B, bodies, posture, friction, life:
-            of the settings. reading: as given, or as chosen.
+        settings: all settings. laws: custom laws.
+        chain, contacts, gains, dt, B, bodies, posture, friction, life, reading: single settings
+            (`reading` as chosen if it was None).
 
     Example:
         >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
@@ -99,39 +100,40 @@ class Controller(ControllerState):
         safety: SafetySettings | None = None,
         joint_friction: JointFriction | bool = True,
     ) -> None:
-        """Assemble the loops.
+        """Make a controller with zero integrals.
 
         Args:
             chain: model of arms and object.
             contacts: a pair, or several in the order of alpha_d.
-            gains: of both loops.
+            gains: gains of both loops.
             dt: control period (s).
             B: metric of the motion filter Ω_m(B), eq. 24: "object" (Λ_o⁻¹), "chain"
                 ((ΣΛ_i + Λ_o)⁻¹ within the chain's motions) or a positive definite (6, 6).
-            bodies: how the body at each contact answers forces; None: it does not, though it may
-                be seen to move. The same object twice: both contacts are on one body.
-            posture: (n,) where redundant arms return to (default: neutral). A goal, which may lie
-                somewhat outside the joints' limits: the posture task keeps the joints inside.
-            engaged: whether the contacts are part of the model from the start.
-            in_contact: whether contacts that push are made at the start; False: they begin open,
-                and are approached once they are active. Without `life` they are made.
-            friction: what is known of the contacts' friction; None: nothing.
-            reading: how contact forces are read off the wrists, 'filter' (fig. 5) or
-                'least_squares', which friction and tilted faces do not fool; None: the latter
-                where its answer is unique (see `law.reading`).
-            life: opens, approaches and closes the contacts one by one; None: all of them are
-                closed as long as they are engaged.
-            laws: of the user's own, in place of force law, motion law or control structure.
-            posture_task: what redundant arms do with joints they do not need.
-            safety: when ticks that cannot be computed end in a hold, and in a stop.
-            joint_friction: how friction of the joints is learned and compensated; True:
-                `JointFriction()`; False: not at all.
+            bodies: dynamics of the touched body at each contact; None: contact forces do not move
+                it, though its motion may be measured. The same object twice: both contacts are on
+                one body.
+            posture: (n,) joint positions to which redundant arms return (default: neutral). This
+                goal may be somewhat outside the joints' limits, since the posture task keeps the
+                joints within them.
+            engaged: whether the law includes the contacts from the start.
+            in_contact: whether contacts that push are closed at the start; False: they are open,
+                and approached once they are active. Without `life` they are always closed.
+            friction: friction at the contacts that is taken into account; None: none.
+            reading: method of computing contact forces from the wrist readings, 'filter' (fig. 5)
+                or 'least_squares', which is not affected by friction and tilted faces; None: the
+                latter if its result is unique (see `law.reading`).
+            life: settings of contact phases, by which contacts are opened, approached and closed
+                one by one; None: all contacts are closed while they are engaged.
+            laws: the user's laws in place of force law, motion law or control structure.
+            posture_task: settings of the posture task of redundant arms.
+            safety: limits of the robot, and conditions of a hold and a stop.
+            joint_friction: settings for identification and compensation of joint friction; True:
+                `JointFriction()`; False: no compensation.
 
         Raises:
-            InvalidInputError: an argument of another class or unit, unknown metric, or an arm
-                without a wrist sensor although there are contacts: their forces could not be
-                measured.
-            ModelError: an arm that the law cannot take.
+            InvalidInputError: an argument of another class or unit, an unknown metric, or contacts
+                and an arm without a wrist sensor, so that contact forces cannot be measured.
+            ModelError: an arm that the law does not support.
         """
         settings = Settings(
             chain,
@@ -156,7 +158,7 @@ class Controller(ControllerState):
                 "osc.Laws(force=function), osc.Laws(motion=function) or "
                 "osc.Laws(structure=function)",
             )
-        chain.law_row(led=False)  # judges the arms
+        chain.law_row(led=False)  # checks the arms
         self._begin(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))
         self._begin_contacts(engaged=engaged, in_contact=in_contact)
 
@@ -175,14 +177,14 @@ class Controller(ControllerState):
         contact.damping[:] = force.damping
         contact.brake[:] = force.brake
         contact.least[:] = -np.inf
-        contact.since[:] = np.inf  # as if for ever
+        contact.since[:] = np.inf
         memory.columns.closed[:] = 1
         if life is not None and not (engaged and in_contact):
             contact.phase[self.records.model.bodies.pushes != 0] = Phase.OPEN
             memory.columns.closed[:] = 0
 
     def _begin(self, settings: Settings, laws: Laws, start: StartCheck, model: Bytes) -> None:
-        """Take what a controller is made of; `model`: bytes of MODEL."""
+        """Set settings and parts of a new controller, with the bytes of its MODEL."""
         records = TickRecords(model)
         self.__dict__.update(
             settings=settings,
@@ -210,7 +212,7 @@ class Controller(ControllerState):
         object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        """Settings that were taken when the controller was made."""
+        """Return a setting of the controller as an attribute."""
         if name in Settings.__dataclass_fields__ and "settings" in self.__dict__:
             return getattr(self.settings, name)
         raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
@@ -218,11 +220,11 @@ class Controller(ControllerState):
     # --- a tick ----------------------------------------------------------------------------------
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """Motor torques (n_a,) for one control period.
+        """Compute the motor torques (n_a,) for one control period (N m, N).
 
-        Never raises on bad data, but for the first tick, which refuses arrays of wrong shapes: that
-        is no fault of a sensor. Never returns a torque that is not finite or exceeds a limit: a
-        tick that cannot be computed repeats the last good torques, see `status`.
+        Raises only in the first tick, for arrays of wrong shapes (a programming error, not a sensor
+        fault). Torques are always finite and within the limits: a tick that cannot be computed
+        repeats the last torques, holds the posture or stops the arms, see `status` and `state`.
         """
         try:
             if measurement.stamps is not None or measurement.sequence is not None:
@@ -300,7 +302,7 @@ class Controller(ControllerState):
         return self.last_torques()
 
     def _locate(self, q: Array) -> bool:
-        """Find the object from the joints alone; from then on the law does, tick by tick."""
+        """Find the object's pose from the joints alone, as a start for the law; return success."""
         memory = self.records.memory
         if self.chain.leader is not None or memory.located == 2:  # 2: tried at this tick already
             memory.located = 0
@@ -314,10 +316,11 @@ class Controller(ControllerState):
         return True
 
     def engage(self) -> None:
-        """Take the contacts into the model, without a jump.
+        """Include the contacts in the law, without a jump of the torques.
 
-        What the motion integral holds in free space (weight errors, as a force) becomes a constant
-        wrench, in the contact directions too (bumpless transfer); the integrators start from zero.
+        The command of the motion integral in free space (by weight errors) is converted to a
+        constant wrench, also along the contact directions (bumpless transfer). Both integrals are
+        reset to zero.
         """
         if not self.engaged:
             self.require_tick()
@@ -327,7 +330,7 @@ class Controller(ControllerState):
             self.engaged = True
 
     def reset(self) -> None:
-        """Run again after a stop: both integrals at zero; tare, bias and phases are kept."""
+        """Run again after a stop, with zero integrals; tare, bias and phases are retained."""
         self.freshness.forget()
         if self.start.refused:
             self.__dict__["start"] = StartCheck()
@@ -340,15 +343,17 @@ class Controller(ControllerState):
         """Write all numbers of this controller to a file, for C programs.
 
         Raises:
-            InvalidInputError: it has pairs, bodies or laws that only Python can evaluate.
+            InvalidInputError: pairs, bodies or laws of the controller can be evaluated by Python
+                only.
         """
         write_whole(controller_bytes(self), path)
 
     def with_gains(self, gains: Gains) -> Self:
-        """Another controller with these gains that continues from here (bumpless transfer).
+        """Another controller with new gains that continues with the present state (bumpless).
 
-        The force integral is a force and stays. The command of the motion integral stays too: ∫e
-        is scaled by the old gain over the new one, or added to `f_bias` if the new one is 0.
+        The force integral, which is a force, does not change. The command of the motion integral
+        does not change either: ∫e is scaled by the ratio of the old gain to the new one, or the
+        command is added to `f_bias` if the new gain is 0.
         """
         settings = replace(self.settings, gains=gains)
         other = self._another(settings, self.laws)
@@ -371,14 +376,14 @@ class Controller(ControllerState):
         return other
 
     def with_safety(self, safety: SafetySettings) -> Self:
-        """Another controller with these limits of the robot that continues from here."""
+        """Another controller with new limits of the robot that continues with the present state."""
         settings = replace(self.settings, safety=safety)
         other = self._another(settings, self.laws)
         pack_safety(settings, other.records.model)
         return other
 
     def with_laws(self, **laws: Callable[..., Any] | None) -> Self:
-        """Another controller that continues from here with custom laws, see `Laws`."""
+        """Another controller with custom laws (`Laws`) that continues with the present state."""
         return self._another(self.settings, replace(self.laws, **laws))
 
     def _another(self, settings: Settings, laws: Laws) -> Self:
@@ -390,7 +395,7 @@ class Controller(ControllerState):
         return other
 
     def __deepcopy__(self, memo: dict[int, object]) -> Self:
-        return copy(self)  # settings and laws are shared
+        return copy(self)  # shares the immutable settings and laws
 
     def __getstate__(self) -> dict[str, Any]:
         r = self.records

@@ -64,12 +64,12 @@ _KINDS: dict[str, tuple[type, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """Everything a controller is given; see `Controller`. `reading` None becomes what it chooses.
+    """All settings of a controller, see `Controller`; a `reading` of None is replaced by a choice.
 
     Raises:
-        InvalidInputError: an object of another class, dt not positive or above 0.1 s, unknown
-            metric, a posture far outside the joints' limits, or an arm without a wrist sensor
-            although there are contacts: their forces could not be measured.
+        InvalidInputError: an object of another class, dt not positive or above 0.1 s, an unknown
+            metric, a posture far outside the joints' limits, or contacts and an arm without a wrist
+            sensor, so that contact forces cannot be measured.
         ModelError: a redundant arm with passive joints.
     """
 
@@ -157,7 +157,7 @@ class Settings:
                 require_kind(f"{name}=", value, kind, example)
 
     def _require_period(self) -> None:
-        """Refuse a control period that is no time, or given in another unit than seconds."""
+        """Refuse a control period that is not positive, or too long to be in seconds."""
         try:
             dt = float(self.dt)
         except (TypeError, ValueError):
@@ -174,7 +174,7 @@ class Settings:
         store(self, dt=dt)
 
     def _listed_contacts(self) -> tuple[ContactPair, ...]:
-        """The contact pairs, whose geometry must fit the arms."""
+        """Check the contact pairs and their sizes; return them as a tuple."""
         example = "[osc.VertexOnFace([0, 0, 0], point=p, normal=n)]"
         contacts = as_tuple("Controller: contacts", self.contacts, example)
         for pair in contacts:
@@ -192,13 +192,15 @@ def choose_reading(
     pairs: Sequence[ContactPair],
     bodies: Sequence[Body | None],
 ) -> Reading:
-    """What is requested, or the better one: least squares where their answer is unique.
+    """Choose the method of computing contact forces: least squares if their result is unique.
 
     Args:
-        requested: None: choose. pairs: the contacts. bodies: of each.
+        requested: method that the user requests, or None.
+        pairs: contact pairs. bodies: touched body of each.
 
     Raises:
-        InvalidInputError: unknown, or least squares where they are not possible.
+        InvalidInputError: the requested method is unknown, or least squares are requested for pairs
+            without points of contact.
     """
     if requested not in (None, "filter", "least_squares"):
         raise InvalidInputError(
@@ -217,7 +219,7 @@ def choose_reading(
 
 
 def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:
-    """Whether all points of contact stay in one plane, of the environment or of the object."""
+    """Whether all points of contact remain in one plane, of the environment or of the object."""
     if any(body is not bodies[0] for body in bodies):
         return False
     planes: list[tuple[float, ...]] = []

@@ -58,15 +58,16 @@ class ControllerState:
 
     @property
     def status(self) -> Status:
-        """How the last tick ended."""
+        """Status of the last tick."""
         return _STATUS[self.records.memory.status]
 
     @property
     def reason(self) -> str:
-        """Why `status` is not OK, the arms stop, or a desired contact force is missing; else empty.
+        """Sentence on the cause of a status that is not OK, a stop or a missing contact force.
 
-        In the tick of a stop, too, whose torques still are those of the law where a sensor is found
-        faulty after it. Where a joint needs its mechanical brake (`unbraked`) it ends with that.
+        It is empty without such a cause. In the tick that detects a sensor fault it is set already,
+        although the torques of this tick are still those of the law. If a joint needs its
+        mechanical brake (`unbraked`), the sentence ends with this joint.
         """
         if self.status is Status.HELD or self.state is SafetyState.SAFE_STOP:
             return explain(self.records, self.settings, self.ended)
@@ -79,29 +80,29 @@ class ControllerState:
 
     @property
     def state(self) -> SafetyState:
-        """Whether the controller runs, holds a posture or has stopped; see `SafetyState`."""
+        """State of the controller: running, holding a posture or stopped; see `SafetyState`."""
         return _STATES[self.records.memory.state]
 
     @property
     def state_age(self) -> int:
-        """Ticks since `state` last changed."""
+        """Number of ticks since `state` last changed."""
         return int(self.records.memory.age)
 
     @property
     def faults(self) -> int:
-        """Ticks in a row, up to the last one, that could not be computed."""
+        """Number of consecutive ticks, up to the last one, that could not be computed."""
         return int(self.records.memory.faults)
 
     @property
     def repeated(self) -> int:
-        """Ticks in a row, up to the last one, with readings that were there before."""
+        """Number of consecutive ticks, up to the last one, with repeated readings."""
         return self.freshness.repeated
 
     @property
     def unbraked(self) -> str | None:
-        """A joint without any sound reading, so that it cannot be braked reliably, or None.
+        """Name of a joint without a sound reading, which cannot be braked reliably, or None.
 
-        The arms are to be stopped by their mechanical brakes then.
+        With such a joint the arms must be stopped by their mechanical brakes.
         """
         return unbraked_joint(self.records, self.settings)
 
@@ -112,33 +113,33 @@ class ControllerState:
 
     @property
     def given_up(self) -> LimitLoss | None:
-        """What motor limits cost in the last tick; None: nothing."""
+        """Force and motion lost to motor limits in the last tick, or None."""
         if self.status is not Status.SATURATED:
             return None
         return self.ended.limit_loss(self.records)
 
     @property
     def lost_directions(self) -> tuple[LostDirection, ...]:
-        """In which motion commands were reduced near a singular posture."""
+        """Directions in which motion commands were reduced near a singular posture."""
         if self.status is Status.HELD:
             return ()
         return self.records.lost_directions([arm.name for arm in self.settings.chain.arms])
 
     @property
     def signals(self) -> Signals:
-        """The signals of fig. 4 as the last computed tick left them.
+        """Signals of fig. 4 in the last computed tick.
 
         Raises:
-            InvalidInputError: there was none yet.
+            InvalidInputError: no tick has been computed.
         """
         self.require_tick()
         return Signals(self.settings, self.records)
 
     def result(self) -> TickResult:
-        """The numbers of the last tick that recordings keep; the next tick overwrites them.
+        """Numbers of the last tick for recordings, which the next tick overwrites.
 
         Raises:
-            InvalidInputError: there was no tick yet.
+            InvalidInputError: no tick has been computed.
         """
         self.require_tick()
         if self._result is None or self._result.records is not self.records:
@@ -158,11 +159,11 @@ class ControllerState:
             )
 
     def last_torques(self) -> Array:
-        """(n_a,) what the last tick gave out."""
+        """Motor torques (n_a,) of the last tick (N m, N)."""
         return self.records.memory.torques.copy()
 
     def joint_acceleration(self) -> Array:
-        """(n,) q̈ = W η̇_c + w of all joints, as commanded by the last tick."""
+        """Acceleration (n,) of all joints commanded by the last tick, q̈ = W η̇_c + w."""
         return np.array(self.records.work.joints.acceleration)
 
     def residual_wrench(self) -> Array:
@@ -175,14 +176,14 @@ class ControllerState:
         return result.f_meas + self.f_tare - result.bias_out
 
     def phases(self) -> Array:
-        """(contacts,) open 0, approaching 1, closed 2 (`Phase`) as of the last tick."""
+        """Phase (contacts,) of each contact in the last tick: open 0, approaching 1, closed 2."""
         contacts = self.records.memory.contacts
         phase = contacts.phase if self.settings.life is not None else Phase.CLOSED
         return np.where(contacts.active != 0, phase, Phase.OPEN).astype(np.int64)
 
     @property
     def active(self) -> npt.NDArray[np.bool_]:
-        """(contacts,) which of them were active in the last tick: in N, approached or closed."""
+        """Mask (contacts,) of the contacts active in the last tick: approaching or closed, in N."""
         return np.array(self.records.memory.contacts.active != 0)
 
     f_tare = _six_numbers(
@@ -191,9 +192,9 @@ class ControllerState:
 
     @property
     def joint_friction(self) -> Array:
-        """(n, 2) Coulomb (N m; N) and viscous friction (N m s/rad; N s/m), as learned so far.
+        """Identified friction (n, 2) of the joints: Coulomb (N m; N), viscous (N m s/rad; N s/m).
 
-        Columns are what `Arm` takes as friction and damping, to start with next time.
+        The columns are arguments of `Arm`, friction and damping, for the start of another session.
         """
         model = self.settings.chain.model
         known = np.column_stack([model.upperDryFrictionLimit, model.damping])
@@ -203,17 +204,18 @@ class ControllerState:
 
     @property
     def missing_inertia(self) -> Array:
-        """(n,) inertia of each joint's rotor that the model lacks, as learned so far (kg m²; kg).
+        """Identified inertia (n,) of the joints' rotors that the model lacks (kg m²; kg).
 
-        Below zero where the model has too much.
+        It is negative if the model overestimates the inertia.
         """
         return np.array(self.records.memory.friction.theta[:, 2])
 
     @property
     def learned_friction(self) -> tuple[LearnedFriction, ...]:
-        """Friction of the joints of each arm as learned so far, with the identity of its robot.
+        """Identified friction of the joints of each arm, with the identity of its robot.
 
-        `LearnedFriction.save` and `load` keep it, `put_on` gives it to an arm to start with.
+        `LearnedFriction.save` and `load` store it in files; `put_on` adds it to the model of an
+        arm.
         """
         found = []
         for arm, s in zip(self.settings.chain.arms, self.settings.chain.slices, strict=True):
@@ -231,24 +233,24 @@ class ControllerState:
 
     @property
     def normal_covariance(self) -> Array:
-        """(r, 3, 3) covariance of the assumed normal of each force magnitude (rad²).
+        """Covariance (r, 3, 3) of the estimated normal of each force magnitude (rad²).
 
-        In the axes of the body that carries the normal; where edges cross, of the body's edge along
-        the normal. NaN: not estimated, or the contact is open.
+        It is in the axes of the body that carries the normal; for crossed edges it is the variance
+        of the body's edge along the normal. NaN: not estimated, or the contact is open.
         """
         P = np.array(self.records.memory.columns.covariance).reshape(-1, 3, 3)
         return np.where((self.normal_std > 0.0)[:, None, None], P, np.nan)
 
     @property
     def normal_std(self) -> Array:
-        """(r,) the same where each is least certain (rad); 0: not estimated."""
+        """Largest standard deviation (r,) of the estimated normals (rad); 0: not estimated."""
         return np.array(self.records.memory.columns.normal_std)
 
     f_bias = _six_numbers("f_bias", "(6,) constant wrench added to the command at O (N, N m).")
 
     @property
     def engaged(self) -> bool:
-        """Whether the contacts are part of the model; False: the object counts as free."""
+        """Whether the law includes the contacts; False: the object is controlled as free."""
         return bool(self.records.memory.engaged)
 
     @engaged.setter
@@ -262,7 +264,7 @@ class ControllerState:
 
     @property
     def force_integral(self) -> Array:
-        """(r,) K_i ∫(α_d − α_meas) dt of the force law (N)."""
+        """Integral (r,) of the force law, K_i ∫(α_d − α_meas) dt (N)."""
         memory = self.records.memory
         return np.array(memory.force_sum[: int(memory.force_rank)])
 

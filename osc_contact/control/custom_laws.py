@@ -1,4 +1,4 @@
-"""Laws, pairs and bodies in Python: what is evaluated between the compiled parts of a tick."""
+"""Laws, pairs and bodies in Python, evaluated between the compiled parts of a tick."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ StructureCommand = Callable[[Signals], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Laws:
-    """What is put in place of the controller's own laws; None: nothing.
+    """Laws of the user in place of the controller's own; None: the controller's own.
 
     Attributes:
         force: α_u = force(α_d, α_meas), (r,) magnitudes of the independent columns of N (N).
         motion: p̈_u = motion(reference, X_WO, V_O), classical acceleration (6,) of the object at O
             in world axes (m/s², rad/s²), from the reference, the object's pose and twist.
         structure: (η̇_c, f_S) = structure(signals), (d,) each, in place of the motion filter and the
-            control structure, eqs. 24 and 21; `signals` holds what comes before them.
+            control structure, eqs. 24 and 21; `signals` are those of the tick up to there.
 
     Example:
         >>> from numpy.typing import NDArray
@@ -57,7 +57,15 @@ class Laws:
 
 
 def _require(law: str, returned: Any, shape: tuple[int, ...], expected: str) -> Array:
-    """What a custom law returned; else an error that names what is expected of it."""
+    """Check the result of a custom law.
+
+    Args:
+        law: name of the law. returned: its result. shape: expected shape. expected: description of
+            the expected result for the message.
+
+    Raises:
+        InvalidInputError: another shape, or numbers that are not finite.
+    """
     try:
         return as_array(law, returned, shape)
     except InvalidInputError as error:
@@ -66,22 +74,32 @@ def _require(law: str, returned: Any, shape: tuple[int, ...], expected: str) -> 
 
 
 def force_law(make: Callable[[], ForceCommand]) -> Callable[[Any], Any]:
-    """Put α_u = law(α_d, α_meas) in the place of the force law of fig. 5.
+    """Replace the force law of fig. 5 by α_u = law(α_d, α_meas).
 
     Args:
-        make: called once for every controller, so that laws with a memory do not share it: a class,
-            or a function without arguments. What it returns is called in every tick, see
-            `Laws.force`. If it returns anything else the controller holds its last torques, and
+        make: class, or function without arguments, that is called once for every controller, so
+            that laws with a state do not share it. Its result is called in every tick, see
+            `Laws.force`; if the law returns something else, the controller holds the posture, and
             `Controller.reason` has the cause.
 
     Returns:
-        A function from `Controller` to `Controller`, which `osc_contact.run` takes as ``install``.
+        A function from `Controller` to `Controller`, for the argument ``install`` of
+        `osc_contact.run`.
     """
     return lambda controller: controller.with_laws(force=make())
 
 
 def motion_law(make: Callable[[], MotionCommand]) -> Callable[[Any], Any]:
-    """Put p̈_u = law(reference, X_WO, V_O) in the place of the motion law; see `force_law`."""
+    """Replace the motion law by p̈_u = law(reference, X_WO, V_O).
+
+    Args:
+        make: class, or function without arguments, that is called once for every controller. Its
+            result is called in every tick, see `Laws.motion`.
+
+    Returns:
+        A function from `Controller` to `Controller`, for the argument ``install`` of
+        `osc_contact.run`.
+    """
     return lambda controller: controller.with_laws(motion=make())
 
 
@@ -109,10 +127,10 @@ class TickParts:
 
 
 class CustomParts:
-    """Calls the parts of a tick one by one, and Python code in between.
+    """Calls of the parts of a tick, with the user's Python code between them.
 
     Attributes:
-        needed: whether there is anything to call.
+        needed: whether a controller has such code.
     """
 
     def __init__(self, settings: Settings, laws: Laws, head: View) -> None:
@@ -130,7 +148,7 @@ class CustomParts:
         self.needed = bool(self._pairs or self._bodies) or laws != Laws()
 
     def columns(self, model: View) -> dict[int, int]:
-        """How many columns of N the custom pairs have in a MODEL, by number of the pair."""
+        """Number of columns of N of each custom pair in a MODEL, by the index of the pair."""
         return {number: int(model.pairs[number].count) for number, _ in self._pairs}
 
     def tick(
@@ -220,7 +238,7 @@ class CustomParts:
         return True
 
     def _evaluate(self, records: TickRecords, measurement: Measurement) -> dict[int, Any]:
-        """N (6, r), n_γ (r,) and points (r, 3) from O, if known, of custom pairs in force."""
+        """N (6, r), n_γ (r,) and points (r, 3) from O, if known, of active custom pairs."""
         X_WO = SE3(records.work.X_WO)
         V_O = records.work.V_O.copy()
         touched = measurement.touched
@@ -257,7 +275,11 @@ class CustomParts:
             records.work.bodies.answer[c] = *e.Phi_e.flat, *e.b_e, *e.V_e
 
     def _repack(self, old: TickRecords, changed: dict[int, int]) -> TickRecords:
-        """Records with other numbers of columns; the rest of the memory is kept."""
+        """Replace the records by new ones with other numbers of columns; retain other states.
+
+        Args:
+            controller: the `Controller`. changed: new numbers of columns by the index of the pair.
+        """
         columns = {**self.columns(old.model), **changed}
         new = TickRecords(pack_model(self.settings, columns))
         begin = at.MEMORY.dtype.fields["layout"][0].itemsize
@@ -268,10 +290,10 @@ class CustomParts:
         return new
 
     def _structure(self, records: TickRecords) -> None:
-        """η̇_c and f_S of the custom structure law, into the turned energy coordinates.
+        """Evaluate the custom structure law, and convert η̇_c and f_S to turned energy coordinates.
 
-        A law with `fill(records)` writes x and f_S of WORK itself, without signals: 0.1 ms a tick
-        instead of 1 ms.
+        A law with a method `fill(records)` writes `acceleration_t` and `f_S` of WORK by itself,
+        without signals, which takes 0.1 ms instead of 1 ms.
         """
         fill = getattr(self.laws.structure, "fill", None)
         if fill is not None:
@@ -290,15 +312,15 @@ class CustomParts:
         records.work.f_S[:] = turn @ (back.T @ wrench)
 
 
-# Impedance and admittance control as `Laws`: for contacts that no model describes.
+# Impedance and admittance control as `Laws`, for contacts without a model.
 #
-# Neither splits forces from motions: both make the object answer all wrenches like a mass, a
-# damper and a spring, so the force on a surface depends on where that surface is. They take the
-# place of the motion filter and the control structure (eqs. 24 and 21); references, contact
-# phases, wrist readings, torque allocation and limits stay. Contacts serve to know where a
-# desired force points.
+# Neither decouples forces from motions: both make the object respond to all wrenches like a mass
+# with a damper and a spring, so that the force on a surface depends on the position of the surface.
+# They replace the motion filter and the control structure (eqs. 24 and 21); references, contact
+# phases, wrist readings, torque allocation and limits are unchanged. Contacts only determine the
+# directions of desired forces.
 #
-# Wrenches and motions are at O in world axes; inside, in the law's energy coordinates.
+# Wrenches and motions are at O in world axes; internally, in the law's energy coordinates.
 
 
 def impedance(stiffness: npt.ArrayLike = (1000.0, 100.0), damping_ratio: float = 0.7) -> Laws:
@@ -306,10 +328,10 @@ def impedance(stiffness: npt.ArrayLike = (1000.0, 100.0), damping_ratio: float =
 
         F = Λ A_d + μ + p + D (V_d − V) + K e + N α_d
 
-    so that Λ ë + D ė + K e = f_c − N α_d, e = x_d − x: a surface that stands where the reference
-    is meets the force α_d, one that stands δ nearer K δ more. N α_d does what a set point K⁻¹N α_d
-    inside the surface does. D = 2ζ L (L⁻¹ K L⁻ᵀ)^½ Lᵀ with Λ = L Lᵀ gives every mode the damping
-    ratio ζ in every posture.
+    so that Λ ë + D ė + K e = f_c − N α_d, e = x_d − x. The force on a surface at the position of
+    the reference is α_d, and K δ more on a surface that is nearer by δ. N α_d has the same effect
+    as a set point K⁻¹N α_d inside the surface. D = 2ζ L (L⁻¹ K L⁻ᵀ)^½ Lᵀ with Λ = L Lᵀ gives every
+    mode the damping ratio ζ in every posture.
 
     Args:
         stiffness: K, of positions (N/m) and angles (N m/rad), or (6,) along and about the world's
@@ -339,11 +361,11 @@ def admittance(
         F = Λ (A_r + 2ω (V_r − V) + ω² (x_r − x)) + μ + p + f
 
     f is the wrist reading without weight and velocity terms. On a surface of stiffness k_e,
-    D = 1.4 √(k_e M) would damp the contact by 0.7 if x followed x_r at once. With K > 0 the force
-    depends on where the surface is, by K; with K = 0 it settles at α_d anywhere, and where
-    nothing touches the object drifts at α_d / D.
+    D = 1.4 √(k_e M) gives the contact the damping ratio 0.7, if x follows x_r without delay. With
+    K > 0 the force depends on the position of the surface; with K = 0 it settles at α_d on any
+    surface, and without contact the object drifts at α_d / D.
 
-    It has a memory: give it as ``laws=lambda: osc.admittance(...)``, one for each controller.
+    The law has a state; give it as ``laws=lambda: osc.admittance(...)``, one for each controller.
 
     Args:
         mass: M > 0 (kg; kg m²). damping: D ≥ 0 (N s/m; N m s/rad). stiffness: K ≥ 0 (N/m;
@@ -364,10 +386,10 @@ def admittance(
 
 
 def _on_axes(name: str, given: npt.ArrayLike, positive: bool = False) -> Array:
-    """(6,) of a linear and an angular value, or of all six.
+    """Six values, from a linear and an angular one or from all six.
 
     Raises:
-        InvalidInputError: another number of them, or one out of bounds.
+        InvalidInputError: another number of values, or a value out of bounds.
     """
     values = as_array(name, given, (None,))
     if len(values) == 2:
@@ -381,16 +403,16 @@ def _on_axes(name: str, given: npt.ArrayLike, positive: bool = False) -> Array:
 
 
 class _Structure:
-    """A commanded acceleration and wrench in the place of motion filter and control structure."""
+    """Base of structure laws that command an acceleration and an additional wrench."""
 
     def __call__(self, signals: Any) -> Any:
-        """Not called: `fill` does the same without signals."""
+        """Placeholder of the protocol; `fill` is called instead."""
 
     def fill(self, records: TickRecords) -> None:
-        """Write x, the acceleration to be expected, and f_S of WORK.
+        """Write `acceleration_t` (the expected acceleration) and `f_S` of WORK.
 
         Args:
-            records: of the tick.
+            records: `TickRecords` of the tick.
         """
         work = records.work
         m = int(work.locked)
@@ -411,18 +433,19 @@ class _Structure:
         work.motion_next[:] = 0.0
 
     def command(self, work: View, desired: Array, reading: Array) -> tuple[Array, Array]:
-        """Classical acceleration (6,), and a wrench (6,) beside what that takes.
+        """Commanded classical acceleration (6,), and an additional wrench (6,), at O.
 
         Args:
-            work: WORK of the tick. desired: (6,) N α_d. reading: (6,) of the wrists.
+            work: WORK of the tick. desired: (6,) N α_d (N, N m). reading: (6,) wrist reading less
+                bias (N, N m).
         """
         raise NotImplementedError
 
     def damp(self, Lambda: Array, turn: Array, rate: Array) -> Array:
-        """(d,) a wrench against ė, in the turned energy coordinates of the motions.
+        """Damping wrench (d,) for the error rate ė, in turned energy coordinates.
 
         Args:
-            Lambda: (d, d) inertia. turn: (d, 6) of wrenches. rate: (d,) ė.
+            Lambda: (d, d) inertia. turn: (d, 6) map of wrenches from world axes. rate: (d,) ė.
         """
         return np.zeros(len(rate))
 

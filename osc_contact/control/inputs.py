@@ -1,4 +1,4 @@
-"""What comes in each tick: sizes, types, and whether readings are new."""
+"""Input of a tick: checks of sizes and types, detection of repeated readings."""
 
 from collections.abc import Iterator
 
@@ -95,7 +95,7 @@ def read_tick(
     """Arguments of the law's call in a tick, and its switches; the marks of readings go to MEMORY.
 
     Args:
-        records: of the controller. measurement, reference: of the tick.
+        records: records of the controller. measurement, reference: input of the tick.
     """
     if measurement.estimated:
         records.memory.derived = 1

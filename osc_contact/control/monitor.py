@@ -53,13 +53,14 @@ class ContactMonitor:
 
 
 def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[Array, Array]:
-    """What the monitor would have reported tick by tick: closed and collision (k, r).
+    """Evaluate a monitor for k ticks: closed and collision, (k, r) each.
 
-    As long as all contacts hold, nothing is armed and no force goes low, its state is
-    constant: such ticks are passed over.
+    While all contacts hold, no window is open and no force is low, the state of the monitor is
+    constant; such ticks are skipped.
 
     Args:
-        monitor: its state moves on. alpha: (k, r) as for `ContactMonitor.update`. speed: (k, r).
+        monitor: the monitor, whose state is updated. alpha: (k, r) forces (N).
+        speed: (k, r) NᵀV_rel (m/s).
     """
     closed = np.ones(alpha.shape, dtype=bool)
     collision = np.zeros(alpha.shape, dtype=bool)

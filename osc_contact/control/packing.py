@@ -49,11 +49,12 @@ _BOUND = np.array([1.0, 20.0, 20.0, 1.0, 0.5])
 
 
 def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
-    """The bytes of MODEL, which also determine the sizes of MEMORY and WORK.
+    """Pack settings into the bytes of MODEL, which also determine the sizes of MEMORY and WORK.
 
     Args:
-        settings: of the controller.
-        columns: of N, by number of the pair, for pairs that only Python can evaluate; unknown: 0.
+        settings: settings of the controller.
+        columns: number of columns of N of each pair that is evaluated by Python, by the index of
+            the pair; missing ones are 0.
     """
     chain = settings.chain
     pairs = [law_row(pair) or _GIVEN for pair in settings.contacts]
@@ -120,7 +121,10 @@ PHASE_NAMES = {
 
 
 def pack_gains(settings: Settings, head: View) -> None:
-    """What may differ between controllers of one structure."""
+    """Pack gains, phases, friction, metric and period into MODEL.
+
+    These settings may differ between controllers of the same structure.
+    """
     dt = settings.dt
     motion = settings.gains.motion
     force = settings.gains.force
@@ -151,7 +155,7 @@ def pack_gains(settings: Settings, head: View) -> None:
 
 
 def pack_safety(settings: Settings, head: View) -> None:
-    """Limits of the robot, and what becomes of ticks that cannot be computed."""
+    """Pack limits of the robot and settings of holds and stops into MODEL."""
     safety = settings.safety
     _copy(safety, head, stop_after="fault_ticks")
     # s from the decision to stop until the brakes are on, as far as stopping ways are concerned
@@ -192,7 +196,7 @@ def _pack_joints(settings: Settings, head: View) -> None:
 
 
 def _pack_friction(settings: Settings, head: View) -> None:
-    """Friction of the joints as the model has it, and how far it may be learned otherwise."""
+    """Pack the friction of the joints in the model, and the priors of its identification."""
     how: Any = settings.joint_friction
     if how is None:
         return
@@ -226,18 +230,18 @@ def _pack_friction(settings: Settings, head: View) -> None:
 def joint_limit_margins(
     model: pin.Model, stiffness: float, margin: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Where the posture task keeps redundant arms off their joint limits, (n,) each.
+    """Margins of the joint limits in which the posture task repels joints, (n,) each.
 
-    At depth s of the margin w (0 where it begins, 1 at the limit and beyond it) a joint is pushed
-    back by a = k w (3s² − 2s³), the slope of a potential of k w² (s³ − s⁴/2): continuous with its
-    first derivative, and never above k w (a potential field after Khatib, 1986).
+    At the depth s in a margin of width w (0 at its beginning, 1 at the limit and beyond) a joint is
+    repelled by a = k w (3s² − 2s³), the slope of the potential k w² (s³ − s⁴/2): continuous with
+    its first derivative, and at most k w (a potential field after Khatib, 1986).
 
     Args:
-        model: of all arms. stiffness: k (1/s²). margin: share of a joint's range, at each end of
-            it; a range counts as π (rad or m) at most.
+        model: model of all arms. stiffness: k (1/s²). margin: width as a share of a joint's range,
+            of which at most π (rad or m) is counted.
 
     Returns:
-        Where the margins begin (low, high; −inf, inf at ends without limit), their width w, k w.
+        Beginning of the lower and of the upper margins (∓inf without a limit), widths w, and k w.
     """
     lower, upper = position_limits(model)
     with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
@@ -246,7 +250,7 @@ def joint_limit_margins(
 
 
 def _copy(settings: Spec, head: View, **names: str) -> None:
-    """Copy settings into the fields of their names, or of `names` where these differ."""
+    """Copy settings into the fields of MODEL with the same names, or with those in `names`."""
     for key in type(settings).model_fields:
         value = getattr(settings, key)
         if value is not None and (name := names.get(key, key)) in at.MODEL.dtype.names:

@@ -25,7 +25,7 @@ class _Facts(dict[str, Any]):
         self.settings = settings
 
     def __missing__(self, name: str) -> Any:
-        """Of the joint, arm or column at fault i, or of the column where the geometry fails."""
+        """Value of a name in a sentence, for the culprit of a stop or the column of a reason."""
         rows = self.rows
         chain = self.settings.chain
         i = int(rows.memory.culprit)

@@ -55,7 +55,7 @@ FORGOTTEN_TABLES: dict[str, tuple[str, ...]] = {
 
 
 class TickRecords:
-    """MODEL, MEMORY and WORK of one controller, in one run of bytes.
+    """Views of MODEL, MEMORY and WORK of one controller.
 
     Attributes:
         rows: the bytes; index, thread: which row of them, whose WORK. at: of its JOB.
@@ -64,7 +64,12 @@ class TickRecords:
     """
 
     def __init__(self, rows: Rows | Bytes, index: int = 0, thread: int = 0) -> None:
-        """Views of a row of `rows`; bytes: of new ones, which begin as this MODEL."""
+        """Make views of a row of `rows`, or of new records with the bytes of a MODEL.
+
+        Args:
+            rows: records of controllers, or bytes of a MODEL. index: row. thread: thread whose WORK
+                is used.
+        """
         self.rows = rows = rows if isinstance(rows, Rows) else Rows(rows)
         self.index = index
         self.at = rows.starts[thread]
@@ -79,12 +84,15 @@ class TickRecords:
     def run(
         self, given: tuple[Array, ...], flags: int = 0, begin: int = at.LOOK, stop: int = at.END
     ) -> int:
-        """Parts of a tick; what the law's call returns, of one row 2 where it ended OK.
+        """Run parts of a tick.
 
         Args:
             given: q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active.
-            flags: switches of `law.tick`.
-            begin, stop: first part, and the one before which it ends.
+            flags: flags of `law.tick`.
+            begin, stop: first part, and the part before which to stop.
+
+        Returns:
+            The result of `law.tick.rows`, which is 2 for one row that ended OK.
         """
         self._job[:3] = flags, begin, stop
         try:
@@ -114,21 +122,21 @@ class TickRecords:
                 rows[name] = 0
 
     def hold(self, q: Array, v: Array, reading: float = np.nan, begin: int = at.LOOK) -> None:
-        """Run a tick, or its part `begin`, that has no reference.
+        """Run a tick, or one part of it, without a reference.
 
         Args:
-            q, v: (n,). reading: of all wrists; NaN: the tick cannot be computed.
-            begin: as in `run`.
+            q, v: (n,) joint positions and velocities. reading: value of all wrist readings; NaN
+                makes the tick one that cannot be computed. begin: first part.
         """
         wrenches = np.full((len(self.model.arms), 6), reading)
         six = np.zeros(6)
         self.run((q, v, wrenches, np.eye(4), six, six, np.zeros(0), STILL, UNNAMED), begin=begin)
 
     def places(self, *parts: Array) -> Array:
-        """(k,) where in `rows.numbers` the numbers of some views stand, one after the other.
+        """Indices (k,) in `rows.numbers` of the elements of some views, in sequence.
 
         Args:
-            parts: arrays that share the memory of `rows`, each element of eight bytes.
+            parts: arrays of eight-byte elements that share the memory of `rows`.
         """
         every = np.arange(len(self.rows.numbers))
         start = self.rows.raw.ctypes.data
@@ -139,7 +147,7 @@ class TickRecords:
         return np.concatenate([one.ravel() for one in own])
 
     def copy(self) -> TickRecords:
-        """The same in separate bytes."""
+        """Copy of the records in separate bytes."""
         other = TickRecords(self.model_bytes)
         other.memory_bytes[:] = self.memory_bytes
         other.work_bytes[:] = self.work_bytes
@@ -148,28 +156,32 @@ class TickRecords:
     # --- energy coordinates, turned, and back ----------------------------------------------------
 
     def reflection(self) -> Array:
-        """(6, 6) that turns energy coordinates so that the first axes are the locked ones."""
+        """Matrix (6, 6) that turns energy coordinates to locked axes first."""
         return vectors.reflection(self.work)
 
     def motions(self) -> Array:
-        """(6, 6) from energy coordinates to motions at O in world axes."""
+        """Matrix (6, 6) from energy coordinates to motions at O in world axes."""
         return vectors.motions(self.work)
 
     def acceleration(self) -> Array:
-        """(6,) of the object at O as commanded, spatial."""
+        """Commanded spatial acceleration (6,) of the object at O (m/s², rad/s²)."""
         return self.motions() @ (self.reflection().T @ self.work.acceleration_t)
 
     def kept(self) -> Array:
-        """(r,) which columns of N were kept, of all."""
+        """Indices (r,) of the independent columns of N among all."""
         return self.work.kept[: int(self.work.rank)]
 
     def shares(self) -> Array:
-        """R (r, columns in force): every column in force from the kept ones."""
+        """Coordinates R (r, count) of the active columns of N in the independent ones."""
         chosen = self.work.chosen[: int(self.work.count)]
         return self.work.columns.share[chosen, : int(self.work.rank)].T.copy()
 
     def lost_directions(self, names: list[str]) -> tuple[LostDirection, ...]:
-        """What arms near singular postures are losing, in words and units."""
+        """Directions that arms near singular postures lose.
+
+        Args:
+            names: names of the arms.
+        """
         if not self.work.n_lost:
             return ()
         to_motion = self.motions() / self.model.reference

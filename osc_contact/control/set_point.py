@@ -17,7 +17,7 @@ from osc_contact.spatial import Array, as_array, as_pose, cross, skew
 
 
 class SetPointState(NamedTuple):
-    """Where a set point stands on its way: arrays of the shape of its start.
+    """State of a set point: value, velocity and acceleration, arrays of the shape of its start.
 
     Example:
         >>> x = osc.SetPoint([0.0, 0.0], osc.JerkLimits(1.0, 5.0, 50.0), dt=0.01)

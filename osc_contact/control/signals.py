@@ -1,4 +1,4 @@
-"""What one tick found: the signals of fig. 4 as values, and the arrays that recordings keep."""
+"""Results of one tick: the signals of fig. 4, and the arrays that recordings store."""
 
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,7 @@ from osc_contact.spatial import Array
 
 
 def internal_forces(arms: int) -> int:
-    """How many internal forces recordings keep: one for each two grasps, at least one."""
+    """Number of internal forces in recordings: one for each pair of grasps, at least one."""
     return max(1, arms * (arms - 1) // 2)
 
 
@@ -31,7 +31,7 @@ class TickResult:
     """
 
     def __init__(self, records: TickRecords) -> None:
-        """What these records hold."""
+        """Store the records whose fields are the results."""
         self.records = records
 
     def __getattr__(self, name: str) -> Any:

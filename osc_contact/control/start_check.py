@@ -1,8 +1,8 @@
-"""What a controller compares when it starts: joints with their limits, wrists with their load.
+"""Checks of a controller at its start: joints against their limits, wrists against their load.
 
-`Measurement.wrenches` includes the weight of what hangs on the sensor. As long as no contact is
-made, a reading that differs from that weight is no contact force: its gravity convention, its sign,
-its axes or the payload is wrong, or a tare is missing.
+`Measurement.wrenches` includes the weight of the bodies outboard of the sensor. Before any contact
+is made, a reading that differs from this weight is not a contact force: its gravity convention,
+sign, axes or the payload is wrong, or a tare is missing.
 """
 
 import numpy as np
@@ -18,23 +18,24 @@ from osc_contact.interface import Measurement
 from osc_contact.robots.model import position_limits
 from osc_contact.spatial import Array, norm
 
-RANGE = 0.05  #: of a joint's range; how far beyond its limits a robot may stand as it starts
-CLEAR = 1e-3  #: m, rad; contacts whose gaps are larger are not made
+RANGE = 0.05  #: permitted start position beyond a joint's limits, as a share of its range
+CLEAR = 1e-3  #: m, rad, gap above which a contact is open
 WINDOW_S = 0.05  #: s of readings whose median is compared
-FEWEST = 5  #: readings
-LEVER = 0.2  #: m, the least on which `load_error` acts as a torque
-NOTHING = 1e-9  #: of the weight; smaller readings (N, N m) are exact zeros, but for rounding
-LIKE = 0.25  #: of the weight; readings nearer to none, or to its opposite, show the cause
+FEWEST = 5  #: least number of readings
+LEVER = 0.2  #: m, least lever of `load_error` in the limit of the torque
+NOTHING = 1e-9  #: share of the weight below which readings (N, N m) count as exact zeros
+LIKE = 0.25  #: share of the weight within which readings match a likely cause
 
 
 class StartCheck:
-    """The first ticks of one controller, until all is compared.
+    """Checks during the first ticks of one controller.
 
     Attributes:
-        done: whether nothing is left to be looked at.
-        refused: why the controller does not run; empty: nothing is wrong so far.
-        readings: (6,) wrist readings less what the model predicts, at O, one for each tick.
-        expected: (6,) what it predicts, as of the last tick.
+        done: True once all checks are completed.
+        refused: sentence on a failed check, because of which the controller does not run; else
+            empty.
+        readings: (6,) wrist readings less the model's prediction, at O (N, N m), one for each tick.
+        expected: (6,) prediction of the model in the last tick (N, N m).
     """
 
     def __init__(self) -> None:
@@ -45,16 +46,18 @@ class StartCheck:
         self.expected = np.zeros(6)
 
     def look(self, controller: ControllerState, measurement: Measurement) -> bool:
-        """Look at the joints as they are now, and at the wrists as of the last computed tick.
+        """Check the joints of a measurement, and the wrists of the last computed tick.
 
         Args:
-            controller: the `Controller` whose records hold that tick. measurement: of now.
+            controller: the `Controller` with the records of that tick. measurement: the present
+                one.
 
         Returns:
-            `done`.
+            True once all checks are completed.
 
         Raises:
-            InvalidInputError: joints outside their limits, or a wrist that reads another load.
+            InvalidInputError: joints outside their limits, or a wrist reading that differs from its
+                load.
         """
         if self.refused:
             raise InvalidInputError(self.refused)
@@ -75,7 +78,7 @@ class StartCheck:
                     return False
             elif len(self.readings) < FEWEST:
                 self.readings = []
-            if controller.engaged:  # else `engage` judges
+            if controller.engaged:  # otherwise `Controller.engage` compares them
                 self.judge(controller)
             if self.refused:
                 raise InvalidInputError(self.refused)
@@ -83,9 +86,9 @@ class StartCheck:
         return True
 
     def judge(self, controller: ControllerState) -> None:
-        """Compare the median of the readings with the limit.
+        """Compare the median of the readings with the limit, and set `refused` if it is exceeded.
 
-        Not where there is a tare: it takes away what would be compared, as of another moment.
+        With a tare nothing is compared, because the tare was measured at another time.
         """
         if self.readings and not controller.f_tare.any():
             error = np.median(self.readings, axis=0)
@@ -100,17 +103,17 @@ def require_start(chain: ClosedChain, q: Array) -> None:
     """Refuse measured joint positions (n,) that are far outside the joints' limits.
 
     Raises:
-        InvalidInputError: see `require_in_range`.
+        InvalidInputError: a position is outside by more than 5 % of the joint's range.
     """
     lower, upper = position_limits(chain.model)
     require_in_range("measured q", chain, q, RANGE * upper - RANGE * lower)
 
 
 def is_clear(settings: Settings, rows: TickRecords) -> bool:
-    """Whether no contact is made: every gap of the controller's model is open.
+    """Whether every gap of the controller's contacts is open.
 
     Args:
-        settings: with the contacts. rows: `TickRecords` of a tick that was computed.
+        settings: settings with the contacts. rows: `TickRecords` of a computed tick.
     """
     X_WO = SE3(rows.work.X_WO)
     for pair, motion in zip(settings.contacts, rows.work.bodies.motion, strict=True):
@@ -123,7 +126,7 @@ def is_clear(settings: Settings, rows: TickRecords) -> bool:
 def judge_load(
     chain: ClosedChain, most: float, error: Array, expected: Array, stepped: bool = False
 ) -> str:
-    """Sentence on wrists that read another load than they carry; "" for none.
+    """Sentence on wrist readings that differ from the load; empty within the limit.
 
     Args:
         chain: model of the arms.

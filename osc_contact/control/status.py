@@ -1,4 +1,4 @@
-"""What a tick reports beside its torques: how it ended, what was lost, and in which state."""
+"""Reports of a tick in addition to its torques: status, losses, phases and state."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from osc_contact.spatial import Array, norm
 
 
 class Status(IntEnum):
-    """How a tick ended. Anything but OK leaves a torque within limits and a reason to read.
+    """Status of a tick; torques are within the limits for any status, and `reason` has the cause.
 
     Example:
         >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
@@ -43,7 +43,7 @@ class SafetyState(IntEnum):
 
 
 class Phase(IntEnum):
-    """Of one contact; `law.phases` decides it."""
+    """Phase of a contact, which `law.phases` determines."""
 
     OPEN = 0  #: out of N: free motion
     APPROACHING = 1  #: in N, guarded approach of the face at a set speed
@@ -52,15 +52,17 @@ class Phase(IntEnum):
 
 @dataclass(frozen=True)
 class LimitLoss:
-    """What the motor limits cost in one tick.
+    """Losses of one tick by motor limits.
 
     Attributes:
-        joints: whose motors stand at their limit. desired, limits: of these (N m, N).
-        force: (r_all,) contact force magnitudes (N): commanded less predicted.
-        acceleration: (6,) of the object at O in world axes, likewise (m/s², rad/s²).
-        squeeze: (s,) internal force (N), likewise.
-        short: some contact force leaves the range between its floor and the command: no torques
-            within the limits keep it there.
+        joints: names of joints whose motors are at their limits. desired: their desired torques
+            (N m, N). limits: their limits (N m, N).
+        force: (r_all,) commanded less predicted contact forces (N).
+        acceleration: (6,) commanded less predicted acceleration of the object at O, in world axes
+            (m/s², rad/s²).
+        squeeze: (s,) commanded less predicted internal forces (N).
+        short: True if no feasible torques keep all contact forces between their floors and
+            commands.
     """
 
     joints: tuple[str, ...]

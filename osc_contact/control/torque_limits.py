@@ -37,7 +37,11 @@ class MotorLimits:
         self.program.program.mass = chain.reference.inertia.mass
 
     def given_up(self, rows: TickRecords) -> LimitLoss:
-        """What the last call of `relieve` cost."""
+        """Losses in the last call of `relieve`.
+
+        Args:
+            rows: records of the tick.
+        """
         program = self.program
         chain = self.chain
         r = int(program.r)
@@ -85,7 +89,7 @@ def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
 
 
 def _count_idle(chain: ClosedChain) -> int:
-    """How many joint motions of redundant arms leave the object alone, singular postures too."""
+    """Largest number of joint motions of redundant arms that do not move the object."""
     counts = [
         arm.model.nv - grasp.N.shape[1] for arm, grasp in zip(chain.arms, chain.grasps, strict=True)
     ]

@@ -54,10 +54,10 @@ class Idle:
 
 
 def standing_approaches(records: TickRecords, settings: Settings) -> str:
-    """Which approaches have covered `travel` and met nothing, with the distance left.
+    """Sentence on approaches that ended after `travel` without contact, with the remaining gap.
 
     Args:
-        records: `TickRecords` of the last tick. settings: of the controller.
+        records: `TickRecords` of the last tick. settings: settings of the controller.
     """
     if settings.life is None:
         return ""

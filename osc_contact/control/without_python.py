@@ -147,7 +147,7 @@ def _gains() -> list[tuple[str, int, int, str]]:
 
 
 def _offset(row: Any, field: str) -> int:
-    """Where a field of a row is (bytes)."""
+    """Offset (bytes) of a field in a row."""
     return int(row.fields[field][1])
 
 
@@ -305,7 +305,7 @@ def _ranges() -> str:
 
 
 def _surface_shapes() -> list[str]:
-    """Whole cells of a SURFACE pair, as `record_ranges` counts them."""
+    """C function that counts the shapes of a SURFACE pair from its numbers of cells."""
     shapes, (shape, _) = records.MODEL.start("shapes"), records.MODEL.tables["shapes"]
     pair: Any = records.PAIR.fields
     count = records.MODEL.slot("s")

@@ -19,7 +19,11 @@ _NOTHING = 1e-280  #: squares below it lose digits (subnormal numbers)
 
 @inner
 def dot(a, b, n):
-    """Inner product Σ aᵢbᵢ of the first n elements of two rows."""
+    """Inner product Σ aᵢbᵢ of two rows.
+
+    Args:
+        a, b: rows. n: number of elements that are multiplied.
+    """
     s = 0.0
     for i in range(n):
         s += a[i] * b[i]
@@ -51,7 +55,11 @@ def gram(X, n, Y, m, out):
 
 @leaf
 def transpose(A, n, m, out):
-    """Write the transpose of A (n, m) to `out` (m, n)."""
+    """Write the transpose of a matrix to `out`.
+
+    Args:
+        A: (n, m). n, m: its size. out: (m, n), filled.
+    """
     for i in range(n):
         for j in range(m):
             out[j, i] = A[i, j]

@@ -1,12 +1,11 @@
-"""The compiled law as an object file for C: entries that take addresses and whole numbers.
+"""Object file of the compiled law for C, with entries that take addresses and integers.
 
-By the calling convention of `units` a C program declares them as
+By numba's calling convention a C program declares the entries as
 
     int32_t name(int64_t *result, void **unused, uint64_t or int64_t …)
 
-the first for addresses, also where a pointer has 32 bits.
-
-Sizes of arrays are those of MODEL; nobody checks them here.
+with uint64_t for addresses, even if a pointer has 32 bits. Sizes of arrays are those of MODEL; they
+are not checked.
 """
 
 from __future__ import annotations
@@ -32,9 +31,9 @@ from osc_contact.law.jit import bytes_at, inner, numbers_at, words_at
 from osc_contact.law.limits import PROGRAM
 
 _log = logging.getLogger(__name__)
-KEPT = 16  #: libraries of other laws, 2 MB each, stay in the cache
-MACHINE_CODE = 20.0  #: s of a core for linking, optimising and emitting all parts
-_MANY = 10  #: new parts, from which on a second process is worth its start
+KEPT = 16  #: number of libraries of other sources, 2 MB each, that remain in the cache
+MACHINE_CODE = 20.0  #: s of processor time for linking, optimising and emitting all parts
+_MANY = 10  #: number of new parts from which on a second process is started
 _program = PROGRAM.at
 
 _rows, _terms, _prepare, _finish, _fill, _settle = (
@@ -51,11 +50,12 @@ _rows, _terms, _prepare, _finish, _fill, _settle = (
 
 
 def osc_law_rows(raw, at, arrays, sizes):
-    """`tick.rows`.
+    """Run `tick.rows`.
 
     Args:
-        raw: address. at: where the JOB is. arrays: address of the nine addresses of what is given.
-        sizes: address of the number of elements or rows of each.
+        raw: address of the bytes of `records.Rows`. at: offset of the JOB. arrays: address of nine
+            addresses, of the arrays of its argument `given`. sizes: address of their numbers of
+            elements or rows.
     """
     x = words_at(arrays, 9)
     n = words_at(sizes, 9)
@@ -74,11 +74,11 @@ def osc_law_rows(raw, at, arrays, sizes):
 
 
 def osc_law_terms(raw, q, v, out, sizes):
-    """`operational.operational_space`.
+    """Run `operational.operational_space`.
 
     Args:
-        raw, q, v, out: addresses. sizes: address of the columns of `out`, then the number of
-            elements or rows of each.
+        raw, q, v, out: addresses of its arguments. sizes: address of four integers: columns of
+            `out`, elements of q and of v, rows of `out`.
     """
     n = words_at(sizes, 4)
     return _terms(
@@ -87,10 +87,11 @@ def osc_law_terms(raw, q, v, out, sizes):
 
 
 def osc_law_fill(raw, at, i, program):
-    """`limits.fill_program`; returns k, how many forces must not pull.
+    """Run `limits.fill_program`; return k, the number of forces that must not pull.
 
     Args:
-        raw, program: addresses. at, i: as there.
+        raw: address of the bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated
+            tick. program: address of the bytes of PROGRAM.
     """
     data = bytes_at(program)
     _fill(bytes_at(raw), at, i, data)
@@ -98,34 +99,35 @@ def osc_law_fill(raw, at, i, program):
 
 
 def osc_law_prepare(program, slack):
-    """`limits.prepare`.
+    """Run `limits.prepare`.
 
     Args:
-        program: address. slack: as there.
+        program: address of the bytes of PROGRAM. slack: number of slack variables.
     """
     return int(_prepare(bytes_at(program), slack))
 
 
 def osc_law_finish(program, slack):
-    """`limits.finish`.
+    """Run `limits.finish`.
 
     Args:
-        program: address. slack: as there.
+        program: address of the bytes of PROGRAM. slack: number of slack variables.
     """
     return int(_finish(bytes_at(program), slack))
 
 
 def osc_law_settle(raw, at, i, program):
-    """`limits.settle`.
+    """Run `limits.settle`.
 
     Args:
-        raw, program: addresses. at, i: as there.
+        raw: address of the bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated
+            tick. program: address of the bytes of PROGRAM.
     """
     _settle(bytes_at(raw), at, i, bytes_at(program))
     return 0
 
 
-#: Arguments of each: p address, i whole number.
+#: Entries with the types of their arguments: p address, i integer.
 ENTRIES = {
     osc_law_rows: "pipp",
     osc_law_terms: "ppppp",
@@ -137,16 +139,16 @@ ENTRIES = {
 
 
 def object_file() -> bytes:
-    """Of all entries, for every processor of this platform.
+    """Content of law.o with all entries, for every processor of this platform.
 
     Raises:
-        OscContactError: the library cannot be made here.
+        OscContactError: the library cannot be made on this machine.
     """
     return Path(jit.the_library().__file__).with_name(library.OBJECT).read_bytes()
 
 
 def make() -> Any:
-    """Make the library, unless another process has made it meanwhile.
+    """Make the library and load it; a library that another process has just made is used.
 
     Raises:
         OscContactError: the law is compiled in numba's usual way, or the C compiler fails.
@@ -166,14 +168,14 @@ def make() -> Any:
 
 
 def _make(folder: Path) -> Any:
-    """Make the folder whole or not at all, and load the library."""
+    """Make a complete folder with object file, library and checksum; load the library."""
     with announced() as show, TemporaryDirectory(dir=folder.parent) as unfinished:
         new = Path(unfinished) / folder.name
         new.mkdir(mode=0o700)
         (new / library.OBJECT).write_bytes(_object(show))
         _link(new)
         (new / library.CHECKSUM).write_text(library.checksum(new))
-        shutil.rmtree(folder, ignore_errors=True)  # a damaged one
+        shutil.rmtree(folder, ignore_errors=True)  # a damaged folder of the same sources
         new.rename(folder)
     others = sorted(folder.parent.glob("law-*"), key=lambda path: path.stat().st_mtime)
     for old in others[:-KEPT]:
@@ -185,7 +187,12 @@ def _make(folder: Path) -> Any:
 
 
 def _object(show: Callable[[float], None], triple: str = "") -> bytes:
-    """law.o of all entries, see `units.emit`."""
+    """Content of law.o with all entries.
+
+    Args:
+        show: called with the completed share of the work. triple: LLVM's name of another platform;
+            empty: this platform.
+    """
     units = jit.UNITS
     target = units.target_of(triple)
     progress = Progress(show)
@@ -196,9 +203,9 @@ def _object(show: Callable[[float], None], triple: str = "") -> bytes:
 
 
 class Progress:
-    """The share of the time that is over, from the pace so far.
+    """Progress of a compilation: the elapsed share of the time, estimated from the pace so far.
 
-    How long parts take is seen only while they are translated, since most of them may be kept.
+    The time of parts is not known in advance, because most of them may be cached.
     """
 
     def __init__(self, show: Callable[[float], None]) -> None:
@@ -211,7 +218,7 @@ class Progress:
         """Show the progress after another part.
 
         Args:
-            share: of the units of which a part is ready. kept: whether it was found, not made.
+            share: share of the units with a finished part. kept: whether this one was cached.
         """
         elapsed = perf_counter() - self._began
         self._translated = elapsed
@@ -221,7 +228,7 @@ class Progress:
         """Show the progress after a stage of making the machine code.
 
         Args:
-            share: of its time, with all stages before it.
+            share: share of the time of this work that is over after the stage.
         """
         whole = self._translated + MACHINE_CODE
         self._raise_to((self._translated + share * MACHINE_CODE) / whole)
@@ -232,7 +239,7 @@ class Progress:
 
 
 def _translated(entry: Any) -> Any:
-    """An entry's part, see `units.Unit.translated`."""
+    """Translate an entry; return its `units.Part`."""
     from numba import types
 
     kinds = {"p": types.uintp, "i": types.int64}
@@ -241,28 +248,28 @@ def _translated(entry: Any) -> Any:
 
 
 def _cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class _Assistant:
-    """A second process that translates parts from the other end; the first one finds them kept."""
+    """Second process that translates parts in reverse order, for the first one to find cached."""
 
     def __init__(self, errors: IO[bytes]) -> None:
-        """None is started yet.
+        """Prepare the process without starting it.
 
         Args:
-            errors: a file that takes what it writes to its standard error.
+            errors: file for its standard error.
         """
         self._new = 0
         self._process: subprocess.Popen[bytes] | None = None
         self._errors = errors
 
     def start_if_needed(self, share: float, kept: bool) -> None:
-        """Start it where many parts are new, and there is a core for it.
+        """Start the process once many parts are new, if a core is available for it.
 
         Args:
-            share: of the units of which a part is ready. kept: whether the last part was found.
+            share: share of the units with a finished part. kept: whether the last one was cached.
         """
         self._new += not kept
         if self._new == _MANY and self._process is None and _cores() > 1:
@@ -277,7 +284,7 @@ class _Assistant:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End it. One that failed is logged: without it, the compilation took longer."""
+        """End the process; log if it failed, since the compilation then took longer."""
         if self._process is None:
             return
         if self._process.poll():
@@ -292,7 +299,7 @@ class _Assistant:
 
 
 def _assist() -> None:
-    """Translate small entries, then the parts that take a tick, its last ones first."""
+    """Translate small entries, then the parts with the argument `t`, in reverse order."""
     from numba import types
 
     for entry in reversed(ENTRIES):
@@ -304,7 +311,7 @@ def _assist() -> None:
 
 
 def _link(folder: Path) -> None:
-    """Make the library of the object in a folder.
+    """Link the library from the object file in a folder.
 
     Raises:
         OscContactError: the C compiler fails.
@@ -319,7 +326,7 @@ def _link(folder: Path) -> None:
         raise OscContactError(f"the C compiler cannot build the law: {done.stderr.strip()[-500:]}")
 
 
-if __name__ == "__main__":  # PLATFORM FILE: only law.o, for another one
+if __name__ == "__main__":  # with the arguments PLATFORM FILE: only law.o, for that platform
     report_to(print)
     if sys.argv[1:] == ["assist"]:
         _assist()

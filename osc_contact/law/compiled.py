@@ -1,7 +1,7 @@
-"""The compiled functions of the law, made or loaded when first used.
+"""Compiled functions of the law for Python, made or loaded when first used.
 
-Compiling takes a minute (without a C compiler, three), once on a machine; listeners get a message
-and the progress.
+Compiling takes a minute (three without a C compiler), once on a machine. Listeners receive a
+message and the progress.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 def _nowhere(share: float) -> None:
-    """Where progress goes as long as no display is set."""
+    """Ignore progress, until a display is set."""
 
 
 _shown: list[Callable[[float], None]] = [_nowhere]
@@ -32,7 +32,7 @@ _shown: list[Callable[[float], None]] = [_nowhere]
 
 @cache
 def rows() -> Any:
-    """The tick over rows, see `law.tick.rows`; other types than its own are a TypeError."""
+    """Compiled `law.tick.rows`; arguments of other types raise a TypeError."""
     none = np.zeros(0)
     empty = Rows(new_model(1, 1, 1))
     empty.job.last = 0
@@ -44,7 +44,7 @@ def rows() -> Any:
 
 @cache
 def operational_space() -> Any:
-    """The terms of one arm, see `law.operational.operational_space`, likewise."""
+    """Compiled `law.operational.operational_space`; arguments of other types raise a TypeError."""
     none = np.zeros(0)
     return _made(
         operational.operational_space, Rows(new_model(1, 1, 1)).raw, none, none, none[:, None]
@@ -52,7 +52,11 @@ def operational_space() -> Any:
 
 
 def _made(call: Any, *nothing: Any) -> Any:
-    """An entry as it is called; numba compiles by a call for nothing, then for no other types."""
+    """Return the callable of an entry; numba compiles it by a call with empty arguments.
+
+    Args:
+        call: the entry. nothing: arguments of the right types without content.
+    """
     if isinstance(call, jit.Entry):
         return call.call
     if not jit.PLAIN_PYTHON:
@@ -64,11 +68,11 @@ def _made(call: Any, *nothing: Any) -> Any:
 
 @contextmanager
 def announced() -> Iterator[Callable[[float], None]]:
-    """Log (INFO) that the law is compiled in this block, and how long it took.
+    """Log (INFO) that the law is compiled in this block, and the time it took.
 
-    Yields what shows the share of the work that is done; at the end it shows 1. Python looks
-    through its objects for those to give back less often meanwhile: numba makes millions that
-    stay, and a tenth of the time would go there.
+    Yields a function that shows the completed share of the work; at the end 1 is shown. Garbage
+    collection runs less often in the block: numba makes millions of lasting objects, and a tenth
+    of the time would be spent on them.
     """
     began = perf_counter()
     usual = gc.get_threshold()
@@ -93,10 +97,11 @@ class _Listener(logging.Handler):
 
 
 def report_to(say: Callable[[str], None], show: Callable[[float], None] = _nowhere) -> None:
-    """Hand these messages to `say`, and progress to `show`, in place of the former listeners.
+    """Set the listeners of messages and progress.
 
     Args:
-        say: takes a line. show: takes the share that is done, 0 … 1; 1 at the end in any case.
+        say: called with each line of a message. show: called with the completed share, 0 … 1, and
+            with 1 at the end in any case.
     """
     _log.handlers = [_Listener(say)]
     _log.setLevel(logging.INFO)

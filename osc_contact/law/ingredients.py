@@ -1,8 +1,8 @@
-"""All that the translation of a function depends on, written out, so that a hash of it is a key.
+"""Ingredients on which the translation of a function depends, as text to be hashed to a key.
 
-numba translates bytecode; the names in it stand for values that it reads when it translates:
-constants, other functions, members of modules. A value whose content cannot be written out is an
-error here, since a change of it would go unnoticed and old code would run.
+numba translates bytecode, and reads the values of global names in it: constants, other functions,
+members of modules. A value whose content cannot be written as text is an error, because a change
+of it would not be detected and old code would run.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-#: Packages whose versions are part of every key: what they hold is named only.
+#: Packages whose versions are part of every key, so that their members are identified by name.
 VERSIONED = {"numba", "numpy", "llvmlite", *sys.stdlib_module_names} - {"__main__"}
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 
@@ -27,17 +27,17 @@ def digest(function: FunctionType) -> str:
 
 
 def ingredients(function: FunctionType) -> list[str]:
-    """Lines that say what a function is made of: its bytecode and every value that it reads.
+    """Lines of text with the bytecode of a function and every value that it reads.
 
     Args:
         function: a Python function that numba translates.
 
     Returns:
-        The same lines in every process; of functions that are called, a part of the law gives its
-        name only, since it is translated by itself, and any other one gives its ingredients.
+        The same lines in every process. A called part of the law is listed by name, because it has
+        a translation of its own; another called function is listed with its ingredients.
 
     Raises:
-        TypeError: it reads a value whose content cannot be written out.
+        TypeError: the function reads a value whose content cannot be written as text.
     """
     lines = [_bytecode(function.__code__), f"defaults {_written(function.__defaults__)}"]
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
@@ -55,7 +55,7 @@ def values_read(function: FunctionType) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, *members in _paths(function.__code__):
         if name not in function.__globals__:
-            continue  # of Python itself
+            continue  # a name of Python's builtins
         value = function.__globals__[name]
         path = name
         for member in members:
@@ -69,7 +69,7 @@ def values_read(function: FunctionType) -> dict[str, Any]:
 
 @cache
 def _paths(code: CodeType) -> tuple[tuple[str, ...], ...]:
-    """Global names in a function's code, each with the attributes that are read of it at once."""
+    """Global names in a function's code, each with the attributes that directly follow it."""
     found: list[tuple[str, ...]] = []
     follows = False
     for step in dis.get_instructions(code):
@@ -86,7 +86,7 @@ def _paths(code: CodeType) -> tuple[tuple[str, ...], ...]:
 
 @cache
 def _bytecode(code: CodeType) -> str:
-    """A function's code without its docstring and the numbers of its lines."""
+    """Text of a function's code without its docstring and its line numbers."""
     constants = [
         _bytecode(constant) if isinstance(constant, CodeType) else repr(constant)
         for place, constant in enumerate(code.co_consts)
@@ -98,17 +98,17 @@ def _bytecode(code: CodeType) -> str:
 
 
 def _loads(code: CodeType, place: int) -> bool:
-    """Whether code loads the constant at a place of its table."""
+    """Whether code loads the constant with an index in its table."""
     return any(
         step.opname == "LOAD_CONST" and step.arg == place for step in dis.get_instructions(code)
     )
 
 
 def _written(value: Any) -> str:
-    """A value as text that changes with its content.
+    """Text of a value that changes with its content.
 
     Raises:
-        TypeError: its content cannot be written out.
+        TypeError: the content cannot be written as text.
     """
     module = getattr(value, "__module__", None) or ""
     if module.partition(".")[0] in VERSIONED and hasattr(value, "__qualname__"):

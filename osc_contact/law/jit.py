@@ -1,11 +1,11 @@
-"""How the law is compiled: to one library, made once; by numba in its usual way; or not at all.
+"""Compilation of the law: to a library, by numba in its usual way, or none (plain Python).
 
-The same source runs compiled and, with NUMBA_DISABLE_JIT=1, as plain Python: a debugger steps
-through it and the tests compare the two. `inner` and `leaf` mark functions that compiled ones call,
-`entry` those that Python calls. Where no library fits the sources (`library`), numba translates
-each part once, and LLVM and a C compiler make the library of all (`units`, `c_object`). Without a C
-compiler, or with a numba that lacks what this takes, numba compiles as it always does, to the same
-results in three times as long; OSC_CONTACT_LAW=jit asks for that.
+The same source runs compiled and, with NUMBA_DISABLE_JIT=1, as plain Python, which a debugger can
+step through and the tests compare with compiled code. `inner` and `leaf` mark functions called by
+compiled functions, `entry` those called by Python. If no existing library fits the sources
+(`library`), numba translates each function once, and LLVM and a C compiler make a library of them
+(`units`, `c_object`). Without a C compiler, or with an unsupported numba, numba compiles in its
+usual way, with the same results, in three times as long; OSC_CONTACT_LAW=jit selects this.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
 #: Whether the law runs as Python.
 PLAIN_PYTHON = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
-#: The library that holds the law; None: it is compiled, or runs as Python.
+#: Existing library of the law; None: the law is compiled by this process, or runs as Python.
 READY: Any = None if PLAIN_PYTHON else library.found()
-#: Whether numba compiles it.
+#: Whether numba compiles the law in this process.
 COMPILES = READY is None and not PLAIN_PYTHON
 
 _log = logging.getLogger(__name__)
@@ -49,7 +49,7 @@ _PLAIN: dict[str, Any] = {"error_model": "numpy"}
 
 
 def _find_units() -> Any:
-    """`units`; None where numba compiles in its usual way."""
+    """Module `units`, or None if numba compiles in its usual way."""
     if os.environ.get("OSC_CONTACT_LAW") == "jit":
         return None
     reason: object = library.obstacle()
@@ -73,12 +73,16 @@ if COMPILES:
         raise ImportError(f"the law is not compiled here, and {missing(error)}") from error
     _config = config
     UNITS = _find_units()
-#: Whether there is a library of the law, or one can be made.
+#: Whether a library of the law exists or can be made.
 HAS_LIBRARY = READY is not None or UNITS is not None
 
 
 def inner(function: Any, inlined: bool = False) -> Any:
-    """A part of the law, called by compiled functions only."""
+    """Decorator of a function of the law that is called by compiled functions only.
+
+    Args:
+        function: the function. inlined: whether it is inlined in its callers.
+    """
     if not COMPILES:
         return function
     if UNITS is None:
@@ -87,12 +91,12 @@ def inner(function: Any, inlined: bool = False) -> Any:
 
 
 def leaf(function: Any) -> Any:
-    """A small part, inlined wherever it is called."""
+    """Decorator of a small function of the law that is inlined in its callers."""
     return inner(function, inlined=True)
 
 
 def entry(function: Any) -> Any:
-    """What Python calls, one of `c_object.ENTRIES`. Releases the GIL."""
+    """Decorator of a function that Python calls, one of `c_object.ENTRIES`; it releases the GIL."""
     if PLAIN_PYTHON:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
     if COMPILES and UNITS is None:
@@ -101,14 +105,14 @@ def entry(function: Any) -> Any:
 
 
 class Entry:
-    """An entry of the library."""
+    """Entry of the library, which is made or loaded at the first call."""
 
     def __init__(self, function: Any) -> None:
         self.__wrapped__ = function
 
     @cached_property
     def call(self) -> Any:
-        """What Python calls."""
+        """Function of the library."""
         return getattr(the_library(), self.__wrapped__.__name__)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -117,16 +121,16 @@ class Entry:
 
 @cache
 def the_library() -> Any:
-    """The library of the law; made now where there is none.
+    """Library of the law, which is made if none exists.
 
     Raises:
-        OscContactError: it cannot be made here.
+        OscContactError: the library cannot be made on this machine.
     """
     return READY or import_module(f"{__package__}.c_object").make()
 
 
 def _as_numba_does(function: Any) -> Any:
-    """An entry in numba's own cache, in a folder of this law."""
+    """Compile an entry with numba's own cache, in a folder for these sources."""
     usual = _config.CACHE_DIR
     folder = library.kept("numba")
     with suppress(OSError):
@@ -140,17 +144,17 @@ def _as_numba_does(function: Any) -> Any:
 
 
 def as_python(part: Any, **instead: Any) -> Any:
-    """A part of the law as a Python function, and so are all parts that it calls.
+    """Python function of a part of the law, which calls other parts as Python functions, too.
 
     Args:
-        part: made by `inner` or `leaf`.
-        instead: other values of global names, such as sqrt=np.sqrt, which takes arrays.
+        part: function decorated by `inner` or `leaf`.
+        instead: replacements of global names, for example sqrt=np.sqrt, which accepts arrays.
     """
     source = getattr(part, "py_func", part)
     names = source.__globals__ | _IN_PYTHON
     for name in source.__code__.co_names:
         called = getattr(names.get(name), "py_func", names.get(name))
-        if not isinstance(called, FunctionType) or called is source:  # a field has its name
+        if not isinstance(called, FunctionType) or called is source:  # only the name of a field
             continue
         if called.__module__.startswith(f"{__package__}."):
             names[name] = as_python(called, **instead)
@@ -164,16 +168,16 @@ def call_address(address: int, *arrays: Any) -> None:
 
 
 def _reshape(x: Any, start: int, rows: int, columns: int) -> Any:
-    """Numbers of a row from `start` as (rows, columns)."""
+    """View numbers of a row x from `start` on as a matrix (rows, columns)."""
     return x[start : start + rows * columns].reshape((rows, columns))
 
 
 def _no_prefetch(raw: Any, start: int, count: int) -> None:
-    """Bring bytes near that are read soon: nothing to do in plain Python."""
+    """Do nothing in place of a prefetch, in plain Python."""
 
 
 def _empty(rows: int, columns: int | None = None) -> Any:
-    """A new array (rows,) or (rows, columns) of NaN, which shows what reads it uninitialised."""
+    """New array (rows,) or (rows, columns) of NaN, so that reading uninitialised elements shows."""
     return np.full(rows if columns is None else (rows, columns), np.nan)
 
 
@@ -199,11 +203,11 @@ else:
     def local(
         typing: TypingContext, rows: IntegerLiteral, columns: IntegerLiteral | None = None
     ) -> Intrinsic:
-        """A new array (rows,) or (rows, columns) of numbers on the stack, not initialised.
+        """New array (rows,) or (rows, columns) of numbers on the stack, not initialised.
 
-        It lasts until the function that makes it returns; made in a loop, it is the same array each
-        time. Its type is that of a field of a record with the same shape, so that a function which
-        takes both is translated once.
+        It exists until the function that makes it returns; in a loop, each call returns the same
+        array. Its type is that of a field of a record with the same shape, so that a function that
+        accepts both is translated once.
 
         Args:
             rows, columns: sizes, whole numbers that are written out or are constants of a module.
@@ -230,13 +234,13 @@ else:
 
         return kind(rows, types.Omitted(None) if columns is None else columns), generate
 
-    #: A small part that reads bytes at an address.
+    #: Options of small functions that read bytes at an address.
     VIEW: Any = {**_PLAIN, "forceinline": True, "_nrt": True}
     view = njit(**VIEW)
 
     @intrinsic
     def _pointer(typing: TypingContext, address: Type) -> Intrinsic:
-        """An address as a pointer."""
+        """Convert an address to a pointer."""
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, arguments: Values
@@ -247,27 +251,27 @@ else:
 
     @view
     def _place(x):
-        """The address of an array."""
+        """Address of an array."""
         return np.uintp(x.ctypes.data)
 
     @view
     def bytes_at(address):
-        """All bytes from an address."""
+        """View all bytes from an address on as an array."""
         return carray(_pointer(address), 1 << 40, np.uint8)
 
     @view
     def numbers_at(address, shape):
-        """Numbers at an address as an array of this shape."""
+        """View numbers at an address as an array of a shape."""
         return carray(_pointer(address), shape, np.float64)
 
     @view
     def words_at(address, count):
-        """Whole numbers at an address."""
+        """View `count` integers at an address as an array."""
         return carray(_pointer(address), count, np.int64)
 
     @view
     def matrix(x, start, rows, columns):
-        """Numbers of a row from `start` as (rows, columns)."""
+        """View numbers of a row x from `start` on as a matrix (rows, columns)."""
         return numbers_at(_place(x) + np.uintp(8 * start), (rows, columns))
 
     @intrinsic
@@ -310,6 +314,6 @@ else:
 
     @view
     def prefetch(raw, start, count):
-        """Bring bytes near that are read soon."""
+        """Prefetch `count` bytes from `start` on to the processor's cache."""
         for at in range(start, start + count, 64):
             _prefetch(_place(raw) + np.uintp(at))

@@ -1,4 +1,4 @@
-"""LLVM code that reads the layout of a `nested.Nested` record: starts and sizes of its tables."""
+"""LLVM code that reads the layout of a `nested.Nested` record: offsets and sizes of its tables."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ WORD = ir.IntType(64)
 
 
 def layout_word(builder: Builder, record: Value, slot: int) -> Value:
-    """Code that loads a word of a record's layout, which never changes: it is loaded once.
+    """Generate code that loads a word of a record's layout, as an invariant that is loaded once.
 
     Args:
-        builder: of LLVM's instructions. record: pointer to it. slot: number of the word.
+        builder: builder of LLVM instructions. record: pointer to the record. slot: index of the
+            word.
     """
     words = builder.bitcast(record, WORD.as_pointer())
     found = builder.load(builder.gep(words, [WORD(slot)]))
@@ -26,10 +27,11 @@ def layout_word(builder: Builder, record: Value, slot: int) -> Value:
 
 
 def table_address(builder: Builder, record: Value, slot: int) -> Value:
-    """Code for the address of a table, so many bytes behind its record as a word of layout says.
+    """Generate code for the address of a table, whose offset in the record is a word of its layout.
 
     Args:
-        builder: of LLVM's instructions. record: pointer to it. slot: number of the word.
+        builder: builder of LLVM instructions. record: pointer to the record. slot: index of the
+            word.
     """
     start = layout_word(builder, record, slot)
     return builder.gep(builder.bitcast(record, BYTE.as_pointer()), [start])

@@ -1,14 +1,14 @@
-"""The law as a library: where it is, and whether it was made from the sources that lie here.
+"""Library of the compiled law: its location, and whether it was made from the present sources.
 
-osc_law.abi3.so is `extension.c` with law.o of `c_object`, which lies beside it; one pair of files
-serves every Python from 3.11 on. Wheels bring both. Elsewhere they are made once, when the law is
-first used or by `python -m osc_contact.law.c_object`, and kept in the user's cache under the hash
-of the sources, so that an edited law is another library.
+osc_law.abi3.so consists of `extension.c` and law.o of `c_object`, which is stored beside it; the
+two files serve every Python from 3.11 on. Wheels contain both. Otherwise they are made once, when
+the law is first used or by `python -m osc_contact.law.c_object`, and stored in the user's cache
+under the hash of the sources, so that an edited law has another library.
 
 Environment variables:
-    OSC_CONTACT_LAW: path of another library; "compile": none that is there, so that law.o of
-        another platform can be made; "jit": none at all, numba compiles in its usual way.
-    OSC_CONTACT_CACHE: folder for what is made; default osc_contact in XDG_CACHE_HOME or ~/.cache.
+    OSC_CONTACT_LAW: path of another library; "compile": existing libraries are ignored, so that
+        law.o of another platform can be made; "jit": no library, numba compiles in its usual way.
+    OSC_CONTACT_CACHE: folder of compiled files; default osc_contact in XDG_CACHE_HOME or ~/.cache.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from osc_contact.files import require_private
 
 LIBRARY = "osc_law.abi3.so"
 OBJECT = "law.o"
-CHECKSUM = "sha256"  #: of both files, in a third one
+CHECKSUM = "sha256"  #: file with the checksum of both files
 COMPILER = os.environ.get("CC", "cc")
 _log = logging.getLogger(__name__)
 HEADERS = sysconfig.get_paths()["include"]
@@ -37,7 +37,7 @@ HEADERS = sysconfig.get_paths()["include"]
 
 @cache
 def law_hash() -> str:
-    """SHA-256 of all sources of the law."""
+    """Hash (SHA-256) of all sources of the law."""
     here = Path(__file__).parent
     found = sha256()
     for source in (*sorted(here.glob("*.py")), here / "extension.c"):
@@ -46,7 +46,7 @@ def law_hash() -> str:
 
 
 def obstacle() -> str:
-    """What is missing to make the library; "" where nothing is."""
+    """Sentence on a tool that is missing to make the library; empty if none is."""
     if shutil.which(COMPILER) is None:
         return f"there is no C compiler {COMPILER!r} here"
     if not (Path(HEADERS) / "Python.h").is_file():
@@ -55,26 +55,26 @@ def obstacle() -> str:
 
 
 def cache_folder() -> Path:
-    """For libraries that are made here."""
+    """Folder of libraries that are made on this machine."""
     usual = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(os.environ.get("OSC_CONTACT_CACHE") or Path(usual) / "osc_contact")
 
 
 def kept(kind: str = "law") -> Path:
-    """The folder of what is made of this law: the library, or numba's files."""
+    """Folder of the files made from the present sources: the library, or numba's cache."""
     return cache_folder() / f"{kind}-{sysconfig.get_platform()}-{law_hash()[:16]}"
 
 
 def checksum(folder: Path) -> str:
-    """Of the two files."""
+    """Checksum (SHA-256) of the library and the object file in a folder."""
     return sha256(b"".join((folder / name).read_bytes() for name in (LIBRARY, OBJECT))).hexdigest()
 
 
 def found() -> Any:
-    """The library that fits the sources; None: there is none.
+    """Existing library that fits the sources, or None.
 
     Raises:
-        OscContactError: OSC_CONTACT_LAW names what is none of this law.
+        OscContactError: OSC_CONTACT_LAW names a file that is not a library of these sources.
     """
     where = os.environ.get("OSC_CONTACT_LAW", "")
     if where:
@@ -83,10 +83,11 @@ def found() -> Any:
 
 
 def named(path: Path) -> Any:
-    """The library at a path that the user gives.
+    """Load the library at a path that the user gives.
 
     Raises:
-        OscContactError: there is no such file, or it is none of this law, for this platform.
+        OscContactError: the file does not exist, or is not a library of these sources for this
+            platform.
     """
     made = load(path)
     if made is None:
@@ -99,9 +100,9 @@ def named(path: Path) -> Any:
 
 
 def may_keep(folder: Path) -> bool:
-    """Whether programs may be loaded from a folder: it is there, and no other user's to write to.
+    """Whether code may be loaded from a folder: it exists, and other users cannot write to it.
 
-    One that others may write to is logged.
+    A folder that others may write to is logged.
     """
     try:
         require_private(folder)
@@ -114,7 +115,7 @@ def may_keep(folder: Path) -> bool:
 
 
 def found_in(folder: Path) -> Any:
-    """The library that was made there; None: there is none, it is damaged, or others may write."""
+    """Load the library in a folder; None if it is missing or damaged, or if others may write."""
     if not (may_keep(folder.parent) and may_keep(folder)):
         return None
     try:
@@ -125,9 +126,9 @@ def found_in(folder: Path) -> Any:
 
 
 def load(path: Path) -> Any:
-    """A library; None: it is none for this platform, or of other sources."""
+    """Load a library; None if it is missing, of another platform, or of other sources."""
     if not path.is_file() or law_hash().encode() not in path.read_bytes():
-        return None  # a foreign one is not loaded: that would run it
+        return None  # loading a foreign file would execute it
     loader = ExtensionFileLoader("osc_law", str(path))
     spec = spec_from_loader("osc_law", loader)
     assert spec is not None

@@ -1,9 +1,8 @@
-"""A record and the tables behind it in one run of bytes: `t.model.arms[k].mass`.
+"""Records with tables in one array of bytes: `t.model.arms[k].mass`.
 
-Bytes begin with their own layout: where each table begins, and how many rows and columns there are.
-Compiled functions take such a record as one pointer, and read a table where its bytes are; in plain
-Python a `View` has the same attributes. What is declared here is declared once: sizes, offsets and
-types follow.
+The bytes begin with their layout: the offset of each table, and the numbers of rows and columns.
+Compiled functions take such a record as one pointer and read its tables in place; in plain Python a
+`View` has the same attributes. Sizes, offsets and types follow from a single declaration.
 """
 
 from __future__ import annotations
@@ -17,25 +16,26 @@ from numpy.typing import NDArray
 from osc_contact.law.jit import COMPILES
 
 Bytes = NDArray[np.uint8]
-_LINE = 64  #: bytes; each table begins a line of the cache
+_LINE = 64  #: bytes of a cache line, to which each table is aligned
 
 
 class Nested:
-    """A declaration: the fields of the head, and the tables with their sizes.
+    """Declaration of a record: fields of its head, and tables with their sizes.
 
     Attributes:
-        dtype: of the head. tables: by name, dtype of a row (or element) and sizes.
+        dtype: type of the head. tables: for each name the dtype of a row (or element), and sizes.
         counts: names of the sizes that are known at run time.
-        at: function (bytes, offset) of compiled code; of plain Python, too, where nothing is
-            compiled.
+        at: function (bytes, offset) that returns the record, for compiled code, and for plain
+            Python if nothing is compiled.
     """
 
     def __init__(self, head: np.dtype[Any], **tables: Any) -> None:
-        """Declare it.
+        """Declare a record.
 
         Args:
-            head: fields. tables: name = size or (size, …), numbers or names of counts, of a table
-                of numbers; name = (dtype, size, …) of another one.
+            head: type with the fields of the head. tables: for a table of numbers name = size or
+                (size, …), where each size is a number or the name of a count; for a table of
+                another type name = (dtype, size, …).
         """
         self.tables: dict[str, tuple[np.dtype[Any], list[Any]]] = {}
         for name, given in tables.items():
@@ -59,18 +59,18 @@ class Nested:
             self.at = pointer_to(self)
 
     def slot(self, size: str) -> int:
-        """Which word of the layout holds a count."""
+        """Index of the word of the layout that contains a count."""
         return len(self.tables) + self.counts.index(size)
 
     def start(self, table: str) -> int:
-        """Which word of the layout holds where a table begins."""
+        """Index of the word of the layout that contains the offset of a table."""
         return list(self.tables).index(table)
 
     def new(self, counts: dict[str, int]) -> Bytes:
-        """Bytes in which nothing stands but the layout.
+        """Make the bytes of a record that is zero except for its layout.
 
         Args:
-            counts: how many there are of everything.
+            counts: value of each count by its name.
         """
         starts = []
         end = self.dtype.itemsize
@@ -83,10 +83,10 @@ class Nested:
         return raw
 
     def table(self, raw: Bytes, layout: NDArray[np.int64], name: str) -> NDArray[Any]:
-        """A table of a record.
+        """Table of a record, as an array that shares its memory.
 
         Args:
-            raw: its bytes. layout: they begin with it. name: of the table.
+            raw: bytes of the record. layout: words of its layout. name: name of the table.
         """
         kind, sizes = self.tables[name]
         start = layout[self.start(name)]
@@ -95,7 +95,7 @@ class Nested:
         return rows.view((np.record, kind), Table) if kind.names else rows
 
     def view(self, raw: Bytes) -> View:
-        """The record at the beginning of these bytes."""
+        """View of the record at the beginning of an array of bytes."""
         view: View = self._view(self, raw)
         return view
 
@@ -117,14 +117,14 @@ class Table(np.ndarray[Any, Any]):
 
 
 def _number(name: str) -> Any:
-    """A field of one number, read anew each time; as a property faster than by `__getattr__`."""
+    """Property of a field with one number, which is faster than `__getattr__`."""
     return property(lambda view: view.head[name])
 
 
 class View:
-    """A record in plain Python: fields of the head and tables as attributes.
+    """Record in plain Python, with the fields of its head and its tables as attributes.
 
-    Tables, and fields that are arrays, are kept once they were read.
+    Tables and array fields are cached as attributes after their first use.
     """
 
     def __init__(self, kind: Nested, raw: Bytes) -> None:

@@ -1,9 +1,10 @@
 """Tables of `nested.Nested` records as arrays of compiled code, without a function for each table.
 
-Attributes that numba's public `overload_attribute` adds are compiled functions, of which the law
-has 172: a tenth of the time that its translation takes. Here a table's array is written down where
-an attribute is read. This rests on numba's templates of attributes and on `numba.np.arrayobj`;
-where one of them is missing, `jit` finds no `units`, and `nested_type` takes the public way.
+numba's public `overload_attribute` compiles a function for each attribute, 172 in the law, which
+takes a tenth of its translation time. This module generates the array of a table where the
+attribute is read. It uses numba's templates of attributes and `numba.np.arrayobj`, which are not
+public; if one of them is missing, `jit` does without `units`, and `nested_type` uses the public
+interface.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ _public: Any = numba  #: its type hints leave out `from_dtype`
 
 
 def lower_tables(record: type[Type], kind: Nested) -> None:
-    """Make the tables of a record attributes that compiled code takes as arrays.
+    """Register the tables of a record as array attributes of its numba type.
 
     Args:
-        record: the numba type of the record, a class. kind: its `Nested`.
+        record: numba type of the record (a class). kind: declaration of the record, a `Nested`.
     """
     tables = {name: _Table(kind, name) for name in kind.tables}
 
@@ -48,10 +49,10 @@ def lower_tables(record: type[Type], kind: Nested) -> None:
 
 
 class _Table:
-    """A table of a record, which compiled code takes as an array.
+    """Table of a record as an array of compiled code.
 
     Attributes:
-        array: its type.
+        array: numba type of the array.
     """
 
     def __init__(self, kind: Nested, name: str) -> None:
@@ -62,11 +63,11 @@ class _Table:
         self._sizes = [kind.slot(one) if isinstance(one, str) else WORD(one) for one in sizes]
 
     def lower(self, context: CPUContext, builder: Builder, record: Type, value: Value) -> Value:
-        """Code for the array, as `numba.extending.lower_getattr` takes it.
+        """Generate code for the array, in the form of `numba.extending.lower_getattr`.
 
         Args:
-            context: numba's of the target. builder: of LLVM's instructions. record: the type.
-            value: pointer to the record.
+            context: target context of numba. builder: builder of LLVM instructions. record: type
+                of the record. value: pointer to the record.
         """
         shape = [
             one if isinstance(one, ir.Constant) else layout_word(builder, value, one)

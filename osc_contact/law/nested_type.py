@@ -42,7 +42,7 @@ _public: Any = numba  #: its type hints leave out `carray` and options of `overl
 
 
 class _Pointer(models.PrimitiveModel):
-    """Unlike other records one of these may be part of a tuple."""
+    """Data model of a record as a pointer, so that it may be part of a tuple."""
 
     def __init__(self, manager: Any, record: Any) -> None:
         super().__init__(manager, record, ir.ArrayType(BYTE, record.size).as_pointer())
@@ -52,21 +52,25 @@ _records: dict[str, Type] = {}  #: types of records by their names
 
 
 def record_named(name: str) -> Type:
-    """The type of a record that was made in this process.
+    """Return the numba type of a record, by its name with the hash of the layout.
 
     Raises:
-        KeyError: there is none of this layout.
+        KeyError: this process has no record with this layout.
     """
     return _records[name]
 
 
 def pointer_to(kind: Nested) -> Any:
-    """A compiled function (bytes, offset) that takes what is there for a record of this kind."""
+    """Compiled function (bytes, offset) that returns the record at an offset.
+
+    Args:
+        kind: declaration of the record, a `Nested`.
+    """
 
     class Record(types.Record):
-        """The head; its tables are further attributes.
+        """Numba type of the record: fields of the head, and tables as further attributes.
 
-        Its name is a hash of the layout: numba's own would have thousands of characters.
+        Its name contains a hash of the layout; numba's own name would have thousands of characters.
         """
 
         def __init__(self) -> None:
@@ -80,7 +84,7 @@ def pointer_to(kind: Nested) -> Any:
             return record_named, (self.name,)
 
         def __repr__(self) -> str:
-            """Name with the hash of the layout: keys of parts use it; numba's own omits tables."""
+            """Name with the hash of the layout, for keys of parts; numba's own omits tables."""
             return str(self.name)
 
     register_model(Record)(_Pointer)
@@ -111,10 +115,10 @@ def pointer_to(kind: Nested) -> Any:
 
 
 def _attribute(kind: Nested, name: str) -> Callable[[Type], Implementation]:
-    """The implementation of a table as `numba.extending.overload_attribute` takes it.
+    """Implementation of a table for `numba.extending.overload_attribute`.
 
     Args:
-        kind: the `Nested` record. name: of the table.
+        kind: declaration of the record, a `Nested`. name: name of the table.
     """
     dtype, sizes = kind.tables[name]
     start = _start(kind.start(name))
@@ -136,10 +140,10 @@ def _attribute(kind: Nested, name: str) -> Callable[[Type], Implementation]:
 
 
 def _start(slot: int) -> Any:
-    """A compiled function of a record: the address of a table.
+    """Compiled function that returns the address of a table of a record.
 
     Args:
-        slot: number of the word of layout that holds where the table begins.
+        slot: index of the word of the layout that contains the offset of the table.
     """
 
     @intrinsic
@@ -155,10 +159,10 @@ def _start(slot: int) -> Any:
 
 
 def _count(slot: int) -> Any:
-    """A compiled function of a record: a size of its tables that is known at run time.
+    """Compiled function that returns a size of a record's tables, read from its layout.
 
     Args:
-        slot: number of the word of layout that holds the size.
+        slot: index of the word of the layout that contains the size.
     """
 
     @intrinsic
@@ -174,7 +178,7 @@ def _count(slot: int) -> Any:
 
 
 def _fixed(size: int) -> Any:
-    """A compiled function of a record: a size of its tables that is known beforehand."""
+    """Compiled function of a record that returns a constant size of its tables."""
 
     @intrinsic
     def fixed(typing: TypingContext, record: Type) -> Intrinsic:

@@ -1,8 +1,8 @@
-"""A folder of results, each under a key that holds all it is made from.
+"""Folder of cached results under keys that are hashes of all their ingredients.
 
-Every file begins with the SHA-256 of its key and its content, so that one which is damaged, half
-written or of another key is noticed and made anew. Several processes may write at once: a file
-appears whole, and two that are written under one key have the same content. A folder into which
+Every file begins with the SHA-256 of its key and its content, so that a file that is damaged,
+incomplete or of another key is detected and made again. Several processes may write at the same
+time: files appear complete, and files of the same key have the same content. A folder into which
 other users may write is not used.
 """
 
@@ -23,17 +23,17 @@ def _digest(key: str, content: bytes) -> bytes:
 
 
 class Store:
-    """Results by their keys, in a folder; none where it cannot be written to, or others may write.
+    """Cached results by key; empty if the folder is not writable, or writable by other users.
 
     Attributes:
-        folder: where they are; it is made when the first result is kept.
+        folder: folder of the files, made when the first result is stored.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def find(self, key: str) -> bytes | None:
-        """Content that was kept under a key; None: there is none, or it is damaged."""
+        """Return the content stored under a key, or None if it is missing or damaged."""
         path = self.folder / key
         try:
             self._require_private()
@@ -47,7 +47,7 @@ class Store:
         return content[_DIGEST:]
 
     def keep(self, key: str, content: bytes) -> None:
-        """Keep a result; where that is not possible, it is made anew next time."""
+        """Store a result under a key; without success it is made again next time."""
         with suppress(OSError):
             for folder in (self.folder.parent, self.folder):
                 folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -55,19 +55,19 @@ class Store:
             write_whole(_digest(key, content) + content, self.folder / key)
 
     def _require_private(self) -> None:
-        """Refuse a folder into which other users may write: what is found there is executed.
+        """Refuse a folder into which other users may write, because its content is executed.
 
         Raises:
-            OSError: they may, or it is not there.
+            OSError: other users may write to it, or it does not exist.
         """
         require_private(self.folder.parent)
         require_private(self.folder)
 
     def remove_old(self, most: int) -> None:
-        """Remove the results that were not used for the longest time.
+        """Remove the least recently used results.
 
         Args:
-            most: number of results that stay.
+            most: number of results that remain.
         """
         with suppress(OSError):
             by_use = sorted(self.folder.iterdir(), key=lambda path: path.stat().st_mtime)

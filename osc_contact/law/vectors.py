@@ -45,7 +45,11 @@ def dot3(a, b):
 
 @leaf
 def add3(y, s, x):
-    """Sum y + s x of vectors of three numbers; s is a factor."""
+    """Sum y + s x of vectors of three numbers.
+
+    Args:
+        y, x: (3,). s: factor.
+    """
     return (y[0] + s * x[0], y[1] + s * x[1], y[2] + s * x[2])
 
 
@@ -124,13 +128,21 @@ def fill(x, t):
 
 @leaf
 def add(t, s, x):
-    """Sum t + s x of vectors of six numbers; s is a factor."""
+    """Sum t + s x of vectors of six numbers.
+
+    Args:
+        t, x: (6,). s: factor.
+    """
     return join(add3(t, s, x), add3(angular(t), s, angular(x)))
 
 
 @leaf
 def accumulate(x, s, y):
-    """Add s y to an array x of six numbers."""
+    """Add s y to an array x of six numbers.
+
+    Args:
+        x: (6,), changed. s: factor. y: (6,).
+    """
     fill(x, add(x, s, y))
 
 
@@ -278,7 +290,11 @@ def origin(X):
 
 @leaf
 def transformed(p, R, x):
-    """Position p + R x of a point x in a frame with origin p and axes R (3, 3)."""
+    """Position p + R x of a point that is given in a frame.
+
+    Args:
+        p: (3,) origin of the frame. R: (3, 3) its axes. x: (3,) point in the frame.
+    """
     sum_xy = add3(add3(p, x[0], column3(R, 0)), x[1], column3(R, 1))
     return add3(sum_xy, x[2], column3(R, 2))
 

@@ -58,7 +58,12 @@ def witness_contacts(t):
 
 @inner
 def _explain(t):
-    """Fill `touch` and `explained` (N) of approached columns while other contacts are closed."""
+    """Fill `touch` and `explained` (N) of approached columns while other contacts are closed.
+
+    `touch` is α_n = gᵀf, where f is the reading less bias and inertial force, and gᵀ the row of
+    (NᵀR⁻¹N)⁻¹NᵀR⁻¹ for the column; `explained` is the bound μ_b Σα_j‖gᵀT_j‖ of the contribution by
+    friction of the closed contacts. R is the covariance of friction and sensor noise.
+    """
     work = t.work
     r = work.rank
     R = local(6, 6)

@@ -1,4 +1,4 @@
-"""Channels of a recording: time series worked out from the rows of all ticks at once."""
+"""Channels of a recording: time series computed from the stored rows of many ticks at once."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from osc_contact.recorder.journal import Journal
 from osc_contact.recorder.recording import gather
 from osc_contact.spatial import Array, Poses
 
-_TOGETHER = 1000  #: rows whose channels are worked out together
+_TOGETHER = 1000  #: number of rows whose channels are computed together
 
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What the rows of ticks are of, as far as their channels are worked out from it.
+    """Description of a recorded system, from which the channels of its rows are computed.
 
     Attributes:
-        pairs: the true contacts. placements: (contacts, 4, 4) X_WB of the body of each at the
-            start.
-        owners: (r,) the contact of each force magnitude.
-        dt: the control period (s). arms: number of arms.
-        phased: whether contacts are made and opened one by one; else all are engaged at once.
+        pairs: the true contacts. placements: (contacts, 4, 4) initial pose X_WB of the touched body
+            of each contact.
+        owners: (r,) index of the contact of each force magnitude.
+        dt: control period (s). arms: number of arms.
+        phased: True with contact phases; otherwise all contacts are engaged together.
     """
 
     pairs: tuple[ContactPair, ...]
@@ -43,11 +43,15 @@ class Subject:
 
 
 def channels(of: Subject, truths: ReadsTruth | None, first: int, rows: Array) -> dict[str, Array]:
-    """The channels of some ticks, but for what the contact monitor remembers.
+    """Compute the channels of k ticks, except those of the contact monitor.
 
     Args:
-        of: what was recorded. truths: evaluates what the judge noted; None: there was no judge.
-        first: number of the first tick. rows: (k,) as the run's log noted them.
+        of: description of the recorded system. truths: evaluates the numbers stored by the judge;
+            None: without a judge. first: number of the first tick. rows: (k,) stored rows with
+            named fields.
+
+    Returns:
+        Arrays (k, …) by the name of their channel.
     """
     k = len(rows)
     alpha = rows["alpha"]
@@ -57,7 +61,7 @@ def channels(of: Subject, truths: ReadsTruth | None, first: int, rows: Array) ->
     N = np.concatenate((np.zeros((6, 0, k)), *truth.N), axis=1)
     points, directions = _feet(of, truth, k)
     wrench = rows["f_meas"] - rows["bias_out"]
-    projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, whatever the faces do
+    projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, for faces at rest or in motion
     total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
     made = {
         "t": np.arange(first, first + k) * of.dt,
@@ -93,22 +97,23 @@ def channels(of: Subject, truths: ReadsTruth | None, first: int, rows: Array) ->
 def work_out(
     of: Subject, truths: ReadsTruth | None, parts: Iterable[tuple[int, Array]]
 ) -> Iterator[dict[str, Array]]:
-    """All channels of a journal's rows, block after block.
+    """Compute all channels of a journal's rows, block by block.
 
-    The blocks are the same however the rows came, and so is every bit of the channels. Contacts
-    made and collisions are found from projected force and power; where a magnitude may have either
-    sign its size counts.
+    The blocks do not depend on the chunks of the journal, so the channels are identical to the last
+    bit. Contacts and collisions are detected from projected force and power; of a magnitude that
+    may have either sign the absolute value is used.
 
     Args:
-        of: what was run. truths: see `channels`.
-        parts: of the journal: index of the first row, and (rows, columns) numbers.
+        of: description of the recorded system. truths: evaluates the numbers stored by the judge;
+            None: without a judge. parts: chunks of the journal, each the number of its first row
+            and its rows.
     """
     pushing = np.array([pushes_only(of.pairs[i]) for i in of.owners], dtype=bool)
     monitor = ContactMonitor(len(of.owners), of.dt)
     for first, rows in _blocks(parts):
-        if of.phased:  # the controller had a monitor
+        if of.phased:  # results of the controller's own monitor
             holding = ~pushing & (rows["active"][:, of.owners] > 0.0)
-            closed = (rows["closed"] > 0.0) | holding  # what can pull stays in contact
+            closed = (rows["closed"] > 0.0) | holding  # a bilateral contact is always closed
             collision = (rows["collision"] > 0.0) & pushing
         else:
             alpha = np.where(pushing, rows["alpha"], np.abs(rows["alpha"]))
@@ -118,10 +123,10 @@ def work_out(
 
 
 def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
-    """Rows of a journal cut at every 1,000 ticks, wherever its chunks end.
+    """Divide the rows of a journal into blocks at multiples of 1,000 ticks.
 
     Args:
-        parts: number of the first row, rows; in order.
+        parts: chunks in order, each the number of its first row and its rows.
     """
     begin = 0
     waiting: list[Array] = []
@@ -142,13 +147,13 @@ def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
 
 
 def _phases(of: Subject, rows: Array) -> Array:
-    """(k, contacts)"""
+    """Phase (k, contacts) of each contact, OPEN if it is not active."""
     phase = rows["active"] * (rows["phase"] if of.phased else Phase.CLOSED)  # OPEN is 0
     return phase.astype(np.int64)
 
 
 def _measured_truths(of: Subject, rows: Array, phase: Array) -> Truths:
-    """The controller's estimate of the truth, where there is no judge."""
+    """Measured values in place of the truth, for recordings without a judge."""
     pairs = of.pairs
     k = len(rows)
     X_WO = _poses(rows["X_WO"].reshape(k, 4, 4))
@@ -159,13 +164,16 @@ def _measured_truths(of: Subject, rows: Array, phase: Array) -> Truths:
 
 
 def _poses(X: Array) -> Poses:
-    """Of k homogeneous matrices (k, 4, 4)."""
+    """Convert k homogeneous matrices (k, 4, 4) to `Poses`."""
     return Poses(X[:, :3, :3].transpose(1, 2, 0), X[:, :3, 3].T)
 
 
 def _feet(of: Subject, truth: Truths, k: int) -> Array:
-    """(2, k, contacts, 3) where each contact's lines of force meet the surface, their mean, and the
-    direction of the first."""
+    """Mean contact point and first direction of force of each contact, (2, k, contacts, 3).
+
+    Contact points are the intersections of the lines of force with the touched surface, in world
+    axes (m).
+    """
     feet = []
     for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
         p, n = feet_over(pair, own, truth.X_WO, X_WE)
@@ -188,11 +196,12 @@ def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
 def recording_of(
     of: Subject, truths: ReadsTruth | None, journal: Journal, meta: Mapping[str, Any]
 ) -> Recording:
-    """The recording of a journal's rows.
+    """Make a recording from the rows of a journal.
 
     Args:
-        of, truths: see `channels`.
-        journal: read from its beginning. meta: of the recording.
+        of: description of the recorded system. truths: evaluates the numbers stored by the judge;
+            None: without a judge. journal: rows, read from the beginning. meta: meta data of the
+            recording.
     """
     ticks = sum(len(rows) for _, rows in journal.rows())
     return Recording(meta, gather(ticks, work_out(of, truths, journal.rows())))

@@ -1,4 +1,4 @@
-"""From a robot that answers to its first contact: step by step, each after a confirmation."""
+"""Commissioning of a robot up to its first contact, in steps that are confirmed one by one."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

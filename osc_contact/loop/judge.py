@@ -1,4 +1,4 @@
-"""What judges a run, the truth about object and contacts, and what every plant offers."""
+"""Judge of a run: the truth about object and contacts, and the protocol of plants."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The control loop: a robot and its controller, tick by tick."""
+"""Control loop of a robot and its controller."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SHOWN = 33  #: ticks from one picture to the next, where another thread hands th
 
 
 class Controls(Protocol):
-    """What the loop needs of a controller."""
+    """Protocol of a controller in the loop."""
 
     @property
     def dt(self) -> float:
@@ -37,30 +37,31 @@ class Controls(Protocol):
 
 
 class Records(Protocol):
-    """What the loop needs of a recorder."""
+    """Protocol of a recorder in the loop."""
 
     def append(
         self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
     ) -> None:
-        """Keep a tick before its torques act: what went in, what came out, what it took (s).
+        """Store a tick before its torques act.
 
         Args:
-            measurement, reference: of the tick. tau: (n_a,) its torques. seconds: spent on it.
+            measurement, reference: input of the tick. tau: (n_a,) its motor torques (N m, N).
+            seconds: computing time (s).
         """
 
     def latest(self) -> Mapping[str, Any]:
-        """The channels of the last tick, for a viewer; by default none."""
+        """Channels of the last tick, for a viewer; by default none."""
         return {}
 
     def log(self, event: str, **facts: Any) -> None:
-        """Note an event of the loop, such as "stop" with its reason; by default nothing is done."""
+        """Store an event of the loop, for example "stop" with its reason; ignored by default."""
 
 
 class Shows(Protocol):
-    """What the loop needs of a viewer."""
+    """Protocol of a viewer in the loop."""
 
     def show(self, tick: Mapping[str, Any]) -> None:
-        """Take the channels of one tick; returns at once. An error ends the view, not the run."""
+        """Show the channels of one tick without waiting; an error ends the view, not the run."""
 
 
 def run_loop(
@@ -75,46 +76,47 @@ def run_loop(
     shadow: bool = False,
     check: bool = True,
 ) -> LoopReport:
-    """Measure, compute, record, command: once for each reference, then stop the robot.
+    """Measure, compute, record and command once for each reference, then stop the robot.
 
-    The robot keeps the time: `Robot.command` returns when the period is over.
+    The robot determines the timing: `Robot.command` returns at the end of the period.
 
-    `Robot.stop` is called with a reason in the very tick in which the controller enters
-    `SAFE_STOP`, once more if it comes to need the mechanical brakes later, and however the loop
-    ends: with its references, by an error, by Ctrl-C, SIGTERM or SIGHUP. A signal ends the loop at
-    once, but never amid a tick's record or amid this last stop, unless it is the third. That is so
-    in the main thread, which signals come to, where the program has no handler yet; elsewhere end
-    the references to end the loop.
+    `Robot.stop` is called with a reason in the tick in which the controller enters `SAFE_STOP`,
+    once more if the mechanical brakes become necessary later, and whenever the loop ends: after the
+    last reference, by an error, by Ctrl-C, SIGTERM or SIGHUP. A signal ends the loop immediately,
+    except while a tick is recorded or during the last stop, which only a third signal interrupts.
+    Signals are handled in the main thread, unless the program has its own handlers; in other
+    threads, end the references to end the loop.
 
     Args:
-        robot: hardware, or a plant.
-        controller: a `Controller`, or anything with its `tick` and `dt`; its `state`, `reason` and
-            `unbraked` are looked at if there are any.
-        references: one for each tick, of any length; a generator may have no end.
-        recorder: notes every tick; a `Recorder` makes a recording of them, with the truth if it
+        robot: hardware or a plant.
+        controller: a `Controller`, or an object with its `tick` and `dt`, and optionally its
+            `state`, `reason` and `unbraked`.
+        references: one for each tick; a generator may be infinite.
+        recorder: stores every tick; a `Recorder` makes a recording of them, with the truth if it
             was given a judge.
-        viewer: shows the run while it lasts; needs a recorder that gives it channels. One that
-            fails is logged once, and the run continues without it.
-        progress: called with the time (s) now and then.
-        realtime: make the process one for the loop, as far as the system permits: real-time
-            priority, locked memory, no garbage collection; files are written and pictures shown by
-            a thread that runs while the loop waits. 20 missed deadlines in a row end the loop.
-        shadow: send the model's weight in place of the controller's torques, while somebody moves
-            the arm by hand, and judge the model. The controller's stops are not carried out.
-        check: compare robot, controller and references before the first command, as `preflight`
-            does, in half a second at most. A sequence of references is compared as a whole (what
-            the joints do on the way, for its first 2000 steps), of an iterator the first one only.
-            Doubts are logged. Not with `shadow`, nor for controllers that are no `Controller`.
+        viewer: shows the run while it lasts; requires a recorder that provides channels. A viewer
+            that fails is logged once, and the run continues without it.
+        progress: called with the time (s) every 100 ticks.
+        realtime: request real-time priority and locked memory from the system, and stop garbage
+            collection; files are written and pictures shown by a thread that runs while the loop
+            waits. 20 consecutive missed deadlines end the loop.
+        shadow: send gravity compensation in place of the controller's torques, while the arm is
+            moved by hand, and check the model. Stops of the controller are not executed.
+        check: check robot, controller and references before the first command, like `preflight`,
+            in half a second at most. A sequence of references is checked as a whole (the motion of
+            the joints for its first 2000 steps), of an iterator only the first one. Warnings are
+            logged. Not applied with `shadow`, nor to objects other than a `Controller`.
 
     Returns:
-        How the loop ran, with the findings of `shadow`.
+        Timing of the loop, with the findings of `shadow`.
 
     Raises:
         InvalidInputError: a viewer without a recorder; a robot whose `stop` takes no reason;
-            `shadow` with more than one arm; what `check` refuses, with cause and cure.
-        PlantError: deadlines are missed, the simulation diverged, or what else the robot raises. If
-            its `stop` then fails, too, that is a note of the error, and logged.
-        KeyboardInterrupt, SystemExit: a signal ended it; the latter has the code 128 + its number.
+            `shadow` with more than one arm; an error found by `check`, with cause and cure.
+        PlantError: deadlines are missed, the simulation diverged, or another error of the robot. If
+            its `stop` then fails, too, this is logged and added to the error as a note.
+        KeyboardInterrupt, SystemExit: a signal ended the loop; the exit code of the latter is 128
+            plus the number of the signal.
     """
     if viewer is not None and recorder is None:
         raise InvalidInputError("a viewer shows what is recorded; give the loop a recorder, too")
@@ -187,7 +189,11 @@ def run_loop(
 
 @contextmanager
 def _process(realtime: bool, recorder: Any, report: LoopReport) -> Iterator[SideWork | None]:
-    """The process made for the loop, and the thread beside it; None: nothing is changed."""
+    """Context of a loop with `realtime`: the process and a thread for side work.
+
+    Yields the thread, or None without `realtime`. On exit waits for the side work, adds the report
+    to the recording, and raises an error of the side work.
+    """
     if not realtime:
         yield None
         return
@@ -208,11 +214,11 @@ def _process(realtime: bool, recorder: Any, report: LoopReport) -> Iterator[Side
 
 
 def _log_nothing(event: str, **facts: Any) -> None:
-    """Drop an event: there is no recorder, or it keeps no events."""
+    """Ignore an event, for loops without a recorder or with one that stores no events."""
 
 
 def _stop(robot: Robot, reason: str) -> Exception | None:
-    """Stop it where there is more to do; returns why that failed, which is logged."""
+    """Call `robot.stop`; return its error, which is logged, or None."""
     try:
         robot.stop(reason)
     except Exception as error:
@@ -222,9 +228,10 @@ def _stop(robot: Robot, reason: str) -> Exception | None:
 
 
 def _require_robot(robot: Robot, controller: Controls) -> None:
-    """Refuse what has not the methods of a robot and of a controller, before it moves.
+    """Check that robot and controller have the required methods before the robot moves.
 
-    And a robot that cannot be stopped with a reason.
+    Raises:
+        InvalidInputError: a method is missing, or `robot.stop` does not accept a reason.
     """
     for name, value, methods in (
         ("robot", robot, ("measure", "command", "stop")),

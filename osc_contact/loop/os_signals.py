@@ -1,4 +1,4 @@
-"""Signals of the operating system that end the loop by an exception, but not amid a record."""
+"""Signals of the operating system that end the loop by an exception, but not during a record."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, NoReturn, ParamSpec
 
 Given = ParamSpec("Given")
 
-#: What ends a program, where the system has it: signal → what is called by default.
+#: Signals that end a program, with their default handlers, as far as the system has them.
 _USUAL: dict[int, Any] = {
     getattr(signal, name): signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
     for name in ("SIGINT", "SIGTERM", "SIGHUP")
@@ -20,24 +20,25 @@ _USUAL: dict[int, Any] = {
 
 
 class RaisedSignals:
-    """Signals that end a block by an exception, as Ctrl-C always does, but not amid some calls.
+    """Signals that end a block by an exception, as Ctrl-C does, but not during protected calls.
 
     Attributes:
-        seen: signals that came. busy: they are kept until later; the third one is not.
+        seen: numbers of the signals received. busy: True while signals are deferred; a third signal
+            is never deferred.
     """
 
     def __init__(self) -> None:
-        """None came yet."""
+        """Begin without signals."""
         self.seen: list[int] = []
         self.busy = False
 
     @property
     def name(self) -> str:
-        """Of the first, such as SIGTERM; empty: none came."""
+        """Name of the first signal received, for example SIGTERM; empty without one."""
         return signal.Signals(self.seen[0]).name if self.seen else ""
 
     def note(self, number: int, frame: FrameType | None) -> None:
-        """Take a signal in: as a handler is called."""
+        """Signal handler: store the signal, and end the block unless it is deferred."""
         self.seen.append(number)
         if not self.busy or len(self.seen) > 2:
             self.end()
@@ -56,11 +57,11 @@ class RaisedSignals:
             self.end()
 
     def end(self) -> NoReturn:
-        """End the block.
+        """Raise the exception of the first signal.
 
         Raises:
-            KeyboardInterrupt: by Ctrl-C.
-            SystemExit: by another signal, with 128 + its number, as a shell reports it.
+            KeyboardInterrupt: the signal is that of Ctrl-C.
+            SystemExit: another signal; the exit code is 128 plus its number, as of a shell.
         """
         if self.seen[0] == signal.SIGINT:
             raise KeyboardInterrupt
@@ -69,7 +70,7 @@ class RaisedSignals:
 
 @contextmanager
 def raised_signals() -> Iterator[RaisedSignals]:
-    """Let signals end a block by an exception; those kept until its end are raised then."""
+    """Context in which signals end a block by an exception; deferred ones do so at its end."""
     signals = RaisedSignals()
     if threading.current_thread() is threading.main_thread():
         for number, usual in _USUAL.items():

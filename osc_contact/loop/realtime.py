@@ -1,4 +1,4 @@
-"""A process made for the control loop: its priority and memory, its deadlines, its side work."""
+"""Real-time process of the control loop: priority, locked memory, deadlines, side work."""
 
 from __future__ import annotations
 
@@ -23,31 +23,32 @@ from osc_contact.loop.shadow import ShadowReport
 
 _log = logging.getLogger(__name__)
 
-PRIORITY = 80  #: of SCHED_FIFO; network interrupts of real-time kernels have 50
-SWITCH_S = 5e-5  #: after which Python's other threads give way to the loop
-BIN_S = 5e-6  #: width of the histogram's bins; longer times than 2 ms share the last
+PRIORITY = 80  #: SCHED_FIFO priority; network interrupts of real-time kernels have 50
+SWITCH_S = 5e-5  #: s after which Python's other threads yield to the loop
+BIN_S = 5e-6  #: s, width of the histogram's bins; times longer than 2 ms are in the last one
 BINS = 400
-LATE_SHARE = 0.5  #: of the period from reading to writing; a robot needs the rest
-LATE_CYCLES = 1.5  #: periods from one reading to the next
-MOST_MISSED = 20  #: deadlines in a row
-SLACK_SHARE = 0.1  #: of the period, after the torques are sent, that is left to side work
+LATE_SHARE = 0.5  #: latest time of the torques after a measurement, as a share of the period
+LATE_CYCLES = 1.5  #: longest time between measurements, in periods
+MOST_MISSED = 20  #: consecutive missed deadlines that end the loop
+SLACK_SHARE = 0.1  #: share of the period for side work after the torques are sent
 _LOCK_ALL = 3  # MCL_CURRENT | MCL_FUTURE
 
 
 @dataclass
 class LoopReport:
-    """How a loop ran.
+    """Timing of a control loop.
 
-    A deadline is missed where torques come later than half a period after their measurement, or a
-    measurement later than one and a half periods after the last one.
+    A deadline is missed if torques are sent later than half a period after their measurement, or
+    if a measurement is later than one and a half periods after the last one.
 
     Attributes:
-        period: of the loop (s).
-        ticks: computed. missed: deadlines. in_a_row: those missed last.
+        period: period of the loop (s).
+        ticks: number of ticks. missed: number of missed deadlines. in_a_row: number of consecutive
+            deadlines missed last.
         histogram: counts of the time from a measurement to its torques, in bins of 5 µs.
-        largest: of these times (s).
-        notes: what the system did not permit, a sentence each.
-        shadow: what a run with `shadow=True` found; else None.
+        largest: largest of these times (s).
+        notes: sentences on requests that the system refused.
+        shadow: result of a run with `shadow=True`; else None.
     """
 
     period: float
@@ -61,10 +62,11 @@ class LoopReport:
     _last: float = inf
 
     def note(self, read: float, seconds: float) -> None:
-        """One tick.
+        """Count a tick and check its deadlines.
 
         Args:
-            read: s, when it was measured. seconds: from then until its torques were sent.
+            read: time of its measurement (s). seconds: time from then until its torques were sent
+                (s).
         """
         self.histogram[min(int(seconds / BIN_S), BINS)] += 1
         self.largest = max(self.largest, seconds)
@@ -75,10 +77,10 @@ class LoopReport:
         self.in_a_row = self.in_a_row + 1 if late else 0
 
     def require(self) -> None:
-        """Refuse to continue once too many deadlines in a row were missed.
+        """End the loop if too many consecutive deadlines were missed.
 
         Raises:
-            PlantError: 20 were.
+            PlantError: 20 consecutive deadlines were missed.
         """
         if self.in_a_row >= MOST_MISSED:
             raise PlantError(
@@ -90,7 +92,10 @@ class LoopReport:
 
     @property
     def read_to_write_us(self) -> dict[str, float]:
-        """ "p50", "p99", "p99_9", "max" of the time from a measurement to its torques, to 5 µs."""
+        """Quantiles (µs) of the time from a measurement to its torques, to 5 µs.
+
+        The keys are "p50", "p99", "p99_9" and "max".
+        """
         shares = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
         counts = np.cumsum(self.histogram)
         bins = {name: np.searchsorted(counts, x * self.ticks) for name, x in shares.items()}
@@ -98,16 +103,16 @@ class LoopReport:
         return {**times, "max": 1e6 * self.largest}
 
     def as_dict(self) -> Json:
-        """JSON-able form, which recordings carry."""
+        """Report as a dictionary for JSON, as stored in recordings."""
         names = ("ticks", "missed", "read_to_write_us", "histogram", "notes")
         return {name: getattr(self, name) for name in names}
 
 
 def latency(loop: Mapping[str, Any]) -> str:
-    """For people: times from a measurement to its torques, and missed deadlines.
+    """Sentence on times from a measurement to its torques and on missed deadlines.
 
     Args:
-        loop: `LoopReport.as_dict`, as recordings carry it.
+        loop: result of `LoopReport.as_dict`, as stored in recordings.
     """
     times = loop["read_to_write_us"]
     return (
@@ -117,13 +122,16 @@ def latency(loop: Mapping[str, Any]) -> str:
 
 
 def at_once(call: Callable[[], object]) -> None:
-    """Do something at once: what a recorder does where no thread does it."""
+    """Call a function immediately, the default of `Recorder.hand_over`."""
     call()
 
 
 @contextmanager
 def realtime_process() -> Iterator[list[str]]:
-    """Real-time priority, locked memory, no garbage collection; what is not permitted, as notes."""
+    """Request real-time priority and locked memory, and stop garbage collection, for a block.
+
+    Yields sentences on requests that the system refused, which are also logged.
+    """
     notes: list[str] = []
     before = None
     try:
@@ -162,16 +170,21 @@ def realtime_process() -> Iterator[list[str]]:
 
 
 class SideWork:
-    """A thread for what may take long: files, viewers.
+    """Thread for calls that may take long: writing files, showing pictures.
 
-    It runs while the loop waits, one priority below it, and gives way within 50 µs.
+    It runs while the loop waits, one priority below it, and yields to it within 50 µs.
 
     Attributes:
-        failure: the first error of a call; the calls after it are made all the same.
+        failure: first error of a call, or None; later calls are made even after an error.
     """
 
     def __init__(self, period: float) -> None:
-        """Begin; the loop leaves a tenth of its period (s) to it where there is work."""
+        """Start the thread.
+
+        Args:
+            period: control period (s), of which the loop leaves a tenth to the thread when it has
+                work.
+        """
         self._slack = SLACK_SHARE * period
         self._thread = ThreadPoolExecutor(1, "side work", _lower_priority)
         self.failure: Exception | None = None
@@ -180,20 +193,20 @@ class SideWork:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is left to do."""
+        """Whether the last call has been completed."""
         return self._last.done()
 
     def submit(self, call: Callable[[], object]) -> None:
-        """Have something done soon; an error of it is logged, and kept as `failure`."""
+        """Queue a call; an error in it is logged and stored in `failure`."""
         self._last = self._thread.submit(self._make, call)
 
     def give_way(self) -> None:
-        """Called by the loop when its torques are sent."""
+        """Sleep for the slack time if calls are waiting; the loop calls this after its command."""
         if not self.idle:
             sleep(self._slack)
 
     def close(self) -> None:
-        """Wait until everything is done."""
+        """Wait until all calls are completed, and end the thread."""
         self._thread.shutdown()
 
     def _make(self, call: Callable[[], object]) -> None:

@@ -1,4 +1,4 @@
-"""What the control loop leaves behind: every tick noted, a recording in the end."""
+"""Recorder of the control loop."""
 
 from __future__ import annotations
 
@@ -38,42 +38,42 @@ from osc_contact.spatial import Array
 
 
 class Tick(UserDict[str, Any]):
-    """The channels of one tick, worked out when they are read."""
+    """Channels of one tick, computed when they are first read."""
 
     def __init__(self, made: Callable[[], dict[str, Array]]) -> None:
-        """`made` gives channels of one row each."""
+        """Store a function that computes channels with one row each."""
         self._made = made
 
     @cached_property
     def data(self) -> dict[str, Any]:  # type: ignore[override]
-        """Of the only row."""
+        """Channels of the row, without its axis."""
         return {name: rows[0] for name, rows in self._made().items()}
 
 
 _logger = logging.getLogger("osc_contact.recorder")
-_BLOCK = 500  #: rows that the journal is handed at once, at most
-_EVERY = 0.08  #: s; the journal is not left behind any longer
-#: What of `TickResult` is kept, and how many numbers that is.
+_BLOCK = 500  #: largest number of rows that are written to the journal at once
+_EVERY = 0.08  #: s, longest time between writes to a named journal
+#: Attributes of `TickResult` that are stored, with their numbers of elements.
 _FOUND = {"f_meas": 6, "bias_out": 6, "V_O": 6, "X_WO": 16, "f_c": 6, "error": 6, "free_error": 6}
 
 
 class Recorder:
-    """Notes the ticks of `run_loop`; `recording` works their channels out, all at once.
+    """Recorder of the ticks of `run_loop`; `recording` computes their channels.
 
-    A tick is one row of raw numbers, written by one copy. Rows go to a file while the loop runs, so
-    memory does not grow. To a named file they go at least ten times per second, and whatever ends
-    the process leaves them there, see `recover`; a temporary file is filled block by block, but in
-    real time. Where they cannot be written the loop continues; that is logged at once and stated in
-    the recording.
+    A tick is stored as one row of raw numbers, with a single copy. Rows are written to a file while
+    the loop runs, so that memory does not grow. A named file is written at least ten times per
+    second and survives any end of the process (see `recover`); a temporary file is written block by
+    block, or continuously in real time. If writing fails the loop continues; the failure is logged
+    immediately and stated in the recording.
 
-    With a judge, such as a plant, the recording holds the truth. Without one, as on hardware, pose,
-    twist, N and whether contacts are closed are what the controller takes them for, and
-    `alpha_true` is missing.
+    With a judge (for example a plant) the recording contains the truth. Without one (on hardware)
+    pose, twist, N and the state of contacts are estimates of the controller, and `alpha_true` is
+    missing.
 
     Attributes:
-        of: what is recorded. count: ticks noted.
-        truth: the judge's own log of the same ticks; None: there is no judge.
-        journal: where the rows go.
+        of: description of the recorded system. count: number of ticks stored.
+        truth: log of the judge for the same ticks; None without a judge.
+        journal: file of the rows.
 
     Example:
         >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
@@ -94,18 +94,18 @@ class Recorder:
         journal: Path | None = None,
         meta: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin.
+        """Open the journal and log the start.
 
         Args:
-            controller: that the loop ticks.
-            judge: the source of the truth, if there is one.
-            subject: the true contacts, where they are not the controller's.
-            journal: the file of the rows, such as unfinished.mcap; None: a temporary one, which
-                goes with the process.
-            meta: more meta data beside names, rate and times.
+            controller: controller of the loop.
+            judge: source of the truth, or None.
+            subject: the true contacts, if they differ from the controller's.
+            journal: file of the rows, for example unfinished.mcap; None: a temporary file, which is
+                deleted at the end of the process.
+            meta: meta data to be added to names, rate and times.
 
         Raises:
-            RecordingError: there can be no such file.
+            RecordingError: the file cannot be created.
         """
         self._began = perf_counter(), process_time()
         self._controller = controller
@@ -132,7 +132,7 @@ class Recorder:
         self.log("start", state=controller.state.name, **about)
 
     def _lay_out(self, of: Subject) -> None:
-        """Name the numbers of a row: what is NaN where a tick has no result, and the others."""
+        """Lay out the fields of a row: first those that are NaN for a tick without a result."""
         chain = self._controller.chain
         contacts = len(of.pairs)
         r = len(of.owners)
@@ -161,22 +161,22 @@ class Recorder:
 
     @property
     def _patience(self) -> float:
-        """Longest time from one flush to the next (s); real-time loops hand over little at once."""
+        """Longest time between writes (s); finite for named files and in real time."""
         return _EVERY if self._named or self.hand_over is not at_once else inf
 
     @property
     def error(self) -> RecordingError | None:
-        """Why no more ticks are recorded, or None."""
+        """Error because of which no more ticks are recorded, or None."""
         return self.journal.error
 
     def append(
         self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
     ) -> None:
-        """Note a tick before its torques act.
+        """Store a tick before its torques act.
 
         Args:
-            measurement, reference: that went into it.
-            tau: (n_a,) that came out. seconds: that it took.
+            measurement, reference: input of the tick.
+            tau: (n_a,) its motor torques (N m, N). seconds: computing time (s).
         """
         if self._k == _BLOCK or perf_counter() - self._flushed > self._patience:
             self.flush()
@@ -218,18 +218,18 @@ class Recorder:
         self.count += 1
 
     def log(self, event: str, **facts: Any) -> None:
-        """Note an event with the wall-clock time, in the recording and beside its rows.
+        """Store an event with the wall-clock time, in the recording and in a file beside its rows.
 
         Args:
-            event: its kind, such as "stop". facts: JSON-able, what belongs to it.
+            event: kind of the event, for example "stop". facts: its values, for JSON.
         """
         self._events.note(self.count * self._controller.dt, event, facts, self.hand_over)
 
     def switch(self, controller: Controller) -> None:
-        """Note another controller's ticks from now on, and which settings it has otherwise.
+        """Record the ticks of another controller from now on; log the settings that differ.
 
         Args:
-            controller: that continues, such as that of `with_gains` or `with_safety`.
+            controller: controller that continues, for example from `with_gains` or `with_safety`.
         """
         changed = changed_settings(self._controller.settings, controller.settings)
         self._controller = controller
@@ -238,10 +238,10 @@ class Recorder:
         self.log("settings", changed=changed)
 
     def _read_records(self) -> None:
-        """Copy what the last tick left in the controller's records.
+        """Copy the results of the last tick from the controller's records.
 
         Raises:
-            InvalidInputError: there was no tick yet.
+            InvalidInputError: no tick has been computed.
         """
         result = self._controller.result()
         if result is not self._last:
@@ -251,7 +251,7 @@ class Recorder:
         self._words.take(self._whole_at, out=self._whole, mode="clip")
 
     def _locate(self, result: TickResult) -> None:
-        """Find where in the records each number stands."""
+        """Find the position of each stored number in the controller's records."""
         records = result.records
         columns = records.memory.columns
         contacts = records.memory.contacts
@@ -264,7 +264,7 @@ class Recorder:
         self._whole_at = records.places(*whole)
 
     def flush(self) -> None:
-        """Append to the journal what was noted since the last time."""
+        """Append the rows stored since the last call to the journal."""
         if self._k:
             rows = self._noted(0).copy()
             self.hand_over(partial(self.journal.append, self.count - self._k, rows))
@@ -277,7 +277,7 @@ class Recorder:
         self._flushed = perf_counter()
 
     def _noted(self, start: int) -> Array:
-        """Rows with names, and with what the judge noted beside them."""
+        """Stored rows from `start` on with named fields, and with the judge's numbers."""
         rows = self._rows[start : self._k]
         fields = self._fields
         if self.truth is not None:
@@ -287,7 +287,7 @@ class Recorder:
         return np.ndarray(len(rows), np.dtype(fields), np.ascontiguousarray(rows))
 
     def latest(self) -> Mapping[str, Any]:
-        """The channels of the last tick, worked out when they are read."""
+        """Channels of the last tick, computed when they are first read."""
         row = self._noted(self._k - 1).copy()
         return Tick(partial(channels, self.of, self.truth, self.count - 1, row))
 
@@ -296,13 +296,13 @@ class Recorder:
         self._meta |= meta
 
     def recording(self, meta: Mapping[str, Any] | None = None) -> Recording:
-        """All ticks so far; a long recording stays on disk.
+        """Recording of all ticks so far; a long recording remains on disk.
 
         Args:
-            meta: more meta data.
+            meta: meta data to be added.
 
         Raises:
-            RecordingError: there is no room for its channels.
+            RecordingError: there is no space for its channels.
         """
         self.flush()
         self.journal.close()
@@ -330,10 +330,11 @@ class Recorder:
 def subject_of(
     controller: Controller, pairs: Sequence[ContactPair], placements: Array, owners: Array
 ) -> Subject:
-    """What a controller's ticks are of.
+    """Description of the system that a controller controls, with its true contacts.
 
     Args:
-        controller: that is ticked. pairs, placements, owners: of the true contacts, see `Subject`.
+        controller: the controller. pairs: the true contacts. placements: (contacts, 4, 4) initial
+            poses of the touched bodies. owners: (r,) index of the contact of each force magnitude.
     """
     return Subject(
         pairs=tuple(pairs),
@@ -346,14 +347,14 @@ def subject_of(
 
 
 def own_subject(controller: Controller) -> Subject:
-    """What a controller by itself has of its contacts."""
+    """Description of the system with the contacts of the controller's own model."""
     pairs = tuple(controller.contacts)
     world = np.tile(np.eye(4), (len(pairs), 1, 1))
     return subject_of(controller, pairs, world, force_owners(pairs))
 
 
 def describe_subject(of: Subject, controller: Controller) -> Json:
-    """Meta data on what is recorded."""
+    """Meta data of a recording: names, limits, losses, rate and versions."""
     chain = controller.chain
     limits = [limit if limit < np.inf else None for limit in chain.tau_max.tolist()]
     motors = [chain.joint_names[j] for j in chain.actuated]

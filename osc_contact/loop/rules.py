@@ -23,10 +23,10 @@ Values = Iterator[tuple[float, Mapping[str, object]]]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or doubtful.
+    """Finding of a rule on a task.
 
     Attributes:
-        refused: whether it cannot run; else it is doubtful.
+        refused: True if the task cannot run, False for a warning.
         text: a sentence with the numbers and the cure.
 
     Example:
@@ -41,11 +41,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class Rule:
-    """A quantity that is doubtful above one limit, and refused above another.
+    """Quantity of a task with a limit for warnings and a limit for refusal.
 
     Attributes:
-        quantity: gives values, each with the words of the sentence.
-        doubtful, refused: limits, in the quantity's unit.
+        quantity: function of a task that yields values, each with a dictionary for the sentence.
+        doubtful, refused: limits for a warning and for refusal, in the quantity's unit.
         sentence: format of the finding's text; {value} is the quantity, {mm} a thousand times that.
     """
 
@@ -55,10 +55,10 @@ class Rule:
     sentence: str
 
     def findings(self, task: Any) -> Iterator[Finding]:
-        """What is above a limit; a quantity that is not a number is refused.
+        """Yield findings on values above a limit; NaN is refused.
 
         Args:
-            task: the `Task`, or the `Rig`, that the quantity is of.
+            task: argument of the quantity, a `Task` or a `Rig`.
         """
         for value, words in self.quantity(task):
             refused = not value <= self.refused
@@ -69,20 +69,21 @@ class Rule:
 def rule(
     sentence: str, doubtful: float = 0.0, refused: float | None = None
 ) -> Callable[[Callable[[Any], Values]], Rule]:
-    """Function decorator: makes a quantity a rule.
+    """Function decorator that makes a quantity a `Rule`.
 
     Args:
-        sentence, doubtful, refused: see `Rule`; a refused of None is doubtful's limit.
+        sentence: format of the finding's text. doubtful: limit for a warning. refused: limit for
+            refusal; None: that of a warning.
     """
     limit = doubtful if refused is None else refused
     return lambda quantity: Rule(quantity, doubtful, limit, sentence)
 
 
-doubt = partial(rule, refused=np.inf)  #: a rule that refuses nothing
+doubt = partial(rule, refused=np.inf)  #: decorator of a rule with warnings only
 
 
 def findings(rules: Iterable[Rule], task: Any) -> list[Finding]:
-    """Findings of several rules, one rule after the other."""
+    """Evaluate several rules on a task; return all findings in the order of the rules."""
     return [one for rule in rules for one in rule.findings(task)]
 
 
@@ -93,25 +94,27 @@ def rounded(x: Array, digits: int = 4) -> list[float]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """A chain, its contacts and what they are to do.
+    """Chain, contacts, references and settings of a run, to be checked by rules.
 
     Attributes:
-        chain: the true one, as far as it is known. pairs: the true contacts.
-        gains, dt, posture, safety: of the controller.
-        q: (n,) where the run starts. q_contact: (n,) the same in contact.
-        state, contact: the chain at rest there, and all contacts.
-        times: (k,) s. poses, forces: (k, 7) and (k, r) the references there.
-        rates, twists: (k, 6) the displacement of X_WD until the next tick, over dt, and the mean
-            V_D on the way (m/s, rad/s); (0, 6): not compared.
-        every: references of all ticks, by the period. rehearsed: ticks of a rehearsal at most;
-            None: of the whole motion.
-        force_names: (r,) in messages. owners: (r,) the contact of each.
-        rests: of each contact, whether its body does. kept_from: s, when contacts are to be kept.
-        bound: whether all contacts are kept, also those whose force is zero.
-        squeezes, commanded: (k,) sums of the internal forces (N), and (k, 6) V_D, at `times`; (0,)
-            and (0, 6): not compared.
-        controller, measured, scene: that will run, what its robot measures now, and what stands
-            around it; None: not known, as of a scenario.
+        chain: the true chain, as far as it is known. pairs: the true contacts.
+        gains, dt, posture, safety: settings of the controller.
+        q: (n,) joint positions at the start. q_contact: (n,) joint positions in contact.
+        state, contact: the chain at rest in contact, and all contacts there.
+        times: (k,) times at which references are checked (s). poses: (k, 7) X_WD at these times.
+            forces: (k, r) alpha_d (N).
+        rates: (k, 6) displacement of X_WD until the next tick, divided by dt. twists: (k, 6) mean
+            V_D in this time (m/s, rad/s). Both are (0, 6) if they are not checked.
+        every: function that yields references of all ticks of a given period (s).
+        rehearsed: largest number of ticks of a rehearsal; None: the whole motion.
+        force_names: (r,) names in messages. owners: (r,) index of the contact of each force.
+        rests: for each contact, whether its body is at rest. kept_from: time from which on contacts
+            are to be maintained (s).
+        bound: whether contacts without a desired force are maintained, too.
+        squeezes: (k,) sums of the internal forces (N). commanded: (k, 6) V_D. Both are empty if
+            they are not checked.
+        controller, measured, scene: controller of the run, present measurement of its robot, and
+            scene around it; None if unknown, for example for a scenario.
     """
 
     chain: ClosedChain

@@ -13,19 +13,22 @@ from osc_contact.interface import Scene
 from osc_contact.loop.rules import Task, Values, rounded, rule
 from osc_contact.spatial import Array, norm
 
-NEAR_M = 0.02  #: contacts that begin further away are not compared with the scene
-SCENE_PROBE_M = 1e-3  #: how far before and behind a face geometry of a scene is looked for
-PLACE_DOUBTFUL, PLACE_REFUSED = 0.002, 0.005  #: m; of contacts, tool and geometry of a scene
+NEAR_M = 0.02  #: m, largest gap at the start of contacts that are compared with the scene
+SCENE_PROBE_M = 1e-3  #: m, step of the differences that give a normal of the scene
+PLACE_DOUBTFUL, PLACE_REFUSED = 0.002, 0.005  #: m, limits for positions of contacts and tool
 
 
 def _scene_of(task: Task) -> Scene:
-    """The scene of a task that has one: rules of this module are for these alone."""
+    """Return the scene of a task; the rules of this module are for tasks with a scene."""
     assert task.scene is not None
     return task.scene
 
 
 def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]:
-    """Each point of contact near the tool: pair, place, outward normal, distance to which geom."""
+    """Yield points of contact near the tool: pair, point, outward normal, distance, nearest geom.
+
+    Points and normals are in world axes; the distance (m) is that from the point to the geom.
+    """
     X = task.state.X_WO
     for pair in task.pairs if _scene_of(task).tool_touches else ():
         if has_place(pair) and pushes_only(pair) and np.abs(pair.gaps(X)).max() < NEAR_M:
@@ -35,7 +38,7 @@ def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]
 
 @rule("{why}")
 def period(task: Task) -> Values:
-    """A control period that is no whole number of the scene's steps."""
+    """Find a control period that is not a whole number of the scene's steps."""
     try:
         _scene_of(task).require_period(task.dt)
     except PlantError as error:
@@ -47,7 +50,7 @@ def period(task: Task) -> Values:
     "conaffinity, and take the body of the sensor, or of the tip, for the tool"
 )
 def touchable(task: Task) -> Values:
-    """Whether the tool is a ghost."""
+    """Find a tool that cannot touch the scene although the task has contacts."""
     if task.pairs and not _scene_of(task).tool_touches:
         yield 1.0, {}
 
@@ -59,7 +62,7 @@ def touchable(task: Task) -> Values:
     0.7,
 )
 def masses(task: Task) -> Values:
-    """Logarithm of the ratio of masses."""
+    """Logarithm of the ratio of modelled and true masses, of all that moves and of the load."""
     chain = task.chain
     kinds = {
         "all that moves": (chain.moved_mass, _scene_of(task).moved_mass),
@@ -79,7 +82,7 @@ def masses(task: Task) -> Values:
     0.1,
 )
 def loose(task: Task) -> Values:
-    """Mass beyond joints that nothing holds, over all that moves."""
+    """Mass beyond joints without motor and servo, as a share of all moving mass."""
     for joint, mass in _scene_of(task).loose.items():
         yield mass / max(_scene_of(task).moved_mass, 1e-12), {"joint": joint, "mass": mass}
 
@@ -128,7 +131,7 @@ def turn(task: Task) -> Values:
     PLACE_REFUSED,
 )
 def penetration(task: Task) -> Values:
-    """Depth of the tool in the scene (m)."""
+    """Penetration of the tool into the scene (m)."""
     if _scene_of(task).tool_touches:
         away, geom = _scene_of(task).clearance()
         yield -away, {"geom": geom}
@@ -141,7 +144,7 @@ def penetration(task: Task) -> Values:
     PLACE_REFUSED,
 )
 def tool(task: Task) -> Values:
-    """Distance of the tool, less the least gap that the contacts name (m)."""
+    """Difference between the tool's distance from the scene and the least gap of contacts (m)."""
     faces = list(_faces(task))
     if faces and max(abs(away) for *_, away, _ in faces) <= PLACE_DOUBTFUL:
         X = task.state.X_WO
@@ -151,5 +154,5 @@ def tool(task: Task) -> Values:
         yield abs(away - gap), words
 
 
-#: A new rule on a robot's scene is entered here.
+#: All rules on a robot's scene; a new rule is added to this list.
 SCENE_RULES = (period, touchable, loose, masses, place, turn, penetration, tool)

@@ -1,12 +1,13 @@
-"""Shadow mode: the robot moves by hand under its own weight alone, and its model is judged.
+"""Shadow mode: the arm is moved by hand under gravity compensation, and its model is checked.
 
-The controller computes every tick, and nothing of it is sent. What the joints do under the torques
-that were sent and the wrench that the wrist reads is compared with the model, joint by joint:
+The controller computes every tick, but its torques are not sent. The motion of the joints under the
+torques that are sent (gravity compensation) and the measured wrench is compared with the model,
+joint by joint:
 
     τ − κ Jᵀf − (M q̈ + h) = c sign(q̇) + d q̇ + o + ΔI q̈
 
-f is the wrench that the arm exerts at the wrist sensor, and M, h are of what is inboard of it:
-whatever hangs on the wrist, and whoever pushes there, needs no model.
+f is the wrench that the arm exerts at the wrist sensor; M and h are those of the bodies inboard of
+the sensor, so that no model of the tool or of the hand that pushes it is needed.
 """
 
 from collections.abc import Iterator
@@ -21,27 +22,27 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement
 from osc_contact.spatial import Array, columns_of, norm
 
-REST_S = 0.2  #: from the beginning, in which nobody touches the arm
+REST_S = 0.2  #: s at the beginning during which the arm is not touched
 HALF = 10  #: ticks to either side over which accelerations and means are taken
-EVERY = 5  #: ticks from one sample to the next
-FASTEST = 0.05  #: rad/s (m/s) that a joint must have reached to be judged
-STILL = 0.01  #: rad/s (m/s) below which friction has no sign
-FELT = 0.002  #: of the motors' limits, the least rms of torques by pushes that judge the wrench
-UNEXPLAINED = 0.01  #: of a motor's limit, rms
-KAPPA = 0.7, 1.3  #: between which the wrench counts as right
-TOO_LARGE = 0.05  #: of a motor's limit; as `SafetySettings.wrist_error`
-BIAS = 2.0, 0.4  #: N, N m; as `SafetySettings.load_error`
+EVERY = 5  #: ticks between samples
+FASTEST = 0.05  #: rad/s (m/s), speed that a joint must reach to be checked
+STILL = 0.01  #: rad/s (m/s), speed below which the sign of friction is regularised
+FELT = 0.002  #: least rms torque by pushes with which κ is determined, as a share of motor limits
+UNEXPLAINED = 0.01  #: largest rms of unexplained torques, as a share of a motor's limit
+KAPPA = 0.7, 1.3  #: accepted range of κ
+TOO_LARGE = 0.05  #: largest friction or offset, as a share of a motor's limit
+BIAS = 2.0, 0.4  #: largest bias of the wrist (N, N m)
 
 
 @dataclass(frozen=True)
 class JointFinding:
-    """What one joint does beside its model.
+    """Deviation of one joint from its model.
 
     Attributes:
-        name: of the joint. moved: whether it was fast enough to be judged.
-        coulomb: dry friction (N m; N). viscous: friction that grows with speed (N m s/rad).
-        offset: constant torque (N m). inertia: kg m² that the model lacks, such as of the rotor.
-        rms: N m, left unexplained.
+        name: name of the joint. moved: True if it was fast enough to be checked.
+        coulomb: dry friction (N m; N). viscous: viscous friction (N m s/rad; N s/m).
+        offset: constant torque (N m; N). inertia: inertia that the model lacks, for example of a
+            rotor (kg m²; kg). rms: rms of the unexplained torque (N m; N).
     """
 
     name: str
@@ -55,15 +56,16 @@ class JointFinding:
 
 @dataclass(frozen=True)
 class ShadowReport:
-    """What shadow mode found.
+    """Result of a run in shadow mode.
 
     Attributes:
-        joints: one finding each.
-        wrench_bias: (6,) of the wrist at rest, less what hangs on it, in world axes at the object
-            (N, N m).
-        wrench_scale: κ, how much of the wrench that the wrist reads the joints feel: 1 where sign,
-            scale and frame are right, −1 where the sign is reversed; NaN: nobody pushed.
-        findings: sentences on what is wrong. forces: whether forces may be commanded: none is.
+        joints: one finding for each joint.
+        wrench_bias: (6,) reading of the wrist at rest less the modelled load, in world axes at the
+            object's origin (N, N m).
+        wrench_scale: κ, the measured wrench's share that the joints confirm: 1 if sign, scale and
+            frame are right, −1 if the sign is reversed; NaN if the arm was not pushed.
+        findings: sentences on errors that were found. forces: True if there are none, so that
+            forces may be commanded.
     """
 
     joints: tuple[JointFinding, ...]
@@ -77,7 +79,7 @@ class ShadowReport:
         return not self.findings
 
     def lines(self) -> Iterator[str]:
-        """The report, for people."""
+        """Lines of the report, to be printed."""
         for joint in self.joints:
             if not joint.moved:
                 yield f"{joint.name}: not moved"
@@ -97,10 +99,13 @@ class Shadow:
     """One run in shadow mode."""
 
     def __init__(self, controller: Any) -> None:
-        """Begin.
+        """Prepare a run.
+
+        Args:
+            controller: `Controller` of a single arm with a wrist sensor and a motor in every joint.
 
         Raises:
-            InvalidInputError: not one arm with a wrist sensor, all of whose joints have motors.
+            InvalidInputError: the controller is of another kind.
         """
         chain: ClosedChain | None = getattr(controller, "chain", None)
         if chain is None or len(chain.arms) != 1 or chain.n_a != chain.nq or None in chain.sensors:
@@ -117,7 +122,7 @@ class Shadow:
         self.rows: list[Array] = []
 
     def torques(self, measurement: Measurement) -> Array:
-        """(n,) what is sent: the weight of the model; the tick is noted."""
+        """Torques (n,) that compensate the weight of the model (N m, N); stores the measurement."""
         q = np.asarray(measurement.q, dtype=float)
         sent = np.array(pin.computeGeneralizedGravity(self.chain.model, self.data, q))
         sent = np.clip(np.nan_to_num(sent), -self.chain.tau_max, self.chain.tau_max)
@@ -125,10 +130,10 @@ class Shadow:
         return sent
 
     def report(self) -> ShadowReport:
-        """Judge what was noted.
+        """Compare the stored measurements with the model.
 
         Raises:
-            InvalidInputError: less than a second was.
+            InvalidInputError: less than a second of measurements.
         """
         n = self.chain.nq
         rows = np.reshape(self.rows, (-1, 3 * n + 6))
@@ -152,7 +157,7 @@ class Shadow:
         return ShadowReport(joints, bias, kappa, list(self._judge(joints, bias, kappa)))
 
     def _outside(self, q: Array, wrench: Array) -> Array:
-        """(6,) reading less the load, at the object in world axes."""
+        """Wrist reading less the modelled load (6,), at the object's origin in world axes."""
         state = self.chain.state(q)
         origin = pin.SE3(np.eye(3), state.X_WO.translation)
         sensor = state.sensors[0]
@@ -160,7 +165,11 @@ class Shadow:
         return origin.actInv(sensor.act(pin.Force(wrench))).vector - state.bias_out
 
     def _sample(self, rows: Array) -> tuple[Array, ...]:
-        """Speed, acceleration, τ − (M q̈ + h) and Jᵀf, means over a few ticks."""
+        """Speed, acceleration, τ − (M q̈ + h) and Jᵀf (n,) each, averaged over a few ticks.
+
+        Args:
+            rows: (2 HALF + 1, 3n + 6) q, v, sent torques and wrench of consecutive ticks.
+        """
         n = self.chain.nq
         q, v, sent, wrench = np.split(rows.mean(axis=0), [n, 2 * n, 3 * n])
         acceleration = (rows[-1, n : 2 * n] - rows[0, n : 2 * n]) / (2 * HALF * self.dt)
@@ -169,7 +178,11 @@ class Shadow:
         return v, acceleration, sent - needed, J.T @ wrench
 
     def _scale(self, v: Array, acceleration: Array, left: Array, felt: Array) -> float:
-        """κ, from all joints together; each has its own friction and rotor."""
+        """Least-squares estimate of κ from all joints, each with its own friction and inertia.
+
+        Args:
+            v, acceleration, left, felt: (k, n) samples from `_sample`.
+        """
         over = under = 0.0
         for j, most in enumerate(self.chain.tau_max):
             own = _columns(v[:, j], acceleration[:, j])
@@ -222,6 +235,10 @@ class Shadow:
 
 
 def _columns(v: Array, a: Array) -> Array:
-    """Of friction, offset and inertia: what the model's torques lack."""
+    """Regressors (k, 4) of dry and viscous friction, offset and inertia.
+
+    Args:
+        v, a: (k,) speeds and accelerations of one joint.
+    """
     sign = np.tanh(v / STILL)
     return np.column_stack((sign, v, np.ones(len(v)), a))

@@ -29,20 +29,19 @@ from osc_contact.robots.model import position_limits
 from osc_contact.settings.control import SafetySettings
 from osc_contact.spatial import Array, norm
 
-LOOKS = 400  #: references at which places and forces are compared, beside the extreme ones
-#: of rehearsals: the longest tick, its largest product with the gains, the most ticks in a loop
-PERIOD_S = 4e-3
-GAIN = 0.3
-REHEARSED = 2000
-READINGS = 10  #: of the robot, until one can be computed: a sensor may be late to begin
-MOST_COMPARED = 50_000  #: references of a sequence whose places and forces are looked at
-LAG_DOUBTFUL, LAG_REFUSED = 1e-3, 0.02  #: m, rad; by which an object is led off X_WD
-SAME_RATE = 0.2  #: of the rate of X_WD: what is left of it when V_D, scaled, is taken off
-WEAK_DOUBTFUL = 5e-3  #: m, rad; likewise, by motors at their limits
-JUMPS = 2  #: looks at which X_WD may jump, which is no speed
-SPACING_DOUBTFUL, SPACING_REFUSED = 0.1, 0.4  #: |ln| of the period of the references, over dt
-ROUNDING = 1e-6  #: m; a distance that much too large is none
-#: How V_D and the rate of X_WD are related: V_D is zero, the rate is s V_D, or neither.
+LOOKS = 400  #: number of evenly spaced references that are checked, in addition to extreme ones
+PERIOD_S = 4e-3  #: s, longest tick of a rehearsal
+GAIN = 0.3  #: largest product of that tick and the gains
+REHEARSED = 2000  #: largest number of ticks of a rehearsal in `run_loop`
+READINGS = 10  #: number of measurements to wait for one that can be computed (late sensors)
+MOST_COMPARED = 50_000  #: largest number of references whose poses and forces are searched
+LAG_DOUBTFUL, LAG_REFUSED = 1e-3, 0.02  #: m, rad, limits of the deviation of an object from X_WD
+SAME_RATE = 0.2  #: largest relative remainder of the rate of X_WD after subtracting s V_D
+WEAK_DOUBTFUL = 5e-3  #: m, rad, limit of that deviation because of saturated motors
+JUMPS = 2  #: number of checked references at which X_WD may jump
+SPACING_DOUBTFUL, SPACING_REFUSED = 0.1, 0.4  #: limits of |ln| of the references' period over dt
+ROUNDING = 1e-6  #: m, excess of a distance that counts as rounding
+#: Relations of V_D and the rate of X_WD: V_D is zero, the rate is s V_D, or neither.
 _LEFT_OUT, _A_FACTOR, _ANOTHER = "left out", "a factor", "another motion"
 _logger = logging.getLogger("osc_contact.preflight")
 
@@ -50,18 +49,18 @@ _logger = logging.getLogger("osc_contact.preflight")
 def checked(
     robot: Robot, controller: object, references: Iterable[Reference]
 ) -> Iterable[Reference]:
-    """The references of a loop, once robot, controller and references have passed all rules.
+    """Check robot, controller and references of a loop by all rules; return the references.
 
-    A sequence is compared as a whole; of an iterator only the first reference is taken, which is
-    logged, and comes first in what is returned. Doubts are logged.
+    A sequence is checked as a whole. Of an iterator only the first reference is checked, which is
+    logged; the result begins with this reference. Warnings are logged.
 
     Args:
-        robot: at rest where the loop starts; it is measured, not commanded. controller: a
-            `Controller`, which is not changed; of anything else nothing is compared.
-        references: of the loop, one for each tick.
+        robot: robot at rest at the start of the loop; it is measured, but not commanded.
+        controller: a `Controller`, which is not changed; with another object nothing is checked.
+        references: references of the loop, one for each tick.
 
     Raises:
-        InvalidInputError: with all that is refused.
+        InvalidInputError: a rule refuses the task; the message has all findings.
     """
     if not isinstance(controller, Controller):
         return references
@@ -93,17 +92,17 @@ def checked(
 
 
 def judge_robot(task: Task) -> tuple[Finding, ...]:
-    """Everything that is wrong or doubtful about a robot with its controller and references."""
+    """Findings on a robot with its controller and references."""
     found = findings(ROBOT_RULES, task)
     if task.scene is not None:
         found += findings(SCENE_RULES, task)
-    if any(one.refused for one in found):  # what follows from it is no news
+    if any(one.refused for one in found):  # further findings would be consequences
         return tuple(found)
     return (*found, *judge_motion(task))
 
 
 def judge_motion(task: Task) -> tuple[Finding, ...]:
-    """Everything that is wrong or doubtful about the motions and forces of a task."""
+    """Findings on the motions and forces of a task."""
     motion = findings(MOTION_RULES, task) or findings((joints,), task)
     return (*findings((rate, *CEILINGS), task), *motion, *findings((motors,), task))
 
@@ -111,11 +110,12 @@ def judge_motion(task: Task) -> tuple[Finding, ...]:
 def task_of_robot(
     robot: Any, controller: Controller, given: Sequence[Reference], rehearsed: int | None = None
 ) -> Task:
-    """The task of a robot at rest where the loop will start, which is measured.
+    """Make the task of a robot at rest at the start of its loop; the robot is measured.
 
     Args:
-        robot: a `Robot`, with a `scene` or without. controller: of it. given: references, one for
-            each tick, from the first on. rehearsed: see `Task`.
+        robot: a `Robot`, optionally with a method `scene`. controller: its controller.
+        given: references, one for each tick, from the first on. rehearsed: largest number of ticks
+            of a rehearsal; None: the whole motion.
 
     Raises:
         InvalidInputError: no references, not all of them have a force for each column, or the
@@ -171,7 +171,7 @@ def task_of_robot(
 
 
 def _require_forces(given: Sequence[Reference], r: int) -> None:
-    """Refuse references that no tick can take: of other classes, or without r forces."""
+    """Refuse references of another class, or without r desired forces."""
     if not len(given):
         raise InvalidInputError(
             "there are no references; give one for each tick (a generator gives its own only once)"
@@ -189,7 +189,7 @@ def _require_forces(given: Sequence[Reference], r: int) -> None:
 
 
 def _reading(robot: Robot, controller: Controller, first: Reference) -> Measurement:
-    """The robot's first reading that can be computed, or one that cannot, as all before it."""
+    """Measure the robot until a tick can be computed, up to `READINGS` times."""
     for _ in range(READINGS):
         measured = robot.measure()
         trial = copy(controller)
@@ -200,7 +200,7 @@ def _reading(robot: Robot, controller: Controller, first: Reference) -> Measurem
 
 
 def _looks(given: Sequence[Reference]) -> Array:
-    """Numbers of the references that are looked at: evenly spaced ones, and the extreme ones."""
+    """Indices of references that are checked: evenly spaced ones and those with extreme values."""
     step = -(-len(given) // MOST_COMPARED)
     places = np.array([one.X_WD.translation for one in given[::step]])
     forces = np.array([one.alpha_d for one in given[::step]])
@@ -211,7 +211,7 @@ def _looks(given: Sequence[Reference]) -> Array:
 
 
 def _displacement(before: Reference, after: Reference) -> Array:
-    """(6,) of X_WD from one reference to the next (m, rad), world axes."""
+    """Displacement (6,) of X_WD from one reference to the next (m, rad), world axes."""
     X = before.X_WD
     turned = pin.log3(after.X_WD.rotation @ X.rotation.T)
     return np.concatenate((after.X_WD.translation - X.translation, turned))
@@ -252,7 +252,7 @@ def rate(task: Task) -> Values:
     ROUNDING,
 )
 def stretched(task: Task) -> Values:
-    """By how much the object is further from the base than the stretched arm reaches (m)."""
+    """Excess (m) of the object's distance from the base of an arm over the stretched length."""
     for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
         most = stretched_length(arm) + norm(grasp.X_TO.translation)
         far = np.linalg.norm(task.poses[:, :3] - arm.base.translation, axis=1)
@@ -267,7 +267,7 @@ def stretched(task: Task) -> Values:
     0.02,
 )
 def postures(task: Task) -> Values:
-    """By how much no posture within the joints' limits, from the start on, gets there (m)."""
+    """Distance (m) of the object from extreme poses that no posture near the start reaches."""
     if any(stretched.findings(task)):
         return
     chain = task.chain
@@ -281,7 +281,7 @@ def postures(task: Task) -> Values:
         left = ""
         try:
             q = reach(chain, task.q_contact, X, 1e-3)
-        except ModelError:  # it circles about a pose out of reach
+        except ModelError:  # the iteration does not converge for a pose out of reach
             pass
         else:
             away = norm(object_pose(chain, q).translation - X.translation)
@@ -302,10 +302,10 @@ def postures(task: Task) -> Values:
     LAG_REFUSED,
 )
 def joints(task: Task) -> Values:
-    """By how much motor limits keep the object off X_WD (m, rad); inf where joints' limits stop it.
+    """Deviation (m, rad) of the object from X_WD by motor limits; inf if joint limits stop it.
 
-    The motion is gone through: the joints follow what the controller commands, without contacts
-    and errors. An acceleration a that is given up costs a / K_p, here the mean square over time.
+    The motion is simulated without contacts: the joints follow the commanded accelerations without
+    errors. The loss of an acceleration a causes the deviation a / K_p, averaged as rms over time.
     """
     chain = task.chain
     rigid = all(grasp.is_rigid for grasp in chain.grasps)
@@ -339,7 +339,7 @@ def joints(task: Task) -> Values:
                 began, first = (began, first) if first else (at, str(given_up))
             v = v + _acceleration(controller) * dt
             q = q + v * dt
-    except OscContactError:  # what cannot be gone through without its contacts
+    except OscContactError:  # the motion cannot be simulated without contacts
         return
     if first and task.gains.motion.stiffness > 0.0:
         off = float(np.sqrt(lost.max() / ticks)) / task.gains.motion.stiffness
@@ -348,10 +348,10 @@ def joints(task: Task) -> Values:
 
 
 def _acceleration(controller: Controller) -> Array:
-    """(n,) q̈ of the last tick: J̄a + offset, and what redundant arms do beside their task.
+    """Joint accelerations (n,) by the last tick, including null-space motions of redundant arms.
 
-    Their torques τ₀ move them by (1 − J̄J)M⁻¹(τ₀ − h). Without it nothing holds their posture, and
-    they drift until a joint comes near its limit.
+    q̈ = J̄a + offset + (1 − J̄J)M⁻¹(τ₀ − h), where τ₀ are the posture torques. Without the last
+    summand the posture would drift until a joint comes near its limit.
     """
     chain = controller.settings.chain
     joints = controller.records.work.joints
@@ -372,7 +372,7 @@ def _acceleration(controller: Controller) -> Array:
     3.0,
 )
 def motors(task: Task) -> Values:
-    """Forces that no torques within the limits make, whatever the internal forces are."""
+    """Smallest peak torque, over the limits, for forces and weight, with any internal forces."""
     if not task.pairs or not task.contact.r or not task.state.d:
         return
     state = task.state
@@ -384,7 +384,7 @@ def motors(task: Task) -> Values:
     order = np.argsort(np.abs(shares).max(axis=0))
     k, usual = order[[-1, len(order) // 2]]
     most = least_peak(state.G * limits, needed[:, k])
-    # a peak that is a little too high saturates for a while
+    # a peak slightly above the limits only saturates for some time
     if most > motors.refused or least_peak(state.G * limits, needed[:, usual]) > 1.0:
         j = task.forces[k].argmax()
         motor = np.abs(shares[:, k]).argmax()
@@ -399,9 +399,9 @@ def motors(task: Task) -> Values:
 
 
 def least_peak(A: Array, b: Array) -> float:
-    """The smallest max |x| of all x with A x = b, to 0.2 %: min t² + ε|x|² with |x| ≤ t.
+    """Smallest max |x| of all x with A x = b, to 0.2 %, from min t² + ε|x|² with |x| ≤ t.
 
-    Where rows of A contradict one another, that of the least-squares solution.
+    If A x = b has no solution, max |x| of the least-squares solution is returned.
 
     Args:
         A: (m, n). b: (m,).
@@ -428,7 +428,11 @@ def least_peak(A: Array, b: Array) -> float:
     0.9,
 )
 def first_tick(task: Task) -> Values:
-    """A copy of the controller is given what is measured and the first reference."""
+    """Find a first tick that cannot be computed, or wrist readings that differ from the load.
+
+    The tick is computed by a copy of the controller. The value is 1 for an error, 0.5 for a warning
+    (the controller may still be tared).
+    """
     assert task.controller is not None and task.measured is not None
     trial = copy(task.controller)
     trial.tick(task.measured, next(task.every(task.dt)))
@@ -438,7 +442,7 @@ def first_tick(task: Task) -> Values:
         error = trial.residual_wrench() - trial.f_tare
         most = trial.settings.safety.load_error
         why = judge_load(trial.chain, most, error, trial.result().bias_out)
-        if why:  # a controller that has not engaged may still be tared
+        if why:
             may_change = not trial.engaged or not np.any(task.measured.wrenches)
             yield 0.5 if may_change else 1.0, {"why": why}
 
@@ -450,7 +454,7 @@ def first_tick(task: Task) -> Values:
     0.1,
 )
 def jump(task: Task) -> Values:
-    """From the pose to the first reference (m)."""
+    """Distance from the present pose of the object to the first reference (m)."""
     first = task.poses[0, :3]
     now = task.state.X_WO.translation
     yield norm(first - now), {"first": rounded(first), "now": rounded(now)}
@@ -463,9 +467,9 @@ def jump(task: Task) -> Values:
     1.0,
 )
 def weights(task: Task) -> Values:
-    """Torques that hold the arms before contacts bear, shares of the motors' limits.
+    """Torques that hold the arms without contact forces, as shares of the motors' limits.
 
-    And a single arm's object; several arms share it in any way.
+    The weight of the object is included for a single arm; several arms may share it in any way.
     """
     chain = task.chain
     bias = pin.computeGeneralizedGravity(chain.model, chain.model.createData(), task.q)
@@ -487,7 +491,7 @@ def weights(task: Task) -> Values:
 
 @rule("{name} is −{value:.3g} N at t = {t:.3g} s; this contact cannot pull: give forces ≥ 0")
 def pulls(task: Task) -> Values:
-    """Forces below zero (−N)."""
+    """Negated forces (N) of contacts that cannot pull; positive values are findings."""
     for name, owner, force in zip(task.force_names, task.owners, task.forces.T, strict=True):
         if pushes_only(task.pairs[owner]):
             least = force.argmin()
@@ -501,7 +505,7 @@ def pulls(task: Task) -> Values:
     1.0,
 )
 def measured_range(task: Task) -> Values:
-    """Forces, over what a wrist sensor may read."""
+    """Desired forces divided by the range of the wrist sensors."""
     most = task.safety.force_range
     for name, force in zip(task.force_names, np.abs(task.forces).T, strict=True):
         k = force.argmax()
@@ -515,7 +519,7 @@ def measured_range(task: Task) -> Values:
     1.0,
 )
 def force_ceilings(task: Task) -> Values:
-    """Commands of one contact, and all at once, over the ceilings that are given."""
+    """Commands of single contacts, and their sum, divided by the given ceilings."""
     forces = np.abs(task.forces)
     total = forces.sum(axis=1)
     total[: len(task.squeezes)] += task.squeezes
@@ -539,7 +543,7 @@ def force_ceilings(task: Task) -> Values:
     1.0,
 )
 def speed_ceiling(task: Task) -> Values:
-    """Speeds of the arms' tips by V_D, over their ceiling."""
+    """Speeds of the arms' tips by V_D, divided by their ceiling."""
     most = task.safety.speed_ceiling
     V = task.commanded
     if not len(V) or not most < np.inf:
@@ -562,12 +566,12 @@ def speed_ceiling(task: Task) -> Values:
     0.005,
 )
 def lifted(task: Task) -> Values:
-    """How far a motion opens or closes a gap while the contact is to be kept (m)."""
+    """Change of a gap (m) by the motion while the contact is to be maintained."""
     kept = np.flatnonzero(task.times >= task.kept_from)
     kept = kept[:: max(1, len(kept) // 100)]
     for i, pair in enumerate(task.pairs):
         pressed = (task.forces[kept][:, task.owners == i] > 0.0).any(axis=1)
-        pressed |= task.bound  # else it opens when its force ends
+        pressed |= task.bound  # a contact that is not bound opens when its force ends
         gaps = [pair.gaps(pin.XYZQUATToSE3(X)) for X in task.poses[kept[pressed]]]
         if task.rests[i] and gaps:
             worst = np.abs(gaps).max(initial=0.0)
@@ -583,7 +587,7 @@ def lifted(task: Task) -> Values:
     SPACING_REFUSED,
 )
 def spacing(task: Task) -> Values:
-    """|ln| of the rate of X_WD over V_D, where they differ by a factor."""
+    """Logarithm (absolute value) of the ratio of the rate of X_WD and V_D, if it is constant."""
     dt = 1e3 * task.dt
     for _, share in _moving_parts(task, _A_FACTOR):
         yield abs(np.log(share)), {"share": share, "spacing": share * dt, "dt": dt}
@@ -597,7 +601,7 @@ def spacing(task: Task) -> Values:
     LAG_REFUSED,
 )
 def contradiction(task: Task) -> Values:
-    """By how much V_D leads the object off X_WD, where it is another motion (m, rad)."""
+    """Deviation (m, rad) of the object from X_WD by a V_D that is another motion."""
     return _leads(task, _ANOTHER)
 
 
@@ -607,12 +611,16 @@ def contradiction(task: Task) -> Values:
     LAG_DOUBTFUL,
 )
 def lag(task: Task) -> Values:
-    """By how much the object follows behind where V_D is left out (m, rad)."""
+    """Lag (m, rad) of the object behind X_WD if V_D is zero."""
     return _leads(task, _LEFT_OUT)
 
 
 def _leads(task: Task, relation: str) -> Values:
-    """K_d/K_p |rate − V_D|, by which the object is off, of the parts of this relation (m, rad)."""
+    """Deviations K_d/K_p |rate − V_D| (m, rad) of the linear and angular parts of a relation.
+
+    Args:
+        task: the task. relation: relation of V_D and the rate of X_WD.
+    """
     motion = task.gains.motion
     for part, _ in _moving_parts(task, relation):
         rates = task.rates[:, part]
@@ -627,9 +635,10 @@ def _leads(task: Task, relation: str) -> Values:
 
 
 def _moving_parts(task: Task, relation: str) -> Iterator[tuple[slice, float]]:
-    """The linear and the angular part that move, as slices of (6,), where V_D is so related.
+    """Yield the moving parts (linear, angular) in which V_D and the rate of X_WD have a relation.
 
-    With s of rate = s V_D, by least squares over all looks, 0 where V_D is zero.
+    Each part is a slice of (6,), with the factor s of rate = s V_D by least squares over all
+    checked references; s is 0 if V_D is zero.
     """
     for part in slice(0, 3), slice(3, 6):
         D = task.rates[:, part]
@@ -646,8 +655,8 @@ def _moving_parts(task: Task, relation: str) -> Iterator[tuple[slice, float]]:
             yield part, share
 
 
-#: What a task has to follow; a new rule is entered in one of these rows. `joints` go through a
-#: motion that none of `MOTION_RULES` finds fault with.
+#: All rules on a task; a new rule is added to one of these lists. `joints` simulates a motion only
+#: if `MOTION_RULES` have no findings.
 ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range, spacing, contradiction)
 CEILINGS = (force_ceilings, speed_ceiling)
 MOTION_RULES = (stretched, postures, lifted, lag)

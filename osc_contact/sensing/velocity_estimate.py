@@ -93,7 +93,7 @@ class VelocityEstimate:
     def learning(
         cls, noise: Array, acceleration: Array, dt: float, sample: float = 0.0
     ) -> VelocityEstimate:
-        """As much noise in v̂ as `optimal`, but unknown accelerations that last are learned.
+        """Estimate with the noise of `optimal` in v̂ that also learns lasting unknown accelerations.
 
         Three equal poles at exp(−w dt). On continuous white noise of density σ_n² dt, v̂ has the
         variance 1.75 w³ σ_n² dt, that of `optimal` ω_e³ σ_n² dt/√8, ω_e² = σ_a/σ_n: w = 0.587 ω_e

@@ -1,7 +1,7 @@
 """Settings of the controller: gains, phases of contacts, limits of the robot, friction, estimates.
 
-Each class is a group of keys of a scenario and the value that a program gives a controller; keys
-that have a field of the same name in the law's record are copied there by name.
+Each class is a group of keys of a scenario, and also an argument of a controller in programs. Keys
+with the name of a field in the law's MODEL are copied to it by name.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ from osc_contact.settings.quantities import (
     refuse,
 )
 
-LEAST_CEILING = 30.0  #: N; no ceiling that follows from commands is lower
-HEADROOM = 3.0  #: times the largest command: such a ceiling
-_UNBRAKED = 6.0  #: a speed of the contact that lasts longer than this / K_i is not braked
-_DERIVED: Any = Field(default=None)  #: follows from the other gains
+LEAST_CEILING = 30.0  #: N, lowest ceiling that is derived from commands
+HEADROOM = 3.0  #: ceiling that is derived from commands, as a multiple of the largest one
+_UNBRAKED = 6.0  #: a contact speed that lasts longer than this divided by K_i is not braked
+_DERIVED: Any = Field(default=None)  #: default of a gain that is derived from the others
 
 
 class _GainsOfOneLoop(OrderedSpec):
-    """Gains that serve every mass, or the numbers themselves; those not given follow from them."""
+    """Gains as design values for every mass (for example a bandwidth) or as numbers."""
 
     serving: ClassVar[tuple[str, ...]]
     numbers: ClassVar[tuple[str, ...]]
@@ -79,7 +79,7 @@ class _GainsOfOneLoop(OrderedSpec):
         return self
 
     def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
-        """All gains; those that are given may be missing."""
+        """Compute the gains that are not given; given ones take precedence."""
         raise NotImplementedError
 
     @model_serializer(mode="wrap")
@@ -90,8 +90,9 @@ class _GainsOfOneLoop(OrderedSpec):
 class MotionGains(_GainsOfOneLoop):
     """Gains of the motion law p̈_u = p̈_d + K_d ė + K_p e + K_i ∫e.
 
-    Scalars, the same for positions and angles, so that no metre meets a radian. They are gains of
-    accelerations: the model's inertia makes forces of them, so they serve every mass.
+    Gains are scalars, the same for positions and angles, so that metres and radians are not added.
+    They are gains of accelerations, which the model's inertia converts to forces, so that they suit
+    every mass.
 
     Example:
         >>> gains = osc.MotionGains(frequency=3.0, damping_ratio=0.7)
@@ -108,15 +109,16 @@ class MotionGains(_GainsOfOneLoop):
     stiffness: Annotated[NotNegativeNumber, "1/s²"] = _DERIVED
     """K_p = (2π `frequency`)²; 400 1/s² if no gain of the loop is given"""
     damping: Annotated[NotNegativeNumber, "1/s"] = _DERIVED
-    """K_d = 4π `frequency` `damping_ratio`; beside `stiffness`"""
+    """K_d = 4π `frequency` `damping_ratio`; required with `stiffness`"""
     integral: Annotated[NotNegativeNumber, "1/s³"] = _DERIVED
-    """K_i = K_p / `integral_time`; beside `stiffness`, below `stiffness` × `damping`"""
+    """K_i = K_p / `integral_time`; may be given with `stiffness`; below `stiffness` × `damping`"""
     frequency: Positive[Frequency] = _DERIVED
     """natural frequency of the motion loop, the same for positions and angles; 3.2 Hz"""
     damping_ratio: NotNegativeNumber = _DERIVED
-    """of the motion loop; 1"""
+    """damping ratio of the motion loop; 1"""
     integral_time: Positive[Time] = _DERIVED
-    """time in which the integral does as much as the stiffness; no integral, 0.2 s with a tare"""
+    """time in which the integral of a constant error commands as much as the stiffness; no
+    integral, 0.2 s with a tare"""
 
     @model_validator(mode="after")
     def _is_stable(self) -> Self:
@@ -153,7 +155,7 @@ class MotionGains(_GainsOfOneLoop):
 class ForceGains(_GainsOfOneLoop):
     """Gains of the force law α_u = α_s + K_i ∫(α_s − α_meas) dt − K_v NᵀV_rel (fig. 5).
 
-    There is no proportional gain: a rigid contact answers a command within the same instant, so a
+    There is no proportional gain: a rigid contact responds to a command without delay, so a
     proportional loop with gain ≥ 1 is unstable in discrete time at any rate.
 
     Example:
@@ -167,24 +169,26 @@ class ForceGains(_GainsOfOneLoop):
     example = "gains.force={bandwidth: 5 Hz}"
 
     integral: Annotated[NotNegativeNumber, "1/s"] = _DERIVED
-    """K_i = 2π `bandwidth`, at which errors of the force fade; below 1 / period"""
+    """K_i = 2π `bandwidth`, the rate at which errors of the force decay; below 1 / period"""
     damping: Annotated[NotNegativeNumber, "N s/m"] = _DERIVED
-    """K_v of the normal velocity, for one mass; beside `integral`, 0"""
+    """gain K_v of the normal velocity, for a particular mass; may be given with `integral`; 0"""
     bandwidth: Positive[Frequency] = _DERIVED
-    """at which errors of the force fade; 5 Hz if no gain of the loop is given"""
+    """frequency at which errors of the force decay; 5 Hz if no gain of the loop is given"""
     damping_ratio: NotNegativeNumber = _DERIVED
-    """brakes a contact that swings, by the mass behind it; 0.7; above ½ none swings up"""
+    """damping ratio of a contact that oscillates with the mass behind it; 0.7; above ½ no
+    oscillation grows"""
     rise: NotNegative[Time] = _DERIVED
-    """time that a step of a desired force or squeeze takes; 0.25 s, 0 beside `integral`"""
+    """duration of a step of a desired force or squeeze; 0.25 s, 0 with `integral`"""
     tilt: Annotated[Angle, Field(ge=0, le=0.8)] = _DERIVED
-    """a face on which one point slides is taken to be turned to the measured motion, by so much at
-    most ([tuning](tuning.md#why)); 10 deg, 0 beside `integral`"""
+    """largest angle by which the assumed normal of a face is turned when the motion of a sliding
+    point shows an error ([tuning](tuning.md#why)); 10 deg, 0 with `integral`"""
     brake: Annotated[NotNegativeNumber, "1/s"] = _DERIVED
-    """κ = 2 `damping_ratio` K_i of the normal velocity, a force of κ(NᵀΦN)⁻¹; beside `integral`"""
+    """gain κ = 2 `damping_ratio` K_i of the normal velocity, a force of κ(NᵀΦN)⁻¹ per velocity; may
+    be given with `integral`"""
 
     @property
     def drift(self) -> float:
-        """1/s; a normal velocity that changes more slowly belongs to a tilted face: no brake."""
+        """Rate (1/s) below which normal velocities are attributed to a tilted face, not braked."""
         return self.integral / _UNBRAKED
 
     def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
@@ -209,7 +213,7 @@ class ForceGains(_GainsOfOneLoop):
 
 
 class Gains(OrderedSpec):
-    """Gains of the two loops; left out, they serve every mass ([tuning](tuning.md)).
+    """Gains of the two loops; the default gains suit every mass ([tuning](tuning.md)).
 
     Example:
         >>> gains = osc.Gains(osc.MotionGains(frequency=3.0), osc.ForceGains(bandwidth=8.0))
@@ -224,23 +228,23 @@ class Gains(OrderedSpec):
 
 
 class MonitorLimits(OrderedSpec):
-    """When contact counts as made, as lost, and as a collision."""
+    """Thresholds of the detection of contact, its loss, and collisions."""
 
     force_on: Positive[Force] = 1.0
-    """contact is made above that force"""
+    """force above which contact is made"""
     force_off: Positive[Force] = 0.4
-    """and lost below that, plus a fifth of the force commanded"""
+    """force below which contact is lost, to which a fifth of the commanded force is added"""
     power: Annotated[PositiveNumber, "W"] = 0.05
-    """a contact made with more projected power (in size) is a collision"""
+    """magnitude of the projected power above which a new contact is a collision"""
     patience: NotNegative[Time] = 0.005
-    """the force must stay low for so long before contact counts as lost"""
+    """time for which the force must be low before contact is lost"""
     window: NotNegative[Time] = 0.02
-    """after contact is made, in which a collision is detected"""
+    """time after contact is made in which a collision is detected"""
     dwell: NotNegative[Time] = 0.0
-    """the force must stay high for so long before contact counts as made (sensor noise)"""
+    """time for which the force must be high before contact is made (sensor noise)"""
     leaving: VelocityLimit = inf
-    """an object that leaves its face faster has no contact, whatever the force: a face does not
-    push on what moves away from it"""
+    """speed of separation above which there is no contact at any force, because a face does not
+    push on an object that moves away from it"""
 
     @model_validator(mode="after")
     def _has_hysteresis(self) -> Self:
@@ -253,7 +257,7 @@ class MonitorLimits(OrderedSpec):
 
 
 class PhaseSettings(MonitorLimits):
-    """How contacts are made and kept: opened, approached and closed one by one.
+    """Settings of contact phases, by which contacts are opened, approached and closed one by one.
 
     Example:
         >>> life = osc.PhaseSettings(speed=0.02, travel=0.1)
@@ -262,38 +266,38 @@ class PhaseSettings(MonitorLimits):
     """
 
     speed: Positive[Velocity] = 0.01
-    """v_a of the approach, along −N"""
+    """speed v_a of the approach, along −N"""
     damping: Annotated[PositiveNumber, "N s/m"] = 200.0
-    """K_a of the approach; K_a v_a is the force with which it meets the face"""
+    """gain K_a of the approach; the face is touched with the force K_a v_a"""
     travel: Positive[Length] = 0.05
-    """an approach that has covered more at its speed stands still"""
+    """distance at the speed of the approach after which it stops"""
     rise: Positive[Time] = 0.05
-    """from contact made, with K_a v_a, to the full force"""
+    """time from a new contact, with the force K_a v_a, to the full force"""
     least: Positive[Force] = 0.2
     """α_min, least force command of a closed contact that can only push"""
     torque_rate: Annotated[PositiveNumber, "1/s"] = 20.0
-    """after a change of phase no motor torque changes faster than its limit times this"""
+    """largest rate of the motor torques after a change of phase, as a multiple of their limits"""
     share: PositiveNumber = 0.2
-    """of the desired force; a closed contact with less is lost"""
+    """share of the commanded force below which a closed contact is lost"""
     lag: Positive[Time] = 0.006
-    """of the low-pass before the monitor"""
+    """time constant of the low-pass before the monitor"""
     force_on: Positive[Force] = 0.6
-    """contact is made above that force"""
+    """force above which contact is made"""
     force_off: Positive[Force] = 0.3
-    """and lost below that, plus `share` of the force commanded"""
+    """force below which contact is lost, to which `share` of the commanded force is added"""
     power: Annotated[PositiveNumber, "W"] = 0.004
-    """a contact made with more projected power is a collision"""
+    """projected power above which a new contact is a collision"""
     dwell: NotNegative[Time] = 0.002
-    """the force must stay high for so long before contact counts as made (sensor noise)"""
+    """time for which the force must be high before contact is made (sensor noise)"""
     leaving: VelocityLimit = 0.03
-    """an object that leaves its face faster has no contact, whatever the force"""
+    """speed of separation above which there is no contact at any force"""
     friction_bound: NotNegative[float] = 0.5
-    """an approached contact is made by what friction of the closed ones cannot explain, their
-    coefficient at most that"""
+    """largest coefficient of friction assumed at closed contacts when an approached contact is
+    detected: only force that this friction cannot explain counts"""
 
     @property
     def push(self) -> float:
-        """K_a v_a (N)."""
+        """Force K_a v_a (N) with which an approach touches its face."""
         return self.damping * self.speed
 
     @model_validator(mode="after")
@@ -308,7 +312,7 @@ class PhaseSettings(MonitorLimits):
 
 
 class SafetySettings(OrderedSpec):
-    """Ticks that cannot be computed, and limits of the robot beside its motors'.
+    """Limits of the robot in addition to its motors', and handling of ticks not computed.
 
     Example:
         >>> safety = osc.SafetySettings(contact_force=50.0, contact_loss_time=0.1)
@@ -317,86 +321,92 @@ class SafetySettings(OrderedSpec):
     """
 
     repeats: NotNegative[int] = 2
-    """ticks in a row that cannot be computed and repeat the last torques; later ones
-    [hold the posture](reliability.md)"""
+    """largest number of consecutive ticks not computed for which the last torques are repeated;
+    further ones [hold the posture](reliability.md)"""
     stop_after: Positive[int] = 20
-    """how many more such ticks than computed ones stop the controller: 20 in a row, or more than
-    half of them for longer"""
+    """excess of ticks not computed over computed ones that stops the arms: 20 in sequence, or more
+    than half of the ticks for a longer time"""
     missed_share: Annotated[Limit, "–"] = 0.4
-    """more of the ticks of the last second that cannot be computed (their share, low-passed with
-    0.5 s) stop it: every second one for good, within 1 s, not every third"""
+    """share of ticks not computed in about the last second (low-passed with 0.5 s) above which the
+    arms are stopped: if every second tick fails within 1 s, if every third fails never"""
     overspeed_time: TimeLimit = 0.02
-    """a motor joint above its speed limit for longer stops the controller; time below it is taken
-    off"""
+    """time of a motorised joint above its speed limit that stops the arms; time below the limit is
+    subtracted"""
     hold_rate: Annotated[PositiveNumber, "1/s"] = 20.0
-    """ω of q̈ = −2ω q̇ − ω²(q − q_hold) in a hold and a stop"""
+    """rate ω of q̈ = −2ω q̇ − ω²(q − q_hold) in a hold and a stop"""
     torque_rate: Annotated[Limit, "1/s"] = 200.0
-    """no motor torque changes faster than its limit times this"""
+    """largest rate of the motor torques, as a multiple of their limits"""
     brake_time: NotNegative[Time] = 0.1
-    """in which joints can be braked from their speed limit: they are stopped before their ends; 0:
-    ends are not watched"""
+    """time in which joints can be braked from their speed limits, so that they are stopped before
+    the ends of their ranges; 0: ends are not monitored"""
     contact_power: Annotated[Limit, "W"] = 20.0
-    """more power into the contacts stops the controller"""
+    """power into the contacts above which the arms are stopped"""
     contact_force: ForceLimit = LEAST_CEILING
-    """a contact that reads more, and more than three times its command, for `overforce_time` stops
-    it"""
+    """measured force of a contact that stops the arms if it is also larger than three times its
+    command, after `overforce_time`"""
     overforce_time: TimeLimit = 0.15
-    """see `contact_force`"""
+    """time above `contact_force` that stops the arms"""
     contact_loss_time: TimeLimit = 0.2
-    """a contact that reads less than a fifth of its command for longer stops it, unless
-    `control.life` handles losses"""
+    """time of a contact below a fifth of its command that stops the arms, unless `control.life`
+    handles losses"""
     regain_time: TimeLimit = 1.0
-    """so does one that was lost and is not held again for longer"""
+    """time after a loss of contact in which it must be regained, else the arms are stopped"""
     integral_force: ForceLimit = 15.0
-    """the force integral stays within that, or within 1.5 times the command where that is more"""
+    """largest magnitude of the force integral, or 1.5 times the command if that is larger"""
     integral_motion: Annotated[Limit, "m/s², rad/s²"] = 50.0
-    """what the motion integral commands stays within that"""
+    """largest magnitude of the acceleration that the motion integral commands"""
     force_range: ForceLimit = 1000.0
-    """wrist readings beyond that, and beyond three times the object's weight, are rejected"""
+    """force above which wrist readings are rejected; at least three times the object's weight"""
     torque_range: Annotated[Limit, "N m"] = 200.0
-    """the same of torques, the weight on a lever of 1 m"""
+    """torque above which wrist readings are rejected; at least three times the object's weight on a
+    lever of 1 m"""
     load_error: ForceLimit = 2.0
-    """before any contact is made, wrists that read more than that beside the weight they carry stop
-    the controller (with that force on a lever of 0.2 m, or of the tool's length, as a torque)"""
+    """difference between wrist readings and the weight of the load before any contact is made,
+    above which the controller does not start (for torques, this force on a lever of 0.2 m or of the
+    tool's length)"""
     plausible_speed: Limit = 3.0
-    """times a joint's speed limit: faster ones, and positions that jump further, are rejected"""
+    """speed above which readings of a joint are rejected, and positions that jump accordingly, as a
+    multiple of its speed limit"""
     wrench_timeout: TimeLimit = 0.02
-    """ticks continue with the last wrenches for so long; stamps may stand still for so long"""
+    """time for which ticks continue with the last wrenches, and for which time stamps may be
+    constant"""
     stuck_speed: Limit = 0.1
-    """times a joint's speed limit: a joint that is commanded to gain more while its encoder repeats
-    one reading stops the controller, as far as more torque drives it than friction takes"""
+    """speed that a joint may be commanded to gain, by more torque than friction, while its encoder
+    repeats one reading, as a share of its speed limit; more stops the arms"""
     frozen_time: TimeLimit = 0.25
-    """a wrist in contact, or a whole packet of noisy readings, that repeats itself for longer stops
-    it"""
+    """time of identical readings of a wrist in contact, or of all noisy sensors, that stops the
+    arms"""
     speed_error: Limit = 0.1
-    """times a joint's speed limit: speeds that differ from those of the positions by more, for
-    20 ms or so, stop it"""
+    """difference between speeds and changes of the positions, low-passed with 20 ms, that stops the
+    arms, as a share of a joint's speed limit"""
     position_drift: Annotated[Limit, "rad, m"] = 0.02
-    """positions that drift by more from the integral of the speeds, within half a second, stop
-    it"""
+    """drift between positions and the integral of the speeds within half a second that stops the
+    arms"""
     wrist_error: Limit = 0.05
-    """times a motor's torque limit: torques that the model and the wrist's reading leave
-    unexplained by more than is usual, or by twice that in all, stop the arms: a wrist that is
-    mirrored, scaled, offset or of another arm"""
+    """deviation of the unexplained motor torque from its long-term mean that stops the arms, as a
+    share of a motor's torque limit (twice as much for the torque itself): a wrist sensor may be
+    mirrored, scaled, offset or that of another arm"""
     closure_error: LengthLimit = 0.02
-    """arms whose encoders place the object they hold further apart stop"""
+    """distance between the places of the held object by the encoders of several arms that stops
+    the arms"""
     contact_ceiling: ForceLimit | None = None
-    """a contact that reads more for `ceiling_time` stops the arms, whatever is commanded, and a
+    """measured force of a contact that stops the arms after `ceiling_time` for any command; a
     larger command is refused before the start; null: three times the largest command (of a contact
     or `squeeze`), at least 30 N ([ceilings](reliability.md#ceilings))"""
     wrist_ceiling: ForceLimit | None = None
-    """the same of the force that a wrist bears beside weight and inertia; null: three times the
-    largest sum of all commands, at least 30 N"""
+    """force on a wrist, without weight and inertia, that stops the arms after `ceiling_time`; null:
+    three times the largest sum of all commands, at least 30 N"""
     speed_ceiling: VelocityLimit = 0.5
-    """the same of the speed of a tip"""
+    """speed of a tip that stops the arms after `ceiling_time`"""
     ceiling_time: TimeLimit = 0.02
-    """see `contact_ceiling`"""
+    """time above a ceiling that stops the arms"""
 
     def for_commands(self, largest: float, total: float) -> Self:
-        """The same with ceilings for commands that are all known beforehand; given ones stay.
+        """Copy with ceilings that are derived from commands known in advance, unless given.
 
         Args:
-            largest: command of one contact, or squeeze (N). total: largest sum of all of them (N).
+            largest: largest command of one contact or squeeze (N). total: largest sum of all
+                commands (N).
         """
         commands = {"contact_ceiling": largest, "wrist_ceiling": total}
         derived = {
@@ -408,7 +418,7 @@ class SafetySettings(OrderedSpec):
 
     @classmethod
     def motors_only(cls, **keys: Any) -> SafetySettings:
-        """No limits but those of the motors and of `keys`: for ticks that are not one motion."""
+        """Settings without limits except those of the motors and of `keys`, for unrelated ticks."""
         unlimited = {key: inf for key, field in cls.model_fields.items() if may_be_infinite(field)}
         return cls(**{"brake_time": 0.0, **unlimited, **keys})
 
@@ -423,14 +433,14 @@ class SafetySettings(OrderedSpec):
 
 
 def require_below_ceilings(safety: SafetySettings, force: float, contacts: int) -> None:
-    """Refuse commands that could be above the ceilings that are given.
+    """Refuse forces that may exceed given ceilings.
 
     Args:
-        safety: of the controller. force: the largest command of a contact (N). contacts: number
-            of forces that may be commanded so at once.
+        safety: settings of the controller. force: largest command of a contact (N). contacts:
+            number of forces that may be commanded together.
 
     Raises:
-        InvalidInputError: a ceiling is lower, with the cure.
+        InvalidInputError: a ceiling is lower.
     """
     for key, command in (("contact_ceiling", force), ("wrist_ceiling", contacts * force)):
         ceiling = getattr(safety, key)
@@ -451,17 +461,17 @@ class Friction(OrderedSpec):
     """
 
     mu: NotNegativeNumber
-    """the Coulomb coefficient, the same at all contacts, such as 0.1"""
+    """the Coulomb coefficient, the same at all contacts, for example 0.1"""
     slip: Positive[Velocity] = 0.002
-    """v_0, the slip speed from which on friction counts as fully developed; below it the direction
-    is not known well enough to push against"""
+    """slip speed v_0 below which the modelled friction is reduced, because its direction is
+    uncertain"""
     learning: Annotated[NotNegativeNumber, "1/s"] = 8.0
-    """how fast μ follows what `least_squares` reads while contacts slide; 0: not at all; `filter`
-    learns nothing"""
+    """rate at which μ follows the friction measured by `least_squares` while contacts slide; 0: μ
+    is constant, as with `filter`"""
 
 
 class JointFriction(OrderedSpec):
-    """Friction of the joints: as the controller's model has it, or learned from there on.
+    """Compensation of joint friction, and its identification from the model's values on.
 
     Example:
         >>> print(osc.JointFriction(learning=False).share)
@@ -469,109 +479,110 @@ class JointFriction(OrderedSpec):
     """
 
     learning: bool = True
-    """whether Coulomb and viscous friction of each joint are learned from motors and wrists,
-    beginning with the values of the model; else these are compensated as they are"""
+    """whether Coulomb and viscous friction of each joint are identified from motors and wrists,
+    beginning with the values of the model; if not, the latter are compensated"""
     share: Annotated[Number, Field(ge=0, lt=1)] = 0.7
-    """g: of the friction that is not learned (stiction, Stribeck), which an observer compensates;
-    with 1 joints would seem frictionless at rest, and contacts hunt"""
+    """share g of the friction not identified (stiction, Stribeck) that an observer compensates;
+    with 1 joints would be frictionless at rest, and contact forces would oscillate (hunting)"""
     errors: bool | None = None
-    """whether the observer compensates wrong masses of the links, too, up to 0.3 of the torque that
-    they are modelled to take; null: if there is a `tare`"""
+    """whether the observer also compensates errors of the links' masses, up to 0.3 times their
+    modelled torque; null: if there is a `tare`"""
     smoothing: Annotated[PositiveNumber, "1/s"] = 70.0
-    """K_d, of that observer"""
+    """rate K_d of that observer"""
     most: Annotated[Number, Field(gt=0, le=1)] = 0.3
-    """times a motor's torque limit: more friction is neither assumed nor compensated"""
+    """largest friction that is identified and compensated, as a share of a motor's torque limit"""
 
 
 class PostureTask(OrderedSpec):
-    """What redundant arms do with joints they do not need."""
+    """Posture task of redundant arms, in the null space of the object's motion."""
 
     stiffness: Annotated[NotNegativeNumber, "1/s²"] = 25.0
-    """of the pull towards the posture"""
+    """stiffness of the attraction to the posture"""
     damping: Annotated[NotNegativeNumber, "1/s"] = 10.0
-    """of joint motions beside the task"""
+    """damping of joint motions in the null space"""
     retreat_damping: Annotated[NotNegativeNumber, "1/s"] = 50.0
-    """instead of `damping`, of joint motions that a singular posture takes from the task"""
+    """damping, in place of `damping`, of joint motions that the task loses in a singular posture"""
     limit_stiffness: Annotated[NotNegativeNumber, "1/s²"] = 400.0
-    """of the push away from joint limits; 0: none"""
+    """stiffness of the repulsion from joint limits; 0: none"""
     limit_margin: Annotated[Number, Field(gt=0, lt=0.5)] = 0.05
-    """where that push begins, as a share of the joint's range"""
+    """distance from a limit at which the repulsion begins, as a share of the joint's range"""
 
 
 class JointTorqueSpec(Spec):
-    """The joint torque loop: its rate (Hz), gain and damping ratio."""
+    """Joint torque loop: rate (Hz), gain and damping ratio."""
 
     rate: Positive[Frequency]
-    """the rate of the loop, a whole multiple of `control.rate`, such as 4 kHz"""
+    """rate of the loop, a whole multiple of `control.rate`, for example 4 kHz"""
     gain: PositiveNumber = 60.0
-    """k_p: errors of motor and spring seem 1 + gain times smaller"""
+    """gain k_p, which reduces errors of motor and spring by the factor 1 + gain"""
     damping_ratio: PositiveNumber = 0.7
-    """of the closed loop"""
+    """damping ratio of the closed loop"""
 
 
 class ForceReadingSpec(Spec):
-    """How contact forces are read off the wrists; null: as `Controller` chooses."""
+    """Method of computing contact forces from wrist readings; null: chosen by `Controller`."""
 
     reading: Literal["filter", "least_squares"] | None = None
-    """`filter` (fig. 5) or `least_squares`; null: the latter where its answer is unique"""
+    """`filter` (fig. 5) or `least_squares`; null: the latter if its result is unique"""
 
 
 class EstimateSpec(Spec):
-    """Accelerations that the estimates of velocities do not know of: joints, tracked bodies."""
+    """Unmodelled accelerations assumed by the estimates of velocities: joints, tracked bodies."""
 
     joint_angular: Positive[AngularAcceleration] = 0.8
-    """of turning joints"""
+    """unmodelled acceleration of revolute joints"""
     joint_linear: Positive[Acceleration] = 0.5
-    """of sliding joints"""
+    """unmodelled acceleration of prismatic joints"""
     body_angular: Positive[AngularAcceleration] = 0.1
-    """of tracked bodies"""
+    """unmodelled angular acceleration of tracked bodies"""
     body_linear: Positive[Acceleration] = 0.05
-    """of tracked bodies"""
+    """unmodelled acceleration of tracked bodies"""
     measured_forces: bool = False
-    """whether measured contact forces give accelerations of the joints: for coarse encoders on
-    walls that spring; where the object is struck, velocities are then estimated worse"""
+    """whether accelerations of the joints by measured contact forces are included, for coarse
+    encoders and elastic walls; velocities are estimated less accurately if the object is struck"""
 
 
 class Dither(Spec):
-    """A bounded sine along the line between two points of contact, so that they show their normals.
+    """Sinusoidal motion along the line between two points of contact that reveals their normals.
 
-    It begins when contacts engage, and fades."""
+    It begins when contacts engage, and its amplitude decays to zero."""
 
     amplitude: Positive[Length] = 4e-3
-    """of the motion along the line, as far as arms and contacts permit it"""
+    """amplitude of the motion along the line, as far as arms and contacts permit it"""
     frequency: Positive[Frequency] = 2.0
-    """its frequency"""
+    """frequency of the motion"""
     duration: Positive[Time] = 2.5
-    """after which it has faded"""
+    """time after which the motion has decayed"""
 
 
 class ControlSpec(Spec):
-    """Tick rate (Hz), the metric B of eq. 24, where N comes from, how contacts live."""
+    """Settings of the controller: rate, metric B of eq. 24, contacts, friction, limits."""
 
     rate: Positive[Frequency]
-    """the tick rate, such as 1 kHz"""
+    """the tick rate, for example 1 kHz"""
     metric: Literal["object", "chain"] = "object"
-    """B of eq. 24: `object` (Λ_o⁻¹) or `chain` ((ΣΛ_i + Λ_o)⁻¹)"""
+    """metric B of eq. 24: `object` (Λ_o⁻¹) or `chain` ((ΣΛ_i + Λ_o)⁻¹)"""
     contacts: Literal["declared", "detected"] = "declared"
-    """`detected`: the controller finds them from the collision geometry as it moves"""
+    """source of the contacts; `detected`: from the collision geometry during the motion"""
     joint_torque: JointTorqueSpec | None = None
     """the joint torque loop; needs `plant.flexible_joints`"""
     force: ForceReadingSpec = ForceReadingSpec()
-    """[how contact forces are read off the wrists](friction.md)"""
+    """[method of computing contact forces from wrist readings](friction.md)"""
     friction: Friction | None = None
     """friction at the contacts that the controller takes into account"""
     joint_friction: JointFriction | None = JointFriction()
-    """[friction of the joints](joint_friction.md), compensated and learned; `off`: neither"""
+    """compensation and identification of [joint friction](joint_friction.md); `off`: neither"""
     life: PhaseSettings | None = PhaseSettings()
-    """[contacts opened, approached and closed](contact_phases.md) one by one, as their forces are
-    > 0 or not; `off`: all at once, by `tare` (and the default beside one)"""
+    """[contact phases](contact_phases.md): contacts are opened, approached and closed one by one,
+    as their desired forces are > 0 or not; `off`: all at once, after a `tare` (the default with
+    one)"""
     dither: Dither | None = None
-    """a motion by which [two points show their normals](friction.md#all-errors-at-once)"""
+    """motion that [reveals the normals of two points](friction.md#all-errors-at-once)"""
     safety: SafetySettings = SafetySettings()
-    """ticks that cannot be computed, [limits of the robot](reliability.md#limits-of-the-robot):
+    """[limits of the robot](reliability.md#limits-of-the-robot) and
     [safety states](reliability.md); `.inf`: no limit"""
     estimate: EstimateSpec = EstimateSpec()
-    """accelerations that the velocity estimates do not know of"""
+    """unmodelled accelerations assumed by the velocity estimates"""
 
     @field_validator("life", "joint_friction", mode="before")
     @classmethod
@@ -580,58 +591,60 @@ class ControlSpec(Spec):
 
 
 class ModelErrorSpec(Spec):
-    """What the controller's model has wrong: masses, friction and faces."""
+    """Errors of the controller's model: masses, friction and faces."""
 
     object_mass: PositiveNumber = 1.0
     """factor on the controller's object mass and inertia"""
     arm_mass: PositiveNumber = 1.0
     """factor on the controller's link masses and inertias"""
     hidden_mass: NotNegative[Mass] = 0.0
-    """a mass that the controller does not know of, in the object where the first arm grasps it"""
+    """an unmodelled mass in the object, at the point where the first arm grasps it"""
     joint_friction: NotNegativeNumber = 1.0
     """factor on the joint friction and damping of the controller's model"""
     armature: NotNegativeNumber = 1.0
     """factor on the rotor inertias of the controller's model"""
     environment: Literal["known", "yielding", "ignored"] = "known"
-    """`ignored`: the law takes every face as unyielding and unaccelerated (Φ_e = 0, b_e = 0);
-    `yielding`: but that carts on springs yield ([soft faces](tuning.md#soft-faces))"""
+    """model of the touched bodies; `ignored`: every face is assumed to be unyielding and
+    unaccelerated (Φ_e = 0, b_e = 0); `yielding`: the same, except that carts on springs yield
+    ([soft faces](tuning.md#soft-faces))"""
     face_offset: Length = 0.0
-    """the controller takes each body touched to stand so much nearer, along its first line of
-    force"""
+    """distance by which each touched body is modelled too near, along its first line of force"""
     face_tilt: Angle = 0.0
-    """and to be turned by this angle, about where that line meets it"""
+    """angle by which each touched body is modelled turned, about the point where that line meets
+    it"""
     face_tilt_about: Angle = 0.0
-    """the axis of that turn: the horizontal direction across the line, turned about the line by
-    this angle"""
+    """direction of the axis of that turn: the horizontal direction across the line, turned about
+    the line by this angle"""
 
 
 class TareSpec(Spec):
     """Zeroing of the wrist sensors in free space before contact is made."""
 
     duration: Positive[Time] = 0.4
-    """at rest off the faces, without the motion; the last third is averaged"""
+    """time at rest away from the faces, before the motion; the last third is averaged"""
     standoff: Positive[Length] = 0.01
     """gap during that time"""
     approach: Positive[Time] = 0.3
-    """time from there to contact; where contacts have phases these meet it at their own speed. The
-    motion begins once contacts engage, where they have phases with the approach, and is that of
-    its signals after three times as long"""
+    """time from there to contact; with contact phases, contacts are approached at their own speed.
+    The motion begins when contacts engage (with phases, when the approach begins), and follows its
+    signals fully after three times as long"""
 
 
 class VerdictSpec(Spec):
-    """Beyond these limits a run's task has failed (`verdict`), see `lab.runs.verdict`."""
+    """Limits of a run's verdict, beyond which its task has failed."""
 
     force_rms: PositiveNumber = 0.1
-    """rms error of a force, of its mean command"""
+    """largest rms error of a force, as a share of its mean command"""
     limit_cycle: PositiveNumber = 0.05
-    """amplitude of a [limit cycle](metrics.md#limit-cycles), of the mean command"""
+    """largest amplitude of a [limit cycle](metrics.md#limit-cycles), as a share of the mean
+    command"""
     open_share: NotNegativeNumber = 0.01
-    """of its judged time that a contact is open"""
+    """largest share of the evaluated time for which a contact is open"""
     lost_time: Positive[Time] = 0.05
-    """that a contact is open in a row while the controller takes it as closed"""
+    """longest time for which a contact is open while it is closed for the controller"""
     distance: Positive[Length] = 0.1
-    """of the object from its reference, along the free directions"""
+    """largest distance of the object from its reference, along the free directions"""
     angle: Positive[Angle] = 0.3
-    """of the object from its reference, along the free directions"""
+    """largest angle of the object from its reference, along the free directions"""
     held_share: NotNegativeNumber = 0.01
-    """of the ticks that could not be computed"""
+    """largest share of ticks that could not be computed"""

@@ -117,10 +117,10 @@ class Spec(BaseModel):
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # files need no call of it
 
     def replaced(self, **keys: object) -> Self:
-        """The same with other values of some keys, checked anew.
+        """Copy with other values of some keys, which are checked.
 
         Raises:
-            InvalidInputError: they do not fit together.
+            InvalidInputError: the values do not fit together.
         """
         given = {key: getattr(self, key) for key in self.model_fields_set}
         return type(self)(**given | keys)
@@ -241,7 +241,7 @@ class Dimension:
 
     @property
     def expected(self) -> str:
-        """What a reader should write, as in "a length in m, mm, cm, µm"."""
+        """Description of a valid value for messages, for example "a length in m, mm, cm, µm"."""
         shown = [unit for unit in self.units if not _SPELLINGS.fullmatch(unit)]
         return f"{self.kind} in {', '.join(shown)}" if shown else self.kind
 

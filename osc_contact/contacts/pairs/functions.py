@@ -68,6 +68,7 @@ class GapFunctions(PackagedPair):
             raise InvalidInputError(f"{self.name}.step = {self.step}; give 1e-5 … 0.3")
 
     def _contact(self, b: Bodies) -> Contact:
+        """N and n_γ from the first and second differences of the gaps."""
         X_EA = b.X_E.actInv(b.X_A)
         to_E = np.kron(np.eye(2), b.X_E.rotation.T)
         units = np.repeat([self.length, 1.0], 3)

@@ -1,4 +1,4 @@
-"""What a state of contact is, in plain words: d, r, free motions, controllable forces."""
+"""Description of a state of contact in words: d, r, free motions, controllable forces."""
 
 import re
 from collections.abc import Iterator
@@ -95,7 +95,7 @@ def inspect_rig(rig: Rig) -> Inspection:
 
 
 def _friction(rig: Rig) -> Iterator[str]:
-    """What of friction and rotors in the controller's model limits its accuracy or stability."""
+    """Sentences on modelled friction and rotors that limit accuracy or stability of control."""
     how = rig.joint_friction
     for arm, own in zip(rig.model.arms, rig.model.slices, strict=True):
         share = how.share if how and (how.learning or how.errors) else 0.0
@@ -106,7 +106,7 @@ def _friction(rig: Rig) -> Iterator[str]:
 
 
 def _normals(rig: Rig) -> Iterator[str]:
-    """What of the contact normals the motion does not show, and what that costs."""
+    """Sentences on contact normals that the motion does not reveal, and the resulting errors."""
     std = 0.5 * rig.gains.force.tilt
     if std == 0.0:
         return

@@ -221,7 +221,7 @@ def swinging(rig: Rig) -> Values:
     0.2,
 )
 def carts(rig: Rig) -> Values:
-    """How far free carts run (m)."""
+    """Largest travel (m) of carts under the commanded forces."""
     t, plan = rig.references.overview
     dt = t[1] - t[0]
     for body in rig.bodies:
@@ -309,14 +309,14 @@ class _Solid:
 
     @cached_property
     def shapes(self) -> list[tuple[Any, pin.SE3]]:
-        """Of its file, with their poses; none where they are not convex, or not there."""
+        """Collision shapes of the body's file with their poses; empty unless all are convex."""
         try:
             return [(s.shape, self.placement * s.placement) for s in collision_shapes(self.urdf)]
         except (InvalidInputError, ModelError):
             return []
 
     def distance(self, point: Array) -> float:
-        """Of a point of the world, not positive inside."""
+        """Distance (m) of a point (3,) in the world from the body; not positive inside."""
         ball = coal.Sphere(1e-6), pin.SE3(np.eye(3), point)
         return min(nearest(*one, *ball).distance for one in self.shapes)
 

@@ -1,4 +1,4 @@
-"""How the bodies of a plant's environment move: at rest, driven, or free on a slide or a hinge."""
+"""Motion of the bodies in a plant's environment: at rest, driven, or free on a slide or hinge."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -76,7 +76,7 @@ class Faces:
         self._forget()
 
     def _forget(self) -> None:
-        """Of the drives, when they were driven last, and where they are then: (3, driven, 2)."""
+        """Reset the stored motion of driven bodies: time, and (3, driven, 2) position and rates."""
         self._commanded: tuple[float, Array] = nan, np.zeros((3, len(self._driven), 2))
 
     def reset(self) -> None:

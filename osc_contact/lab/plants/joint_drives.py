@@ -1,4 +1,4 @@
-"""What stands between a torque command and a joint: an imperfect motor, a spring, friction."""
+"""Drive between a torque command and a joint: imperfect motor, spring, friction."""
 
 from __future__ import annotations
 

@@ -80,10 +80,10 @@ class MujocoPlant:
         """Compile the scene.
 
         Args:
-            chain: the true arms and grasps; names, frames, poses and what rotors and friction
-                add to the joints are taken from it.
-            arm_urdfs: one file for each arm. object_urdf: the held object.
-            contacts: what true forces are expressed in; what touches is decided by the geometry.
+            chain: the true arms and grasps, with names, frames, poses, rotors and joint friction.
+            arm_urdfs: one file for each arm. object_urdf: file of the held object.
+            contacts: pairs in whose magnitudes true forces are expressed; contact itself is
+                determined by the collision geometry.
             bodies: URDF and pose in the world of each body of the environment.
             options: step, softness, friction and pushes on the arms; default: a step of 0.25 ms.
             rails: how each body moves; default: all are fixed.
@@ -221,7 +221,7 @@ class MujocoPlant:
         self._ctrl[:] = tau
 
     def readings(self, qpos: Array, qvel: Array, sensed: Array) -> tuple[Array, Array, Array]:
-        """What encoders and wrists read, of one plant or of the rows of a batch.
+        """Readings of encoders and wrists, of one plant or of the rows of a batch.
 
         Args:
             qpos, qvel, sensed: (…, m) MuJoCo's positions, velocities and sensor data.
@@ -270,7 +270,7 @@ class MujocoPlant:
         self.data.qfrc_applied[self._driven_v] = DRIVE_MASS * faces.second[self._driven]
 
     def truth(self) -> Truth:
-        """As of the last step's beginning, like the wrenches; see `MujocoTruth`."""
+        """Truth at the beginning of the last step, the instant of the wrenches."""
         log = self.log()
         log.note()
         return log.truths(log.noted())[0]
@@ -327,7 +327,7 @@ class MujocoPlant:
         return not (self.faces.moving or self.pushes or self.drives.motors is not None)
 
     def steps_in(self, period: float) -> int:
-        """How many of MuJoCo's steps a control period (s) has."""
+        """Number of MuJoCo's steps in a control period (s)."""
         return round(period / self._step) or 1
 
     def _push(self, push: Push, force: Array) -> None:

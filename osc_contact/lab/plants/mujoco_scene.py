@@ -257,7 +257,7 @@ def _add_friction(spec: MjSpec, options: PlantSpec) -> None:
     most = _IMPEDANCE
 
     def root(d: float) -> float:
-        """Of the spring, d/√(1 − d)."""
+        """Relative natural frequency d/√(1 − d) of a contact's spring for the impedance d."""
         return d / np.sqrt(1.0 - d)
 
     share = most / root(high)

@@ -52,10 +52,10 @@ _PRESSES = 1e-5
 
 
 def guided_joints(rails: Sequence[Rail]) -> tuple[Array, Array]:
-    """Of each joint of the bodies that move: its body, and 0 of a travel, 1 of a turn.
+    """Body and kind (0 travel, 1 turn) of each joint of the moving bodies.
 
     Args:
-        rails: of the bodies of the environment.
+        rails: rails of the bodies of the environment.
     """
     guides = [(i, k) for i, rail in enumerate(rails) for k in rail.joints]
     bodies, kinds = np.array(guides, dtype=int).reshape(-1, 2).T
@@ -70,11 +70,11 @@ class MujocoNotes:
     """
 
     def __init__(self, contacts: Sequence[ContactPair], faces: Faces, inertia: Array) -> None:
-        """Read notes of a plant with these contacts.
+        """Prepare the evaluation of the numbers that a plant stores for each tick.
 
         Args:
-            contacts: the pairs. faces: bodies of the environment.
-            inertia: (6, 6) of the object at its origin, in its axes.
+            contacts: contact pairs of the plant. faces: bodies of its environment.
+            inertia: (6, 6) inertia of the object at its origin, in its axes.
         """
         self._contacts = contacts
         self._faces = faces

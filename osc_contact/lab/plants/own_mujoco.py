@@ -89,15 +89,18 @@ class MujocoScene:
         require_whole_steps(duration, self._step)
 
     def distance(self, point: Array) -> tuple[float, str]:
-        """Of a point of the world (3,) from the nearest geom (m), and that one's name.
+        """Distance (m) of a point (3,) in the world from the nearest geom, and the geom's name.
 
-        It is negative within the geom; inf where there is none within 10 m.
+        The distance is negative within the geom, and inf if no geom is within 10 m.
         """
         self._at.geom_xpos[self._point] = point
         return _nearest(self._probe, self._at, [(self._point, b) for b in self._others])
 
     def clearance(self) -> tuple[float, str]:
-        """The same of the tool; negative where it penetrates."""
+        """Distance (m) of the tool from the nearest geom, and the geom's name.
+
+        The distance is negative if the tool penetrates the geom.
+        """
         return _nearest(self._model, self._data, self.pairs)
 
 
@@ -245,7 +248,11 @@ class MujocoRobot(MujocoPlant):
         self._warn_of_friction(np.flatnonzero(~own))
 
     def _take_motors(self, joints: Array) -> None:
-        """Where torques go: through a plain motor, or to the joint itself."""
+        """Assign each joint a plain motor for its torques, or none: they act on the joint directly.
+
+        Args:
+            joints: indices of the joints.
+        """
         mj = self.model
         kinds = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
         per_torque = mj.actuator_gear[:, 0] * mj.actuator_gainprm[:, 0]
@@ -349,7 +356,7 @@ class MujocoRobot(MujocoPlant):
         super().command(tau, duration)
 
     def picture(self) -> Json:
-        """What is seen of the scene, as JSON data; recordings carry it, see `robots.pictures`."""
+        """Visible shapes of the scene as data for JSON, for recordings (`robots.pictures`)."""
         model = self.chain.model
         mj = self.model
         number = {adr: j for j, adr in enumerate(mj.jnt_qposadr)}
@@ -357,7 +364,7 @@ class MujocoRobot(MujocoPlant):
         return scene_picture(mj, self.data, model, np.array(self._qpos[self._q]), joints)
 
     def scene(self) -> MujocoScene:
-        """What stands around the arm now: distances from what the tool can touch, and masses."""
+        """Scene around the arm at present: distances from the geoms near the tool, and masses."""
         tool, others = (np.flatnonzero(self.body_of == which).tolist() for which in (OBJECT, 0))
         return MujocoScene(
             self.model, self.data, tool, others, chain=self.chain, loose=self._loose_joints()

@@ -76,7 +76,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Sensors:
-    """What each kind of sensor does to its readings; None: it is ideal.
+    """Errors of each kind of sensor; None: an ideal sensor.
 
     Attributes:
         encoders: joint positions (n,). joint_torques: (n_a,). wrists: (arms, 6).
@@ -129,7 +129,7 @@ class SensedPlant:
         """Nothing to do."""
 
     def truth(self) -> Truth:
-        """Of the plant inside: sensors do not touch it."""
+        """Truth of the plant, which the sensors do not affect."""
         return self.plant.truth()
 
     def poses(self) -> Array:
@@ -141,7 +141,7 @@ class SensedPlant:
         return self.plant.log()
 
     def measure(self) -> Measurement:
-        """What has arrived by now, and when it was sampled."""
+        """Measurement of the samples that have arrived, with their times."""
         stamps = dict.fromkeys((*_READ, "vision"), self.time)
         read: Reading = {}
         for name, sensor in self._sensor.items():
@@ -194,7 +194,11 @@ class SensedPlant:
         return {_READ[name]: reading}
 
     def _pictured(self, poses: Array) -> Reading:
-        """What a picture shows, as parts of a measurement."""
+        """Seen object and robots, and touched bodies, as fields of a measurement.
+
+        Args:
+            poses: (bodies, 4, 4) poses in a picture: object, robots, touched bodies.
+        """
         read: Reading = {"seen": Seen(poses[0], poses[1 : self._robots])}
         bodies = poses[self._robots :]
         if len(bodies):

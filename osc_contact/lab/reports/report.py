@@ -1,4 +1,4 @@
-"""What people read: tables of the command line, and the files that a run leaves behind."""
+"""Reports of runs: tables of the command line, and files of results."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -82,14 +82,14 @@ def verdict_table(verdict: Json) -> Table:
 
 
 def task_lines(verdict: Json) -> Iterator[str]:
-    """How the task went, in a word, and why."""
+    """Lines with the verdict on the task and its causes."""
     task = verdict["task"]
     yield f"verdict: {task['word']}" + (", the task failed" if task["failed"] else "")
     yield from (f"  {why}" for why in task["why"])
 
 
 def _first(t: float, contact: str, steps: Sequence[Json]) -> str:
-    """When a contact closed and how far its forces overshot."""
+    """Line on the time at which a contact closed and the overshoot of its forces."""
     own = [s for s in steps if s["what"] == "first contact" and _owner(s["force"]) == contact]
     return f"at {t:.3f} s" + "".join(f"; {_over(s)}" for s in own)
 

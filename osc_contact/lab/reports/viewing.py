@@ -1,4 +1,4 @@
-"""Scenes of scenarios and recordings, live, replayed, as pictures."""
+"""Scenes of scenarios and recordings: live views, replays, still and moving pictures."""
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,11 +25,11 @@ from osc_contact.lab.visual.run_figures import DRAWN
 from osc_contact.lab.visual.scene import Scene, write_scene
 from osc_contact.recorder import Recording
 
-_LARGEST = 1e9  #: m, rad, N, W; no run comes near it
+_LARGEST = 1e9  #: m, rad, N, W, largest plausible number in a recording
 
 
 def content_of(what: Rig | MujocoRobot | Content) -> Content:
-    """What pictures of a scenario's rig show, or of a robot in a MuJoCo scene."""
+    """Content of pictures of a scenario's rig, or of a robot in a MuJoCo scene."""
     if isinstance(what, Rig):
         return _content_of_rig(what)
     if isinstance(what, Content):
@@ -40,10 +40,10 @@ def content_of(what: Rig | MujocoRobot | Content) -> Content:
 
 
 def content_of_recording(recording: Recording) -> Content:
-    """What pictures of a recording show that carries a picture.
+    """Content of pictures of a recording that has a picture in its meta data.
 
     Raises:
-        RecordingError: that is damaged, or there is no first tick.
+        RecordingError: the picture is damaged.
     """
     meta = recording.meta
     try:
@@ -65,13 +65,14 @@ def _of_picture(
 
 
 def shown_of(recording: Recording, path: Path, folder: StrPath | None = None) -> Content:
-    """What a recording is of: the picture that it carries, or its scenario.
+    """Content of pictures of a recording, from the picture in its meta data or its scenario.
 
     Args:
-        recording, path: as read, and its file. folder: as of `scenario_of`.
+        recording: the recording. path: its file. folder: folder of the scenario's files, see
+            `scenario_of`.
 
     Raises:
-        RecordingError: it holds neither, see `scenario_of`.
+        RecordingError: the recording has neither a picture nor a scenario.
     """
     if "picture" in recording.meta:
         return content_of_recording(recording)
@@ -81,26 +82,27 @@ def shown_of(recording: Recording, path: Path, folder: StrPath | None = None) ->
 def write_scene_of(
     recording: Recording, rig: Rig | Content, path: Path, still: float | None = None
 ) -> Path:
-    """The moving scene of a run as one HTML file that needs no server.
+    """Write the moving scene of a run as one HTML file that works without a server.
 
     Args:
-        recording: of a run of this rig.
-        rig: what is shown.
-        path: the page to write.
-        still: s; the page opens standing still at that time instead of playing.
+        recording: recording of a run of this rig.
+        rig: the rig, or the content of its scene.
+        path: file of the page.
+        still: time (s) at which the page opens as a still picture; None: the page plays.
     """
     return write_scene(recording.thinned(DRAWN), content_of(rig), path, still=still)
 
 
 def require_drawable(recording: Recording, shown: Content, source: str) -> None:
-    """Refuse a recording that runs of this rig cannot have left; channels may be missing.
+    """Refuse a recording that does not fit the content of its scene; channels may be missing.
 
     Args:
-        recording: read from a file. shown: what it is of. source: the file.
+        recording: recording read from a file. shown: content of the scene. source: name of the
+            file.
 
     Raises:
-        RecordingError: other contacts, channels of other shapes, times that do not grow, numbers
-            too large to be drawn. NaN is a number that is not known, as of a tick that was held.
+        RecordingError: other contacts, channels of other shapes, times that do not increase, or
+            numbers too large to be drawn. NaN is permitted for values of held ticks.
     """
     names = list(shown.contacts)
     owners = list(shown.columns)
@@ -155,9 +157,8 @@ def open_viewer(what: str | Path | Scenario | MujocoRobot | Content, rate: float
     """Open a live view of runs, for ``run(scenario, viewer=...)`` or ``run_loop(...)``.
 
     Args:
-        what: will be run: a scenario, its name or path as for `load_scenario`, or a robot in a
-            MuJoCo scene.
-        rate: pictures per second at most, 1 … 60.
+        what: a scenario, its name or path as for `load_scenario`, or a robot in a MuJoCo scene.
+        rate: largest number of pictures per second, 1 … 60.
 
     Returns:
         The viewer; its `url` opens in a browser on this machine, `close` ends it.
@@ -170,14 +171,14 @@ def open_viewer(what: str | Path | Scenario | MujocoRobot | Content, rate: float
 
 
 class RealTime:
-    """A viewer for watching: passes ticks on, and holds up whatever runs faster than real time."""
+    """Viewer that slows a run or a replay down to real time."""
 
     def __init__(self, viewer: Viewer) -> None:
         self.viewer = viewer
         self.begin: float | None = None
 
     def show(self, tick: Mapping[str, Any]) -> None:
-        """Pass the tick on, then wait until its time has come."""
+        """Show a tick, then wait until its time."""
         self.viewer.show(tick)
         t = float(tick["t"])
         if self.begin is None:
@@ -186,7 +187,7 @@ class RealTime:
 
 
 def replay(recording: Recording, viewer: Viewer) -> None:
-    """Show a recording in real time, until its end or the viewer's."""
+    """Show a recording in real time, until its end or an error of the viewer."""
     clock = RealTime(viewer)
     for tick in range(len(recording)):
         if viewer.error is not None:
@@ -195,7 +196,14 @@ def replay(recording: Recording, viewer: Viewer) -> None:
 
 
 def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
-    """Look ten times per second whether the condition has come true; False after `seconds`."""
+    """Wait until a condition is true, which is evaluated ten times per second.
+
+    Args:
+        condition: function without arguments. seconds: longest time to wait (s).
+
+    Returns:
+        False if the condition was not true in this time.
+    """
     end = monotonic() + seconds
     while not condition():
         if monotonic() >= end:
@@ -205,10 +213,11 @@ def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
 
 
 def picture(recording: Recording, rig: Rig | Content, path: Path, time: float | None) -> Path:
-    """A PNG of the recording's page at a time (s), default the middle.
+    """Write a PNG of a recording's scene at one time.
 
     Args:
-        recording: to draw. rig: it was made on. path: of the PNG. time: s.
+        recording: the recording. rig: its rig, or the content of the scene. path: file of the PNG.
+        time: time in the recording (s); None: its middle.
 
     Raises:
         ViewerError: there is no browser to render it.
@@ -227,13 +236,13 @@ def picture(recording: Recording, rig: Rig | Content, path: Path, time: float | 
 def moving_picture(
     recording: Recording, rig: Rig | Content, path: Path, write: Callable[..., Path]
 ) -> Path:
-    """The whole recording, moving.
+    """Write the scene of a whole recording as a moving picture.
 
     Args:
-        recording: what is shown.
-        rig: the parts of its scenario.
-        path: to write.
-        write: write_gif or write_mp4.
+        recording: the recording.
+        rig: its rig, or the content of the scene.
+        path: file of the picture.
+        write: `write_gif` or `write_mp4`.
 
     Raises:
         ViewerError: there is no browser to render it.

@@ -60,7 +60,7 @@ _POWERS = ("power_total", "power_projected")
 
 
 class Hindrance(NamedTuple):
-    """What Python computes step by step, so that a page cannot have it.
+    """Feature of a scenario that Python computes in every step, so that a page cannot have it.
 
     Attributes:
         name: for `without`. words: what it is. found: whether a scenario has it.
@@ -227,7 +227,7 @@ def folded(table: Array) -> tuple[Json, bytes]:
 
 
 def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
-    """What the worker needs beside the files; JSON-able."""
+    """Data for the page's worker in addition to the files, for JSON."""
     model = plant.model
     names = rig.chain.joint_names
     joints = [model.joint(name) for name in names]

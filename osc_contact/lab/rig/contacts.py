@@ -1,4 +1,4 @@
-"""From a scenario to contact pairs and the bodies of the environment they are on.
+"""Contact pairs and bodies of the environment, made from a scenario.
 
 Every pair is built in the world's coordinates at the start: its environment frame E coincides with
 the world while the body it is on stands where it began.
@@ -206,7 +206,7 @@ def placements_of(bodies: Sequence[EnvironmentBody], on: Sequence[int]) -> Array
 
 @dataclass(frozen=True)
 class OwnMotion:
-    """How a body of the environment moves, given as objects: `motion` in a scenario made in Python.
+    """Motion of a body of the environment as objects, for `motion` in a scenario made in Python.
 
     Attributes:
         rail: how the plants move it; driven by any function of time, or free.
@@ -222,7 +222,7 @@ class OwnMotion:
 
 
 def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
-    """What a scenario describes, as objects."""
+    """Convert the description of a body's motion in a scenario to objects."""
     if isinstance(motion, OwnMotion):
         return motion
     if isinstance(motion, ConveyorSpec):
@@ -238,14 +238,14 @@ def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
 
 
 def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
-    """(s, ṡ, s̈) of travel (m) and angle (rad), each (2,)."""
+    """Travel (m) and angle (rad) of a driven body at time t, (2,), with their first two rates."""
     turn = () if motion.turn is None else motion.turn.signals
     s, rates, second = np.array((total(motion.signals, t), total(turn, t))).T
     return s, rates, second
 
 
 def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail]:
-    """How each body of the plant moves.
+    """Rail of each body in the plant, by which it moves.
 
     Raises:
         ScenarioError: a driven body does not start where the contacts touch.
@@ -264,10 +264,11 @@ def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail]:
 
 
 def known_bodies(bodies: Sequence[EnvironmentBody], contacts: int, how: str) -> list[Body | None]:
-    """The answer of the body at each contact in the controller's model.
+    """Touched body at each contact in the controller's model; None for an unyielding body at rest.
 
     Args:
-        bodies: of the environment. contacts: how many. how: `model_error.environment`.
+        bodies: bodies of the environment. contacts: number of contacts.
+        how: value of `model_error.environment`.
     """
     known: list[Body | None] = [None] * contacts
     for body in bodies:
@@ -286,13 +287,14 @@ def known_bodies(bodies: Sequence[EnvironmentBody], contacts: int, how: str) -> 
 def tracked(
     pairs: Sequence[ContactPair], object_urdf: Path, bodies: Sequence[EnvironmentBody]
 ) -> tuple[TrackedContact, ...]:
-    """Contacts read off the collision geometry; of the declared ones only the names are used.
+    """Contacts detected from the collision geometry, with the names of the declared contacts.
 
     Args:
-        pairs: declared contacts. object_urdf: file of the object. bodies: of the environment.
+        pairs: declared contacts. object_urdf: file of the object. bodies: bodies of the
+            environment.
 
     Raises:
-        ScenarioError: several contacts are on one body: they could not be distinguished.
+        ScenarioError: several contacts are on one body, so that they cannot be distinguished.
     """
     held = collision_shapes(object_urdf)
     found = {}

@@ -250,7 +250,7 @@ class ObservedRobot:
         return bad
 
     def measure(self) -> Measurement:
-        """With everything a controller needs."""
+        """Measurement for a controller, with estimates of the velocities that are not measured."""
         measurement = self.robot.measure()
         stamps = measurement.stamps
         if stamps is None:

@@ -1,4 +1,4 @@
-"""What is desired at time t, from a scenario's signals."""
+"""References at time t, from the signals of a scenario."""
 
 from __future__ import annotations
 
@@ -110,8 +110,11 @@ class References:
 
     @property
     def engage_at(self) -> float:
-        """When the contacts enter the controller's model (s): after tare and approach, which is
-        the controller's own business where `control.life` is set."""
+        """Time at which contacts engage (s): after the tare, and after the approach of the motion.
+
+        With contact phases (`control.life`) the controller makes the approach by itself, so that
+        contacts engage directly after the tare.
+        """
         tare = self.scenario.tare
         if tare is None:
             return 0.0
@@ -247,10 +250,12 @@ class Plan:
     def of(
         cls, place: Array, turn: _Turn, X_start: pin.SE3, alpha: Array, squeeze: float = 0.0
     ) -> Plan:
-        """Of the origin's (3, 3, k) position, velocity and acceleration, and its turn from X_start.
+        """Make a plan from the motion of the object's origin and its rotation.
 
         Args:
-            place, turn, X_start: of the object. alpha: (r, k) desired magnitudes. squeeze: desired.
+            place: (3, 3, k) position, velocity and acceleration of the origin (m, s).
+            turn: rotation from X_start. X_start: pose of the object at the start.
+            alpha: (r, k) desired forces (N). squeeze: desired internal force (N).
         """
         p, v, a = place
         R = rotated(turn.R, X_start.rotation[:, :, None])
@@ -316,7 +321,7 @@ _STEP = 2e-3  #: s
 
 
 class SurfaceMotion:
-    """Where the object is while its ball moves on a surface that rests.
+    """Motion of the object while its ball moves on a surface at rest.
 
     From the start pose the object is turned by the shortest way from the normal there to the normal
     at the foot; its ball touches.

@@ -1,4 +1,4 @@
-"""From a scenario to the parts of a run: true chain, controller's chain, contacts, plant, start."""
+"""Parts of a run, made from a scenario: true chain, controller's model, contacts, plant, start."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ from osc_contact.settings.control import (
 )
 from osc_contact.spatial import Array
 
-FAR_M = 0.02  #: a contact further from what it touches is named where the start is not found
+FAR_M = 0.02  #: m, gap from which on a contact is named in an error about the start
 
 
 def posture_of(scenario: Scenario, chain: ClosedChain) -> Array:
-    """(n,) the postures of all arms.
+    """Postures of all arms in a scenario, as joint positions (n,) (m, rad).
 
     Raises:
-        ScenarioError: not one number for each joint on the way to a tip.
+        ScenarioError: the number of positions differs from that of the joints.
     """
     q = np.concatenate([arm.posture for arm in scenario.arms])
     if len(q) != chain.nq:
@@ -83,7 +83,7 @@ def posture_of(scenario: Scenario, chain: ClosedChain) -> Array:
 
 
 def given_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE3:
-    """`object.pose`, or where the posture puts what the first arm with a rigid grasp holds.
+    """Pose of the object from `object.pose`, or from the posture of an arm with a rigid grasp.
 
     Args:
         scenario: with or without `object.pose`.
@@ -91,24 +91,25 @@ def given_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE
         posture: (n,) joint positions (m, rad).
 
     Raises:
-        ModelError: it is left out, and the joints do not determine the pose.
+        ModelError: `object.pose` is not given, and the joints do not determine the pose.
     """
     given = scenario.object.pose
     return object_pose(chain, posture) if given is None else pose_of(given)
 
 
 def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: pin.SE3) -> Array:
-    """(n,) joint positions near q that put the object onto its contacts, from near X_WO.
+    """Joint positions (n,) near q at which all contacts touch (m, rad).
 
     Args:
         chain: arms and grasps.
-        pairs: that shall be in contact.
-        q: (n,) joint positions to begin from (m, rad).
-        X_WO: pose of the object to begin from.
+        pairs: pairs that are to touch.
+        q: (n,) joint positions from which the search starts (m, rad).
+        X_WO: pose of the object from which the search starts.
 
     Raises:
-        ModelError: arms, grasps and contacts cannot be met together. ScenarioError: only outside
-            the joints' limits. Both name the contact that is furthest away.
+        ModelError: no joint positions satisfy grasps and contacts.
+        ScenarioError: such positions are outside the joints' limits only. Both messages name the
+            contact that is furthest away.
     """
 
     faces = Faces(None, None, len(pairs))  # at rest
@@ -127,7 +128,7 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
 
 
 def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
-    """Which contact is furthest from its face at the given pose, in words."""
+    """Sentence on the contact that is furthest from its face at a pose; empty if it is near."""
     gaps = [(np.abs(pair.gaps(X_WO)).max(initial=0.0), pair.name) for pair in pairs]
     gap, name = max(gaps, default=(0.0, ""))
     if gap < FAR_M:
@@ -138,22 +139,22 @@ def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
     )
 
 
-MakesChain = Callable[[Scenario, ModelErrorSpec], ClosedChain]  #: such as `build_chain`
-TARE_INTEGRAL_S = 0.2  #: integral_time of the motion where there is a tare
+MakesChain = Callable[[Scenario, ModelErrorSpec], ClosedChain]  #: type of `build_chain`
+TARE_INTEGRAL_S = 0.2  #: s, default integral_time of the motion in a scenario with a tare
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Everything one run needs.
+    """Parts of a run, made from a scenario.
 
     Attributes:
-        scenario: as loaded.
-        chain: the true arms and object. model: the controller's idea of them.
-        pairs: the contacts. bodies: what they are on.
-        q_contact: (n,) joint positions with loops closed and contacts touching.
-        q_start: (n,) where the run starts: the same, or off the contacts if it begins with a tare.
-        references: of the run.
-        X_given: the pose of the object that the scenario gives.
+        scenario: the scenario.
+        chain: the true arms and object. model: the controller's model of them.
+        pairs: the contacts. bodies: bodies of the environment.
+        q_contact: (n,) joint positions with closed loops and touching contacts (m, rad).
+        q_start: (n,) joint positions at the start: `q_contact`, or off the contacts for a tare.
+        references: references of the run.
+        X_given: pose of the object in the scenario.
         state: the true chain at rest in contact.
 
     Example:
@@ -174,19 +175,20 @@ class Rig:
     state: ChainState
 
     def with_error(self, scenario: Scenario, chains: MakesChain) -> Rig:
-        """The same robot at the same task; the controller's model has other things wrong.
+        """Copy with another error of the controller's model.
 
         Args:
-            scenario: differs in `model_error`, but for `hidden_mass`, and `verdict` only.
-            chains: makes the chains, see `build_rig`.
+            scenario: scenario that differs only in `model_error` (except `hidden_mass`) and
+                `verdict`.
+            chains: function that makes the chains, see `build_rig`.
         """
         return replace(self, scenario=scenario, model=_model(scenario, self.chain, chains))
 
     def plant(self, seed: int = 0) -> Plant:
-        """The plant the scenario names, at its start, seen through its sensors.
+        """Make the plant of the scenario with its sensors, at the start of the run.
 
         Args:
-            seed: of everything random in sensors and motors.
+            seed: seed of all random numbers of sensors and motors.
 
         Raises:
             ScenarioError: a tare on an exact plant, whose contacts cannot open.
@@ -206,14 +208,14 @@ class Rig:
         return SensedPlant(plant, sensors, seed)
 
     def at_start(self, read: Measurement) -> Measurement:
-        """What ideal encoders and trackers would have read at the start, where all is at rest."""
+        """Replace positions and speeds of a measurement by those of ideal sensors at the start."""
         if read.touched is not None:
             still = np.zeros_like(read.touched.V_E)
             read = replace(read, touched=replace(read.touched, V_E=still))
         return replace(read, q=self.q_start, v=np.zeros(self.chain.nq))
 
     def file_hashes(self) -> dict[str, str]:
-        """SHA-256 of the URDFs of arms, object and surroundings, by what they are of."""
+        """Hashes (SHA-256) of the URDFs of arms, object and environment, by their keys."""
         scenario = self.scenario
         files = {f"arms.{arm.name}": urdf_of(scenario, arm) for arm in scenario.arms}
         files["object"] = urdf_of(scenario, scenario.object)
@@ -221,8 +223,11 @@ class Rig:
         return {name: sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
 
     def robot(self, plant: Plant, controller: Controller) -> Robot:
-        """The plant as the control loop meets it: behind the joint torque loop, if any, and what
-        estimates the velocities that its sensors do not give."""
+        """Robot for the control loop: the plant with joint torque loop and velocity estimates.
+
+        The joint torque loop is added if the scenario has one, the estimates of velocities unless
+        its sensors are ideal.
+        """
         robot: Robot = plant
         loop = hardware.torque_loop(self.scenario, self.chain, self.springs)
         if loop is not None:
@@ -233,19 +238,23 @@ class Rig:
 
     @cached_property
     def springs(self) -> FlexibleJoints | None:
-        """Of the joints; a `ScenarioError` where they cannot be."""
+        """Springs of flexible joints, or None.
+
+        Raises:
+            ScenarioError: a joint cannot be flexible.
+        """
         return hardware.flexible_joints(self.scenario, self.chain, self.state)
 
     def subject(self, controller: Controller) -> Subject:
-        """What a recording of this rig is of."""
+        """Description of the system for recordings of this rig."""
         return subject_of(controller, self.pairs, self.placements, self.owners)
 
     @property
     def gains(self) -> Gains:
-        """Those of the scenario, as the controller takes them.
+        """Gains of the controller: those of the scenario, with a motion integral for a tare.
 
-        Off the contacts nothing but the motion integral holds what the model takes wrongly for
-        weight, so a tare brings one unless the scenario gives the law's own gains.
+        Away from the contacts only the motion integral balances errors of the modelled weight. A
+        scenario with a tare therefore has an integral by default.
         """
         gains = self.scenario.gains
         given = gains.motion.model_fields_set
@@ -255,17 +264,17 @@ class Rig:
 
     @property
     def joint_friction(self) -> JointFriction | None:
-        """As the controller takes it: beside a tare wrong masses are compensated, too."""
+        """Settings of joint friction; by default a tare enables compensation of mass errors."""
         friction = self.scenario.control.joint_friction
         if friction is None or friction.errors is not None:
             return friction
         return friction.replaced(errors=self.scenario.tare is not None)
 
     def controller(self) -> Controller:
-        """The controller with the scenario's gains, made of `model` alone.
+        """Make the controller of the scenario from `model`.
 
-        Where the scenario has a `tare` it begins without its contacts, as `osc.run` does: a loop of
-        your own averages `residual_wrench()` into `f_tare`, and calls `engage()`.
+        In a scenario with a `tare` it begins without its contacts, as in `osc.run`: a program with
+        its own loop averages `residual_wrench()` to `f_tare`, and then calls `engage()`.
         """
         scenario = self.scenario
         control = scenario.control
@@ -288,33 +297,33 @@ class Rig:
 
     @cached_property
     def safety(self) -> SafetySettings:
-        """As the controller takes them: ceilings not given follow from the scenario's commands."""
+        """Safety settings, in which ceilings that are not given follow from the commands."""
         return self.scenario.control.safety.for_commands(*self.references.largest_commands)
 
     @property
     def life(self) -> PhaseSettings | None:
-        """How contacts are made and kept; None: they do not open, or cannot on an exact plant."""
+        """Settings of contact phases; None without phases, and for exact plants."""
         return life_of(self.scenario)
 
     def controlled_pairs(self) -> tuple[ContactPair, ...]:
-        """The controller's contacts: as declared, or read off the geometry while it moves."""
+        """Contacts of the controller: the declared ones, or those detected from the geometry."""
         if self.scenario.control.contacts == "declared":
             return misplaced(self.scenario, self.pairs, self.bodies, self.state.X_WO)
         return tracked(self.pairs, urdf_of(self.scenario, self.scenario.object), self.bodies)
 
     @cached_property
     def on(self) -> tuple[int, ...]:
-        """The body of each contact, a number of `bodies`."""
+        """Index in `bodies` of the body of each contact."""
         return touched_bodies(self.bodies, len(self.pairs))
 
     @cached_property
     def placements(self) -> Array:
-        """(contacts, 4, 4) X_WB at the start, of the body of each contact."""
+        """Initial pose X_WB of the body of each contact, (contacts, 4, 4)."""
         return placements_of(self.bodies, self.on)
 
     @cached_property
     def owners(self) -> Array:
-        """(r,) the contact of each force magnitude."""
+        """Index (r,) of the contact of each force magnitude."""
         return force_owners(self.pairs)
 
     @property
@@ -324,37 +333,37 @@ class Rig:
 
     @cached_property
     def contact(self) -> Contact:
-        """The contact state where the chain is at rest in contact."""
+        """State of contact of the chain at rest in contact."""
         return contact_at(self.pairs, self.state.X_WO)
 
 
 def life_of(scenario: Scenario) -> PhaseSettings | None:
-    """How the contacts of a scenario are made and kept, see `Rig.life`."""
+    """Settings of contact phases of a scenario; None without phases, and for exact plants."""
     return None if scenario.plant.exact else scenario.control.life
 
 
 MakesPlant = Callable[[Rig, int], Plant]
-#: Makes what reads the notes of a plant's log, of a scenario and its contact pairs.
+#: Function that makes the reader of a plant's log, from a scenario and its contact pairs.
 MakesTruths = Callable[[Scenario, Sequence[ContactPair]], ReadsTruth]
-#: Every registered plant by its name in scenarios: makes it of a rig and a seed.
+#: Functions that make the registered plants from a rig and a seed, by their names in scenarios.
 PLANTS: dict[str, MakesPlant] = {}
-#: Of registered plants whose notes are read without them.
+#: Readers of the logs of registered plants that can be read without the plant.
 TRUTHS: dict[str, MakesTruths] = {}
 
 
 def register_plant(
     name: str, *, exact: bool = False, truths: MakesTruths | None = None
 ) -> Callable[[MakesPlant], MakesPlant]:
-    """Function decorator: enter a plant in the register, for `plant.type` of scenarios.
+    """Function decorator that registers a plant for `plant.type` of scenarios.
 
-    The function makes it of a `Rig` and the seed of everything random.
+    The function makes the plant from a `Rig` and a seed of random numbers.
 
     Args:
-        name: in scenarios.
-        exact: its joints are ideal and its contacts neither open nor end: then no tare, motor
-            error, push or edge of a face.
-        truths: makes what reads the notes of the plant's log, of a scenario and its pairs; None:
-            `recover` makes the plant for it.
+        name: name in scenarios.
+        exact: whether its joints are ideal and its contacts bilateral and unbounded, so that tares,
+            motor errors, pushes and edges of faces are not possible.
+        truths: function that makes the reader of the plant's log, from a scenario and its pairs;
+            None: `recover` makes the plant for it.
     """
 
     def enter(make: MakesPlant) -> MakesPlant:
@@ -401,14 +410,14 @@ def _mujoco(rig: Rig, seed: int) -> Plant:
 
 
 def build_rig(scenario: str | Path | Scenario, chains: MakesChain | None = None) -> Rig:
-    """Load the parts, close the loops, put the object onto the faces.
+    """Load the parts of a scenario, close the kinematic loops, and find the start in contact.
 
     Args:
-        scenario: name or path as for `load_scenario`, or a scenario.
-        chains: makes the chains in place of `build_chain`, such as one that keeps them.
+        scenario: a scenario, or its name or path as for `load_scenario`.
+        chains: function that makes the chains in place of `build_chain`, for example with a cache.
 
     Raises:
-        ScenarioError, ModelError, ContactError: with what does not fit together.
+        ScenarioError, ModelError, ContactError: parts of the scenario do not fit together.
     """
     scenario = as_scenario(scenario)
     make = chains or build_chain
@@ -438,15 +447,16 @@ def build_rig(scenario: str | Path | Scenario, chains: MakesChain | None = None)
 
 
 def _true(error: ModelErrorSpec) -> ModelErrorSpec:
-    """The hidden mass of a model error."""
+    """Model error of the true chain, which has only the hidden mass."""
     return ModelErrorSpec(hidden_mass=error.hidden_mass)
 
 
 def _model(scenario: Scenario, chain: ClosedChain, make: MakesChain) -> ClosedChain:
-    """The controller's idea of arms and object: the true chain where nothing of it is wrong.
+    """Controller's model of arms and object, which is the true chain without model errors.
 
     Args:
-        scenario: with its `model_error`. chain: the true one. make: see `build_rig`.
+        scenario: scenario with its `model_error`. chain: the true chain. make: function that makes
+            chains.
     """
     error = scenario.model_error
     keys = ("arm_mass", "object_mass", "joint_friction", "armature")
@@ -455,10 +465,11 @@ def _model(scenario: Scenario, chain: ClosedChain, make: MakesChain) -> ClosedCh
 
 
 def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> ClosedChain:
-    """Arms and object of a scenario; masses, friction and rotors times the factors of an error.
+    """Make the chain of arms and object of a scenario, with the factors of a model error.
 
     Args:
-        scenario: with arms, grasps and object. error: with the factors, and a hidden mass.
+        scenario: scenario with arms, grasps and object. error: factors of masses, friction and
+            rotors, and a hidden mass; None: no error.
     """
     error = error or ModelErrorSpec()
     arms = [
@@ -487,11 +498,11 @@ def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> Clos
 
 
 def held_object(scenario: Scenario, error: ModelErrorSpec) -> RigidObject:
-    """The object of a scenario; its mass times the factor of an error, and with its hidden mass.
+    """Make the object of a scenario, with the mass factor and the hidden mass of a model error.
 
     Args:
-        scenario: with arms, grasps and object. error: with the factor and the hidden mass, a point
-            where the first arm grasps the object.
+        scenario: scenario with arms, grasps and object. error: factor of the mass, and a hidden
+            point mass where the first arm grasps the object.
     """
     held = RigidObject(robots.load_body(urdf_of(scenario, scenario.object)))
     held = held.scaled(error.object_mass)
@@ -504,7 +515,7 @@ def held_object(scenario: Scenario, error: ModelErrorSpec) -> RigidObject:
 
 
 def _per_joint(given: Sequence[float] | None) -> float | Sequence[float] | None:
-    """A list of one stands for all joints."""
+    """Return the number in a list of one element, which is valid for all joints, or the list."""
     return given[0] if given is not None and len(given) == 1 else given
 
 
@@ -513,19 +524,19 @@ def _grasp(spec: GraspSpec) -> Grasp:
     return GRASPS[spec.type].make(pose_of(spec), *axis)
 
 
-# How hard contacts are met: the peak of the force that a landing is expected to have.
+# Landings: expected peak forces when contacts are made.
 
 
 @dataclass(frozen=True)
 class Landing:
-    """One force of a contact that is approached.
+    """Expected landing of a contact, for one of its forces.
 
     Attributes:
-        name: of the force. speed: v_a of the approach (m/s).
-        mass: behind the contact along its normal, 1 / NᵀΦ₀N (kg).
-        stiffness: of contact and face in series (N/m). command: the largest (N).
-        peak: expected, v √(k m) (N), or the command where that is more.
-        free: whether the contact is still to be made when the run begins.
+        name: name of the force. speed: speed v_a of the approach (m/s).
+        mass: effective mass along the normal, 1 / NᵀΦ₀N (kg).
+        stiffness: stiffness of contact and face in series (N/m). command: largest command (N).
+        peak: expected peak force, v √(k m) or the command, whichever is larger (N).
+        free: whether the contact is open at the beginning of the run.
     """
 
     name: str
@@ -538,7 +549,7 @@ class Landing:
 
     @property
     def sentence(self) -> str:
-        """For people."""
+        """Sentence on speed, mass, stiffness and peak force."""
         return (
             f"'{self.name}' lands at {1e3 * self.speed:.3g} mm/s with {self.mass:.3g} kg behind it "
             f"on {1e-3 * self.stiffness:.3g} kN/m: up to {self.peak:.3g} N"
@@ -546,10 +557,11 @@ class Landing:
 
 
 def landings(rig: Rig) -> list[Landing]:
-    """Of every force that can only push; none where contacts are not approached.
+    """Expected landings of all forces that can only push; empty without contact phases.
 
-    MuJoCo's contacts are springs with the rate ω of `solref`, whatever the mass: k = m ω². A face
-    of mass m_e on a spring is met twice, by its mass and by its spring.
+    MuJoCo's contacts are springs with the natural frequency ω of `solref` for any mass: k = m ω². A
+    face of mass m_e on a spring causes two peaks, by its mass and by its spring; the larger one
+    counts.
     """
     life = rig.life
     if life is None or not rig.pairs:

@@ -139,11 +139,11 @@ def _levelled(signal: Array) -> Array:
 
 
 def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycle | None]:
-    """Of each force magnitude the largest limit cycle; None: none is large enough.
+    """Largest limit cycle of each force magnitude, or None if none is large enough.
 
     Args:
-        recording: with a judge. judged: (T, r) which ticks count.
-        least: amplitude over mean command, below which nothing is looked for.
+        recording: recording with a judge. judged: (T, r) mask of the ticks that are evaluated.
+        least: least amplitude relative to the mean command.
     """
     dt = 1.0 / recording.meta["control_rate_hz"]
     driven = tuple(_frequencies(recording.meta.get("scenario", {})))
@@ -196,7 +196,11 @@ def _speeds(window: Mapping[str, Array], j: int) -> tuple[Array, Array]:
 
 
 def _frequencies(scenario: Any, of_faces: bool = False) -> Iterator[float]:
-    """Of the sines that faces and bodies are driven by."""
+    """Yield the frequencies of sines by which faces and bodies are driven.
+
+    Args:
+        scenario: keys of a scenario. of_faces: whether they belong to contacts or environment.
+    """
     items = scenario.items() if isinstance(scenario, Mapping) else ()
     for key, value in items:
         if of_faces and key == "frequency" and isinstance(value, float | int):

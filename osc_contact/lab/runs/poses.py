@@ -200,7 +200,7 @@ def as_dict(chain: ClosedChain, q: Array) -> Json:
 
 
 def pose_lines(chain: ClosedChain, q: Array) -> list[str]:
-    """Where posture and object are, as a scenario file writes it."""
+    """Lines with postures and pose of the object, in the form of a scenario file."""
     lines = []
     for arm, s in zip(chain.arms, chain.slices, strict=True):
         values = ", ".join(
@@ -255,10 +255,10 @@ class Press:
 
     @classmethod
     def parse(cls, text: str) -> Press:
-        """From "Z=15" or "-X=5".
+        """Parse a press in the form "Z=15" or "-X=5".
 
         Raises:
-            InvalidInputError: with the expected form.
+            InvalidInputError: the text has another form.
         """
         name, _, number = text.replace(" ", "").partition("=")
         letter = name.lstrip("+-").upper()
@@ -312,7 +312,7 @@ def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Pat
 
 
 def _rehearsed(scenario: Scenario) -> list[str]:
-    """What a run of the scenario is not content with."""
+    """Sentences on ticks or a verdict that are not OK in a run of the scenario."""
     verdict = metrics(run(scenario))
     counts = [f"{count} ticks {word}" for word, count in verdict["status"].items() if word != "ok"]
     bad = [text for text in counts if not text.startswith("0 ")]
@@ -437,7 +437,7 @@ def _unnoisy(direction: Array) -> Array:
 
 
 def _reference(robot: str) -> str:
-    """How a scenario file names the robot."""
+    """Name or absolute path of a robot for a scenario file."""
     return str(Path(robot).resolve()) if Path(robot).is_file() else robot
 
 

@@ -143,10 +143,10 @@ def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plan
 
 
 def _installed(install: Install, controller: Controller) -> Controller:
-    """What `install` makes of a controller.
+    """Apply `install` to a controller; return the resulting controller.
 
     Raises:
-        InvalidInputError: it takes no controller, or returns none.
+        InvalidInputError: `install` does not take or return a controller.
     """
     how = "install= takes a function of a controller that returns one, such as lambda c: c"
     if not callable(install):

@@ -98,7 +98,7 @@ class Tape:
         self.count += 1
 
     def content(self) -> bytes:
-        """Bytes of a file that replay.c reads."""
+        """Bytes of the file that replay.c reads."""
         head = np.array([self.count, len(self._memory)], np.int64)
         return b"".join((MAGIC, head.tobytes(), *self._ticks))
 

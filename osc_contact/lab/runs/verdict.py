@@ -195,13 +195,15 @@ def metrics(recording: Recording) -> Json:
 
 
 class _Sums:
-    """What is summed up over the ticks of a recording.
+    """Sums over the ticks of a recording.
 
     Attributes:
-        ticks: which are judged. count: how many are, but for contacts. duration: of the run (s).
-        judged, opened: (contacts,) ticks that each is judged, and open then.
-        longest: row of open ticks that the controller took as closed. cycles: the worst of forces.
-        status, at_limit: ticks by status, and by motor.
+        ticks: ticks that are evaluated. count: their number, without regard to contacts.
+        duration: duration of the run (s).
+        judged, opened: (contacts,) numbers of evaluated ticks of each contact, and of those in
+            which it is open.
+        longest: longest sequence of open ticks that were closed for the controller. cycles: largest
+            limit cycle of each force. status, at_limit: numbers of ticks by status, and by motor.
     """
 
     def __init__(self, recording: Recording, least_cycle: float) -> None:
@@ -314,10 +316,10 @@ def _learned(losses: Sequence[Json], meta: Json) -> list[Json]:
 
 
 def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | None]]:
-    """What `metrics` has of each force magnitude.
+    """Metrics of each force magnitude.
 
     Args:
-        names: of them. sums: of the ticks.
+        names: names of the forces. sums: sums over the ticks.
     """
     found = {}
     error = sums.error
@@ -339,10 +341,10 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
 
 
 def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[Json]]:
-    """Of each subject what `RULES` compare and name.
+    """Values that `RULES` compare or name, for each subject.
 
     Args:
-        recording: of the run. sums: of its ticks. verdict: the numbers.
+        recording: recording of the run. sums: sums over its ticks. verdict: metrics of the run.
     """
     meta = recording.meta
     landed = sums.ticks.landed
@@ -418,7 +420,7 @@ def _tick(recording: Recording) -> dict[str, float | None]:
 
 
 def _ratio(part: float | None, whole: float | None) -> float | None:
-    """None where there is nothing to compare with: JSON has no NaN."""
+    """Ratio of two numbers; None instead of NaN, which JSON lacks, if one is missing or zero."""
     return part / whole if whole and part is not None else None
 
 
@@ -451,7 +453,7 @@ def step_answers(recording: Recording, ticks: JudgedTicks) -> list[Json]:
 def _answer(
     recording: Recording, rate: float, steps: Sequence[int], k: int, column: int, first: bool
 ) -> Json | None:
-    """What one magnitude does after tick k; None if it is not commanded to step there."""
+    """Step response of one force after tick k; None without a commanded step."""
     later = [step for step in steps if step > k]
     stop = min([k + max(2, round(STEP_WINDOW_S * rate)), *later, len(recording)])
     some = recording.rows(max(0, k - 3), stop, "alpha_cmd", "alpha_true")

@@ -15,10 +15,10 @@ Problem = tuple[tuple[str | int, ...], str]
 
 
 def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
-    """What does not fit together, as far as the keys that are compared are sound themselves.
+    """Yield contradictions between keys of a scenario; keys that are invalid are not compared.
 
     Args:
-        data: the keys of a scenario, as a file has them or validated.
+        data: keys of a scenario, from a file or validated.
     """
     names = {key: _names(data.get(key, ())) for key in ("arms", "contacts", "environment")}
     for key, own in names.items():
@@ -64,7 +64,7 @@ def _value(item: Any, key: str) -> Any:
 
 
 def _names(items: Any) -> list[str] | None:
-    """Of the items of a list; None: they are not all sound."""
+    """Names of the items of a list; None if one of them is not valid."""
     if not isinstance(items, list | tuple):
         return None
     found = [_value(item, "name") for item in items]

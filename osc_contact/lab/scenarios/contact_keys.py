@@ -50,7 +50,7 @@ class ContactSpec(Spec):
     """a name of letters, digits, _ and -, such as tip"""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """By the class of the pair: another process loads its module, and makes the keys anew."""
+        """Pickle by the class of the pair, from which another process makes the keys again."""
         made = getattr(type(self), "describes", None)
         if made is None:
             return __newobj__, (type(self),), self.__getstate__()

@@ -165,7 +165,7 @@ class ScenarioDocument:
         holder[key[-1]] = inner.data
 
     def value(self, path: str) -> Any:
-        """What stands at `path`; None: nothing.
+        """Value at a path; None if there is none.
 
         Raises:
             ScenarioError: no such path."""

@@ -1,4 +1,4 @@
-"""What makes a rig real: the plant, flexible joints, imperfect motors, sensors and their errors."""
+"""Hardware of a rig: plant, flexible joints, imperfect motors, sensors and their errors."""
 
 import math
 from typing import Annotated, Generic, Self
@@ -134,7 +134,7 @@ class PlantSpec(Spec):
 
 
 class Clock(Spec):
-    """When a sensor samples and how its readings arrive."""
+    """Sampling of a sensor, and delay and loss of its readings."""
 
     rate: Positive[Frequency]
     """samples per second, such as 1 kHz"""

@@ -143,7 +143,7 @@ class SurfaceMove(Spec):
 
     @property
     def duration(self) -> float:
-        """When the last point is reached (s)."""
+        """Time at which the last point is reached (s)."""
         return self._legs()[1]
 
     def over(self, t: Any) -> Any:
@@ -256,7 +256,7 @@ class Scenario(Spec):
 
     @property
     def file_stem(self) -> str:
-        """What results are filed under: the name of its file, or its own if it has none."""
+        """Name of files with results: that of the scenario's file, or of the scenario."""
         return self.name if self._source is None else self._source.stem
 
     def with_source(self, source: Path | None) -> Scenario:
@@ -290,7 +290,7 @@ class Scenario(Spec):
             raise ScenarioError("\n".join(f"scenario: {line}" for line in lines)) from error
 
     def replaced(self, **parts: Any) -> Scenario:
-        """The same scenario with some of its keys replaced, checked anew.
+        """Copy of the scenario with some of its keys replaced, and checked.
 
         Args:
             parts: values of keys, as for `from_dict` or parts of another scenario.

@@ -85,7 +85,7 @@ class JerkLimited(OfQuantity, Generic[Q, V, A, J]):
 
     @property
     def duration(self) -> float:
-        """How long it takes from `start` on (s)."""
+        """Duration of the signal from `start` on (s)."""
         first, end = self._pieces().curve.x[[0, -1]].tolist()
         return end - first
 
@@ -222,7 +222,7 @@ def product(f: Values, g: Values) -> Array:
 
 
 class Constant(OfQuantity, Generic[Q]):
-    """The same value at all times."""
+    """Constant signal."""
 
     type: Literal["constant"] = "constant"
     value: Q

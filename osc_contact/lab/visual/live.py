@@ -113,9 +113,9 @@ class Viewer:
         return json.loads(self._link.recv(4096))["url"]
 
     def show(self, tick: Mapping[str, Any]) -> None:
-        """Hand over the channels of one control tick; returns at once and never raises.
+        """Send the channels of one control tick to the page, without waiting; never raises.
 
-        Most calls only look at the clock: at most `rate` ticks per second are sent.
+        At most `rate` ticks per second are sent; other calls return immediately.
         """
         now = monotonic()
         if now < self._due or self.error is not None:

@@ -53,7 +53,7 @@ camera was placed for, a narrower window shows everything smaller."""
 
 
 class Around(NamedTuple):
-    """What a page has besides scene and plots, where it is moved by something of its own.
+    """Additional content of a page whose scene is moved by its own script.
 
     Attributes:
         script: name of the asset in the place of live.js, which defines `live()`.

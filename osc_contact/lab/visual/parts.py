@@ -1,8 +1,8 @@
-"""Parts of a scene, which are drawn once and then change pose, scale and visibility only.
+"""Parts of a scene, which are drawn once and then change only pose, scale and visibility.
 
-A part gives the states of its nodes at recorded ticks. The same states become key frames of a page
-that plays by itself, and drawing commands of a live view. Arms, the held object and faces are
-the parts drawn from URDFs; those that mark contacts are in `lab.visual.marks`.
+A part computes the states of its nodes at recorded ticks, which become key frames of a page, or
+drawing commands of a live view. Arms, the held object and faces are drawn from URDFs; marks of
+contacts are in `lab.visual.marks`.
 """
 
 from __future__ import annotations
@@ -80,9 +80,9 @@ class LegendEntry(NamedTuple):
 
     Attributes:
         colour: ``#RRGGBB``.
-        text: what is meant.
-        look: how the sample is drawn: solid, pale, thin, grey or turn.
-        paths: nodes that its check box shows and hides; none: no check box.
+        text: text of the line.
+        look: style of the sample: solid, pale, thin, grey or turn.
+        paths: nodes that its check box shows and hides; empty: no check box.
     """
 
     colour: str
@@ -149,17 +149,18 @@ def changes(scene: Visualizer, before: Frames, after: Frames) -> None:
 
 
 class Visual(NamedTuple):
-    """An arm or a body to draw.
+    """Arm or body to be drawn.
 
     Attributes:
-        name: of its nodes.
+        name: name of its nodes.
         urdf, package_dirs: URDF, MJCF or picture (`robots.pictures`) and the folders of its meshes.
-        base: where it stands (X_WB); None: it moves with the object.
-        q_slice: where its joints are in q.
-        locked: positions (m, rad) of joints that q does not have.
-        tip: whose tree of an MJCF file is drawn.
-        face: the contact that it is the face of; it moves by the channel ``face_pose`` (pose of its
-            URDF's frame in the world) if the recording has one, and stays at the base otherwise.
+        base: pose of its base (X_WB); None: it moves with the object.
+        q_slice: positions of its joints in q.
+        locked: positions (m, rad) of joints that are not in q.
+        tip: body of an MJCF file whose kinematic tree is drawn.
+        face: index of the contact of which it is the face; it moves by the channel ``face_pose``
+            (pose of its URDF's frame in the world) if the recording has one, and otherwise remains
+            at its base.
     """
 
     name: str
@@ -194,10 +195,10 @@ class Content:
 
 
 class Moving(Part):
-    """An arm that moves by its joint positions; the held object; a face at rest or in motion.
+    """Arm that moves by its joint positions, held object, or face at rest or in motion.
 
     Args:
-        what: to draw. folder: node above that of its name. Joints with shapes have a node each.
+        what: the arm or body. folder: parent node of its node. Each joint with shapes has a node.
     """
 
     def __init__(self, what: Visual, folder: str) -> None:
@@ -219,7 +220,7 @@ class Moving(Part):
             urdf_geometry(node[f"{number}_{shape.name}"], shape)
 
     def states(self, samples: Samples) -> Frames:
-        """Placements of every moving node; where q or pose is not known (NaN) it stays.
+        """Poses of all moving nodes; where q or pose is unknown (NaN) the last ones are repeated.
 
         Raises:
             InvalidInputError: a channel is not recorded, or the slice of q does not fit the URDF.
@@ -252,7 +253,7 @@ class Moving(Part):
             yield {joint: X * self.data.oMi[joint] for joint in joints}
 
     def _positions(self, samples: Samples, ticks: int) -> Array:
-        """Joint positions (F, nq); at ticks without known ones the last are kept."""
+        """Joint positions (F, nq); unknown ones are replaced by the last known ones."""
         what = self.what
         q = self._channel(samples, "q")[:, what.q_slice] if self.moving else np.zeros((ticks, 0))
         if q.shape[1] != len(self.moving):
@@ -267,7 +268,7 @@ class Moving(Part):
         return positions
 
     def _bases(self, samples: Samples, ticks: int) -> Array:
-        """Poses (F, 7) of the base; at ticks without a known one the last is kept."""
+        """Poses (F, 7) of the base; unknown ones are replaced by the last known one."""
         poses = np.full((ticks, 7), np.nan)
         if self.what.face is not None and "face_pose" in samples:
             poses = samples["face_pose"][:, self.what.face]

@@ -55,7 +55,7 @@ class FigureProcess:
     """
 
     def __enter__(self) -> "FigureProcess":
-        """Start it: it imports what it needs, and waits for a folder."""
+        """Start the process, which imports its modules and waits for a folder."""
         command = [sys.executable, "-P", "-m", __name__]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True

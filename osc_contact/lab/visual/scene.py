@@ -29,11 +29,11 @@ MOST_FRAMES = 360
 
 
 class Scene:
-    """The parts of a picture: drawn once, then moved at each tick.
+    """Parts of a scene, which are drawn once and then moved at each tick.
 
     Args:
-        content: what to show.
-        first: the first tick; what is missing there is not drawn.
+        content: content of the scene.
+        first: channels of the first tick; parts whose channels are missing are not drawn.
     """
 
     def __init__(self, content: Content, first: Samples) -> None:
@@ -74,15 +74,15 @@ class Scene:
         return {path: one for part in self.parts for path, one in part.states(samples).items()}
 
     def look(self, scene: Visualizer, samples: Samples) -> list[Json]:
-        """Floor, background, and cameras that see what the samples show.
+        """Draw floor and background, and place cameras that show all samples.
 
         Args:
-            scene: where to draw.
-            samples: some ticks of the recording, the first one first.
+            scene: root of the scene.
+            samples: some ticks of the recording, beginning with the first one.
 
         Returns:
-            The cameras that the page offers, the first of which is set: name, where it looks and
-            from where, seen from there (m, world).
+            Cameras of the page, the first of which is set, with name, target, and offset of the
+            camera from the target (m, world).
         """
         nothing = np.zeros((0, 3))
         first = samples_at(samples, slice(1))
@@ -134,14 +134,14 @@ class Scene:
 
 
 def label(path: str, text: str, colour: str, **more: Any) -> Json:
-    """A label for the page's scripts.
+    """Make the description of a label for the page's scripts.
 
     Args:
-        path: of the node that it stands at.
-        text: of the label.
+        path: path of the node at which the label is drawn.
+        text: text of the label.
         colour: ``#RRGGBB``.
-        more: the plotted line (its number) and the unit of the value beside it; the node that is
-            visible while the contact is lost.
+        more: `line` and `unit`: index of the plotted line and unit of the value beside the label;
+            `lost`: node that is visible while the contact is lost.
     """
     empty = {"line": None, "unit": "", "lost": None}
     return {"path": path, "text": text, "colour": colour} | empty | more
