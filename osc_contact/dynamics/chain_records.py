@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
 from pinocchio import SE3
 
+from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.chain_state import RigidObject
+from osc_contact.dynamics.grasp import Grasp
+from osc_contact.dynamics.merged_model import OutboardLink
 from osc_contact.errors import ModelError
 from osc_contact.law import records as at
 from osc_contact.law.nested import Table
@@ -15,14 +19,34 @@ from osc_contact.law.records import Bytes, new_model
 from osc_contact.robots.model import joint_axis, slides
 from osc_contact.spatial import Array, cross, norm
 
-if TYPE_CHECKING:
-    from osc_contact.dynamics.closed_chain import ClosedChain
-
 GYRATION = 0.1  #: radius of gyration of the ball that represents the heaviest arm (m)
 _KINDS = {"rigid": at.RIGID, "hinge": at.HINGE, "ball": at.BALL, "other": at.OTHER}
 
 
-def chain_row(chain: ClosedChain, led: bool) -> Bytes:
+class ChainStructure(Protocol):
+    """Structure of a closed chain, of which its records are made; see `ClosedChain`."""
+
+    model: pin.Model
+    arms: tuple[Arm, ...]
+    grasps: tuple[Grasp, ...]
+    slices: tuple[slice, ...]
+    leader: int | None
+    payload: RigidObject | None
+    reference: RigidObject
+    arm_mass: float
+    tips: list[int]
+    sensors: list[int | None]
+    outboard: list[list[OutboardLink]]
+    full_ranks: tuple[int, ...]
+    rank_tolerance: float
+    angle_tolerance: float
+
+    @property
+    def nq(self) -> int:
+        """Number of joints of all arms."""
+
+
+def chain_row(chain: ChainStructure, led: bool) -> Bytes:
     """Row of MODEL of the chain alone, without contacts and motors.
 
     Args:
@@ -35,7 +59,7 @@ def chain_row(chain: ClosedChain, led: bool) -> Bytes:
     return raw
 
 
-def pack_chain(chain: ClosedChain, raw: Bytes, leader: int | None) -> None:
+def pack_chain(chain: ChainStructure, raw: Bytes, leader: int | None) -> None:
     """Write the head, the arms and the joints of a row of MODEL.
 
     Args:
@@ -67,7 +91,7 @@ def pack_chain(chain: ClosedChain, raw: Bytes, leader: int | None) -> None:
     head.X_LP[:] = _flat_pose(X_LO * SE3(axes, body.lever))
 
 
-def _pack_arms(chain: ClosedChain, rows: Table) -> None:
+def _pack_arms(chain: ChainStructure, rows: Table) -> None:
     """Write the records of the arms.
 
     Args:
@@ -113,7 +137,7 @@ def _pack_arms(chain: ClosedChain, rows: Table) -> None:
         row.X_TO[:] = _flat_pose(grasp.X_TO)
 
 
-def _pack_joints(chain: ClosedChain, rows: Table) -> None:
+def _pack_joints(chain: ChainStructure, rows: Table) -> None:
     """Write the records of the joints.
 
     Args:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 from pinocchio import SE3
 
+from osc_contact.dynamics.chain_records import ChainStructure
 from osc_contact.dynamics.chain_state import ArmTerms, ChainState, ObjectTerms, SingularDirection
 from osc_contact.dynamics.grasp import Grasp
 from osc_contact.errors import ModelError
@@ -19,12 +21,27 @@ from osc_contact.law.records import Bytes, Rows, views
 from osc_contact.law.vectors import motions, reflection, wrenches
 from osc_contact.spatial import Array, carry_twist, columns_of
 
-if TYPE_CHECKING:
-    from osc_contact.dynamics.closed_chain import ClosedChain
-
 _NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
 
 _NONE = np.zeros(0)
+
+
+class EvaluatedChain(ChainStructure, Protocol):
+    """Closed chain with the functions of which its state is made; see `ClosedChain`."""
+
+    actuated: NDArray[np.intp]
+
+    def law_row(self, led: bool) -> Bytes:
+        """Row of MODEL of the chain."""
+
+    def tip_poses(self, data: pin.Data | None = None) -> list[SE3]:
+        """Poses of the tips of the arms in the world."""
+
+    def sensor_poses(self, data: pin.Data | None = None) -> tuple[SE3 | None, ...]:
+        """Poses of the wrist sensors in the world."""
+
+    def unactuated_motions(self, G: Array, S: Array) -> Array:
+        """Motions of the object that no motor drives."""
 
 
 def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | None) -> View:
@@ -65,7 +82,7 @@ def mass_matrix(work: View, arms: Sequence[slice]) -> Array:
     return M
 
 
-def read_state(chain: ClosedChain, work: View, rest: View, data: pin.Data) -> ChainState:
+def read_state(chain: EvaluatedChain, work: View, rest: View, data: pin.Data) -> ChainState:
     """State of a chain from the results of the law.
 
     Args:
@@ -129,7 +146,7 @@ def read_state(chain: ClosedChain, work: View, rest: View, data: pin.Data) -> Ch
     )
 
 
-def _payload_terms(chain: ClosedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
+def _payload_terms(chain: EvaluatedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
     """Terms of the held object at its pose and twist (6,); zero without an object."""
     if chain.payload is None:
         return _NOTHING
@@ -137,7 +154,7 @@ def _payload_terms(chain: ClosedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
 
 
 def _filters(
-    chain: ClosedChain, arms: Table, motion: Array, wrench: Array
+    chain: EvaluatedChain, arms: Table, motion: Array, wrench: Array
 ) -> tuple[Array | None, ...]:
     """Factors (6, 6) of the wrist readings at O; None of a rigid grasp, or without a sensor.
 
@@ -193,7 +210,7 @@ def _arm_terms(
 
 
 def _singular_directions(
-    chain: ClosedChain, arms: Table, reference: Array, motion: Array, wrench: Array
+    chain: EvaluatedChain, arms: Table, reference: Array, motion: Array, wrench: Array
 ) -> tuple[SingularDirection, ...]:
     """Directions in which arms hardly move the object, from the results of the law.
 
@@ -222,7 +239,7 @@ STATES = 3  #: random states at which the law is compared with Pinocchio
 TOLERANCE = 1e-9  #: largest difference over the largest element, or over 1
 
 
-def require_pinocchio_agrees(chain: ClosedChain, row: Bytes) -> None:
+def require_pinocchio_agrees(chain: EvaluatedChain, row: Bytes) -> None:
     """Compare J, M and h = C v + g of the law with Pinocchio's on a few random states.
 
     Args:

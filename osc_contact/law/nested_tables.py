@@ -21,13 +21,12 @@ from numba.np.arrayobj import make_array, populate_array
 from osc_contact.law.layout_code import WORD, layout_word, table_address
 
 if TYPE_CHECKING:
-    from osc_contact.law.nested import Nested
-    from osc_contact.law.numba_types import Builder, CPUContext, Type, Value
+    from osc_contact.law.numba_types import Builder, CPUContext, Layout, Type, Value
 
 _public: Any = numba  #: its type hints leave out `from_dtype`
 
 
-def lower_tables(record: type[Type], kind: Nested) -> None:
+def lower_tables(record: type[Type], kind: Layout) -> None:
     """Register the tables of a record as array attributes of its numba type.
 
     Args:
@@ -55,7 +54,7 @@ class _Table:
         array: numba type of the array.
     """
 
-    def __init__(self, kind: Nested, name: str) -> None:
+    def __init__(self, kind: Layout, name: str) -> None:
         dtype, sizes = kind.tables[name]
         self.array = types.Array(_public.from_dtype(dtype), len(sizes), "C")
         self._item = dtype.itemsize

@@ -23,11 +23,11 @@ from osc_contact.law.jit import VIEW, view
 from osc_contact.law.layout_code import BYTE, WORD, layout_word, table_address
 
 if TYPE_CHECKING:
-    from osc_contact.law.nested import Nested, View
     from osc_contact.law.numba_types import (
         Builder,
         CPUContext,
         Intrinsic,
+        Layout,
         Signature,
         Type,
         TypingContext,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     )
 
 #: Function of a record that numba compiles to read a table.
-Implementation = Callable[["View"], NDArray[Any]]
+Implementation = Callable[[np.record], NDArray[Any]]
 
 _public: Any = numba  #: its type hints leave out `carray` and options of `overload_attribute`
 
@@ -60,7 +60,7 @@ def record_named(name: str) -> Type:
     return _records[name]
 
 
-def pointer_to(kind: Nested) -> Any:
+def pointer_to(kind: Layout) -> Any:
     """Compiled function (bytes, offset) that returns the record at an offset.
 
     Args:
@@ -114,7 +114,7 @@ def pointer_to(kind: Nested) -> Any:
     return at
 
 
-def _attribute(kind: Nested, name: str) -> Callable[[Type], Implementation]:
+def _attribute(kind: Layout, name: str) -> Callable[[Type], Implementation]:
     """Implementation of a table for `numba.extending.overload_attribute`.
 
     Args:
@@ -127,10 +127,10 @@ def _attribute(kind: Nested, name: str) -> Callable[[Type], Implementation]:
     columns = shape[-1]
     carray = _public.carray
 
-    def one_size(record: View) -> NDArray[Any]:
+    def one_size(record: np.record) -> NDArray[Any]:
         return carray(start(record), (rows(record),), dtype)
 
-    def two_sizes(record: View) -> NDArray[Any]:
+    def two_sizes(record: np.record) -> NDArray[Any]:
         return carray(start(record), (rows(record), columns(record)), dtype)
 
     def choose(record: Type) -> Implementation:

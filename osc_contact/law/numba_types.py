@@ -4,8 +4,9 @@ An intrinsic of numba returns the signature of a call, and the function that gen
 """
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import Any, Protocol, TypeAlias
 
+import numpy as np
 from llvmlite import ir
 from numba.core.cpu import CPUContext as CPUContext
 from numba.core.types import IntegerLiteral as IntegerLiteral
@@ -18,3 +19,21 @@ Builder: TypeAlias = ir.IRBuilder
 Value: TypeAlias = ir.Value
 Values: TypeAlias = Sequence[ir.Value]
 Intrinsic: TypeAlias = tuple[Signature, Callable[[CPUContext, Builder, Signature, Values], Value]]
+
+
+class Layout(Protocol):
+    """Layout of a record, which `nested.Nested` declares: its head and its tables.
+
+    Attributes:
+        dtype: fields of the head.
+        tables: by name, dtype of a row (or element) and sizes.
+    """
+
+    dtype: np.dtype[Any]
+    tables: dict[str, tuple[np.dtype[Any], list[Any]]]
+
+    def slot(self, size: str) -> int:
+        """Number of the word of the layout that holds a count."""
+
+    def start(self, table: str) -> int:
+        """Number of the word of the layout that holds where a table begins."""
