@@ -642,7 +642,7 @@ def test_friction_may_hold_a_joint_against_a_share_of_its_torque(sign):
 
     def driven(*pushes):
         write(t.work.joints, h=h, inertial=h + sign * np.array(pushes))
-        return [bool(sensors.must_move(t, j)) for j in range(2)]
+        return [bool(sensors.must_move(t, j, 0)) for j in range(2)]
 
     assert driven(0.501, 0.999) == [True, False]
     assert driven(0.499, 1.001) == [False, True]
@@ -650,6 +650,50 @@ def test_friction_may_hold_a_joint_against_a_share_of_its_torque(sign):
     assert driven(0.0, 1.299) == [False, False] and driven(0.0, 1.301) == [False, True]
     t.model.joints.motor[0] = -1  # no friction of a motor
     assert driven(1e-6, 0.0) == [True, False]
+
+
+def test_what_halts_a_joint_is_known_until_it_moves():
+    sensors = Sensors(frozen_time=inf)
+    sensors.until(most=20)
+    still = sensors.q.copy()
+    for _ in range(3):
+        sensors.tick(v=(0.0, -0.4), q=still)
+        assert_near(sensors.joints.halted, [300.0, 0.0], rtol=1e-4)
+    sensors.tick(v=(0.0, -0.4), q=still + vector(1e-6, 0.0))
+    assert_array_equal(sensors.joints.halted, 0.0)
+    sensors.until(most=20)
+    still = sensors.q.copy()
+    for _ in range(2):
+        sensors.lose()
+    sensors.tick(v=(0.0, -0.4), q=still)
+    assert sensors.joints.halted[0] == approx(100.0, rel=1e-4)
+
+
+@BOTH
+def test_joints_that_all_read_the_same_are_held_by_twice_the_friction_that_they_have_shown(sign):
+    """And 0.2 % of the limit; by 5 % of it at most, or where they have hardly moved."""
+    t = joints(2)
+    t.model.arms.end[0] = 2
+    write(t.model.joints, tau_max=10.0)
+
+    def driven(push):
+        write(t.work.joints, h=0.0, inertial=sign * push)
+        return [bool(sensors.must_move(t, j, 0)) for j in range(2)]
+
+    t.memory.still = 0.02
+    write(t.memory.joints, slid=[0.2, 0.05], rubbed=0.1)
+    assert driven(0.221) == [True, False] and driven(0.219) == [False, False]
+    assert driven(0.501) == [True, True]
+    t.memory.joints.rubbed[0] = 0.3
+    assert driven(0.499) == [False, False] and driven(0.501) == [True, True]
+    t.memory.joints.rubbed[0] = 0.1
+    t.memory.still = 0.005  # joints read the same now and then
+    assert driven(0.499) == [False, False]
+    t.memory.still = 0.02
+    for j in range(2):
+        t.work.joints.M[j, j] = 0.5
+    write(t.memory.joints, slid=0.0, halted=[2.01, 1.99])  # by twice 0.5 N m
+    assert driven(0.0) == [True, False]
 
 
 @BOTH
@@ -714,6 +758,32 @@ def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
                 assert sensors.memory.culprit == j
             if error == 1.0:  # 1 − exp(−t / 20 ms) = 0.2, a tick or two for the sampling
                 assert ticks == approx(20.0 * np.log(1.25), abs=1.0)
+
+
+@BOTH
+@parametrize("every", [0, 2])
+@parametrize("of_speed", [True, False])
+def test_a_drift_is_blamed_on_the_reading_that_nothing_predicts(every, of_speed, sign):
+    """It is found when the prediction has followed both readings and is wrong by 0.4 rad/s²."""
+    for j in range(2):
+        sensors = Sensors(position_drift=0.03, speed_error=inf)
+        v = vector(0.3, -0.4)
+        drift = 0.2 * sign * np.eye(2)[j]
+        sensors.tick(v=v)
+        reason = NO_REASON
+        k = 0
+        while reason == NO_REASON and k < 600:
+            k += 1
+            if every and k % every == every - 1:
+                sensors.q = sensors.q + DT * (v if of_speed else v + drift)
+                reason = sensors._read(np.full(2, np.nan), np.full(2, np.nan), np.ones((1, 6)) * k)
+                continue
+            v = v + 0.4 * DT * max(every, 1)
+            wrong = v + drift
+            reason = sensors.tick(v=wrong if of_speed else v, true=v if of_speed else wrong)
+        assert reason == DISAGREE and k > 100
+        expected = at.FAULTY_SPEED * np.ones(2) if of_speed else at.FAULTY_POSITION * np.eye(2)[j]
+        assert_array_equal(sensors.joints.faulty, expected)
 
 
 @parametrize("every", [2, 3, 10])

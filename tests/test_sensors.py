@@ -308,6 +308,46 @@ def test_gains_are_those_of_the_riccati_equation(noise, acceleration):
     assert_near([estimate.alpha[0], estimate.beta[0] / DT], K, rtol=1e-6)
 
 
+STEP = 2.0 * np.pi / 2**16
+
+
+@parametrize("period", [DT, 2 * DT])
+@parametrize("acceleration", [60.0, -160.0])
+def test_the_velocity_of_a_driven_joint_that_sticks_stays_small(acceleration, period):
+    """Its encoder of 16 bits reads the very same; when it slips it is followed.
+
+    Without that −160 rad/s² came to −1.3 rad/s.
+    """
+    noise = vector(STEP / np.sqrt(12.0))
+    for kind in (VelocityEstimate.optimal, VelocityEstimate.learning):
+        estimate = kind(noise, 0.8, DT, period)
+        every = round(period / DT)
+        found = []
+        for k in range(500):
+            x = 0.3 if k < 400 else 0.3 + 0.5 * acceleration * (DT * (k - 400)) ** 2
+            x = np.round(x / STEP) * STEP
+            found.append(estimate.update(vector(x), vector(acceleration), k % every == 0)[1][0])
+        assert largest(found[:400]) < 0.1 + 2.0 * abs(acceleration) * period  # of two samples
+        assert_near(found[-1], acceleration * DT * 99, rtol=0.05)
+
+
+@parametrize("sign", [1.0, -1.0])
+def test_a_known_acceleration_that_leads_far_ahead_of_the_readings_is_not_used(sign):
+    noise = 1e-4
+    estimate = VelocityEstimate.optimal(vector(noise), 0.8, DT)
+    usual = 6.0 * noise / np.sqrt(1.0 - estimate.alpha[0])
+    a = vector(sign * 10.0)
+    for size, used in ((0.99, True), (1.01, False)):
+        for ahead, is_used in ((True, used), (False, True)):
+            estimate.x, estimate.v = vector(0.0), vector(0.0)
+            predicted = 0.5 * DT**2 * a
+            beyond = sign * (-size if ahead else size) * usual
+            x, v = (one.copy() for one in estimate.update(predicted + beyond, a))
+            estimate.update(x + DT * v + (0.5 * DT**2 * a if is_used else 0.0), a)
+            assert_near(estimate.v, v + (DT * a if is_used else 0.0), rtol=1e-9)
+            estimate.update(estimate.x + DT * estimate.v, 0.0)
+
+
 @parametrize("noise", np.geomspace(1e-15, 1e-2, 14))
 @parametrize("dt", [1e-3, 2e-3, 4e-3, 1 / 60])
 def test_errors_of_velocity_never_alternate_for_long_however_good_the_sensor(noise, dt):

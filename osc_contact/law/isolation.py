@@ -23,8 +23,9 @@ def isolate_joint(t, j):
     """Mark the faulty reading of joint j, whose position and speed contradict each other.
 
     A reading that is constant while the other one changes is faulty; otherwise the one whose
-    changes the commanded accelerations predict less. Speeds of all joints come from the same
-    estimator, so all are marked if that of one joint is faulty.
+    changes the commanded accelerations have predicted less, on average over the last half second.
+    Speeds of all joints come from the same estimator, so all are marked if that of one joint is
+    faulty.
     """
     joint_memory = t.memory.joints
     known = joint_memory[j]
@@ -36,7 +37,7 @@ def isolate_joint(t, j):
         if dead or t.memory.derived:
             known.faulty |= FAULTY_SPEED
     elif known.faulty == 0:
-        if dead or abs(known.surprise_v) > abs(known.surprise_q):
+        if dead or known.blame > 0.0:
             for i in range(t.model.n_joints):
                 if joint_memory[i].faulty == 0:
                     joint_memory[i].faulty = FAULTY_SPEED

@@ -121,10 +121,12 @@ def find_jumps(t):
         if not isfinite(now):
             continue
         read += 1
-        memory.joints[j].barred = _jump(t, j, now)
-        if memory.joints[j].barred != NOT_BARRED:
-            work.jumps += 1
-            work.jumped = j
+        known = memory.joints[j]
+        if known.barred != NOT_BARRED or abs(now - known.q) > _NOISE:
+            known.barred = _jump(t, j, now)
+            if known.barred != NOT_BARRED:
+                work.jumps += 1
+                work.jumped = j
         if _speed_jumps(t, j):
             work.speed_jumps += 1
             work.speed_jumped = j
@@ -217,8 +219,10 @@ def _speed_jumps(t, j):
     known = t.memory.joints[j]
     room = t.model.speed_error * t.model.joints[j].speed_max * (1 + known.unread_q)
     last = t.memory.v[j]
-    follows = last + known.acceleration * t.model.period
     now = t.input.v[j]
+    if abs(now - last) <= room:
+        return False
+    follows = last + known.acceleration * t.model.period
     jumps = now < min(last, follows) - room or now > max(last, follows) + room
     return t.memory.derived == 0 and jumps
 

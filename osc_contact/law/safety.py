@@ -230,7 +230,7 @@ def _note_accelerations(t):
         for j in range(arm.first, arm.end):
             known = t.memory.joints[j]
             known.acceleration = t.work.joints[j].acceleration
-            known.driven = 1 if known.rested > 0.0 and must_move(t, j) else 0
+            known.driven = 1 if known.rested > 0.0 and must_move(t, j, arm.first) else 0
 
 
 @leaf

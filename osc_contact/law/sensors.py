@@ -67,6 +67,8 @@ _LATE = 0.01  #: s, possible delay of speeds
 _RESOLUTION = 4e-4  #: rad, m, resolution of a coarse encoder (14 bits)
 _MODEL = 0.1  #: s, time constant of the predictions of speeds from commanded accelerations
 _HELD = 0.05  #: share of a motor's torque limit that dry friction may hold
+_LITTLE = 0.002  #: the same beside twice the friction that a joint's motion has shown
+_SLID = 0.1  #: s of motion after which a joint has shown its friction
 _FINE = 1e-9  #: rad, m, change of a position below which it is rounding
 _TURNING = 0.1  #: s, time constant of the share of changes that reverse the one before
 _NOISY = 0.2  #: share of reversals above which a position is noisy; pure noise has two thirds
@@ -198,18 +200,21 @@ def _check_joint(t, known, limit, step, v, dt, shares):
     known.rested = known.rested + dt if step == 0.0 else 0.0
     gained = min(abs(known.pending), _GAIN * model.stuck_speed * limit)
     if step != 0.0:
-        known.gained = 0.0
-    elif known.driven:
-        known.gained += gained
-    if step != 0.0:
+        known.gained = known.halted = 0.0
         known.changes += 1
+    else:
+        if known.driven:
+            known.gained += gained
+        if v == 0.0 and not same:
+            known.halted = abs(known.v) / dt
     if abs(step) > _FINE:
         back = 1.0 if step * known.step < 0.0 else 0.0
         known.turning += turning * (back - known.turning)
         known.step = step
     error = clamped(v - slope, 2.0 * limit)
     known.error += lag * (error - known.error)
-    drift = (known.drift + error * dt) * (1.0 - min(dt / _FORGET, 1.0))
+    kept = 1.0 - min(dt / _FORGET, 1.0)
+    drift = (known.drift + error * dt) * kept
     explained = _SCALE * dt * abs(v)
     drift = max(drift - explained, 0.0) if drift > 0.0 else min(drift + explained, 0.0)
     known.drift = drift
@@ -217,6 +222,8 @@ def _check_joint(t, known, limit, step, v, dt, shares):
     known.model_q += known.pending
     known.surprise_v += lag * (v - known.model_v - known.surprise_v)
     known.surprise_q += lag * (slope - known.model_q - known.surprise_q)
+    more = abs(known.surprise_v) - abs(known.surprise_q)
+    known.blame = (known.blame + more * dt) * kept
     known.model_v += k * (v - known.model_v)
     known.model_q += k * (slope - known.model_q)
     known.stuck = known.gained > model.stuck_speed * limit
@@ -277,7 +284,9 @@ def _were_noisy(t):
     """Whether the positions of all joints were noisy when they last changed."""
     noisy = True
     for j in range(t.model.n_joints):
-        noisy = noisy and t.memory.joints[j].turning > _NOISY
+        if t.memory.joints[j].turning <= _NOISY:
+            noisy = False
+            break
     return noisy
 
 
@@ -315,10 +324,27 @@ def _test_encoders(t, dt):
 
 
 @leaf
-def must_move(t, j):
-    """Whether the commanded acceleration of joint j needs more torque than dry friction holds."""
+def must_move(t, j, first):
+    """Whether the commanded acceleration of joint j needs more torque than dry friction holds.
+
+    Unknown friction is assumed to hold `_HELD` times the motor's limit. When the readings of all
+    joints are constant, they may be dead instead of held by friction. The friction of a joint that
+    has moved is then limited by twice the friction which this motion has shown, and a joint whose
+    deceleration to rest would have needed more than twice the torque of friction must move.
+
+    Args:
+        t: Tick. j: joint. first: first joint of its arm.
+    """
     joint = t.model.joints[j]
     own = t.work.joints[j]
-    most = 2.0 * max(joint.theta[0], t.memory.joints[j].trusted[0])  # and compensated wrongly
-    most += _HELD * joint.tau_max if joint.motor >= 0 else 0.0
+    known = t.memory.joints[j]
+    most = 2.0 * max(joint.theta[0], known.trusted[0])  # and compensated wrongly
+    if joint.motor >= 0:
+        held = _HELD * joint.tau_max
+        if t.memory.still > DEAD:
+            if own.M[j - first] * known.halted > 2.0 * (most + held):
+                return True
+            if known.slid > _SLID:
+                held = min(held, 2.0 * known.rubbed + _LITTLE * joint.tau_max)
+        most += held
     return abs(own.inertial - own.h) > most

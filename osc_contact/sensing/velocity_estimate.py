@@ -26,6 +26,7 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
+_SURPRISE = 6.0  #: times the rms of innovations
 _EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
 
 
@@ -37,6 +38,9 @@ class VelocityEstimate:
         alpha, beta: (k,) gains of position and of velocity, for the period `sample`.
         dt: period of `update` (s).
         sample: period of the sensor (s); 0: dt.
+        usual: (k,) largest innovations caused by noise (m, rad). A known acceleration that leads
+            further ahead of the readings is wrong by far more than σ_a, for example because
+            friction holds the joint. It is not used until the readings have followed.
         x, v: (k,) last estimate (m, rad; m/s, rad/s); x is None before the first update.
     """
 
@@ -45,6 +49,7 @@ class VelocityEstimate:
     dt: float
     sample: float = 0.0
     gamma: Array | float = 0.0
+    usual: Array | float = np.inf
 
     def __post_init__(self) -> None:
         self.alpha = np.atleast_1d(self.alpha)
@@ -60,6 +65,7 @@ class VelocityEstimate:
         self.x: Array | None = None
         self.v = np.zeros(len(self.alpha))
         self.unknown = np.zeros(len(self.alpha))
+        self._misled = np.zeros(len(self.alpha), dtype=bool)
 
     @classmethod
     def optimal(
@@ -87,7 +93,8 @@ class VelocityEstimate:
         index = acceleration * (sample or dt) ** 2 / noise
         u = 1.0 / 3.0 + np.sqrt(1.0 / 12.0 + 4.0 / index**2)
         beta = 12.0 / (6.0 * (u + np.sqrt(u)) + 1.0)
-        return cls(beta * np.sqrt(u), beta, dt, sample)
+        alpha = beta * np.sqrt(u)
+        return cls(alpha, beta, dt, sample, usual=_usual(noise, alpha))
 
     @classmethod
     def learning(
@@ -111,7 +118,8 @@ class VelocityEstimate:
         pole = np.atleast_1d(pole)
         back = 1.0 - pole
         beta = 1.5 * back**2 * (1.0 + pole)
-        return cls(1.0 - pole**3, beta, dt, period, back**3)
+        alpha = 1.0 - pole**3
+        return cls(alpha, beta, dt, period, back**3, _usual(noise, alpha))
 
     @property
     def noise_gain(self) -> Array:
@@ -153,7 +161,7 @@ class VelocityEstimate:
         if self.x is None:
             self.x = np.array(x, dtype=float)
             return (self.x, self.v)
-        total = acceleration + self.unknown
+        total = np.where(self._misled, 0.0, acceleration) + self.unknown
         self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * total
         self.v = self.v + self.dt * total
         if fresh:
@@ -161,4 +169,10 @@ class VelocityEstimate:
             self.x = self.x + self.alpha * innovation
             self.v = self.v + self.beta / self.sample * innovation
             self.unknown = self.unknown + self.gamma / self.sample**2 * innovation
+            self._misled = (np.abs(innovation) > self.usual) & (innovation * acceleration < 0.0)
         return (self.x, self.v)
+
+
+def _usual(noise: Array, alpha: Array) -> Array:
+    """(k,) largest innovations that noise brings about: their rms is σ_n/√(1 − α) (m, rad)."""
+    return np.asarray(_SURPRISE * np.atleast_1d(noise) / np.sqrt(np.maximum(1.0 - alpha, 1e-9)))
