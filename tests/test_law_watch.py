@@ -624,6 +624,29 @@ def test_joints_that_read_what_the_other_one_did_discredit_all_of_it(lost, sign)
     assert (sensors.joints.faulty == 3).all() and sensors.memory.unbraked == 1
 
 
+@BOTH
+@parametrize("lost", [0, 2])
+def test_speeds_that_are_those_of_one_another_are_exchanged(lost, sign):
+    """They differ by more than 2 % of their limits, and jump by less than 10 %."""
+    for gap, found in ((0.05, MIXED), (0.03 if not lost else 0.1, NO_REASON)):
+        sensors = Sensors(speed_error=0.1)
+        v = sign * vector(0.3, 0.3 - gap * (1 + lost if found else 1))
+        sensors.until(v=v, most=20)
+        for _ in range(lost):
+            sensors.lose()
+            sensors.q = sensors.q + DT * (v - vector(0.3, -0.4))  # as they move
+        seen = [sensors.tick(v=v[::-1], true=v) for _ in range(12)]
+        assert seen[-1] == found
+        if found:
+            assert_array_equal(sensors.joints.faulty, at.FAULTY_SPEED)
+            assert sensors.memory.unbraked == -1, "positions are sound"
+            assert_near(sensors.memory.v, v, atol=1e-6)
+    sensors = Sensors()
+    sensors.until(most=20)
+    sensors.memory.derived = 1
+    assert sensors.tick(v=(-0.2, 0.1), true=(0.3, -0.4)) == NO_REASON
+
+
 def test_joints_that_pass_one_another_are_not_exchanged():
     for v in ((0.3, -0.4), (9.0, -9.0)):
         sensors = Sensors()
