@@ -24,8 +24,9 @@ def isolate_joint(t, j):
 
     A reading that is constant while the other one changes is faulty; otherwise the one whose
     changes the commanded accelerations have predicted less, on average over the last half second.
-    Speeds of all joints come from the same estimator, so all are marked if that of one joint is
-    faulty.
+    Speeds that are estimated from positions follow the commanded accelerations for some time even
+    if they are wrong, so that only the present errors of the predictions are compared. Speeds of
+    all joints come from the same estimator, so all are marked if that of one joint is faulty.
     """
     joint_memory = t.memory.joints
     known = joint_memory[j]
@@ -37,7 +38,10 @@ def isolate_joint(t, j):
         if dead or t.memory.derived:
             known.faulty |= FAULTY_SPEED
     elif known.faulty == 0:
-        if dead or known.blame > 0.0:
+        of_speed = known.blame > 0.0
+        if t.memory.derived:
+            of_speed = abs(known.surprise_v) > abs(known.surprise_q)
+        if dead or of_speed:
             for i in range(t.model.n_joints):
                 if joint_memory[i].faulty == 0:
                     joint_memory[i].faulty = FAULTY_SPEED
