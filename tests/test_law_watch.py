@@ -675,21 +675,24 @@ def test_friction_may_hold_a_joint_against_a_share_of_its_torque(sign):
     assert driven(1e-6, 0.0) == [True, False]
 
 
-def test_what_halts_a_joint_is_known_until_it_moves():
+@parametrize("at_once", [True, False])
+def test_what_halts_a_joint_is_known_until_it_moves(at_once):
+    """The first packet that repeats itself may be a new one."""
     sensors = Sensors(frozen_time=inf)
     sensors.until(most=20)
-    still = sensors.q.copy()
+    still = sensors.q + (0.0 if at_once else DT * vector(0.3, -0.4))
     for _ in range(3):
         sensors.tick(v=(0.0, -0.4), q=still)
         assert_near(sensors.joints.halted, [300.0, 0.0], rtol=1e-4)
     sensors.tick(v=(0.0, -0.4), q=still + vector(1e-6, 0.0))
     assert_array_equal(sensors.joints.halted, 0.0)
-    sensors.until(most=20)
-    still = sensors.q.copy()
+    sensors.tick(v=(0.3, -0.4), q=still)
     for _ in range(2):
         sensors.lose()
     sensors.tick(v=(0.0, -0.4), q=still)
     assert sensors.joints.halted[0] == approx(100.0, rel=1e-4)
+    sensors.tick(v=(0.1, -0.4), q=still)
+    assert_array_equal(sensors.joints.halted, 0.0)
 
 
 @BOTH

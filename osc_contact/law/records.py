@@ -412,7 +412,7 @@ JOINT_MEMORY = _record(
         "acceleration",  # last commanded acceleration
         "pending",  # speed commanded since the position was last read, over lost ticks, too
         "gained",  # speed commanded while the position did not change
-        "halted",  # deceleration to a speed of 0 since which the position has not changed
+        "halted",  # deceleration to a speed of 0 that has lasted since
         "error",  # speed less speed from positions, low-passed
         "drift",  # its integral, with forgetting
         "same_speed",  # s of identical speeds

@@ -200,13 +200,14 @@ def _check_joint(t, known, limit, step, v, dt, shares):
     known.rested = known.rested + dt if step == 0.0 else 0.0
     gained = min(abs(known.pending), _GAIN * model.stuck_speed * limit)
     if step != 0.0:
-        known.gained = known.halted = 0.0
+        known.gained = 0.0
         known.changes += 1
-    else:
-        if known.driven:
-            known.gained += gained
-        if v == 0.0 and not same:
-            known.halted = abs(known.v) / dt
+    elif known.driven:
+        known.gained += gained
+    if v != 0.0 or (same and step != 0.0):
+        known.halted = 0.0
+    elif not same:
+        known.halted = abs(known.v) / dt
     if abs(step) > _FINE:
         back = 1.0 if step * known.step < 0.0 else 0.0
         known.turning += turning * (back - known.turning)
