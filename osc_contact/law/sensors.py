@@ -324,28 +324,50 @@ def _test_encoders(t, dt):
     memory.tested = 0.0
 
 
+@inner
+def stop_at_once(t):
+    """Whether constant readings of all joints began with a stop that no friction can cause.
+
+    The deceleration of some joint from one packet to the next then needs more than twice the torque
+    of unknown friction, see `must_move`, and the readings are dead.
+    """
+    if t.memory.still <= DEAD:
+        return False
+    found = False
+    for k in range(t.model.n_arms):
+        arm = t.model.arms[k]
+        for j in range(arm.first, arm.end):
+            halted = t.memory.joints[j].halted
+            if halted > 0.0 and t.model.joints[j].motor >= 0:
+                most = 2.0 * (_known_friction(t, j) + _HELD * t.model.joints[j].tau_max)
+                found = found or t.work.joints[j].M[j - arm.first] * halted > most
+    return found
+
+
 @leaf
-def must_move(t, j, first):
+def _known_friction(t, j):
+    """Known dry friction of joint j, doubled because it may be compensated wrongly (N m, N)."""
+    return 2.0 * max(t.model.joints[j].theta[0], t.memory.joints[j].trusted[0])
+
+
+@leaf
+def must_move(t, j):
     """Whether the commanded acceleration of joint j needs more torque than dry friction holds.
 
     Unknown friction is assumed to hold `_HELD` times the motor's limit. When the readings of all
     joints are constant, they may be dead instead of held by friction. The friction of a joint that
-    has moved is then limited by twice the friction which this motion has shown, and a joint whose
-    deceleration to rest would have needed more than twice the torque of friction must move.
+    has moved is then limited by twice the friction which this motion has shown.
 
     Args:
-        t: Tick. j: joint. first: first joint of its arm.
+        t: Tick. j: joint.
     """
     joint = t.model.joints[j]
     own = t.work.joints[j]
     known = t.memory.joints[j]
-    most = 2.0 * max(joint.theta[0], known.trusted[0])  # and compensated wrongly
+    most = _known_friction(t, j)
     if joint.motor >= 0:
         held = _HELD * joint.tau_max
-        if t.memory.still > DEAD:
-            if own.M[j - first] * known.halted > 2.0 * (most + held):
-                return True
-            if known.slid > _SLID:
-                held = min(held, 2.0 * known.rubbed + _LITTLE * joint.tau_max)
+        if t.memory.still > DEAD and known.slid > _SLID:
+            held = min(held, 2.0 * known.rubbed + _LITTLE * joint.tau_max)
         most += held
     return abs(own.inertial - own.h) > most
