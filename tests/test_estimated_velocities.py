@@ -34,7 +34,6 @@ def growth(rate, late, bits, expected=True):
         expected: whether the estimate knows the acceleration by measured forces.
     """
     estimate = VelocityEstimate.learning([noise_of(bits)], [0.8], DT)
-    estimate.usual = np.array([np.inf])  # modes are of small motions
     steps = 20
     h = DT / steps
 

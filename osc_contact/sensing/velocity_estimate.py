@@ -27,6 +27,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
 _SURPRISE = 6.0  #: times the rms of innovations
+_MISLED = 0.02  #: s for which a known acceleration must lead ahead; blows are over sooner
 _EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
 
 
@@ -39,8 +40,9 @@ class VelocityEstimate:
         dt: period of `update` (s).
         sample: period of the sensor (s); 0: dt.
         usual: (k,) largest innovations caused by noise (m, rad). A known acceleration that leads
-            further ahead of the readings is wrong by far more than σ_a, for example because
-            friction holds the joint. It is not used until the readings have followed.
+            further ahead of the readings for 20 ms is wrong by far more than σ_a, for example
+            because friction holds the joint. It is not used until the readings lead as far for as
+            long.
         x, v: (k,) last estimate (m, rad; m/s, rad/s); x is None before the first update.
     """
 
@@ -66,6 +68,7 @@ class VelocityEstimate:
         self.v = np.zeros(len(self.alpha))
         self.unknown = np.zeros(len(self.alpha))
         self._misled = np.zeros(len(self.alpha), dtype=bool)
+        self._ahead = np.zeros(len(self.alpha))  #: s; < 0: the readings lead
 
     @classmethod
     def optimal(
@@ -118,8 +121,7 @@ class VelocityEstimate:
         pole = np.atleast_1d(pole)
         back = 1.0 - pole
         beta = 1.5 * back**2 * (1.0 + pole)
-        alpha = 1.0 - pole**3
-        return cls(alpha, beta, dt, period, back**3, _usual(noise, alpha))
+        return cls(1.0 - pole**3, beta, dt, period, back**3)
 
     @property
     def noise_gain(self) -> Array:
@@ -169,8 +171,21 @@ class VelocityEstimate:
             self.x = self.x + self.alpha * innovation
             self.v = self.v + self.beta / self.sample * innovation
             self.unknown = self.unknown + self.gamma / self.sample**2 * innovation
-            self._misled = (np.abs(innovation) > self.usual) & (innovation * acceleration < 0.0)
+            self._judge(innovation, acceleration)
         return (self.x, self.v)
+
+    def _judge(self, innovation: Array, acceleration: Array | float) -> None:
+        """Note which channels a known acceleration misleads, see `usual`.
+
+        Args:
+            innovation: (k,) m, rad. acceleration: (k,) known one (m/s², rad/s²).
+        """
+        large = np.abs(innovation) > self.usual
+        lead = np.where(large, -np.sign(innovation * acceleration), 0.0)
+        continues = self._ahead * lead >= 0.0
+        self._ahead = np.where(continues, self._ahead, 0.0) * np.abs(lead) + lead * self.sample
+        lasting = np.abs(self._ahead) > _MISLED
+        self._misled = np.where(lasting, lead > 0.0, self._misled)
 
 
 def _usual(noise: Array, alpha: Array) -> Array:
