@@ -27,7 +27,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
 _SURPRISE = 6.0  #: times the rms of innovations
-_MISLED = 0.02  #: s for which a known acceleration must lead ahead; blows are over sooner
+_MISLED = 0.1  #: s for which a known acceleration must lead ahead; pushes are over sooner
 _EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
 
 
@@ -40,7 +40,7 @@ class VelocityEstimate:
         dt: period of `update` (s).
         sample: period of the sensor (s); 0: dt.
         usual: (k,) largest innovations caused by noise (m, rad). A known acceleration that leads
-            further ahead of the readings for 20 ms is wrong by far more than σ_a, for example
+            further ahead of the readings for 0.1 s is wrong by far more than σ_a, for example
             because friction holds the joint. It is not used until the readings lead as far for as
             long.
         x, v: (k,) last estimate (m, rad; m/s, rad/s); x is None before the first update.
