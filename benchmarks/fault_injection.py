@@ -15,7 +15,8 @@ contact force; the exit code is 1 where
   the pushes of the scenario, and what an obstacle adds until a force is seen;
 * a contact that was commanded and made was open for 0.3 s, and the controller took it as closed;
 * stopped arms whose motors are sound moved faster than 0.1 rad/s (m/s) later than 0.5 s after the
-  stop, and 0.3 s after each push of the scenario, or 0.1 rad (m) further than braking took;
+  stop, and 0.3 s after each push of the scenario, or 0.1 rad (m) further than braking took; not
+  judged of an arm whose motors cannot bear the object that hangs on it alone;
 * the mechanical brakes were requested although encoders or speeds were sound, and the motors;
 * the run ended in a state that its kind is not to end in.
 
@@ -28,12 +29,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from typing import Any
 
+import mujoco
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -231,7 +235,7 @@ class Run:
         verdict = Verdict(name, self.case, began=self.first * self.dt)
         last = self.first + round(min(fault.lasts, 1e6) / self.dt)
         end = self.first + round(fault_for / self.dt)
-        watch = _Watch(self, verdict)
+        watch = _Watch(self, verdict, fault.hangs)
         response = contact_response(self)
         while self.k < end and not verdict.wrong:
             stopped = verdict.stopped
@@ -282,9 +286,10 @@ class _Watch:
         highest: N, the largest force commanded, 10 at least.
     """
 
-    def __init__(self, run: Run, verdict: Verdict) -> None:
+    def __init__(self, run: Run, verdict: Verdict, hangs: bool) -> None:
         self._run = run
         self._verdict = verdict
+        self._bears = _bearing(run) if hangs else np.ones(len(run.act), dtype=bool)
         self._stop_q = self._braking = np.zeros(0)
         self._stop_k = 0
         self._beyond = self._outside = 0
@@ -320,11 +325,10 @@ class _Watch:
             verdict.reason = run.controller.reason
             self._braking = speeds * run.controller.records.model.reaction
         if verdict.stopped is not None:
-            verdict.travel = max(
-                verdict.travel, float((np.abs(q - self._stop_q) - self._braking).max())
-            )
+            travel = (np.abs(q - self._stop_q) - self._braking)[self._bears]
+            verdict.travel = max(verdict.travel, float(travel.max()))
             if (run.k - self._stop_k) * run.dt > REST_AFTER and not _is_pushed(run):
-                verdict.rest_speed = max(verdict.rest_speed, float(speeds.max()))
+                verdict.rest_speed = max(verdict.rest_speed, float(speeds[self._bears].max()))
         inside = (q >= model.lowerPositionLimit[run.act]) & (q <= model.upperPositionLimit[run.act])
         self._beyond = self._beyond + 1 if (speeds > run.fastest).any() else 0
         self._outside = 0 if inside.all() else self._outside + 1
@@ -346,6 +350,23 @@ class _Watch:
             unseen = wanted and taken[i] and self._made[i] and not truth.closed[i]
             self._open[i] = self._open[i] + TRUTH_EVERY * run.dt if unseen else 0.0
             verdict.open_s = max(verdict.open_s, float(self._open[i]))
+
+
+def _bearing(run: Run) -> NDArray[np.bool_]:
+    """(n_a,) joints of arms whose motors bear all that hangs on the arm; of the first, the object.
+
+    Others sink until something stops them, whatever is commanded.
+    """
+    plant = run.true
+    at_rest = copy(plant.data)
+    at_rest.qvel[:] = 0.0
+    mujoco.mj_fwdPosition(plant.model, at_rest)
+    mujoco.mj_fwdVelocity(plant.model, at_rest)
+    names = [run.rig.model.joint_names[i] for i in run.act]
+    weights = np.abs([at_rest.qfrc_bias[plant.model.joint(name).dofadr[0]] for name in names])
+    arms = [name.split("/")[0] for name in names]
+    overloaded = {arm for arm, w, most in zip(arms, weights, run.limit, strict=True) if w > most}
+    return np.array([arm not in overloaded for arm in arms])
 
 
 def contact_response(run: Run) -> Array:

@@ -43,6 +43,7 @@ class Fault(NamedTuple):
         arms: least number of arms that it takes.
         stiffness: N/m, of an obstacle: forces grow with it until the arm is stopped.
         pulls: whether it moves an arm that is stopped, and at rest.
+        hangs: whether the object hangs on its first arm alone then.
     """
 
     change: Change | None = None
@@ -55,6 +56,7 @@ class Fault(NamedTuple):
     arms: int = 1
     stiffness: float = 0.0
     pulls: bool = False
+    hangs: bool = False
 
 
 @dataclass
@@ -164,6 +166,13 @@ def _swapped_joints(t: Trial, m: Measurement) -> Measurement:
     own = _motors_of(t, t.pick(len(t.chain.arms)))
     i = int(t.first("joint", t.rng.integers(len(own) - 1)))
     return _permuted(m, [own[i], own[i + 1]], [own[i + 1], own[i]])
+
+
+def _swapped_speeds(t: Trial, m: Measurement) -> Measurement:
+    """Speeds of two joints of an arm, swapped."""
+    own = _motors_of(t, t.pick(len(t.chain.arms)))
+    i, j = t.first("joints", t.rng.choice(len(own), 2, replace=False))
+    return replace(m, v=_permuted(m, [own[i], own[j]], [own[j], own[i]]).v)
 
 
 def _swapped_arms(t: Trial, m: Measurement) -> Measurement:
@@ -337,6 +346,7 @@ FAULTS: dict[str, Fault] = {
     "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=0.2)),
     "encoder offset of 1 degree": Fault(_angles(_motor, offset=np.deg2rad(1.0))),
     "joints swapped": Fault(_packet(_swapped_joints), unsound=_JOINTS),
+    "speeds swapped": Fault(_packet(_swapped_speeds)),
     "arms swapped": Fault(_packet(_swapped_arms), unsound=_JOINTS, arms=2),
     "encoder noise of 5 mrad": Fault(_angles(noise=5e-3)),
     # speeds
@@ -399,7 +409,7 @@ FAULTS: dict[str, Fault] = {
     # the world
     "a brake engages": Fault(world=_brake),
     "gravity tilts by 5 degrees": Fault(world=_tilt_gravity),
-    "a grasp lets go": Fault(world=_drop, arms=2),
+    "a grasp lets go": Fault(world=_drop, arms=2, hangs=True),
     "faces vanish": Fault(world=_remove_faces),
     "a post at the forearm": Fault(world=_post, stiffness=POST),
     "a cable drags at the forearm": Fault(world=_cable, pulls=True),

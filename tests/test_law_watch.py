@@ -624,6 +624,29 @@ def test_joints_that_read_what_the_other_one_did_discredit_all_of_it(lost, sign)
     assert (sensors.joints.faulty == 3).all() and sensors.memory.unbraked == 1
 
 
+@BOTH
+@parametrize("lost", [0, 2])
+def test_speeds_that_are_those_of_one_another_are_exchanged(lost, sign):
+    """They differ by more than 2 % of their limits, and jump by less than 10 %."""
+    for gap, found in ((0.05, MIXED), (0.03 if not lost else 0.1, NO_REASON)):
+        sensors = Sensors(speed_error=0.1)
+        v = sign * vector(0.3, 0.3 - gap * (1 + lost if found else 1))
+        sensors.until(v=v, most=20)
+        for _ in range(lost):
+            sensors.lose()
+            sensors.q = sensors.q + DT * (v - vector(0.3, -0.4))  # as they move
+        seen = [sensors.tick(v=v[::-1], true=v) for _ in range(12)]
+        assert seen[-1] == found
+        if found:
+            assert_array_equal(sensors.joints.faulty, at.FAULTY_SPEED)
+            assert sensors.memory.unbraked == -1, "positions are sound"
+            assert_near(sensors.memory.v, v, atol=1e-6)
+    sensors = Sensors()
+    sensors.until(most=20)
+    sensors.memory.derived = 1
+    assert sensors.tick(v=(-0.2, 0.1), true=(0.3, -0.4)) == NO_REASON
+
+
 def test_joints_that_pass_one_another_are_not_exchanged():
     for v in ((0.3, -0.4), (9.0, -9.0)):
         sensors = Sensors()
@@ -650,6 +673,68 @@ def test_friction_may_hold_a_joint_against_a_share_of_its_torque(sign):
     assert driven(0.0, 1.299) == [False, False] and driven(0.0, 1.301) == [False, True]
     t.model.joints.motor[0] = -1  # no friction of a motor
     assert driven(1e-6, 0.0) == [True, False]
+
+
+@parametrize("j", [0, 1])
+def test_readings_are_dead_where_a_joint_stops_by_more_than_twice_the_torque_of_friction(j):
+    t = joints(2)
+    t.model.arms.end[0] = 2
+    write(t.model.joints, tau_max=10.0)
+    t.model.joints.theta[j, 0] = 0.1
+    for i in range(2):
+        t.work.joints.M[i, i] = 0.5
+    t.memory.still = 0.02
+    t.memory.joints.halted[j] = 2.79  # 1.4 N m: twice 0.5 and twice 0.1
+    assert not sensors.stop_at_once(t)
+    t.memory.joints.halted[j] = 2.81
+    assert sensors.stop_at_once(t)
+    t.memory.still = 0.005  # joints read the same now and then
+    assert not sensors.stop_at_once(t)
+    t.memory.still = 0.02
+    t.model.joints.motor[j] = -1
+    assert not sensors.stop_at_once(t)
+
+
+@parametrize("at_once", [True, False])
+def test_what_halts_a_joint_is_known_until_it_moves(at_once):
+    """The first packet that repeats itself may be a new one."""
+    sensors = Sensors(frozen_time=inf)
+    sensors.until(most=20)
+    still = sensors.q + (0.0 if at_once else DT * vector(0.3, -0.4))
+    for _ in range(3):
+        sensors.tick(v=(0.0, -0.4), q=still)
+        assert_near(sensors.joints.halted, [300.0, 0.0], rtol=1e-4)
+    sensors.tick(v=(0.0, -0.4), q=still + vector(1e-6, 0.0))
+    assert_array_equal(sensors.joints.halted, 0.0)
+    sensors.tick(v=(0.3, -0.4), q=still)
+    for _ in range(2):
+        sensors.lose()
+    sensors.tick(v=(0.0, -0.4), q=still)
+    assert sensors.joints.halted[0] == approx(100.0, rel=1e-4)
+    sensors.tick(v=(0.1, -0.4), q=still)
+    assert_array_equal(sensors.joints.halted, 0.0)
+
+
+@BOTH
+def test_joints_that_all_read_the_same_are_held_by_twice_the_friction_that_they_have_shown(sign):
+    """And 0.2 % of the limit; by 5 % of it at most, or where they have hardly moved."""
+    t = joints(2)
+    t.model.arms.end[0] = 2
+    write(t.model.joints, tau_max=10.0)
+
+    def driven(push):
+        write(t.work.joints, h=0.0, inertial=sign * push)
+        return [bool(sensors.must_move(t, j)) for j in range(2)]
+
+    t.memory.still = 0.02
+    write(t.memory.joints, slid=[0.2, 0.05], rubbed=0.1)
+    assert driven(0.221) == [True, False] and driven(0.219) == [False, False]
+    assert driven(0.501) == [True, True]
+    t.memory.joints.rubbed[0] = 0.3
+    assert driven(0.499) == [False, False] and driven(0.501) == [True, True]
+    t.memory.joints.rubbed[0] = 0.1
+    t.memory.still = 0.005  # joints read the same now and then
+    assert driven(0.499) == [False, False]
 
 
 @BOTH
@@ -714,6 +799,32 @@ def test_speeds_are_those_of_the_positions_within_a_tenth_of_their_limit(sign):
                 assert sensors.memory.culprit == j
             if error == 1.0:  # 1 − exp(−t / 20 ms) = 0.2, a tick or two for the sampling
                 assert ticks == approx(20.0 * np.log(1.25), abs=1.0)
+
+
+@BOTH
+@parametrize("every", [0, 2])
+@parametrize("of_speed", [True, False])
+def test_a_drift_is_blamed_on_the_reading_that_nothing_predicts(every, of_speed, sign):
+    """It is found when the prediction has followed both readings and is wrong by 0.4 rad/s²."""
+    for j in range(2):
+        sensors = Sensors(position_drift=0.03, speed_error=inf)
+        v = vector(0.3, -0.4)
+        drift = 0.2 * sign * np.eye(2)[j]
+        sensors.tick(v=v)
+        reason = NO_REASON
+        k = 0
+        while reason == NO_REASON and k < 600:
+            k += 1
+            if every and k % every == every - 1:
+                sensors.q = sensors.q + DT * (v if of_speed else v + drift)
+                reason = sensors._read(np.full(2, np.nan), np.full(2, np.nan), np.ones((1, 6)) * k)
+                continue
+            v = v + 0.4 * DT * max(every, 1)
+            wrong = v + drift
+            reason = sensors.tick(v=wrong if of_speed else v, true=v if of_speed else wrong)
+        assert reason == DISAGREE and k > 100
+        expected = at.FAULTY_SPEED * np.ones(2) if of_speed else at.FAULTY_POSITION * np.eye(2)[j]
+        assert_array_equal(sensors.joints.faulty, expected)
 
 
 @parametrize("every", [2, 3, 10])

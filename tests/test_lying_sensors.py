@@ -81,7 +81,7 @@ def test_readings_that_grow_old_are_not_run_on(case, late):
         fine.append(controller.status is osc.Status.OK)
     assert fine.index(False) == 31  # 20 ms after the last one
     assert controller.state is SAFE_STOP
-    assert "nothing newer" in controller.reason
+    assert "no new readings" in controller.reason
 
 
 @parametrize("bad", [NAN, 1e6, 0.5])

@@ -1,5 +1,6 @@
 """Sensors: statistics and clocks, calibration, estimates of velocity, vision with encoders."""
 
+import copy
 import re
 from itertools import pairwise
 from types import SimpleNamespace
@@ -306,6 +307,60 @@ def test_gains_are_those_of_the_riccati_equation(noise, acceleration):
     estimate = VelocityEstimate.optimal(noise, acceleration, DT)
     K = riccati(noise, acceleration, DT)
     assert_near([estimate.alpha[0], estimate.beta[0] / DT], K, rtol=1e-6)
+
+
+STEP = 2.0 * np.pi / 2**16
+
+
+@parametrize("period", [DT, 2 * DT])
+@parametrize("acceleration", [60.0, -160.0])
+def test_the_velocity_of_a_driven_joint_that_sticks_stays_small(acceleration, period):
+    """Its encoder of 16 bits reads the very same; when it slips it is followed.
+
+    Without that −160 rad/s² came to −1.3 rad/s for as long as it stuck.
+    """
+    estimate = VelocityEstimate.optimal(vector(STEP / np.sqrt(12.0)), 0.8, DT, period)
+    every = round(period / DT)
+    found = []
+    for k in range(600):
+        x = 0.3 if k < 400 else 0.3 + 0.5 * acceleration * (DT * (k - 400)) ** 2
+        x = np.round(x / STEP) * STEP
+        found.append(estimate.update(vector(x), vector(acceleration), k % every == 0)[1][0])
+    assert largest(found[200:400]) < 0.06
+    assert_near(found[-1], acceleration * DT * 199, rtol=0.05)
+
+
+@parametrize("sign", [1.0, -1.0])
+@parametrize("size, ticks, used", [(0.99, 130, True), (1.01, 99, True), (1.01, 102, False)])
+def test_a_known_acceleration_that_leads_ahead_for_long_is_not_used(sign, size, ticks, used):
+    """By more than six times the noise, for 0.1 s, and until the readings lead by as much."""
+    noise = 1e-4
+    estimate = VelocityEstimate.optimal(vector(noise), 0.8, DT)
+    usual = 6.0 * noise / np.sqrt(1.0 - estimate.alpha[0])
+    a = vector(sign * 10.0)
+
+    def step(lead):
+        """Whether the acceleration is used; the readings lag behind by so many times `usual`."""
+        before = estimate.v.copy()
+        x = estimate.x + DT * before
+        for known in (True, False):
+            predicted = x + (0.5 * DT**2 * a if known else 0.0)
+            copied = copy.deepcopy(estimate)
+            _, v = copied.update(predicted - sign * lead * usual, a)
+            change = estimate.beta / DT * -sign * lead * usual
+            if np.allclose(v - before - change, DT * a if known else 0.0, atol=1e-9):
+                estimate.__dict__.update(copied.__dict__)
+                return known
+        raise AssertionError
+
+    estimate.update(vector(0.0), a)
+    for _ in range(ticks):
+        step(size)
+    assert step(0.0) == used
+    assert step(-0.99) == used
+    for _ in range(102):
+        step(-1.01)
+    assert step(0.0), "readings have followed"
 
 
 @parametrize("noise", np.geomspace(1e-15, 1e-2, 14))

@@ -167,7 +167,7 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             f"{at.NOT_BARRED} <= barred <= {at.EXCHANGED}",
             "0 <= followed <= 4",
         ),
-        "arms": (*_ticks("unread"), *_flags("weighed", "let_go")),
+        "arms": (*_ticks("unread"), *_flags("weighed", "let_go", "holds")),
         "columns": _flags("closed", "collision", "known", "has_desired"),
         "friction_known": ("0 <= friction_known <= 3",),
     },

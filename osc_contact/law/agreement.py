@@ -136,6 +136,9 @@ def _balance_arm(t, k, dt):
         least = _DOUBTFUL * most
         if known.means[V] * known.unexplained > _RUBBING * abs(known.unexplained):
             most *= 2.0  # the torque opposes the motion, like friction not identified yet
+        if abs(known.past_v) > _RUBBING:
+            known.rubbed += fast * (abs(known.residual) - known.rubbed)
+            known.slid += dt
         rest = known.residual - clamped(known.residual, friction)
         known.unexplained += fast * (clamped(rest, _OUTLIER * most) - known.unexplained)
         rest = known.unexplained

@@ -43,6 +43,7 @@ _LEAST = 0.1  #: least share of the braking torques where motors can hardly carr
 BRAKE_RATE = 40.0  #: 1/s, rate of the torques of a hold, as a multiple of their limits
 _HASTE = 4.0  #: factor of that rate if a joint is above its speed limit
 _LIGHT = 0.25  #: share of its part of the object's weight below which an arm has let go
+_HEAVY = 0.5  #: share of its part above which an arm holds the object, if no other arm does
 _SHAKES = 0.02  #: s, time constant of the low-pass of the load of a wrist
 
 
@@ -136,14 +137,34 @@ def _move_holds(t):
 def _count_holding(t):
     """Number of arms that hold the object, without stopped arms that have let go of it.
 
-    If no arm bears a load, all arms count as holding, because contacts may carry the object.
+    If no arm bears a load, all arms count as holding, because contacts may carry the object. If it
+    is falling instead, the first arm whose load exceeds `_HEAVY` times its share of the weight is
+    the one that holds it; its `let_go` is revoked and its `holds` set.
     """
-    n = t.model.n_arms
+    model = t.model
+    n = model.n_arms
     holding = n
-    if t.memory.state == SAFE_STOP and t.model.held and n > 1:
+    if t.memory.state == SAFE_STOP and model.held and n > 1:
+        heaviest = 0
+        most = 0.0
         for k in range(n):
-            holding -= t.memory.arms[k].let_go
+            own = t.memory.arms[k]
+            holding -= own.let_go
+            load = dot3(own.load, own.load)
+            if load > most:
+                heaviest = k
+                most = load
+        if holding == 0 and sqrt(most) > _HEAVY * _weight_share(t):
+            t.memory.arms[heaviest].let_go = 0
+            t.memory.arms[heaviest].holds = 1
+            holding = 1
     return holding if holding > 0 else n
+
+
+@leaf
+def _weight_share(t):
+    """Weight of the object over the number of arms (N)."""
+    return t.model.principal[0] * sqrt(dot3(t.model.gravity, t.model.gravity)) / t.model.n_arms
 
 
 @leaf
@@ -151,8 +172,9 @@ def _weigh(t, k, world, outboard):
     """Low-pass the load on the wrist of a stopped arm k, and detect whether it has let go.
 
     An arm whose load falls below `_LIGHT` times its share of the object's weight has let go; this
-    is not revoked until the next stop, because vibrations or errors of the sensor may look like a
-    load later. Fills `load`, `weighed` and `let_go` of the arm in MEMORY.
+    is not revoked until the next stop as long as other arms hold the object, because vibrations or
+    errors of the sensor may look like a load later. Fills `load`, `weighed` and `let_go` of the arm
+    in MEMORY.
 
     Args:
         t: Tick after `move_arm`. k: arm. world: (3,) origin of the world, reference point of the
@@ -167,12 +189,11 @@ def _weigh(t, k, world, outboard):
     wrench = read_wrist(t.memory.wrenches[k], joint, arm.sensor, world)
     share = model.period / (_SHAKES + model.period) if own.weighed else 1.0
     if own.weighed == 0:
-        own.let_go = 0
+        own.let_go = own.holds = 0
     own.weighed = 1
     load = add3(own.load, share, minus3(minus3(wrench, outboard), own.load))
     fill3(own.load, load)
-    weight = model.principal[0] * sqrt(dot3(model.gravity, model.gravity)) / model.n_arms
-    if sqrt(dot3(load, load)) < _LIGHT * weight:
+    if own.holds == 0 and sqrt(dot3(load, load)) < _LIGHT * _weight_share(t):
         own.let_go = 1
 
 

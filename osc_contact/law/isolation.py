@@ -14,6 +14,7 @@ from osc_contact.law.vectors import clamped
 
 _GONE = 0.25  #: share of `position_drift` by which a lasting speed must change the position
 _SLOPE = 0.005  #: s, time constant of the speed estimate from positions
+_DRAWN = 0.2  #: share of the positions' error at which an estimated speed is faulty
 DEAD = 0.01  #: s of identical readings of all joints after which the whole packet is dead
 BLIND = 0.01  #: s without a sound reading after which a joint cannot be braked
 
@@ -23,8 +24,10 @@ def isolate_joint(t, j):
     """Mark the faulty reading of joint j, whose position and speed contradict each other.
 
     A reading that is constant while the other one changes is faulty; otherwise the one whose
-    changes the commanded accelerations predict less. Speeds of all joints come from the same
-    estimator, so all are marked if that of one joint is faulty.
+    changes the commanded accelerations have predicted less, on average over the last half second.
+    Speeds that are estimated from positions are drawn towards the predictions, and are faulty at
+    `_DRAWN` times the error of the position. Speeds of all joints come from the same estimator, so
+    all are marked if that of one joint is faulty.
     """
     joint_memory = t.memory.joints
     known = joint_memory[j]
@@ -36,7 +39,10 @@ def isolate_joint(t, j):
         if dead or t.memory.derived:
             known.faulty |= FAULTY_SPEED
     elif known.faulty == 0:
-        if dead or abs(known.surprise_v) > abs(known.surprise_q):
+        of_speed = known.blame > 0.0
+        if t.memory.derived:
+            of_speed = abs(known.surprise_v) > _DRAWN * abs(known.surprise_q)
+        if dead or of_speed:
             for i in range(t.model.n_joints):
                 if joint_memory[i].faulty == 0:
                     joint_memory[i].faulty = FAULTY_SPEED

@@ -52,11 +52,12 @@ SPEEDS_JUMPED = declare_reason(
     "SPEEDS_JUMPED",
     20,
     "the speeds of joint {joint} and of others jump in one packet by more than speed_error = "
-    "{safety.speed_error:g} of their limits",
+    "{safety.speed_error:g} of their limits, or are exchanged",
 )
 
 _ROUND = 1e-4  #: largest deviation of R Rᵀ from the identity
 _NOISE = 0.02  #: rad, m, largest change of a position that never counts as a jump
+_SLIGHT = 0.2  #: share of `speed_error` by which exchanged speeds differ at least
 _EXCHANGED = 1e-3  #: rad, m, least difference of two positions whose exchange is detected
 _SAME = 0.2  #: share of this difference within which a reading is attributed to the other joint
 
@@ -116,21 +117,28 @@ def find_jumps(t):
         return
     read = 0
     off = 0
+    off_speeds = 0
     for j in range(t.model.n_joints):
         now = t.input.q[j]
         if not isfinite(now):
             continue
         read += 1
-        memory.joints[j].barred = _jump(t, j, now)
-        if memory.joints[j].barred != NOT_BARRED:
-            work.jumps += 1
-            work.jumped = j
-        if _speed_jumps(t, j):
-            work.speed_jumps += 1
-            work.speed_jumped = j
+        known = memory.joints[j]
+        if known.barred != NOT_BARRED or abs(now - known.q) > _NOISE:
+            known.barred = _jump(t, j, now)
+            if known.barred != NOT_BARRED:
+                work.jumps += 1
+                work.jumped = j
+        if _changes_speed(t, j):
+            off_speeds += 1
+            if _speed_jumps(t, j):
+                work.speed_jumps += 1
+                work.speed_jumped = j
         off += 1 if abs(now - _expected(t, j)) > _EXCHANGED else 0
     if off > 1 and work.jumps < 2:
         _find_exchange(t, off)
+    if off_speeds > 1 and work.speed_jumps < 2:
+        _find_exchanged_speeds(t, off_speeds)
     several = max(work.jumps, work.speed_jumps) > 1
     if several or (read == 0 and memory.mixed > 0.0):
         memory.mixed += t.model.period
@@ -198,12 +206,65 @@ def _find_exchange(t, off):
 @leaf
 def _cross(t, i, j):
     """Whether joints i and j each read the predicted position of the other one, not their own."""
-    own = t.input.q[i] - _expected(t, i)
-    other = t.input.q[j] - _expected(t, j)
-    near = _SAME * abs(own)
-    crossed = abs(t.input.q[i] - _expected(t, j)) < near
-    crossed = crossed and abs(t.input.q[j] - _expected(t, i)) < near
-    return crossed and min(abs(own), abs(other)) > _EXCHANGED
+    q = t.input.q
+    far = min(abs(q[i] - _expected(t, i)), abs(q[j] - _expected(t, j))) > _EXCHANGED
+    return far and _is_near_other(q[i], q[j], _expected(t, i), _expected(t, j))
+
+
+@leaf
+def _is_near_other(x, y, expected_x, expected_y):
+    """Whether two readings x and y are each near the prediction of the other one, not their own."""
+    near = _SAME * abs(x - expected_x)
+    return abs(x - expected_y) < near and abs(y - expected_x) < near
+
+
+@inner
+def _find_exchanged_speeds(t, off):
+    """Detect pairs of joints whose speeds are exchanged, as `_find_exchange` does of positions.
+
+    Args:
+        t: Tick. off: number of joints whose speeds deviate from their predictions.
+    """
+    crossed = 0
+    first = 0
+    for i in range(t.model.n_joints):
+        for j in range(i):
+            both = _changes_speed(t, i) and _changes_speed(t, j)
+            x = t.input.v[i]
+            y = t.input.v[j]
+            if both and _is_near_other(x, y, _expected_speed(t, i), _expected_speed(t, j)):
+                crossed += 2
+                first = j
+    if crossed == off:
+        t.work.speed_jumps = 2
+        t.work.speed_jumped = first
+
+
+@leaf
+def _expected_speed(t, j):
+    """Predicted speed (m/s, rad/s) of joint j, from its speed and command in the last tick."""
+    return t.memory.v[j] + t.memory.joints[j].acceleration * t.model.period
+
+
+@leaf
+def _speed_room(t, j):
+    """Change of speed (m/s, rad/s) of joint j that is a jump."""
+    unread = t.memory.joints[j].unread_q
+    return t.model.speed_error * t.model.joints[j].speed_max * (1 + unread)
+
+
+@leaf
+def _changes_speed(t, j):
+    """Whether the speed of joint j differs from the last and from the predicted one.
+
+    Speeds that are estimated from positions are not checked, because they jump together with the
+    positions.
+    """
+    if t.memory.derived:
+        return False
+    now = t.input.v[j]
+    room = _SLIGHT * _speed_room(t, j)
+    return abs(now - t.memory.v[j]) > room and abs(now - _expected_speed(t, j)) > room
 
 
 @leaf
@@ -211,16 +272,13 @@ def _speed_jumps(t, j):
     """Whether the speed of joint j jumps out of the range from the last speed to the commanded one.
 
     The last speed is permitted because a joint that is blocked, or whose motor is weak, changes its
-    speed less than commanded. Speeds that are estimated from positions are not checked, because
-    they jump together with the positions.
+    speed less than commanded.
     """
-    known = t.memory.joints[j]
-    room = t.model.speed_error * t.model.joints[j].speed_max * (1 + known.unread_q)
+    room = _speed_room(t, j)
     last = t.memory.v[j]
-    follows = last + known.acceleration * t.model.period
+    follows = _expected_speed(t, j)
     now = t.input.v[j]
-    jumps = now < min(last, follows) - room or now > max(last, follows) + room
-    return t.memory.derived == 0 and jumps
+    return now < min(last, follows) - room or now > max(last, follows) + room
 
 
 @leaf

@@ -412,6 +412,7 @@ JOINT_MEMORY = _record(
         "acceleration",  # last commanded acceleration
         "pending",  # speed commanded since the position was last read, over lost ticks, too
         "gained",  # speed commanded while the position did not change
+        "halted",  # deceleration to a speed of 0 that has lasted since
         "error",  # speed less speed from positions, low-passed
         "drift",  # its integral, with forgetting
         "same_speed",  # s of identical speeds
@@ -426,6 +427,7 @@ JOINT_MEMORY = _record(
         "model_q",  # speed predicted from positions
         "surprise_v",  # error of either prediction, low-passed
         "surprise_q",
+        "blame",  # integral of |surprise_v| − |surprise_q|, with forgetting
         # see `joint_friction`
         "past_weight",  # torque of the arm's h less outboard bias in the last tick
         "load",  # torque of the wrench in the last tick
@@ -441,6 +443,8 @@ JOINT_MEMORY = _record(
         "unexplained",  # residual less identified friction, low-passed
         "usual",  # its mean over a longer time
         "unbalanced",  # s for which it has been too large
+        "rubbed",  # magnitude of the residual during the last motion, low-passed
+        "slid",  # s of motion
     ),
     trusted=3,  # F, D and |A| low-passed over a long time, see `agreement`
     means=6,  # low-passed signals, see `joint_friction`
@@ -457,9 +461,12 @@ FRICTION = _record(
     smooth=6,
 )
 #: State of an arm: ticks since its wrist was read; of a stopped arm (see `holding`), 1 once the
-#: load of its wrist was read, 1 if it has let go of the object; s of identical readings of its
-#: wrist, s for which motor torques contradict the wrist; force on its wrist (N), low-passed.
-ARM_MEMORY = _record(whole=("unread", "weighed", "let_go"), number=("same", "doubtful"), load=3)
+#: load of its wrist was read, 1 if it has let go of the object, 1 if it alone holds the object; s
+#: of identical readings of its wrist, s for which motor torques contradict the wrist; force on its
+#: wrist (N), low-passed.
+ARM_MEMORY = _record(
+    whole=("unread", "weighed", "let_go", "holds"), number=("same", "doubtful"), load=3
+)
 
 # Intermediate results of a tick -----------------------------------------------------------------
 

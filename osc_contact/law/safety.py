@@ -19,7 +19,7 @@ from osc_contact.law.records import (
     SATURATED,
     WRISTS,
 )
-from osc_contact.law.sensors import check_sensors, must_move
+from osc_contact.law.sensors import check_sensors, must_move, stop_at_once
 
 OVERSPEED = declare_reason(
     "OVERSPEED",
@@ -225,12 +225,13 @@ def guard(t, reason):
 @inner
 def _note_accelerations(t):
     """Store the commanded accelerations, and `driven` of joints with constant positions."""
+    dead = stop_at_once(t)
     for k in range(t.model.n_arms):
         arm = t.model.arms[k]
         for j in range(arm.first, arm.end):
             known = t.memory.joints[j]
             known.acceleration = t.work.joints[j].acceleration
-            known.driven = 1 if known.rested > 0.0 and must_move(t, j) else 0
+            known.driven = 1 if known.rested > 0.0 and (dead or must_move(t, j)) else 0
 
 
 @leaf

@@ -67,6 +67,8 @@ _LATE = 0.01  #: s, possible delay of speeds
 _RESOLUTION = 4e-4  #: rad, m, resolution of a coarse encoder (14 bits)
 _MODEL = 0.1  #: s, time constant of the predictions of speeds from commanded accelerations
 _HELD = 0.05  #: share of a motor's torque limit that dry friction may hold
+_LITTLE = 0.002  #: the same beside twice the friction that a joint's motion has shown
+_SLID = 0.1  #: s of motion after which a joint has shown its friction
 _FINE = 1e-9  #: rad, m, change of a position below which it is rounding
 _TURNING = 0.1  #: s, time constant of the share of changes that reverse the one before
 _NOISY = 0.2  #: share of reversals above which a position is noisy; pure noise has two thirds
@@ -199,17 +201,21 @@ def _check_joint(t, known, limit, step, v, dt, shares):
     gained = min(abs(known.pending), _GAIN * model.stuck_speed * limit)
     if step != 0.0:
         known.gained = 0.0
+        known.changes += 1
     elif known.driven:
         known.gained += gained
-    if step != 0.0:
-        known.changes += 1
+    if v != 0.0 or (same and step != 0.0):
+        known.halted = 0.0
+    elif not same:
+        known.halted = abs(known.v) / dt
     if abs(step) > _FINE:
         back = 1.0 if step * known.step < 0.0 else 0.0
         known.turning += turning * (back - known.turning)
         known.step = step
     error = clamped(v - slope, 2.0 * limit)
     known.error += lag * (error - known.error)
-    drift = (known.drift + error * dt) * (1.0 - min(dt / _FORGET, 1.0))
+    kept = 1.0 - min(dt / _FORGET, 1.0)
+    drift = (known.drift + error * dt) * kept
     explained = _SCALE * dt * abs(v)
     drift = max(drift - explained, 0.0) if drift > 0.0 else min(drift + explained, 0.0)
     known.drift = drift
@@ -217,6 +223,8 @@ def _check_joint(t, known, limit, step, v, dt, shares):
     known.model_q += known.pending
     known.surprise_v += lag * (v - known.model_v - known.surprise_v)
     known.surprise_q += lag * (slope - known.model_q - known.surprise_q)
+    more = abs(known.surprise_v) - abs(known.surprise_q)
+    known.blame = (known.blame + more * dt) * kept
     known.model_v += k * (v - known.model_v)
     known.model_q += k * (slope - known.model_q)
     known.stuck = known.gained > model.stuck_speed * limit
@@ -277,7 +285,9 @@ def _were_noisy(t):
     """Whether the positions of all joints were noisy when they last changed."""
     noisy = True
     for j in range(t.model.n_joints):
-        noisy = noisy and t.memory.joints[j].turning > _NOISY
+        if t.memory.joints[j].turning <= _NOISY:
+            noisy = False
+            break
     return noisy
 
 
@@ -314,11 +324,50 @@ def _test_encoders(t, dt):
     memory.tested = 0.0
 
 
+@inner
+def stop_at_once(t):
+    """Whether constant readings of all joints began with a stop that no friction can cause.
+
+    The deceleration of some joint from one packet to the next then needs more than twice the torque
+    of unknown friction, see `must_move`, and the readings are dead.
+    """
+    if t.memory.still <= DEAD:
+        return False
+    found = False
+    for k in range(t.model.n_arms):
+        arm = t.model.arms[k]
+        for j in range(arm.first, arm.end):
+            halted = t.memory.joints[j].halted
+            if halted > 0.0 and t.model.joints[j].motor >= 0:
+                most = 2.0 * (_known_friction(t, j) + _HELD * t.model.joints[j].tau_max)
+                found = found or t.work.joints[j].M[j - arm.first] * halted > most
+    return found
+
+
+@leaf
+def _known_friction(t, j):
+    """Known dry friction of joint j, doubled because it may be compensated wrongly (N m, N)."""
+    return 2.0 * max(t.model.joints[j].theta[0], t.memory.joints[j].trusted[0])
+
+
 @leaf
 def must_move(t, j):
-    """Whether the commanded acceleration of joint j needs more torque than dry friction holds."""
+    """Whether the commanded acceleration of joint j needs more torque than dry friction holds.
+
+    Unknown friction is assumed to hold `_HELD` times the motor's limit. When the readings of all
+    joints are constant, they may be dead instead of held by friction. The friction of a joint that
+    has moved is then limited by twice the friction which this motion has shown.
+
+    Args:
+        t: Tick. j: joint.
+    """
     joint = t.model.joints[j]
     own = t.work.joints[j]
-    most = 2.0 * max(joint.theta[0], t.memory.joints[j].trusted[0])  # and compensated wrongly
-    most += _HELD * joint.tau_max if joint.motor >= 0 else 0.0
+    known = t.memory.joints[j]
+    most = _known_friction(t, j)
+    if joint.motor >= 0:
+        held = _HELD * joint.tau_max
+        if t.memory.still > DEAD and known.slid > _SLID:
+            held = min(held, 2.0 * known.rubbed + _LITTLE * joint.tau_max)
+        most += held
     return abs(own.inertial - own.h) > most

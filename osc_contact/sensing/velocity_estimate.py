@@ -26,6 +26,8 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
+_SURPRISE = 6.0  #: times the rms of innovations
+_MISLED = 0.1  #: s for which a known acceleration must lead ahead; pushes are over sooner
 _EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
 
 
@@ -37,6 +39,10 @@ class VelocityEstimate:
         alpha, beta: (k,) gains of position and of velocity, for the period `sample`.
         dt: period of `update` (s).
         sample: period of the sensor (s); 0: dt.
+        usual: (k,) largest innovations caused by noise (m, rad). A known acceleration that leads
+            further ahead of the readings for 0.1 s is wrong by far more than σ_a, for example
+            because friction holds the joint. It is not used until the readings lead as far for as
+            long.
         x, v: (k,) last estimate (m, rad; m/s, rad/s); x is None before the first update.
     """
 
@@ -45,6 +51,7 @@ class VelocityEstimate:
     dt: float
     sample: float = 0.0
     gamma: Array | float = 0.0
+    usual: Array | float = np.inf
 
     def __post_init__(self) -> None:
         self.alpha = np.atleast_1d(self.alpha)
@@ -60,6 +67,8 @@ class VelocityEstimate:
         self.x: Array | None = None
         self.v = np.zeros(len(self.alpha))
         self.unknown = np.zeros(len(self.alpha))
+        self._misled = np.zeros(len(self.alpha), dtype=bool)
+        self._ahead = np.zeros(len(self.alpha))  #: s; < 0: the readings lead
 
     @classmethod
     def optimal(
@@ -87,7 +96,8 @@ class VelocityEstimate:
         index = acceleration * (sample or dt) ** 2 / noise
         u = 1.0 / 3.0 + np.sqrt(1.0 / 12.0 + 4.0 / index**2)
         beta = 12.0 / (6.0 * (u + np.sqrt(u)) + 1.0)
-        return cls(beta * np.sqrt(u), beta, dt, sample)
+        alpha = beta * np.sqrt(u)
+        return cls(alpha, beta, dt, sample, usual=_usual(noise, alpha))
 
     @classmethod
     def learning(
@@ -153,7 +163,7 @@ class VelocityEstimate:
         if self.x is None:
             self.x = np.array(x, dtype=float)
             return (self.x, self.v)
-        total = acceleration + self.unknown
+        total = np.where(self._misled, 0.0, acceleration) + self.unknown
         self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * total
         self.v = self.v + self.dt * total
         if fresh:
@@ -161,4 +171,23 @@ class VelocityEstimate:
             self.x = self.x + self.alpha * innovation
             self.v = self.v + self.beta / self.sample * innovation
             self.unknown = self.unknown + self.gamma / self.sample**2 * innovation
+            self._judge(innovation, acceleration)
         return (self.x, self.v)
+
+    def _judge(self, innovation: Array, acceleration: Array | float) -> None:
+        """Note which channels a known acceleration misleads, see `usual`.
+
+        Args:
+            innovation: (k,) m, rad. acceleration: (k,) known one (m/s², rad/s²).
+        """
+        large = np.abs(innovation) > self.usual
+        lead = np.where(large, -np.sign(innovation * acceleration), 0.0)
+        continues = self._ahead * lead >= 0.0
+        self._ahead = np.where(continues, self._ahead, 0.0) * np.abs(lead) + lead * self.sample
+        lasting = np.abs(self._ahead) > _MISLED
+        self._misled = np.where(lasting, lead > 0.0, self._misled)
+
+
+def _usual(noise: Array, alpha: Array) -> Array:
+    """(k,) largest innovations that noise brings about: their rms is σ_n/√(1 − α) (m, rad)."""
+    return np.asarray(_SURPRISE * np.atleast_1d(noise) / np.sqrt(np.maximum(1.0 - alpha, 1e-9)))
