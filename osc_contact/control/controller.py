@@ -39,7 +39,7 @@ from osc_contact.control.signals import Signals, TickResult
 from osc_contact.control.start_check import StartCheck
 from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
 from osc_contact.control.torque_limits import MotorLimits, relieve, scale_torques
-from osc_contact.control.waiting import Idle, standing_approaches
+from osc_contact.control.waiting import Idle, explained_approaches, standing_approaches
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Body
@@ -185,11 +185,11 @@ class Controller:
                 joints within them.
             engaged: whether the law includes the contacts from the start.
             in_contact: whether contacts that push are closed at the start; False: they are open,
-                and approached once they are active. Without `life` they are always closed.
+                and approached once they are active, for which `life` is needed.
             friction: friction at the contacts that is taken into account; None: none.
             reading: method of computing contact forces from the wrist readings, 'filter' (fig. 5)
                 or 'least_squares', which is not affected by friction and tilted faces; None: the
-                latter if its result is unique (see `law.reading`).
+                latter if a contact pushes at a known point (see `law.reading`).
             life: settings of contact phases, by which contacts are opened, approached and closed
                 one by one; None: all contacts are closed while they are engaged.
             laws: the user's laws in place of force law, motion law or control structure.
@@ -199,8 +199,9 @@ class Controller:
                 `JointFriction()`; False: no compensation.
 
         Raises:
-            InvalidInputError: an argument of another class or unit, an unknown metric, or contacts
-                and an arm without a wrist sensor, so that contact forces cannot be measured.
+            InvalidInputError: an argument of another class or unit, an unknown metric, contacts
+                that begin open without `life`, or contacts and an arm without a wrist sensor, so
+                that contact forces cannot be measured.
             ModelError: an arm that the law does not support.
         """
         settings = Settings(
@@ -225,6 +226,11 @@ class Controller:
                 Laws,
                 "osc.Laws(force=function), osc.Laws(motion=function) or "
                 "osc.Laws(structure=function)",
+            )
+        if life is None and not in_contact:
+            raise InvalidInputError(
+                "in_contact=False begins with open contacts, and without life= none is ever "
+                "approached: give life=osc.PhaseSettings() too"
             )
         chain.law_row(led=False)  # checks the arms
         self._begin(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))
@@ -453,7 +459,8 @@ class Controller:
             return lost
         if not self.engaged:
             return self._idle.sentence(self.settings)
-        return standing_approaches(self._records, self.settings)
+        waiting = (explained_approaches, standing_approaches)
+        return "; ".join(filter(None, (why(self._records, self.settings) for why in waiting)))
 
     @property
     def state(self) -> SafetyState:

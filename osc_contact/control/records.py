@@ -12,9 +12,7 @@ import pinocchio as pin
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.keys import require_object_fits, store
 from osc_contact.contacts.pairs.law_pair import PairRow, law_row
-from osc_contact.contacts.pairs.pair import count_forces, knows_where_it_slides, pushes_only
-from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
-from osc_contact.contacts.pairs.vertex_and_edge import FaceOnVertex
+from osc_contact.contacts.pairs.pair import knows_where_it_slides, pushes_only
 from osc_contact.control.status import LostDirection
 from osc_contact.dynamics.arm import effort_scale, stretched_length
 from osc_contact.dynamics.assembly import require_in_range
@@ -48,14 +46,13 @@ from osc_contact.spatial import Array, as_array, norm
 # filter attributes every contact force to N_μα; it is exact without friction or with known
 # friction, for any motion of the object. Least squares include tangential forces at each point of
 # contact (`osc_contact.law.reading`): neither friction nor a wrong normal changes the result, but
-# it depends on the commanded acceleration of the object. The result is unique if the columns of N
-# are independent of the tangents. Two points can always push against each other along the line
-# between them; therefore all points must be in one plane, perpendicular to the common normal.
+# it depends on the commanded acceleration of the object. The result is unique if all points
+# are in one plane, perpendicular to the common normal. Two points elsewhere can push against each
+# other along the line between them; the smallest of such pushes is assumed. The filter attributes
+# friction of existing contacts to a missing contact; least squares do not.
 
 
 Reading = Literal["filter", "least_squares"]
-
-_SAME = 1e-3  #: largest difference of equal normals, and of equal planes (m)
 
 #: Permitted distance of `posture` beyond a joint's limits, as a share of its range. A goal slightly
 #: outside is harmless, because the joint is repelled by its limits; a goal further outside suggests
@@ -147,7 +144,7 @@ class Settings:
             bodies=bodies,
             posture=posture,
             joint_friction=JointFriction() if how is True else how or None,
-            reading=choose_reading(self.reading, contacts, bodies),
+            reading=choose_reading(self.reading, contacts),
         )
         if self.gains.force.integral * self.dt >= 1.0:
             raise InvalidInputError(
@@ -201,51 +198,22 @@ class Settings:
         return contacts
 
 
-def choose_reading(
-    requested: Reading | None,
-    pairs: Sequence[ContactPair],
-    bodies: Sequence[Body | None],
-) -> Reading:
-    """Choose the method of computing contact forces: least squares if their result is unique.
+def choose_reading(requested: Reading | None, pairs: Sequence[ContactPair]) -> Reading:
+    """Choose the method of computing contact forces: least squares if a pair has known points.
 
     Args:
-        requested: method that the user requests, or None.
-        pairs: contact pairs. bodies: touched body of each.
+        requested: method that the user requests, or None. pairs: contact pairs.
 
     Raises:
-        InvalidInputError: the requested method is unknown, or least squares are requested for pairs
-            without points of contact.
+        InvalidInputError: the requested method is unknown.
     """
     if requested not in (None, "filter", "least_squares"):
         raise InvalidInputError(
             f"reading = '{requested}'; give 'filter', 'least_squares' or None, which chooses"
         )
-    unknown = [pair.name for pair in pairs if not knows_where_it_slides(pair)]
-    if requested == "least_squares" and unknown:
-        raise InvalidInputError(
-            f"reading = 'least_squares' needs contacts that know where they touch; {unknown} do "
-            "not. Give 'filter'"
-        )
     if requested is not None:
         return requested
-    unique = pairs and not unknown and _in_one_plane(pairs, bodies)
-    return "least_squares" if unique else "filter"
-
-
-def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:
-    """Whether all points of contact remain in one plane, of the environment or of the object."""
-    if any(body is not bodies[0] for body in bodies):
-        return False
-    planes: list[tuple[float, ...]] = []
-    for pair in pairs:
-        if isinstance(pair, PointsOnPlanes):
-            columns = zip(pair.into.T, pair.surface_point @ pair.into, strict=True)
-            planes.extend((*into, height, 0.0) for into, height in columns)
-        elif isinstance(pair, FaceOnVertex):
-            planes.append((*pair.normal, float(pair.normal @ pair.point), 1.0))
-        else:
-            return len(pairs) == count_forces(pair) == 1  # one point
-    return bool(np.ptp(np.array(planes), axis=0).max() < _SAME)
+    return "least_squares" if any(map(knows_where_it_slides, pairs)) else "filter"
 
 
 _GIVEN = PairRow(at.GIVEN, ())
