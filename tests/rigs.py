@@ -332,7 +332,8 @@ def commanded(chain, pairs, q, v, a_u, alpha_u, squeeze=5.0, **how):
     """The controller after a tick of the law that commands a_u (6,), spatial, and α_u; torques."""
     laws = osc.Laws(force=lambda *_: alpha_u, motion=lambda reference, X, V: a_u + product(V))
     # states out of any motion; what the oracles answer is without friction
-    how = {"safety": UNLIMITED, "joint_friction": False, "laws": laws} | how
+    settings = {"safety": UNLIMITED, "joint_friction": False, "laws": laws, "reading": "filter"}
+    how = settings | how
     controller = osc.Controller(strong(chain), pairs, **how)
     desired = osc.Reference(pin.SE3.Identity(), alpha_d=alpha_u, squeeze_d=squeeze)
     tau = controller.tick(unloaded(q, v, len(chain.arms)), desired)

@@ -9,7 +9,7 @@ from numpy.testing import assert_array_equal
 from processes import python
 from pytest import mark, raises
 from rigs import UNLIMITED, assert_near, held_tick, largest, panda_pair, posed, rig_of
-from samples import parametrize
+from samples import first, parametrize
 from test_without_python import files, library, run  # noqa: F401
 
 import osc_contact as osc
@@ -34,12 +34,12 @@ def test_torques_bring_the_commanded_forces_and_motion_of_the_active_set(seed):
 
 
 @mark.slow
-@parametrize("seed", [3])
+@parametrize("seed", [3, 7])
 def test_a_thousand_ticks_of_active_sets(seed):
     assert judged(seed, 1000) > 100
 
 
-@parametrize("count", [60])
+@parametrize("count", first([60, 1000], 1))
 def test_plain_python_and_batches_are_equal_to_the_bit(count, tmp_path):
     words = "import sys, numpy as np; from active_set_cases import torques; "
     words += f"np.save(sys.argv[1], torques(4, {count}))"
@@ -61,8 +61,9 @@ def test_plain_python_and_batches_are_equal_to_the_bit(count, tmp_path):
 
 
 @mark.skipif(not HAS_LIBRARY, reason="no library of the law is used here")
-def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path):  # noqa: F811
-    scene, ticks = packaged(5, 80)
+@parametrize("count", first([80, 1000], 1))
+def test_a_replay_in_c_is_equal_to_the_bit(library, count, tmp_path):  # noqa: F811
+    scene, ticks = packaged(5, count)
     controller = scene.controller()
     controller.save(tmp_path / "controller.osc")
     tape = Tape(controller)
@@ -70,7 +71,7 @@ def test_a_replay_in_c_is_equal_to_the_bit(library, tmp_path):  # noqa: F811
         controller.tick(one.measured, one.reference)
     (tmp_path / "recording.osc").write_bytes(tape.content())
     printed = run(library / "replay", *files(tmp_path))
-    assert printed.startswith("80 of 80 ticks bit-equal") and " 0 HELD" in printed
+    assert printed.startswith(f"{count} of {count} ticks bit-equal") and " 0 HELD" in printed
 
 
 def packaged(seed, count):
@@ -186,6 +187,46 @@ def test_torques_go_gently_after_the_set_has_changed():
             steps.append(largest((tau - last) / controller.chain.tau_max))
         last = tau
     assert 0.005 < max(steps[9:]) < 0.01
+
+
+# --- a beginning in the air -----------------------------------------------------------------------
+
+
+def begun(engaged, **how):
+    """A Panda that begins 5 mm above an edge: the phase of its contact and the true force."""
+    rig = rig_of("panda_edge", "tare={standoff: 5 mm}", "control.life={}")
+    plant = rig.plant()
+    how |= {"posture": rig.q_contact, "life": osc.PhaseSettings(), "engaged": engaged}
+    controller = osc.Controller(rig.model, rig.pairs, rig.gains, **how)
+    controller.engaged = True
+    goal = osc.Reference(rig.state.X_WO, alpha_d=[8.0])
+    seen = []
+    for _ in range(1500):
+        tau = controller.tick(plant.measure(), goal)
+        plant.command(tau, controller.dt)
+        seen.append((int(controller.phases()[0]), float(plant.truth().alpha.sum())))
+    assert controller.status is osc.Status.OK, controller.reason
+    return np.array(seen).T
+
+
+@parametrize("engaged", [True, False])
+def test_a_controller_may_begin_in_the_air(engaged):
+    """Contact is reported where there is one, and soon."""
+    phases, force = begun(engaged, in_contact=False)
+    touched = int(np.argmax(force > 1.0))
+    assert touched > 300 and phases[0] == OPEN
+    assert_array_equal(phases[1 : np.argmax(force > 0.0)], APPROACHING)
+    assert_array_equal(phases[touched + 50 :], CLOSED)
+
+
+def test_contacts_that_begin_open_need_phases():
+    chain = panda_pair()
+    with raises(osc.InvalidInputError, match="give life"):
+        osc.Controller(chain, [], in_contact=False)
+    assert (rig_of("two_contact_rod", "control.in_contact=no").controller().phases() == OPEN).all()
+    for change in ("control.life=off", "plant.type=rigid"):
+        with raises(osc.ScenarioError, match="begin open"):
+            rig_of("two_contact_rod", "control.in_contact=no", change)
 
 
 def test_every_contact_may_be_known():

@@ -64,6 +64,8 @@ def judge_scaling(result):
     assert [row["r"] for row in result["ranks"]] == list(range(7))
     for row in (*result["arms"], *result["ranks"], *result["contacts"]):
         assert row["tick / arm (µs)"] == approx(row["tick p50 (µs)"] / row["arms"])
+    assert [row["known"] for row in result["known"]] == [2, 4, 8, 12]
+    assert result["known"][0]["of two"] == 1.0
 
 
 def judge_vector_env(result):

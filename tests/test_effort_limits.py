@@ -46,7 +46,7 @@ MAX = np.finfo(float).max
 
 def motors_only(chain, pairs):
     """A controller for states drawn at random: no limits but those of its motors."""
-    return osc.Controller(chain, pairs, GAINS, safety=UNLIMITED)
+    return osc.Controller(chain, pairs, GAINS, safety=UNLIMITED, reading="filter")
 
 
 def idle_motions(state, chain):

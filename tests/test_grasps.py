@@ -413,7 +413,7 @@ def test_forces_at_a_tip_that_holds_nothing(arm):
         state = pressed(case, pairs)
         state.move(rng)
         truth = state.answer(20.0 * rng.standard_normal(case.chain.n_a))
-        controller = osc.Controller(case.chain, pairs, safety=UNLIMITED)
+        controller = osc.Controller(case.chain, pairs, safety=UNLIMITED, reading="filter")
         reference = osc.Reference(placed(), alpha_d=np.zeros(len(pairs)))
         controller.tick(osc.Measurement(case.q, state.v, state.readings(truth)), reference)
         assert controller.status is not osc.Status.HELD, controller.reason

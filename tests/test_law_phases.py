@@ -42,7 +42,7 @@ class Phases:
             "least_force": k.least,
             "lost_share": k.share,
         }
-        names = (*MonitorLimits.model_fields, "travel", "rise", "lag")
+        names = (*MonitorLimits.model_fields, "travel", "rise", "lag", "return_speed")
         values |= {name: getattr(k, name) for name in names}
         self.tick = records(1, 1, len(pushing), self.n, **values)
         self.chain, self.memory, self.work, _ = self.tick
@@ -137,6 +137,17 @@ def test_what_friction_of_closed_contacts_explains_makes_no_contact(touch, phase
         phases.work.columns.explained = (0.0, 3.0)
         phases.end([6.0, touch], np.zeros(2))
     assert phases.contacts.phase.tolist() == [CLOSED, phase]
+
+
+@parametrize("fastest", [0.02, 0.1, 0.3])
+def test_the_way_back_to_a_lost_contact_is_no_faster_than_set(fastest):
+    k = PhaseSettings(return_speed=fastest)
+    phases = Phases([0], [True], k, phase=[APPROACHING])
+    phases.contacts.since = 0.0
+    phases.columns.gap = 1.0
+    phases.columns.speed = phases.columns.filtered_speed = 1.0
+    _, goal = phases.begin(np.array([5.0]), judge=False)
+    assert_near(goal, [k.damping * fastest])
 
 
 def test_torques_go_gently_around_a_change_but_for_fast_joints():

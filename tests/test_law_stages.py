@@ -395,7 +395,7 @@ def test_goals_of_contacts(phase, pushes, since, gap, speed, expected):
     for slow, fast in ((speed, -9.0), (9.0, speed), (speed, speed)):  # the slower one counts
         t = records(contacts=1, columns=1, force_gain=3.0, force_damping=5.0, force_brake=0.5)
         write(t.model, approach_damping=200.0, approach_speed=0.01, least_force=0.4, travel=0.05)
-        write(t.model, force_on=1.0, rise=0.4)
+        write(t.model, force_on=1.0, rise=0.4, return_speed=0.1)
         t.model.bodies.pushes[0] = pushes
         contact = t.memory.contacts[0]
         contact.phase = phase

@@ -122,7 +122,13 @@ def test_the_built_in_laws_written_again_do_the_same_in_closed_loop(rig):
         plain.with_laws(structure=paper),
         plain.with_laws(force=BuiltIn(), structure=paper),
         osc.Controller(
-            rig.model, rig.pairs, gains, dt=2e-3, posture=rig.q_contact, laws=Laws(BuiltIn())
+            rig.model,
+            rig.pairs,
+            gains,
+            dt=2e-3,
+            posture=rig.q_contact,
+            laws=Laws(BuiltIn()),
+            reading=plain.reading,
         ),
     ]
     plant = rig.plant()

@@ -1,6 +1,7 @@
 """Contact forces read by least squares: what friction and tilted faces do not fool."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -10,11 +11,14 @@ from pair_kinds import touching
 from rigs import (
     UNLIMITED,
     assert_near,
+    largest,
     one_panda,
+    panda_pair,
     posed,
     product,
     random_faces,
     refused,
+    shift,
     sliding,
 )
 from samples import aligned, chosen, first, parametrize
@@ -185,7 +189,7 @@ PUSHING = [
 ]
 
 
-def test_least_squares_is_chosen_where_its_answer_is_unique():
+def test_least_squares_is_chosen_where_a_contact_pushes_at_a_known_point():
     chain = one_panda()
     rng = default_rng(4)
     *_, X = posed(chain, rng)
@@ -199,21 +203,72 @@ def test_least_squares_is_chosen_where_its_answer_is_unique():
     assert chosen([one, shifted]) == "least_squares"
     cylinder = (np.zeros(3), [1.0, 0, 0], 0.02)
     groove = osc.CylinderInVGroove(*cylinder, np.zeros(3), [1.0, 0, 0], [0, 0, 1.0])
-    assert chosen([groove]) == "filter"  # on two planes
-    assert chosen([one, other]) == chosen([]) == chosen([osc.Revolute([0, 0, 0], one.normal, X)])
-    assert chosen([one, other]) == "filter"
+    hinge = osc.Revolute([0, 0, 0], one.normal, X)
+    assert chosen([]) == chosen([hinge]) == "filter"
+    for pairs in ([groove], [one, other], [one, hinge]):
+        assert chosen(pairs) == "least_squares"
     assert chosen([one], reading="filter") == "filter"
-    assert chosen([one, other], reading="least_squares") == "least_squares"
+    assert chosen([hinge], reading="least_squares") == "least_squares"
     assert chosen([one], life=osc.PhaseSettings()) == "least_squares"
+
+
+def read_at_rest(reading, pairs, alpha, rubbing, **how):
+    """Contact forces that a controller reads of two Pandas at rest.
+
+    Args:
+        pairs: a function of the object's pose. alpha: (r,) true (N). rubbing: a function of the
+            pose, the wrench of friction on the bodies touched, at O in world axes.
+    """
+    chain = panda_pair()
+    q, _, X = posed(chain, default_rng(1))
+    made = pairs(X)
+    controller = osc.Controller(
+        chain, made, reading=reading, posture=q, safety=UNLIMITED, joint_friction=False, **how
+    )
+    goal = osc.Reference(X, alpha_d=alpha)
+    still = osc.Measurement(q, 0.0 * q, np.zeros((2, 6)))
+    controller.tick(still, goal)
+    N = np.hstack([pair.contact(X, np.zeros(6)).N for pair in made])
+    wrench = N @ alpha + rubbing(X) + controller.result().bias_out
+    to_sensor = chain.state(q).sensors[0].inverse() * shift(X.translation)
+    wrenches = np.array([to_sensor.act(pin.Force(wrench)).vector, np.zeros(6)])
+    controller.tick(replace(still, wrenches=wrenches), goal)
+    return controller.result().alpha
+
+
+def test_friction_along_a_hole_is_no_contact_force():
+    """A peg that sticks in its hole, which the filter takes for couples and a push sideways."""
+    seat = np.array([0.05, 0.08, 0.02])
+    hole = partial(osc.Prismatic, seat, [0.0, 0.0, 1.0])
+    alpha = np.array([3.0, -2.0, 0.1, 0.2, -0.1])
+
+    def rubbing(X):
+        along = 2.0 * X.rotation[:, 2]
+        return np.append(along, np.cross(X.rotation @ seat, along))
+
+    given = (lambda X: [hole(assembled=X)], alpha, rubbing)
+    off = {r: largest(read_at_rest(r, *given) - alpha) for r in ("filter", "least_squares")}
+    assert off["least_squares"] < 0.02 < 0.1 < off["filter"]
+
+
+def test_a_hole_beside_a_vertex():
+    """The vertex and the hole, with and without phases, as if each were there alone."""
+    spot = np.array([-0.1, 0.05, -0.05])
+
+    def pairs(X):
+        hole = osc.Prismatic([0.05, 0.08, 0.02], [1.0, 0.0, 0.0], assembled=X)
+        return [osc.VertexOnFace(spot, X.act(spot), X.rotation @ [1.0, 0.0, 0.0]), hole]
+
+    alpha = np.array([6.0, 3.0, -2.0, 0.1, 0.2, -0.1])
+    for life in (None, osc.PhaseSettings()):
+        read = read_at_rest(None, pairs, alpha, lambda X: np.zeros(6), life=life)
+        assert_near(read, alpha, atol=0.02)
 
 
 def test_impossible_readings_are_refused():
     chain = one_panda()
     rng = default_rng(5)
     *_, X = posed(chain, rng)
-    hinge = osc.Revolute([0, 0, 0], [0, 0, 1], X, name="hinge")
-    with refused("hinge"):
-        osc.Controller(chain, [hinge], reading="least_squares")
     faces = random_faces(X, 1, rng)
     with refused("gyro"):
         osc.Controller(chain, faces, reading="gyro")

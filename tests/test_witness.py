@@ -4,21 +4,23 @@ import numpy as np
 import pinocchio as pin
 from numpy.random import default_rng
 from rigs import UNLIMITED, panda_pair, posed, shift, vector
-from samples import parametrize
+from samples import first, parametrize
 
 import osc_contact as osc
+from benchmarks.handovers import APART, Handover, scenario_of
 from osc_contact.law.phases import APPROACHING, CLOSED
 
 PRESSED = 6.0  # N, of the closed contact
 BOUND = osc.PhaseSettings().friction_bound
 
 
-def touched(line, tangential, second):
-    """Force read beyond the closed contact, and how much of it friction explains (N).
+def touched(line, tangential, second, ticks=1):
+    """Force read beyond the closed contact, how much of it friction explains (N), and the reason.
 
     Args:
         line: (3,) where the second line of force, along x, passes, from the first contact (m).
         tangential: force along x at the first contact (N). second: of the second contact (N).
+        ticks: with these readings.
     """
     chain = panda_pair()
     q, _, X = posed(chain, default_rng(1))
@@ -34,6 +36,7 @@ def touched(line, tangential, second):
     controller = osc.Controller(chain, pairs, reading="least_squares", joint_friction=False, **how)
     memory = controller.records.memory
     memory.contacts.phase[:] = (CLOSED, APPROACHING)
+    memory.contacts.since[:] = 0.0
     memory.columns.closed[:] = (1, 0)
     state = chain.state(q)
     pushes = ((first, -PRESSED * up + tangential * along), (other, second * along))
@@ -48,24 +51,33 @@ def touched(line, tangential, second):
     assert np.isfinite(still).all()
     bias = controller.result().bias_out
     wrenches = np.array([read.act(pin.Force(wrench + bias)).vector, np.zeros(6)])
-    controller.tick(osc.Measurement(q, 0.0 * q, wrenches), osc.Reference(X, alpha_d=[6.0, 2.0]))
+    for _ in range(ticks):
+        controller.tick(osc.Measurement(q, 0.0 * q, wrenches), osc.Reference(X, alpha_d=[6.0, 2.0]))
     found = controller.records.work.columns[1]
-    return (float(found.touch), float(found.explained))
+    return (float(found.touch), float(found.explained), controller.reason)
 
 
 @parametrize("share", [-1.0, 0.3, 1.0])
 def test_friction_is_no_contact_where_lines_of_action_do_not_meet(share):
     """It is not seen at all; a contact of 1 N is."""
     apart = vector(0.05, 0.06, 0.04)
-    touch, explained = touched(apart, share * BOUND * PRESSED, 0.0)
+    touch, explained, _ = touched(apart, share * BOUND * PRESSED, 0.0)
     assert abs(touch) < 0.2 and explained < 0.3
-    touch, explained = touched(apart, share * BOUND * PRESSED, 1.0)
+    touch, explained, _ = touched(apart, share * BOUND * PRESSED, 1.0)
     assert touch - explained > 0.6
 
 
 def test_lines_that_meet_are_told_apart_by_the_bound_only():
     meeting = vector(0.05, 0.0, 0.0)
-    touch, explained = touched(meeting, 0.9 * BOUND * PRESSED, 0.0)
+    touch, explained, why = touched(meeting, 0.9 * BOUND * PRESSED, 0.0, 30)
     assert touch > 1.0 and touch - explained < 0.6
-    touch, explained = touched(meeting, 0.0, BOUND * PRESSED + 1.0)
+    assert "is not made: it reads" in why and f"friction_bound = {BOUND:g}" in why
+    touch, explained, _ = touched(meeting, 0.0, BOUND * PRESSED + 1.0)
     assert touch - explained > 0.6
+
+
+@parametrize("friction", first([0.5, 0.2, 0.0], 1))
+def test_a_missing_contact_reads_next_to_nothing_and_is_not_closed_in_the_air(friction):
+    """On MuJoCo, with noise and joint friction, where lines of force pass 30 mm apart."""
+    found = Handover.of(osc.run(scenario_of(APART, friction, seconds=2.5)))
+    assert found.closed_in_the_air == 0.0 and found.share < 0.1

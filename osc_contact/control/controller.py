@@ -117,11 +117,11 @@ class Controller(ControllerState):
                 joints within them.
             engaged: whether the law includes the contacts from the start.
             in_contact: whether contacts that push are closed at the start; False: they are open,
-                and approached once they are active. Without `life` they are always closed.
+                and approached once they are active, for which `life` is needed.
             friction: friction at the contacts that is taken into account; None: none.
             reading: method of computing contact forces from the wrist readings, 'filter' (fig. 5)
                 or 'least_squares', which is not affected by friction and tilted faces; None: the
-                latter if its result is unique (see `law.reading`).
+                latter if a contact pushes at a known point (see `law.reading`).
             life: settings of contact phases, by which contacts are opened, approached and closed
                 one by one; None: all contacts are closed while they are engaged.
             laws: the user's laws in place of force law, motion law or control structure.
@@ -131,8 +131,9 @@ class Controller(ControllerState):
                 `JointFriction()`; False: no compensation.
 
         Raises:
-            InvalidInputError: an argument of another class or unit, an unknown metric, or contacts
-                and an arm without a wrist sensor, so that contact forces cannot be measured.
+            InvalidInputError: an argument of another class or unit, an unknown metric, contacts
+                that begin open without `life`, or contacts and an arm without a wrist sensor, so
+                that contact forces cannot be measured.
             ModelError: an arm that the law does not support.
         """
         settings = Settings(
@@ -157,6 +158,11 @@ class Controller(ControllerState):
                 Laws,
                 "osc.Laws(force=function), osc.Laws(motion=function) or "
                 "osc.Laws(structure=function)",
+            )
+        if life is None and not in_contact:
+            raise InvalidInputError(
+                "in_contact=False begins with open contacts, and without life= none is ever "
+                "approached: give life=osc.PhaseSettings() too"
             )
         chain.law_row(led=False)  # checks the arms
         self._begin(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))

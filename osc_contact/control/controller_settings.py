@@ -10,9 +10,7 @@ import numpy as np
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.keys import require_object_fits, store
-from osc_contact.contacts.pairs.pair import count_forces, knows_where_it_slides
-from osc_contact.contacts.pairs.points_on_planes import PointsOnPlanes
-from osc_contact.contacts.pairs.vertex_and_edge import FaceOnVertex
+from osc_contact.contacts.pairs.pair import knows_where_it_slides
 from osc_contact.dynamics.arm import stretched_length
 from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -30,18 +28,17 @@ from osc_contact.settings.control import (
 )
 from osc_contact.spatial import Array, as_array
 
-# Contact forces are read off the wrists by the filter of fig. 5, or by least squares. The filter
-# takes all that pushes at a contact for N_μα: it is exact without friction, or with friction known,
-# whatever the object does. Least squares let each point of contact push along its tangents, too
-# (`osc_contact.law.reading`): neither friction nor a wrong normal changes their answer, but it
-# depends on the commanded acceleration of the object. The answer is unique where the columns of N
-# are independent of the tangents. Two points can always push against one another along the line
-# between them; so the points must lie in one plane, whose normal is that of them all.
+# Contact forces are computed from wrist readings by the filter of fig. 5 or by least squares. The
+# filter attributes every contact force to N_μα; it is exact without friction or with known
+# friction, for any motion of the object. Least squares include tangential forces at each point of
+# contact (`osc_contact.law.reading`): neither friction nor a wrong normal changes the result, but
+# it depends on the commanded acceleration of the object. The result is unique if all points
+# are in one plane, perpendicular to the common normal. Two points elsewhere can push against each
+# other along the line between them; the smallest of such pushes is assumed. The filter attributes
+# friction of existing contacts to a missing contact; least squares do not.
 
 
 Reading = Literal["filter", "least_squares"]
-
-_SAME = 1e-3  #: normals and planes (m) that differ by less are one
 
 #: Of a joint's range; how far beyond its limits `posture` may lie. It is a goal that the push away
 #: from the limits keeps the joint from reaching, so a goal just outside does no harm; one that is
@@ -133,7 +130,7 @@ class Settings:
             bodies=bodies,
             posture=posture,
             joint_friction=JointFriction() if how is True else how or None,
-            reading=choose_reading(self.reading, contacts, bodies),
+            reading=choose_reading(self.reading, contacts),
         )
         if self.gains.force.integral * self.dt >= 1.0:
             raise InvalidInputError(
@@ -187,48 +184,19 @@ class Settings:
         return contacts
 
 
-def choose_reading(
-    requested: Reading | None,
-    pairs: Sequence[ContactPair],
-    bodies: Sequence[Body | None],
-) -> Reading:
-    """Choose the method of computing contact forces: least squares if their result is unique.
+def choose_reading(requested: Reading | None, pairs: Sequence[ContactPair]) -> Reading:
+    """Choose the method of computing contact forces: least squares if a pair has known points.
 
     Args:
-        requested: method that the user requests, or None.
-        pairs: contact pairs. bodies: touched body of each.
+        requested: method that the user requests, or None. pairs: contact pairs.
 
     Raises:
-        InvalidInputError: the requested method is unknown, or least squares are requested for pairs
-            without points of contact.
+        InvalidInputError: the requested method is unknown.
     """
     if requested not in (None, "filter", "least_squares"):
         raise InvalidInputError(
             f"reading = '{requested}'; give 'filter', 'least_squares' or None, which chooses"
         )
-    unknown = [pair.name for pair in pairs if not knows_where_it_slides(pair)]
-    if requested == "least_squares" and unknown:
-        raise InvalidInputError(
-            f"reading = 'least_squares' needs contacts that know where they touch; {unknown} do "
-            "not. Give 'filter'"
-        )
     if requested is not None:
         return requested
-    unique = pairs and not unknown and _in_one_plane(pairs, bodies)
-    return "least_squares" if unique else "filter"
-
-
-def _in_one_plane(pairs: Sequence[ContactPair], bodies: Sequence[Body | None]) -> bool:
-    """Whether all points of contact remain in one plane, of the environment or of the object."""
-    if any(body is not bodies[0] for body in bodies):
-        return False
-    planes: list[tuple[float, ...]] = []
-    for pair in pairs:
-        if isinstance(pair, PointsOnPlanes):
-            columns = zip(pair.into.T, pair.surface_point @ pair.into, strict=True)
-            planes.extend((*into, height, 0.0) for into, height in columns)
-        elif isinstance(pair, FaceOnVertex):
-            planes.append((*pair.normal, float(pair.normal @ pair.point), 1.0))
-        else:
-            return len(pairs) == count_forces(pair) == 1  # one point
-    return bool(np.ptp(np.array(planes), axis=0).max() < _SAME)
+    return "least_squares" if any(map(knows_where_it_slides, pairs)) else "filter"

@@ -13,7 +13,7 @@ from osc_contact.control.reasons import explain, unbraked_joint
 from osc_contact.control.records import TickRecords
 from osc_contact.control.signals import Signals, TickResult
 from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
-from osc_contact.control.waiting import Idle, standing_approaches
+from osc_contact.control.waiting import Idle, explained_approaches, standing_approaches
 from osc_contact.dynamics.learned_friction import LearnedFriction, robot_identity
 from osc_contact.errors import InvalidInputError
 from osc_contact.robots.model import joint_names
@@ -76,7 +76,8 @@ class ControllerState:
             return lost
         if not self.engaged:
             return self.idle.sentence(self.settings)
-        return standing_approaches(self.records, self.settings)
+        waiting = (explained_approaches, standing_approaches)
+        return "; ".join(filter(None, (why(self.records, self.settings) for why in waiting)))
 
     @property
     def state(self) -> SafetyState:

@@ -53,6 +53,34 @@ class Idle:
         )
 
 
+def explained_approaches(records: TickRecords, settings: Settings) -> str:
+    """Which approached contacts push no more than friction of the closed ones may explain.
+
+    Args:
+        records: `TickRecords` of the last tick. settings: of the controller.
+    """
+    if settings.life is None:
+        return ""
+    life = settings.life
+    owners = records.model.columns.contact
+    found = []
+    for number, pair in enumerate(settings.contacts):
+        if records.memory.contacts.phase[number] != Phase.APPROACHING:
+            continue
+        columns = records.memory.columns[owners == number]
+        for row in columns:
+            least = row.explained + life.force_on
+            if row.explained > 0.0 and life.force_on < row.touch < least:
+                found.append(
+                    f"contact '{pair.name}' is not made: it reads {row.touch:.3g} N, of which "
+                    f"friction of the closed contacts explains {row.explained:.3g} N if their "
+                    f"coefficient is friction_bound = {life.friction_bound:g}; it is made above "
+                    f"{least:.3g} N. Press more, press less on the others, or lower friction_bound "
+                    "(PhaseSettings, control.life)"
+                )
+    return "; ".join(found)
+
+
 def standing_approaches(records: TickRecords, settings: Settings) -> str:
     """Sentence on approaches that ended after `travel` without contact, with the remaining gap.
 

@@ -14,6 +14,7 @@ from osc_contact.law.records import (
 )
 from osc_contact.law.vectors import (
     ZERO,
+    ZERO_3,
     add,
     carry_motion,
     dot3,
@@ -79,7 +80,12 @@ def place_contacts(t):
         if alone and model.tilt > 0.0:
             fill(V, minus(work.V_D, V_E))
             follow_face(t, pair, X_WO, R_E, V_rel, V)
-        if pair.has_friction and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
+        known = pair.has_friction != 0
+        if not known and model.reading == LEAST_SQUARES:
+            for j in range(pair.count):
+                fill3(columns[pair.first + j].slip, ZERO_3)
+                fill(columns[pair.first + j].friction_wrench, ZERO)
+        if known and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
             fill(V, add(V_rel, AHEAD * model.period, work.A_D))
             for j in range(pair.count):
                 column = columns[pair.first + j]

@@ -34,7 +34,6 @@ _GENTLER = 0.45  #: further factor of that rate where the user names active cont
 APPROACH_GAIN = 10.0  #: 1/s, gain K of the integral of an approach
 _SLOW = 0.25  #: share of the speed limits up to which the torque rate is reduced fully
 _RETURN = 5.0  #: 1/s, additional speed of a return per distance since the contact was lost
-_FASTEST = 0.1  #: m/s, highest speed of a return
 _SLOWED = 0.5  #: share of v_a; a contact is made once its approach is slower than this
 _SOFT = 0.5  #: s of force after which a contact is made even if its approach is not slower
 _FELT = 1.5  #: largest net force of an impact, as a multiple of the measured force
@@ -250,7 +249,7 @@ def set_goals(t):
         speed = model.approach_speed
         approaching = contact.phase == APPROACHING
         if approaching:
-            speed = max(speed, min(speed + _RETURN * row.gap, _FASTEST))
+            speed = max(speed, min(speed + _RETURN * row.gap, model.return_speed))
         start = model.approach_damping * speed if pushes else goal[j]
         if approaching:
             gentle = _GENTLE * model.force_on * speed / model.approach_speed

@@ -21,19 +21,24 @@ from osc_contact.law.arm_motion import place_point
 from osc_contact.law.grasps import filter_reading
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.records import body_of, contact_of
+from osc_contact.law.tangents import (
+    across,
+    add_yield,
+    has_point,
+    outboard_times,
+    push_on,
+    rub_along,
+)
 from osc_contact.law.vectors import (
     ZERO,
     ZERO_3,
     accumulate,
     add,
-    add3,
     add_square,
-    axis3,
     carry_wrench,
     combined,
     copy_rows,
     cross,
-    divided3,
     dot3,
     dot6,
     fill,
@@ -381,7 +386,7 @@ def weigh_magnitudes(t):
         if work.moving:
             for b in range(r):
                 yields[b] = work.Phi_mu[b, a]
-            h = _add_yield(work, h, yields)
+            h = add_yield(work, h, yields)
         fill(H[a], h)
         add_square(1.0, scaled(largest, h), R)
     if not cholesky(R, 0, 6, R_factor) > 0.0:
@@ -424,7 +429,7 @@ def _find_mobility(t, weighed, normal):
     for b in range(r):
         for a in range(r):
             along[a] = 1.0 if a == b else 0.0
-        seen = _add_yield(work, ZERO, along)
+        seen = add_yield(work, ZERO, along)
         for a in range(r):
             A[a, b] = dot6(weighed[a], seen)
             columns[b, a] = normal[b, a]
@@ -455,6 +460,8 @@ def learn_friction(t):
     found = slid = whole = uncertain = 0.0
     for j in range(work.count):
         chosen = work.chosen[j]
+        if not has_point(t, chosen):
+            continue
         column = work.columns[chosen]
         s = column.slip
         w = _likely_force(work, chosen)
@@ -465,6 +472,8 @@ def learn_friction(t):
         slid += w * pressed * along
         whole += w * w
         uncertain += column.prior[0] + column.prior[4] + column.prior[8]
+    if not whole > 0.0:
+        return
     k = model.learning
     if not uncertain > 0.0 and not dependent:
         k = max(k, 1.0 / (_FIRST + work.slid))
@@ -505,6 +514,8 @@ def oppose_friction(t):
         fill3(work.columns[j].tangential, ZERO_3)
     for j in range(work.count):
         chosen = work.chosen[j]
+        if not has_point(t, chosen):
+            continue
         column = work.columns[chosen]
         past = t.memory.columns[chosen].tangential
         resting = scaled3(1.0 - dot3(column.slip, column.slip), past)
@@ -556,12 +567,6 @@ def _find_tangential(t, column, chosen, past):
 
 
 @inner
-def outboard_times(work, x):
-    """Product Λ_out x (six numbers) with a motion x (6,), both in energy coordinates."""
-    return combined(x, work.out_T, 6)
-
-
-@inner
 def desired_inertia_force(t):
     """Inertial force Λ_out a (six numbers, energy coordinates) of the permitted acceleration a.
 
@@ -607,6 +612,9 @@ def _likely_errors(t, R):
         column = work.columns[chosen]
         w = _likely_force(work, chosen)
         largest = max(largest, w)
+        if not has_point(t, chosen):
+            _add_hold(t, chosen, w, R)
+            continue
         for k in range(3):
             sideways = scaled3(w * _ACROSS, across(column.N, k))
             add_square(1.0, push_on(t, sideways, chosen), R)
@@ -616,44 +624,13 @@ def _likely_errors(t, R):
 
 
 @inner
-def across(N, k):
-    """Column k of the projection 1 − nnᵀ (three numbers), n the unit normal of a column of N."""
-    n = divided3(N, sqrt(dot3(N, N)))
-    return add3(axis3(k), -n[k], n)
-
-
-@inner
-def push_on(t, force, chosen):
-    """Reading (six numbers, energy coordinates) that a force at one contact causes.
-
-    It is the wrench of the force; on a movable body the inertial force is added that the object
-    exerts when it moves with the body.
+def _add_hold(t, chosen, w, R):
+    """Add to R the likely friction along the freedoms of a pair without points of contact.
 
     Args:
-        t: Tick. force: (3,) at the point of contact, in world axes (N). chosen: column of N of the
-            contact.
+        t: Tick. chosen: column of N of the pair. w: expected size of its magnitude (N). R: (6, 6),
+            changed.
     """
-    work = t.work
-    f = join(force, cross(work.columns[chosen].point, force))
-    reading = wrench_to_energy(work, f)
-    if not work.moving:
-        return reading
-    along = local(6)
-    body = body_of(t, chosen).same
-    for a in range(work.rank):  # NᵀΦ_e f
-        here = body_of(t, work.kept[a]).same == body
-        along[a] = dot6(work.yields[a], f) if here else 0.0
-    return _add_yield(work, reading, along)
-
-
-@inner
-def _add_yield(work, f, along):
-    """Return f + Λ_out N⁺ s (six numbers): f plus an inertial force of the object.
-
-    N⁺s is the acceleration of least kinetic energy with Nᵀa = s.
-
-    Args:
-        work: WORK. f: six numbers, energy coordinates. along: (r,) s (m/s²), overwritten.
-    """
-    forward(work.N_factor, work.rank, along)
-    return plus(f, outboard_times(work, combined(along, work.N_basis, work.rank)))
+    c = t.model.columns[chosen].contact
+    for k in range(t.model.pairs[c].freedoms):
+        add_square(1.0, rub_along(t, w * _ALONG, k, c), R)

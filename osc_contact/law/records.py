@@ -155,6 +155,7 @@ _MODEL = _record(
         "window",
         "dwell",
         "leaving",
+        "return_speed",
         "friction_bound",
         # see `ceilings`
         "contact_ceiling",  # N

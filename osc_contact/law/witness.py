@@ -18,8 +18,9 @@ from math import sqrt
 from osc_contact.law.algebra import cholesky, cholesky_solve, gram, lu_solve
 from osc_contact.law.jit import inner, local
 from osc_contact.law.phases import APPROACHING, CLOSED
-from osc_contact.law.reading import across, desired_inertia_force, push_on
-from osc_contact.law.records import contact_of
+from osc_contact.law.reading import desired_inertia_force
+from osc_contact.law.records import body_of, contact_of
+from osc_contact.law.tangents import across, has_point, push_on, rub_along
 from osc_contact.law.vectors import (
     ZERO,
     add_square,
@@ -85,8 +86,8 @@ def _explain(t):
     for a in range(r):
         column = work.chosen[a]
         if contact_of(t, column).phase == CLOSED:
-            most = t.model.friction_bound * max(work.alpha_meas[a], 0.0)
-            for k in range(3):
+            most = t.model.friction_bound * _pressed(t, a)
+            for k in range(_ways(t, column)):
                 add_square(1.0, _friction(t, column, k, most), R)
     if not cholesky(R, 0, 6, factor) > 0.0:
         return
@@ -111,12 +112,20 @@ def _explain(t):
         for b in range(r):
             other = work.chosen[b]
             if contact_of(t, other).phase == CLOSED:
-                most = t.model.friction_bound * max(work.alpha_meas[b], 0.0)
+                most = t.model.friction_bound * _pressed(t, b)
                 square = 0.0
-                for k in range(3):
+                for k in range(_ways(t, other)):
                     part = dot6(g, _friction(t, other, k, most))
                     square += part * part
                 own.explained += sqrt(square)
+
+
+@inner
+def _ways(t, column):
+    """Number of directions in which friction of a contact may act."""
+    if has_point(t, column):
+        return 3
+    return t.model.pairs[t.model.columns[column].contact].freedoms
 
 
 @inner
@@ -125,6 +134,16 @@ def _friction(t, column, k, most):
 
     Args:
         t: Tick. column: column of N of the contact. k: axis of the world, along whose projection
-            on the face the force acts. most: magnitude of the force before projection (N).
+            on the face the force acts; of a pair without points of contact, number of its freedom.
+        most: magnitude of the force before projection (N).
     """
-    return push_on(t, scaled3(most, across(t.work.columns[column].N, k)), column)
+    if has_point(t, column):
+        return push_on(t, scaled3(most, across(t.work.columns[column].N, k)), column)
+    return rub_along(t, most, k, t.model.columns[column].contact)
+
+
+@inner
+def _pressed(t, a):
+    """Magnitude (N) of the force of kept column a; 0 of a pair that can only push and reads < 0."""
+    alpha = t.work.alpha_meas[a]
+    return max(alpha, 0.0) if body_of(t, t.work.chosen[a]).pushes else abs(alpha)

@@ -291,7 +291,9 @@ class PhaseSettings(MonitorLimits):
     """time for which the force must be high before contact is made (sensor noise)"""
     leaving: VelocityLimit = 0.03
     """speed of separation above which there is no contact at any force"""
-    friction_bound: NotNegative[float] = 0.5
+    return_speed: Positive[Velocity] = 0.1
+    """largest speed of the return to where contact was lost"""
+    friction_bound: NotNegativeNumber = 0.5
     """largest coefficient of friction assumed at closed contacts when an approached contact is
     detected: only force that this friction cannot explain counts"""
 
@@ -523,7 +525,8 @@ class ForceReadingSpec(Spec):
     """Method of computing contact forces from wrist readings; null: chosen by `Controller`."""
 
     reading: Literal["filter", "least_squares"] | None = None
-    """`filter` (fig. 5) or `least_squares`; null: the latter if its result is unique"""
+    """`filter` (fig. 5) or `least_squares`; null: the latter if a contact pushes at a known
+    point"""
 
 
 class EstimateSpec(Spec):
@@ -576,6 +579,9 @@ class ControlSpec(Spec):
     """[contact phases](contact_phases.md): contacts are opened, approached and closed one by one,
     as their desired forces are > 0 or not; `off`: all at once, after a `tare` (the default with
     one)"""
+    in_contact: bool = True
+    """whether contacts that push are closed at the start; `false`: they are
+    [open](contact_phases.md#active-sets)"""
     dither: Dither | None = None
     """motion that [reveals the normals of two points](friction.md#all-errors-at-once)"""
     safety: SafetySettings = SafetySettings()

@@ -32,7 +32,7 @@ from osc_contact.dynamics.chain_state import modes
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
 from osc_contact.interface import Reference, Robot
 from osc_contact.lab.rig import hardware
-from osc_contact.lab.rig.contacts import known_bodies, urdf_of
+from osc_contact.lab.rig.contacts import urdf_of
 from osc_contact.lab.rig.rig import Rig, landings
 from osc_contact.lab.scenarios.bodies import CartSpec
 from osc_contact.loop.rules import Finding, Task, Values, doubt, findings, rounded, rule
@@ -182,9 +182,8 @@ def friction(rig: Rig) -> Values:
     control = rig.scenario.control
     if rig.scenario.plant.exact or control.friction is not None or not rig.pairs:
         return
-    bodies = known_bodies(rig.bodies, len(rig.pairs), "known")
-    if choose_reading(control.force.reading, rig.pairs, bodies) == "filter":
-        slides = all(map(knows_where_it_slides, rig.pairs))
+    if choose_reading(control.force.reading, rig.pairs) == "filter":
+        slides = any(map(knows_where_it_slides, rig.pairs))
         other = "set control.force.reading=least_squares, or " if slides else ""
         yield rig.scenario.plant.friction, {"other": other}
 

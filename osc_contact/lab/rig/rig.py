@@ -287,6 +287,7 @@ class Rig:
             bodies=known_bodies(self.bodies, len(self.pairs), scenario.model_error.environment),
             posture=self.q_contact,
             engaged=scenario.tare is None,
+            in_contact=control.in_contact or self.life is None,
             friction=control.friction,
             reading=control.force.reading,
             life=self.life,

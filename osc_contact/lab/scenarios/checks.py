@@ -116,6 +116,11 @@ def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]
             f"{right * 1e3:.9g} ms"
         )
         yield ("plant", "step"), text
+    if not control.in_contact and (control.life is None or plant.exact):
+        why = "contacts of a rigid plant cannot open; choose plant.type mujoco"
+        if control.life is None:
+            why = "control.life opens them, and is off (the default beside a tare); give it, as {}"
+        yield ("control", "in_contact"), f"contacts do not begin open: {why}"
     if loop := control.joint_torque:
         key = ("control", "joint_torque")
         if plant.flexible_joints is None:

@@ -1,0 +1,93 @@
+"""Contacts released and activated again: steps of torques, dips of the contacts that stay.
+
+    python -m benchmarks.contact_changes [--only TEXT] [--seed N] [--workers 2]
+
+Contacts of packaged scenarios leave the active set at 2 s, one and two at a time, and come back at
+3 s, while the scenario goes on. Wrist noise 0.2 N and 10 mN m, encoders of 18 bits, joint friction
+of 1 %, default safety. In the 0.3 s after each change: the largest change of a motor torque from
+one tick to the next, as a share of its limit, and how far the force of a contact that stays falls
+below its command, beside the same without a change of contacts. The exit code is 1 where a limit is
+missed.
+"""
+
+import sys
+from itertools import combinations
+
+import numpy as np
+import typer
+from rich.console import Console
+
+import osc_contact as osc
+from benchmarks.measuring import side_by_side, table_from
+from paper.study import Data
+
+SCENARIOS = ("two_contact_rod", "panda_edge", "ur5_wipe", "three_arm_plate", "scara_peg")
+RELEASED_S = 2.0
+BACK_S = 3.0
+WINDOW_S = 0.3
+END_S = 4.0
+STEP = 0.01  #: of a motor's limit
+DIP = 0.5  #: N
+_TURN = 2.0 * np.pi / 2**18
+ERRORS = (
+    "sensors.wrist={rate: 1 kHz, force: {noise: 0.2 N}, torque: {noise: 0.01 Nm}}",
+    f"sensors.encoder={{rate: 1 kHz, angle: {{resolution: {_TURN} rad}}, "
+    f"length: {{resolution: {0.5**18} m}}}}",
+    "plant.joint_friction=0.01",
+)
+
+
+def cases(only: str = "") -> list[tuple[str, tuple[str, ...]]]:
+    """(scenario, contacts that leave): each alone, each two, none."""
+    found: list[tuple[str, tuple[str, ...]]] = []
+    for name in SCENARIOS:
+        if only in name:
+            contacts = [contact.name for contact in osc.load_scenario(name).contacts]
+            leaving = [some for k in (1, 2) for some in combinations(contacts, k)]
+            found += [(name, some) for some in [(), *leaving]]
+    return found
+
+
+def change(name: str, leaving: tuple[str, ...], seed: int = 0) -> Data:
+    """A row of the table.
+
+    Args:
+        name: of the scenario. leaving: contacts. seed: of the noise.
+    """
+    intervals = f"[[0 s, {RELEASED_S} s], [{BACK_S} s, {END_S + 1.0} s]]"
+    changes = [*ERRORS, f"duration={END_S} s"]
+    changes += [f"active.{contact}={intervals}" for contact in leaving]
+    recording = osc.run(osc.load_scenario(name, changes), seed=seed)
+    owners = osc.build_rig(osc.load_scenario(name)).owners
+    names = recording.meta["contact_names"]
+    stays = np.array([names[owner] not in leaving for owner in owners])
+    t = recording["t"]
+    limits = np.array(list(recording.meta["effort_limits"].values()))
+    steps = np.abs(np.diff(recording["tau"], axis=0, prepend=recording["tau"][:1])) / limits
+    dips = (recording["alpha_cmd"] - recording["alpha_true"])[:, stays]
+    row: Data = {"scenario": name, "leaving": ", ".join(leaving) or "–"}
+    for word, at in (("released", RELEASED_S), ("back", BACK_S)):
+        window = (t >= at) & (t < at + WINDOW_S)
+        row[f"step, {word} (%)"] = 100.0 * float(steps[window].max())
+        row[f"dip, {word} (N)"] = float(dips[window].max()) if stays.any() else None
+    row["end"] = recording.meta.get("end_reason", "")
+    return row
+
+
+def misses(row: Data) -> bool:
+    """Whether a row of contacts that leave is above a limit."""
+    numbers = {key: value for key, value in row.items() if isinstance(value, float)}
+    limits = {key: 100.0 * STEP if key.startswith("step") else DIP for key in numbers}
+    return row["leaving"] != "–" and any(numbers[key] > limits[key] for key in numbers)
+
+
+def main(only: str = "", seed: int = 0, workers: int = 2) -> None:
+    """Print the table."""
+    jobs = [(*case, seed) for case in cases(only)]
+    rows = list(side_by_side(change, jobs, workers))
+    Console(width=150).print(table_from("Contacts that leave and come back", rows))
+    sys.exit(any(map(misses, rows)))
+
+
+if __name__ == "__main__":
+    typer.run(main)

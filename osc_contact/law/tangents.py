@@ -1,0 +1,125 @@
+"""What wrists read of friction: at points of contact, and along what pairs without points permit.
+
+A pair that pushes at known points rubs along its tangents there. In a hole, a groove or a hinge it
+is not known where bodies touch: friction acts along the slides that the pair permits, and about its
+turns with an assumed lever.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from osc_contact.law.algebra import forward
+from osc_contact.law.contact import permitted_motion
+from osc_contact.law.jit import inner, leaf, local
+from osc_contact.law.records import SLIDE, body_of
+from osc_contact.law.vectors import (
+    ZERO_3,
+    add3,
+    axis3,
+    combined,
+    cross,
+    divided3,
+    dot3,
+    dot6,
+    join,
+    linear,
+    plus,
+    rotated,
+    scaled,
+    set_identity,
+    wrench_to_energy,
+)
+
+_LEVER = 0.01  #: m, lever of friction about an axis
+
+
+@leaf
+def has_point(t, column):
+    """Whether a column of N is a force at a known point of contact."""
+    return t.model.pairs[t.model.columns[column].contact].has_friction != 0
+
+
+@inner
+def across(N, k):
+    """Column k of the projection 1 − nnᵀ (three numbers), n the unit normal of a column of N."""
+    n = divided3(N, sqrt(dot3(N, N)))
+    return add3(axis3(k), -n[k], n)
+
+
+@inner
+def push_on(t, force, chosen):
+    """Reading (six numbers, energy coordinates) that a force at one contact causes.
+
+    Args:
+        t: Tick. force: (3,) at the point of contact, in world axes (N). chosen: column of N of the
+            contact.
+    """
+    return reading_of(t, join(force, cross(t.work.columns[chosen].point, force)), chosen)
+
+
+@inner
+def reading_of(t, f, chosen):
+    """Reading (six numbers, energy coordinates) that a wrench on one body causes.
+
+    It is the wrench; on a movable body the inertial force is added that the object exerts when it
+    moves with the body.
+
+    Args:
+        t: Tick. f: six numbers at O, in world axes (N, N m). chosen: column of N of a contact on
+            the body.
+    """
+    work = t.work
+    reading = wrench_to_energy(work, f)
+    if not work.moving:
+        return reading
+    along = local(6)
+    body = body_of(t, chosen).same
+    for a in range(work.rank):  # NᵀΦ_e f
+        here = body_of(t, work.kept[a]).same == body
+        along[a] = dot6(work.yields[a], f) if here else 0.0
+    return add_yield(work, reading, along)
+
+
+@inner
+def rub_along(t, size, k, c):
+    """Reading (six numbers, energy coordinates) of friction along a freedom of a pair given by T.
+
+    Args:
+        t: Tick. size: magnitude of the force (N); about an axis it acts with the lever `_LEVER`.
+        k: number of the freedom. c: number of the contact.
+    """
+    R_E = local(4, 4)
+    set_identity(R_E)
+    if t.work.moving:
+        for i in range(3):
+            for j in range(4):
+                R_E[i, j] = t.input.touched[c][4 * i + j]
+    pair = t.model.pairs[c]
+    row = t.model.shapes[pair.shape_at + pair.count + k].row
+    motion = permitted_motion(row, t.work.X_WO, R_E)
+    if row[6] == SLIDE:
+        force = linear(motion)
+        f = join(force, cross(rotated(t.work.X_WO, row), force))
+    else:
+        f = scaled(_LEVER, join(ZERO_3, (motion[3], motion[4], motion[5])))
+    return reading_of(t, scaled(size, f), pair.first)
+
+
+@inner
+def outboard_times(work, x):
+    """Product Λ_out x (six numbers) with a motion x (6,), both in energy coordinates."""
+    return combined(x, work.out_T, 6)
+
+
+@inner
+def add_yield(work, f, along):
+    """Return f + Λ_out N⁺ s (six numbers): f plus an inertial force of the object.
+
+    N⁺s is the acceleration of least kinetic energy with Nᵀa = s.
+
+    Args:
+        work: WORK. f: six numbers, energy coordinates. along: (r,) s (m/s²), overwritten.
+    """
+    forward(work.N_factor, work.rank, along)
+    return plus(f, outboard_times(work, combined(along, work.N_basis, work.rank)))
