@@ -10,8 +10,8 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.algebra import forward
-from osc_contact.law.contact import permitted_motion
 from osc_contact.law.jit import inner, leaf, local
+from osc_contact.law.pair_geometry import permitted_motion
 from osc_contact.law.records import SLIDE, body_of
 from osc_contact.law.vectors import (
     ZERO_3,
