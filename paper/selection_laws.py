@@ -36,6 +36,7 @@ from osc_contact.contacts.raibert_craig import as_raibert_craig
 from osc_contact.control.controller import Controller
 from osc_contact.control.signals import Signals
 from osc_contact.dynamics.chain_state import ChainState
+from osc_contact.lab.rig.rig import Rig
 from osc_contact.spatial import Array, skew
 
 
@@ -321,6 +322,18 @@ def best_selection(
     """
     found = best_frames(instant, baseline, restarts=restarts, seed=seed)
     return min(found, key=lambda law: instant.coupling(law).cost)
+
+
+def selection_of(rig: Rig) -> dict[str, Any]:
+    """The best selection of Khatib's law at the start of a rig, as `Selection.as_dict`.
+
+    Args:
+        rig: see `build_rig`.
+
+    Raises:
+        ContactError: with no selection does the law keep control of forces and motions.
+    """
+    return best_selection(Instant(rig.state, rig.contact), BASELINES["khatib"]).selection.as_dict()
 
 
 def best_frames(

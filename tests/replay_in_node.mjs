@@ -1,6 +1,7 @@
 // Replays recordings of `osc-contact build` by law.wasm; prints how far its ticks are from those.
 //   node replay_in_node.mjs law.wasm controller.mjs FOLDER …
-import { readFileSync } from "node:fs";
+// A folder with selection.json was recorded under that selection law.
+import { existsSync, readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const MEMORY = 1, TOUCHED = 2, WRENCH_MISSING = 4, ESTIMATED = 8, SQUEEZE = 16, ACTIVE = 32, REPEATED = 6n;
@@ -10,6 +11,8 @@ const law = await loadLaw(readFileSync(module));
 
 function replay(folder) {
   const controller = new Controller(law, new Uint8Array(readFileSync(`${folder}/controller.osc`)));
+  const selection = `${folder}/selection.json`;
+  if (existsSync(selection)) controller.select(JSON.parse(readFileSync(selection, "utf8")));
   const bytes = readFileSync(`${folder}/recording.osc`);
   const tape = bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length);
   let at = 8;

@@ -1,9 +1,9 @@
 """The compiled law as WebAssembly: one module for browsers and Node.js, for every `.osc` file.
 
-law.wasm is the law for 32-bit addresses, the C sources of `without_python` and `osc_web.c`. It
-needs nothing from its surroundings. Wheels bring it; elsewhere it is made when it is first asked
-for, and kept in the store of parts under the hash of all that it is made of. The compiler is that
-of the package `ziglang` (extra `web`), or clang with lld and wasi-libc.
+law.wasm is the law for 32-bit addresses, with the C sources of `without_python` and web_files. It
+needs nothing from its surroundings. Wheels bring it; elsewhere it is made when it is first wanted,
+and kept in the store of parts under the hash of all that it is made of. The compiler is that of
+the package `ziglang` (extra `web`), or clang with lld and wasi-libc.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from osc_contact.law.store import Store
 
 MODULE = "law.wasm"  #: beside the library of the law, where a wheel brings it
 TRIPLE = "wasm32-unknown-wasi"
-SOURCES = ("osc_controller.c", "osc_daqp.c", "osc_web.c")
+SOURCES = ("osc_selection.c", "osc_daqp.c", "osc_web.c")  #: the first has osc_controller.c within
 STACK = 1 << 20  #: bytes
 _FLAGS = ("-O2", "-w", "-std=c11", "-mexec-model=reactor", f"-Wl,-z,stack-size={STACK}")
 
@@ -45,8 +45,9 @@ def law_wasm() -> bytes:
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
         write_sources(folder)
-        own = (files("osc_contact.control") / "web_files" / "osc_web.c").read_bytes()
-        (folder / "osc_web.c").write_bytes(own)
+        for item in (files("osc_contact.control") / "web_files").iterdir():
+            if item.name.endswith((".c", ".h")):
+                (folder / item.name).write_bytes(item.read_bytes())
         store = Store(library.cache_folder() / "parts")
         key = f"web-{_hash_of(folder)}"
         kept = store.find(key)

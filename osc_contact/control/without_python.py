@@ -190,6 +190,8 @@ def _layout() -> str:
     words = len(records.MEMORY.tables) + len(records.MEMORY.counts)
     numbers = {
         "LOOK": tick.LOOK,
+        "ALLOCATE": tick.ALLOCATE,
+        "END": tick.END,
         "HAND_OVER": tick.HAND_OVER,
         "MOVING": tick.MOVING,
         "COMMANDED": tick.COMMANDED,

@@ -30,6 +30,9 @@ struct osc_controller {
     int64_t *job;
     unsigned char *model, *memory, *work;
     double *missing; /* NaN in place of readings */
+    /* in the place of motion filter and control structure, of what comes with it; or null */
+    void (*structure)(osc_controller *, const void *);
+    const void *of_structure;
 };
 
 static void set_whole(unsigned char *record, size_t offset, int64_t value) {
@@ -288,6 +291,20 @@ static void run(osc_controller *c, const osc_measurement *m, const osc_reference
     set_whole(c->raw, JOB_begin, LOOK);
 }
 
+/* A tick in one run; in two, where another law writes the command between them. */
+static void compute(osc_controller *c, const osc_measurement *m, const osc_reference *r, int64_t switches) {
+    if (c->structure == NULL) {
+        run(c, m, r, m->wrenches.data, switches, LOOK);
+        return;
+    }
+    set_whole(c->raw, JOB_stop, ALLOCATE);
+    run(c, m, r, m->wrenches.data, switches, LOOK);
+    set_whole(c->raw, JOB_stop, END);
+    if (whole(c->memory, MEMORY_status) == OSC_STATUS_HELD) return;
+    c->structure(c, c->of_structure);
+    run(c, m, r, m->wrenches.data, switches, ALLOCATE);
+}
+
 /* Torques within the limits; returns whether they were found. */
 static int relieve(osc_controller *c) {
     int64_t k, ready;
@@ -336,7 +353,7 @@ int osc_tick(osc_controller *c, const osc_measurement *m, const osc_reference *r
             set_whole(c->memory, MEMORY_stamped, whole(c->memory, MEMORY_instant) + 1);
         set_whole(c->memory, MEMORY_late, m->wrench_age < HISTORY ? m->wrench_age : HISTORY);
     }
-    run(c, m, r, m->wrenches.data, switches, LOOK);
+    compute(c, m, r, switches);
     if (whole(c->memory, MEMORY_status) == OSC_STATUS_SATURATED && !relieve(c)) {
         osc_reference none = *r;
         none.X_WD.data = c->missing; /* so that the tick counts as not computed */

@@ -77,6 +77,15 @@ export class Controller {
     if (code) throw new Error(textAt(this.law, this.law.osc_web_error_text(code)));
   }
 
+  /** A selection law for the next ticks, as osc_selection.c has it: point_m, force_axes, couple_axes. */
+  select({ point_m, force_axes, couple_axes }) {
+    const numbers = new Float64Array([point_m, ...force_axes, ...couple_axes].flat());
+    const at = copied(this.law, new Uint8Array(numbers.buffer));
+    const code = this.law.osc_web_select(this.at, force_axes.length, couple_axes.length, at);
+    this.law.osc_web_give_back(at);
+    if (code) throw new Error(textAt(this.law, this.law.osc_web_error_text(code)));
+  }
+
   close() { this.law.osc_web_close(this.at); }
 }
 

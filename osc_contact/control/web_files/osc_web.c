@@ -2,7 +2,7 @@
  * without arguments, and the filter that shapes set points which jump. Addresses are offsets into the
  * module's memory; every function is one of its exports.
  */
-#include "osc_controller.h"
+#include "osc_selection.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -23,6 +23,7 @@ typedef struct {
     double *arrays[ARRAYS];
     size_t counts[ARRAYS];
     int32_t inputs[INPUTS], results[RESULTS];
+    osc_selection selection;
 } osc_web;
 
 /* Of numba: called where an array's memory is given back. The law's arrays own none, so it is never
@@ -108,6 +109,17 @@ int32_t EXPORT(osc_web_reset)(osc_web *w) { return osc_reset(w->controller); }
 
 int32_t EXPORT(osc_web_set_memory)(osc_web *w, const void *memory, size_t bytes) {
     return osc_set_memory(w->controller, memory, bytes);
+}
+
+/* Another law for the next ticks. numbers: the point and the axes of osc_selection, one behind the other. */
+int32_t EXPORT(osc_web_select)(osc_web *w, int32_t forces, int32_t couples, const double *numbers) {
+    if (forces < 0 || couples < 0 || forces + couples > OSC_AXES) return OSC_WRONG_SIZE;
+    w->selection.forces = forces;
+    w->selection.couples = couples;
+    memcpy(w->selection.point, numbers, 3 * sizeof(double));
+    memcpy(w->selection.axes, numbers + 3, 3 * (size_t)(forces + couples) * sizeof(double));
+    osc_select(w->controller, &w->selection);
+    return OSC_DONE;
 }
 
 /* Hash of the sources of the law; by it Python finds out whether a module is of its own law. */
