@@ -1,4 +1,5 @@
-# Needs python3 (with venv) and make; everything else goes into .venv. Tests also need Chromium, Node.js.
+# Needs python3 (with venv) and make; everything else goes into .venv. Tests also need Chromium and
+# Node.js, the site needs npm.
 SHELL := /bin/bash
 PYTHON ?= python3
 BIN := .venv/bin
@@ -141,6 +142,7 @@ mutants: venv
 	$(BIN)/python tests/mutants.py $(MUTANTS)
 
 docs: venv
+	@$(node)
 	$(BIN)/sphinx-build -W --keep-going -q -c docs -d out/doctrees . out/site
 	@echo "out/site/index.html"
 

@@ -36,6 +36,7 @@ extensions = [
     "notebooks",
     "pairs",
     "scenario_keys",
+    "try_it",
     "typesetting",
 ]
 nitpicky = True

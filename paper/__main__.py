@@ -30,7 +30,10 @@ from paper.report import (
     typed,
     write_paper_report,
 )
+from paper.selection_laws import selection_of
 from paper.study import Ask, table_of
+
+__all__ = ["app", "reproduce", "selection_of"]
 
 NAMES = sorted(REPRODUCIBLE, key=lambda name: (name[:3] != "fig", name))
 

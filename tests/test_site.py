@@ -11,6 +11,7 @@ from headless import Browser
 from html_pages import Page
 from pytest import raises
 from samples import ROOT, chosen, made_once, module_fixture, parametrize
+from web_tasks import made_pages
 
 import osc_contact as osc
 from osc_contact.lab.visual.page import embed
@@ -30,7 +31,8 @@ def build(source, into, *options):
 @module_fixture
 def site(tmp_path_factory):
     def make(folder):
-        done = build(ROOT, folder, "-c", ROOT / "docs")
+        pages = made_pages(tmp_path_factory)
+        done = build(ROOT, folder, "-c", ROOT / "docs", "-D", f"try_pages={pages}")
         assert done.returncode == 0 and not done.stderr, done.stderr
 
     return made_once(tmp_path_factory, "docs", make) / "site"

@@ -1,16 +1,13 @@
 """A task as a web page: what it is made of, and the page in a real Chromium."""
 
-import functools
-import http.server
 import json
-import threading
-from pathlib import Path
 
 import numpy as np
 from headless import Browser
 from pytest import approx, mark, raises
 from rigs import rig_of
-from samples import made_once, module_fixture, parametrize
+from samples import module_fixture, parametrize
+from web_tasks import EXTENSION, TOLD, flat, made_pages, newest, opened, served, set_slider, tell
 
 import osc_contact as osc
 from osc_contact.lab.reports.web_page import folded, playable, write_web_page
@@ -18,34 +15,22 @@ from osc_contact.law.jit import HAS_LIBRARY
 
 pytestmark = mark.skipif(not HAS_LIBRARY, reason="no library of the law is used here")
 TASK = "two_contact_rod"
-TOLD = "typeof measured === 'object' && measured"
-
-
-class Silent(http.server.SimpleHTTPRequestHandler):
-    extensions_map = http.server.SimpleHTTPRequestHandler.extensions_map | {
-        ".mjs": "text/javascript",
-        ".wasm": "application/wasm",
-    }
-
-    def log_message(self, *words):
-        pass
 
 
 @module_fixture
-def folder(tmp_path_factory):
-    def make(place):
-        write_web_page(osc.load_scenario(TASK), place / "page")
-
-    return made_once(tmp_path_factory, "web_page", make) / "page"
+def pages(tmp_path_factory):
+    return made_pages(tmp_path_factory)
 
 
 @module_fixture
-def address(folder):
-    handler = functools.partial(Silent, directory=folder)
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}/"
-        server.shutdown()
+def folder(pages):
+    return pages / TASK
+
+
+@module_fixture
+def address(pages):
+    with served(pages) as found:
+        yield found
 
 
 @module_fixture
@@ -54,36 +39,9 @@ def page(address):
         yield browser
 
 
-def opened(page, address, **how):
-    page.visit(address + "index.html", ready=f"{TOLD}.pictures > 0", **how)
-    page.run("task.postMessage({ kind: 'run', on: false })")
-
-
-def flat(page, ticks, **more):
-    """Result of a number of ticks without pictures."""
-    order = json.dumps(more | {"kind": "flat", "ticks": ticks})
-    page.run(f"delete measured.flat; task.postMessage({order})")
-    page.until(f"{TOLD}.flat", 300.0)
-    return json.loads(page.run("JSON.stringify(measured.flat)"))
-
-
-def tell(page, **order):
-    page.run(f"task.postMessage({json.dumps(order)})")
-
-
-def newest(page):
-    """The picture after one more tick."""
-    before = page.run("measured.pictures")
-    tell(page, kind="step", ticks=1)
-    page.until(f"measured.pictures > {before}")
-    return json.loads(page.run("JSON.stringify(measured.newest)"))
-
-
-def set_slider(page, name, value):
-    page.run(
-        f"(() => {{ const x = document.querySelector('input[name={json.dumps(name)}]'); "
-        f"x.value = {value}; x.dispatchEvent(new Event('input')); }})()"
-    )
+@module_fixture
+def rod(address):
+    return f"{address}{TASK}/index.html"
 
 
 # --- What it is made of ---------------------------------------------------------------------------
@@ -117,23 +75,27 @@ def test_what_python_computes_step_by_step_is_refused(name, without, words):
 # --- In Chromium ----------------------------------------------------------------------------------
 
 
-def test_true_forces_are_those_of_the_native_run(page, address):
-    opened(page, address)
+@parametrize("name", list(EXTENSION["TASKS"]))
+def test_forces_are_those_of_the_native_run(page, address, name):
+    """True ones; measured ones where several share a wall."""
+    opened(page, f"{address}{name}/index.html")
     ticks = 2000
     found = flat(page, ticks, note=True, anew=True)
-    true, commanded = np.reshape(found["truths"], (ticks, 2, 2)).swapaxes(0, 1)
-    native = osc.run(osc.load_scenario(TASK), duration=ticks * 1e-3)
-    judged = native["t"] > 0.5
+    force, commanded = np.reshape(found["truths"], (ticks, 2, -1)).swapaxes(0, 1)
+    native = osc.run(osc.load_scenario(name), duration=ticks * 1e-3)
+    alone = page.run("CONFIG.task.forces.every((force) => force.wall >= 0)")
+    expected = native["alpha_true" if alone else "alpha_meas"]
     assert commanded == approx(native["alpha_cmd"], abs=1e-6)
-    rms = np.sqrt(((true - commanded)[judged] ** 2).mean(axis=0))
-    expected = np.sqrt(((native["alpha_true"] - native["alpha_cmd"])[judged] ** 2).mean(axis=0))
-    assert rms == approx(expected, rel=0.01)
+    judged = native["t"] > 0.5
+    errors = [(x - native["alpha_cmd"])[judged] for x in (force, expected)]
+    rms, expected_rms = (np.sqrt((error**2).mean(axis=0)) for error in errors)
+    assert rms == approx(expected_rms, rel=0.01)
     assert found["statuses"] == {"0": ticks}
     assert page.errors == []
 
 
-def test_a_slider_sets_the_true_force(page, address):
-    opened(page, address)
+def test_a_slider_sets_the_true_force(page, rod):
+    opened(page, rod)
     set_slider(page, "force left end", 20)
     flat(page, 2500)
     picture = newest(page)
@@ -141,8 +103,8 @@ def test_a_slider_sets_the_true_force(page, address):
     assert picture["true"][0] == approx(20.0, abs=0.05)
 
 
-def test_contact_is_kept_on_a_wall_that_was_turned(page, address):
-    opened(page, address)
+def test_contact_is_kept_on_a_wall_that_was_turned(page, rod):
+    opened(page, rod)
     set_slider(page, "face left end: turned by", 4)
     for _ in range(5):
         flat(page, 500)
@@ -152,15 +114,15 @@ def test_contact_is_kept_on_a_wall_that_was_turned(page, address):
     assert picture["walls"][0] == approx(np.deg2rad(4.0), abs=1e-4)
 
 
-def test_the_motion_turns_round_at_the_ends_of_its_table(page, address):
-    opened(page, address)
+def test_the_motion_turns_round_at_the_ends_of_its_table(page, rod):
+    opened(page, rod)
     found = flat(page, 25_000, anew=True)
     assert sum(found["statuses"].values()) == 25_000
     assert set(found["statuses"]) == {"0"}
 
 
 @parametrize("file, words", {"": "damaged: its checksum", "panda_edge": "of another robot or task"})
-def test_another_controller_is_refused_in_words(page, address, folder, tmp_path, file, words):
+def test_another_controller_is_refused_in_words(page, rod, folder, tmp_path, file, words):
     path = tmp_path / "own.osc"
     if not file:
         content = bytearray((folder / "controller.osc").read_bytes())
@@ -168,7 +130,7 @@ def test_another_controller_is_refused_in_words(page, address, folder, tmp_path,
         path.write_bytes(content)
     else:
         rig_of(file).controller().save(path)
-    opened(page, address)
+    opened(page, rod)
     content = list(path.read_bytes())
     page.run(
         f"task.postMessage({{ kind: 'restart', file: new Uint8Array({json.dumps(content)}) }})"
@@ -178,15 +140,99 @@ def test_another_controller_is_refused_in_words(page, address, folder, tmp_path,
     assert newest(page)["state"] == 0  # the one before goes on
 
 
-def test_heaps_do_not_grow(page, address):
-    opened(page, address)
+def test_heaps_do_not_grow(page, rod):
+    opened(page, rod)
     before = flat(page, 5000)["heaps"]
     assert flat(page, 20_000)["heaps"] == before
 
 
-def test_a_policy_without_unsafe_eval_is_named(page, address):
-    error = "new EvalError(\"Refused: 'unsafe-eval' is not an allowed source of script\")"
-    worker = (Path(osc.__file__).parent / "lab/visual/assets/web_worker.mjs").read_text()
-    sentence = worker[worker.index("function sentence") :]
-    words = page.run(f"(() => {{ {sentence}; return sentence({error}); }})()")
+@mark.slow
+def test_an_hour_of_simulated_time_leaves_the_heaps_as_they_are(page, rod):
+    opened(page, rod)
+    before = flat(page, 5000)["heaps"]
+    for _ in range(60):
+        found = flat(page, 60_000)
+        assert set(found["statuses"]) == {"0"}
+        assert found["heaps"] == before
+
+
+def test_a_selection_law_errs_ten_times_as_much_at_the_same_step(page, rod):
+    opened(page, rod)
+    tell(page, kind="compare", on=True)
+    flat(page, 1000)
+    set_slider(page, "force left end", 15)
+    flat(page, 3000)
+    picture = newest(page)
+    assert picture["beside"]["state"] == picture["state"] == 0
+
+    def rms(errors):
+        return np.sqrt(np.array(errors["squares"]) / errors["count"])
+
+    assert rms(picture["beside"]["errors"])[1] >= 10.0 * rms(picture["errors"])[1]
+    assert np.abs(picture["selection"]).max() > 10.0 > np.abs(picture["error"]).max()  # mN
+    words = page.run("document.getElementById('status-beside').textContent")
+    assert words == "selection law: RUN, tick OK"
+    tell(page, kind="compare", on=False)
+    assert newest(page)["beside"] is None
+
+
+def test_friction_of_contacts_and_joints_is_the_plants_alone(page, rod):
+    """Without friction again the forces are those of before, to the last digit."""
+    opened(page, rod)
+    first = flat(page, 300, note=True, anew=True)["truths"]
+    errors = {}
+    for name, value in {"friction of the contacts": 0.2, "friction of the joints": 1.0}.items():
+        set_slider(page, name, value)
+        found = flat(page, 1500, note=True, anew=True)
+        true, commanded = np.reshape(found["truths"], (1500, 2, 2)).swapaxes(0, 1)
+        errors[name] = np.abs(true - commanded)[500:].max()
+        assert found["truths"][:600] != first[:600]
+        assert set(found["statuses"]) == {"0"}
+        set_slider(page, name, 0)
+    assert max(errors.values()) < 2.0
+    assert flat(page, 300, note=True, anew=True)["truths"] == first
+
+
+def test_keys_and_a_push_by_the_pointer(page, rod):
+    opened(page, rod, width=400)
+    page.run("document.activeElement.blur()")
+    page.request("Input.dispatchKeyEvent", type="keyDown", key="r", text="r")
+    page.until("measured.newest.t < 5 && element('pause').textContent === 'Pause'")
+    page.request("Input.dispatchKeyEvent", type="keyDown", key=" ", text=" ")
+    page.until("element('pause').textContent === 'Run'")
+    before = newest(page)["t"]
+    page.request("Input.dispatchKeyEvent", type="keyDown", key=".", text=".")
+    page.until(f"measured.newest.t > {before}")
+    page.run("element('push').click()")
+    touch = [{"x": 200, "y": 120}]
+    page.request("Input.dispatchTouchEvent", type="touchStart", touchPoints=touch)
+    page.request("Input.dispatchTouchEvent", type="touchMove", touchPoints=[{"x": 260, "y": 120}])
+    page.until("element('says').textContent.startsWith('pushed by')")
+    page.request("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    page.until("element('says').textContent === ''")
+    assert page.errors == []
+
+
+def test_a_policy_without_unsafe_eval_is_named(page, pages):
+    """Of a host: a worker from the network obeys its own headers."""
+    with served(pages, "script-src 'self' 'wasm-unsafe-eval'") as strict:
+        page.visit(f"{strict}{TASK}/index.html", ready=f"{TOLD}.error")
+        words = page.run("document.getElementById('says').textContent")
     assert "add 'unsafe-eval' to script-src" in words
+    page.errors.clear()
+
+
+def test_one_file_opens_from_disk(tmp_path):
+    sizes = write_web_page(osc.load_scenario(TASK), tmp_path, one_file=True)
+    assert list(sizes) == ["index.html"] and sizes["index.html"] < 6e6
+    with Browser((tmp_path / "index.html").as_uri(), ready=f"{TOLD}.pictures > 1") as page:
+        tell(page, kind="run", on=False)
+        assert set(flat(page, 500)["statuses"]) == {"0"}
+        assert page.errors == []
+
+
+def test_licences_of_all_that_runs_are_in_the_folder(folder):
+    text = (folder / "licences.txt").read_text()
+    for name in ("MuJoCo", "meshcat", "DAQP", "wasi-libc", "Three.js", "musl"):
+        assert name in text, name
+    assert text.count("Permission is hereby granted") >= 3 and "Apache License" in text

@@ -273,12 +273,23 @@ def page(
     mujoco: Annotated[
         Path | None, Option(help="archive of npm pack @mujoco/mujoco, where npm is not here")
     ] = None,
+    selection: Annotated[
+        bool, Option("--selection", help="beside it a selection law (needs a checkout)")
+    ] = False,
+    one_file: Annotated[
+        bool, Option("--one-file", help="all in index.html, which opens from disk")
+    ] = False,
     set_: SetOption = None,
 ) -> None:
     """Write a web page that runs plant and law in the browser; any static server will do."""
     names = [name for name in without.split(",") if name]
-    sizes = write_web_page(load_task(scenario, set_), folder, names, mujoco)
-    say(f"{len(sizes)} files, {sum(sizes.values()) / 1e6:.1f} MB, written to {folder}")
+    select = load_program("paper").selection_of if selection else None
+    sizes = write_web_page(load_task(scenario, set_), folder, names, mujoco, select, one_file)
+    size = sum(sizes.values()) / 1e6
+    if one_file:
+        say(f"{folder / 'index.html'}, {size:.1f} MB: open it in a browser")
+        return
+    say(f"{len(sizes)} files, {size:.1f} MB, written to {folder}")
     say(f"look at it: python -m http.server -d {folder} 8000, then http://localhost:8000")
 
 

@@ -25,6 +25,7 @@ from osc_contact.files import Json, write_whole
 from osc_contact.lab.checks.preflight import require_ready
 from osc_contact.lab.plants.mujoco import MujocoPlant
 from osc_contact.lab.reports.mujoco_web import mujoco_files
+from osc_contact.lab.reports.one_page import licences, packed_files
 from osc_contact.lab.reports.viewing import content_of
 from osc_contact.lab.rig.contacts import environment_bodies, rails
 from osc_contact.lab.rig.rig import Rig, build_rig
@@ -54,6 +55,7 @@ window.task.postMessage({ kind: "open", files: null });
 PUSH = 20.0  #: N, of the pointer at most
 SAMPLES = 100.0  #: 1/s, of the curves
 WINDOW = 10.0  #: s, of the curves
+Selection = dict[str, Any]  #: point_m, force_axes, couple_axes of a selection law
 TICKS = 60_000  #: of the table of references, at most
 _DIGITS = 2**27  #: a column of the table in units of its largest number over this
 _POWERS = ("power_total", "power_projected")
@@ -139,13 +141,20 @@ def playable(scenario: Scenario, without: Collection[str] = ()) -> Scenario:
 
 
 def write_web_page(
-    scenario: Scenario, folder: Path, without: Collection[str] = (), mujoco: Path | None = None
+    scenario: Scenario,
+    folder: Path,
+    without: Collection[str] = (),
+    mujoco: Path | None = None,
+    select: Callable[[Rig], Selection] | None = None,
+    one_file: bool = False,
 ) -> dict[str, int]:
     """Write the page index.html and all its files into a folder.
 
     Args:
         scenario: to play. folder: is made. without: see `playable`.
         mujoco: the archive of MuJoCo's npm package; None: npm brings it, or brought it before.
+        select: the selection law that the page can run beside; None: none.
+        one_file: index.html holds all the others and opens from disk.
 
     Returns:
         Bytes of each file.
@@ -158,28 +167,44 @@ def write_web_page(
     rig = build_rig(scenario)
     require_ready(rig)
     controller = rig.controller()
-    plant = rig.plant()
+    plant = _rough(scenario).plant()
     assert isinstance(plant, MujocoPlant) and plant.spec is not None
-    drawn = _Drawn(rig, plant)
+    selection = None if select is None else select(rig)
+    drawn = _Drawn(rig, plant, selection is not None)
     columns, table = folded(_references(rig))
-    task = _task(rig, plant, columns)
+    task = _task(rig, plant, columns) | {"nodes": drawn.bodies, "selection": selection}
     contents: dict[str, str | bytes] = {
-        "index.html": drawn.page(without),
-        "task.json": json.dumps(task | {"nodes": drawn.bodies}, allow_nan=False),
+        "task.json": json.dumps(task, allow_nan=False),
         "worker.mjs": asset("web_worker.mjs"),
-        "controller.mjs": (
-            files("osc_contact.control") / "web_files" / "controller.mjs"
-        ).read_bytes(),
+        "controller.mjs": (files("osc_contact.control") / "web_files" / "controller.mjs").read_text(
+            encoding="utf-8"
+        ),
         MODULE: law_wasm(),
         "plant.xml": plant.spec.to_xml(),
         "controller.osc": controller_bytes(controller),
         "references.bin": table,
         **mujoco_files(mujoco),
     }
+    if one_file:
+        begin, where = packed_files(contents), "at the end of this file"
+        page = drawn.page(without, begin, f"Licences: {where}.")
+        contents = {"index.html": page + f"<!--\n{licences()}\n-->\n"}
+    else:
+        contents["licences.txt"] = licences()
+        contents["index.html"] = drawn.page(
+            without, BEGIN, '<a href="licences.txt">Licences</a> of what runs here.'
+        )
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in contents.items():
         write_whole(content, folder / name)
-    return {name: len(content) for name, content in contents.items()}
+    return {name: (folder / name).stat().st_size for name in contents}
+
+
+def _rough(scenario: Scenario) -> Rig:
+    """The rig with friction between object and faces, whose coefficient the page sets."""
+    if scenario.plant.friction > 0.0:
+        return build_rig(scenario)
+    return build_rig(scenario.replaced(plant={**dict(scenario.plant), "friction": 0.1}))
 
 
 # --- What the worker reads ------------------------------------------------------------------------
@@ -238,6 +263,11 @@ def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
     ]
     rate = rig.scenario.control.rate
     chain = rig.model
+    face = int(
+        np.argmax(model.geom_priority)
+    )  # of which contacts without friction have all they are
+    limits = np.zeros(len(names))
+    limits[rig.chain.actuated] = np.where(np.isfinite(rig.chain.tau_max), rig.chain.tau_max, 0.0)
     bars = len(chain.arms) * (len(chain.arms) - 1) // 2
     return {
         "period": 1.0 / rate,
@@ -248,6 +278,12 @@ def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
             "positions": [int(joint.qposadr[0]) for joint in joints],
             "velocities": [int(joint.dofadr[0]) for joint in joints],
             "sensors": [at + i for at in first for i in range(6)],
+            "limits": limits.tolist(),
+        },
+        "friction": rig.scenario.plant.friction,
+        "smooth": {
+            "solref": model.geom_solref[face].tolist(),
+            "solimp": model.geom_solimp[face].tolist(),
         },
         "squeeze": rig.scenario.squeeze if bars else 0.0,
         "thinned": max(1, round(rate / SAMPLES)),
@@ -327,7 +363,9 @@ class _Drawn:
         bodies: of each node that moves, the name of its body.
     """
 
-    def __init__(self, rig: Rig, plant: MujocoPlant) -> None:
+    def __init__(self, rig: Rig, plant: MujocoPlant, compares: bool) -> None:
+        """The drawing of a rig; compares: whether curves of a selection law stand beside."""
+        self._compares = compares
         self._rig = rig
         self._plant = plant
         first = samples_at(
@@ -400,17 +438,28 @@ class _Drawn:
             )
         return found
 
-    def page(self, without: Collection[str]) -> str:
-        """Text of index.html."""
+    def page(self, without: Collection[str], begin: str, licences: str) -> str:
+        """Text of index.html.
+
+        Args:
+            without: what was left out of the task. begin: HTML that starts the worker.
+            licences: HTML that says where they are.
+        """
         rig = self._rig
-        keys = {"alpha_cmd": "commanded", "alpha_true": "true", "alpha_meas": "measured"}
+        keys = {
+            "alpha_cmd": "commanded",
+            "alpha_true": "true",
+            "alpha_meas": "measured",
+        }
+        self._add_errors()
         plan = rig.references.overview[1]
         task = {
             "nodes": self._nodes,
             "forces": self._marks(),
             "walls": _walls(rig, self._plant),
             "lines": [
-                {"key": keys[line["key"]], "index": line["index"]} for line in self._scene.lines
+                {"key": keys.get(line["key"], line["key"]), "index": line["index"]}
+                for line in self._scene.lines
             ],
             "moves": bool(np.ptp(plan.X_WD, axis=0).max() > 0.0),
             "slides": bool(
@@ -419,6 +468,8 @@ class _Drawn:
             ),
             "head": HEAD_LENGTH,
             "push": PUSH,
+            "friction": rig.scenario.plant.friction,
+            "compares": self._compares,
             "states": {state.value: state.name for state in SafetyState},
             "statuses": {status.value: status.name for status in Status},
         }
@@ -437,12 +488,31 @@ class _Drawn:
         around = Around(
             script="web.js",
             style="web.css",
-            panel=filled("web.html", {"words": words}),
-            head=BEGIN,
+            panel=filled("web.html", {"words": words, "licences": licences}),
+            head=begin,
             policy=POLICY,
         )
         title = rig.scenario.name.replace("_", " ")
         return page_text(self._sink, title, config, around)
+
+    def _add_errors(self) -> None:
+        """A plot of the errors of the forces: of this law, and dotted of the selection law."""
+        forces = [line for line in self._scene.lines if line["key"] == "alpha_cmd"]
+        looks = {"error": "solid"} | ({"selection": "dotted"} if self._compares else {})
+        self._scene.panels.append(
+            {
+                "title": "error of the force",
+                "unit": "mN",
+                "note": "from 0.5 s after a change on"
+                + ("; dotted: the selection law" if self._compares else ""),
+                "lines": [
+                    line | {"key": key, "look": look, "name": ""}
+                    for key, look in looks.items()
+                    for line in forces
+                ],
+            }
+        )
+        self._scene.lines = [line for one in self._scene.panels for line in one["lines"]]
 
 
 def _is_of_recordings(paths: str | Sequence[str]) -> bool:

@@ -143,8 +143,8 @@ class Plots {
     panel.lines.forEach((line, k) => {
       pen.strokeStyle = line.colour;
       pen.globalAlpha = line.look === "pale" ? 0.28 : 1;
-      pen.lineWidth = { pale: 6, solid: 1.7, dashed: 0.9 }[line.look] ?? 1;
-      pen.setLineDash(line.look === "dashed" ? [4, 5] : []);
+      pen.lineWidth = { pale: 6, solid: 1.7, dashed: 0.9, dotted: 1.7 }[line.look] ?? 1;
+      pen.setLineDash({ dashed: [4, 5], dotted: [2, 3] }[line.look] ?? []);
       pen.beginPath();
       let down = false;
       t.forEach((time, i) => {

@@ -7,6 +7,8 @@ const measured = { pictures: 0 };
 function live() {
   const task = CONFIG.task, worker = window.task;
   for (const id of ["controls", "speed"]) element(id).style.display = "none";
+  const measureDock = () => document.body.style.setProperty("--dock", `${element("dock").offsetHeight}px`);
+  new ResizeObserver(measureDock).observe(element("dock"));
   const send = (kind, more = {}) => worker.postMessage({ kind, ...more });
   const panel = new Panel(task, send);
   let newest = null;
@@ -34,7 +36,7 @@ function live() {
       y.forEach((row) => { row.length = 0; });
     }
     t.push(sample.t);
-    task.lines.forEach(({ key, index }, i) => y[i].push(sample[key][index]));
+    task.lines.forEach(({ key, index }, i) => y[i].push(sample[key][index] ?? null));
     while (t[0] < sample.t - CONFIG.window) {
       t.shift();
       y.forEach((row) => row.shift());
@@ -129,6 +131,14 @@ class Panel {
       this.slider(box, `${wall.name}: moved by`, "mm", -5, 5, 0.5, 0, 1e-3,
         (value) => send("offset", { wall: index, value }));
     });
+    this.slider(box, "friction of the contacts", "", 0, 0.5, 0.01, task.friction, 1, (value) => send("friction", { value }));
+    this.slider(box, "friction of the joints", "%", 0, 3, 0.1, 0, 0.01,
+      (value) => send("jointFriction", { value }));
+    element("compared").hidden = !task.compares;
+    element("compare").addEventListener("change", ({ target }) => {
+      document.body.classList.toggle("comparing", target.checked);
+      send("compare", { on: target.checked });
+    });
     element("pause").addEventListener("click", () => this.run(!this.on));
     element("step").addEventListener("click", () => this.step());
     element("again").addEventListener("click", () => this.again());
@@ -142,7 +152,7 @@ class Panel {
     this.pushing();
     window.addEventListener("keydown", (event) => this.key(event));
     this.rows = task.forces.map((force) => this.row(force.name));
-    this.path = this.row("path");
+    this.path = this.row("off the path, mm");
   }
 
   /** One slider; `tell` is called with its value times `unit`. */
@@ -158,7 +168,11 @@ class Panel {
   row(name) {
     const row = element("figures").appendChild(document.createElement("tr"));
     row.appendChild(document.createElement("th")).textContent = name;
-    return [1, 2].map(() => row.appendChild(document.createElement("td")));
+    return [0, 1, 2, 3].map((column) => {
+      const cell = row.appendChild(document.createElement("td"));
+      if (column > 1) cell.className = "beside";
+      return cell;
+    });
   }
 
   begin() {
@@ -225,14 +239,24 @@ class Panel {
   }
 
   show(picture) {
-    const { count, squares, peaks, path } = picture.errors, digits = (x) => (count ? (1e3 * x).toFixed(2) : "–");
-    this.rows.forEach(([rms, peak], i) => {
-      setText(rms, digits(Math.sqrt(squares[i] / Math.max(count, 1))));
-      setText(peak, digits(peaks[i]));
+    this.figures(picture.errors, 0);
+    if (picture.beside) this.figures(picture.beside.errors, 2);
+    setText(element("status"), this.words(picture));
+    setText(element("status-beside"), picture.beside ? `selection law: ${this.words(picture.beside)}` : "");
+  }
+
+  /** Errors into the table, from a column on. */
+  figures({ count, squares, peaks, path }, column) {
+    const digits = (x) => (count ? (1e3 * x).toFixed(2) : "–");
+    this.rows.forEach((cells, i) => {
+      setText(cells[column], digits(Math.sqrt(squares[i] / Math.max(count, 1))));
+      setText(cells[column + 1], digits(peaks[i]));
     });
-    setText(this.path[0], "");
-    setText(this.path[1], digits(path));
-    const words = `${this.task.states[picture.state]}, tick ${this.task.statuses[picture.status]}`;
-    setText(element("status"), picture.reason ? `${words}: ${picture.reason}` : words);
+    setText(this.path[column + 1], digits(path));
+  }
+
+  words({ state, status, reason }) {
+    const words = `${this.task.states[state]}, tick ${this.task.statuses[status]}`;
+    return reason ? `${words}: ${reason}` : words;
   }
 }

@@ -7,6 +7,7 @@ const BUSY_MS = 25; // of ticks at a stretch, so that messages are read in betwe
 const SETTLED_S = 0.5; // after a change or a jump of a desired force, from which on errors are counted
 const JUMP = 0.1; // of a desired force from tick to tick
 const TEXTS = ["plant.xml", "task.json"];
+const PAIR_FIELDS = ["pair_dim", "pair_friction", "pair_solref", "pair_solimp"];
 
 // --- The plant ---------------------------------------------------------------------------------
 
@@ -25,6 +26,33 @@ class Plant {
     this.walls = task.walls.map((wall) => new Wall(this, wall, law));
     this.wallOf = Array.from(this.model.geom_bodyid, (body) => this.wallAbove(body));
     this.true = new Float64Array(this.walls.length);
+    this.rough = Object.fromEntries(PAIR_FIELDS.map((name) => [name, [...this.model[name]]]));
+    this.losses = [...this.model.dof_frictionloss];
+    this.setFriction(task.friction);
+  }
+
+  /** Coefficient of friction of the contacts; 0: contacts without friction, as Python writes them. */
+  setFriction(coefficient) {
+    const { model, rough, task } = this;
+    for (const name of PAIR_FIELDS) model[name].set(rough[name]);
+    for (let i = 0; i < model.npair; i++) {
+      model.pair_friction.set([coefficient, coefficient], 5 * i);
+      if (coefficient > 0) continue;
+      model.pair_dim.set([1], i);
+      model.pair_solref.set(task.smooth.solref, 2 * i);
+      model.pair_solimp.set(task.smooth.solimp, 5 * i);
+    }
+  }
+
+  /** Dry friction that the joints have besides their model's, as a share of their motors' limits. */
+  setJointFriction(share) {
+    const { velocities, limits } = this.task.places;
+    velocities.forEach((at, i) => { this.model.dof_frictionloss.set([this.losses[at] + share * limits[i]], at); });
+  }
+
+  close() {
+    for (const wall of this.walls) wall.close();
+    for (const one of [this.force, this.data, this.model]) one.delete();
   }
 
   /** The number of the wall that a body is part of; −1: of none. */
@@ -99,6 +127,11 @@ class Wall {
     this.offset = new SetPoint(law, 0, LAG);
   }
 
+  close() {
+    this.tilt.close();
+    this.offset.close();
+  }
+
   move(model, period) {
     const angle = this.tilt.next(period)[0], offset = this.offset.next(period)[0];
     const { axis, normal, point } = this.about, s = Math.sin(0.5 * angle), c = Math.cos(0.5 * angle);
@@ -134,6 +167,11 @@ class Table {
     this.pace = new SetPoint(law, 1, LAG / this.margin);
     this.amplitude = new SetPoint(law, 1, LAG);
     this.restart();
+  }
+
+  close() {
+    this.pace.close();
+    this.amplitude.close();
   }
 
   restart() {
@@ -201,8 +239,10 @@ function unfolded(bytes, column, ticks, unit) {
 
 /** One run: plant, controller and references, and what the page has changed. */
 class Task {
-  constructor(mujoco, law, files) {
+  /** files: contents by name. selection: of a selection law; null: the controller's own law. */
+  constructor(mujoco, law, files, selection = null) {
     this.law = law;
+    this.selection = selection;
     this.about = JSON.parse(files["task.json"]);
     this.file = files["controller.osc"];
     this.plant = new Plant(mujoco, files["plant.xml"], this.about, law);
@@ -226,20 +266,29 @@ class Task {
     this.file = file;
     this.plant.reset();
     this.table.restart();
-    this.plant.measure(first);
+    this.plant.measure(this.prepared(first));
     this.table.give(first, this.forces);
-    first.set({ squeezed: this.about.squeeze !== 0 });
-    first.squeeze_d.fill(this.about.squeeze);
     first.tick();
     this.plant.hold(first.torques);
     first.close();
-    this.controller = new Controller(this.law, file);
-    this.controller.set({ squeezed: this.about.squeeze !== 0 });
-    this.controller.squeeze_d.fill(this.about.squeeze);
+    this.controller = this.prepared(new Controller(this.law, file));
     this.ticks = 0;
-    this.samples = [];
     this.desired = [];
     this.changed();
+  }
+
+  /** A new controller with its law and with what is the same in all ticks. */
+  prepared(controller) {
+    controller.set({ squeezed: this.about.squeeze !== 0 });
+    controller.squeeze_d.fill(this.about.squeeze);
+    if (this.selection) controller.select(this.selection);
+    return controller;
+  }
+
+  close() {
+    this.controller.close();
+    this.table.close();
+    this.plant.close();
   }
 
   /** Errors are counted anew. */
@@ -261,8 +310,8 @@ class Task {
     const desired = controller.alpha_d;
     if (desired.some((value, i) => Math.abs(value - this.desired[i]) > JUMP)) this.since = this.ticks;
     this.desired = [...desired];
-    if ((this.ticks - this.since) * this.about.period > SETTLED_S) this.judge();
-    if (this.ticks % this.about.thinned === 0) this.samples.push(this.sample());
+    this.settled = (this.ticks - this.since) * this.about.period > SETTLED_S;
+    if (this.settled) this.judge();
     table.next();
     plant.command(controller.torques, this.push, this.about.period);
     this.ticks += 1;
@@ -280,26 +329,79 @@ class Task {
     errors.path = Math.max(errors.path, Math.hypot(...away));
   }
 
-  sample() {
-    const { controller } = this;
-    return { t: this.time, commanded: [...controller.alpha_d], measured: [...controller.forces], true: [...this.true] };
-  }
-
-  picture() {
-    const { ended, controller } = this, reason = ended.cause || ended.reason;
-    const message = {
-      kind: "picture", places: this.plant.places(), samples: this.samples, ...this.sample(), errors: this.errors,
-      walls: this.plant.walls.map((wall) => wall.tilt.state[0]), status: ended.status, state: ended.state,
+  /** What the page shows of this tick. */
+  shown() {
+    const { ended, controller, errors } = this, reason = ended.cause || ended.reason;
+    return {
+      true: [...this.true], measured: [...controller.forces], errors, status: ended.status, state: ended.state,
       reason: reason ? controller.reasonText(reason) : "",
     };
-    this.samples = [];
-    return message;
   }
 }
 
 // --- Messages ----------------------------------------------------------------------------------
 
-let task, timer = 0, from = 0, begin = 0, running = false;
+let task, beside = null; // the task, and the same under a selection law
+let made, samples = [], settings = new Map(), timer = 0, from = 0, begin = 0, running = false;
+
+const tasks = () => (beside ? [task, beside] : [task]);
+
+/** One tick of each task. */
+function tick() {
+  for (const one of tasks()) one.tick();
+  if (task.ticks % task.about.thinned === 1 % task.about.thinned) samples.push(sample());
+}
+
+function sample() {
+  const { controller, about, ticks } = task;
+  return {
+    t: (ticks - 1) * about.period, commanded: [...controller.alpha_d], measured: [...controller.forces],
+    true: [...task.true], error: errorsOf(task), selection: beside ? errorsOf(beside) : [],
+  };
+}
+
+/** Errors of the forces in mN, of ticks that are judged. */
+function errorsOf(one) {
+  return one.settled ? forcesOf(one).map((value, i) => 1e3 * (value - one.controller.alpha_d[i])) : [];
+}
+
+/** True forces, or measured ones where several share a wall. */
+const forcesOf = ({ true: known, controller }) => known.map((value, i) => value ?? controller.forces[i]);
+
+function show() {
+  const { plant } = task;
+  postMessage({
+    kind: "picture", places: plant.places(), walls: plant.walls.map((wall) => wall.tilt.state[0]), samples,
+    ...sample(), ...task.shown(), beside: beside?.shown() ?? null,
+  });
+  samples = [];
+}
+
+function restart(file) {
+  task.restart(file);
+  beside?.restart(file);
+  samples = [];
+  pace();
+  tick();
+  show();
+}
+
+/** Runs the same task under a selection law beside, or no longer; both begin again. */
+function compare(on) {
+  beside?.close();
+  beside = on ? new Task(...made, task.about.selection) : null;
+  if (beside) for (const [setting, value] of settings.values()) setting(beside, value);
+  restart(task.file);
+}
+
+/** Something that the page sets, in all tasks; key: of the setting. */
+function set(key, setting, value) {
+  settings.set(key, [setting, value]);
+  for (const one of tasks()) {
+    setting(one, value);
+    one.changed();
+  }
+}
 
 async function fetched(name) {
   const answer = await fetch(name);
@@ -313,19 +415,20 @@ async function open(files) {
   const mujoco = loadMujoco(files ? { wasmBinary: files["mujoco.wasm"], locateFile: (name) => name } : {});
   const law = loadLaw(files ? files["law.wasm"] : fetch("law.wasm"));
   const contents = files ? names.map((name) => files[name]) : await Promise.all(names.map(fetched));
-  task = new Task(await mujoco, await law, Object.fromEntries(names.map((name, i) => [name, contents[i]])));
-  task.tick();
+  made = [await mujoco, await law, Object.fromEntries(names.map((name, i) => [name, contents[i]]))];
+  task = new Task(...made);
+  tick();
   postMessage({ kind: "ready", first: performance.timeOrigin + performance.now() });
-  postMessage(task.picture());
+  show();
 }
 
 /** As many ticks as time has passed; what is too slow does not run after it. */
 function turn() {
   const until = performance.now() + BUSY_MS;
   const due = () => begin + 1e-3 * (performance.now() - from);
-  while (task.time < due() && performance.now() < until) task.tick();
+  while (task.time < due() && performance.now() < until) tick();
   if (task.time < due() - 0.1) pace();
-  postMessage(task.picture());
+  show();
 }
 
 function pace() {
@@ -343,29 +446,32 @@ function run(on) {
 const ORDERS = {
   open: ({ files }) => open(files),
   run: ({ on }) => run(on),
-  step: ({ ticks }) => { run(false); for (let k = 0; k < ticks; k++) task.tick(); postMessage(task.picture()); },
-  force: ({ index, value }) => { task.forces[index] = value; task.changed(); },
-  speed: ({ value }) => { task.table.setSpeed(value); task.changed(); },
-  amplitude: ({ value }) => { task.table.amplitude.wanted = value; task.changed(); },
-  tilt: ({ wall, value }) => { task.plant.walls[wall].tilt.wanted = value; task.changed(); },
-  offset: ({ wall, value }) => { task.plant.walls[wall].offset.wanted = value; task.changed(); },
-  push: ({ force }) => { task.push = force; task.changed(); },
-  restart: ({ file }) => { task.restart(file ?? task.file); pace(); task.tick(); postMessage(task.picture()); },
+  step: ({ ticks }) => { run(false); for (let k = 0; k < ticks; k++) tick(); show(); },
+  force: ({ index, value }) => set(`force ${index}`, (one, x) => { one.forces[index] = x; }, value),
+  speed: ({ value }) => set("speed", (one, x) => one.table.setSpeed(x), value),
+  amplitude: ({ value }) => set("amplitude", (one, x) => { one.table.amplitude.wanted = x; }, value),
+  tilt: ({ wall, value }) => set(`tilt ${wall}`, (one, x) => { one.plant.walls[wall].tilt.wanted = x; }, value),
+  offset: ({ wall, value }) => set(`offset ${wall}`, (one, x) => { one.plant.walls[wall].offset.wanted = x; }, value),
+  friction: ({ value }) => set("friction", (one, x) => one.plant.setFriction(x), value),
+  jointFriction: ({ value }) => set("joint friction", (one, x) => one.plant.setJointFriction(x), value),
+  push: ({ force }) => set("push", (one, x) => { one.push = x; }, force),
+  restart: ({ file }) => restart(file ?? task.file),
+  compare: ({ on }) => compare(on),
   flat: (wanted) => flat(wanted), // without pictures, as fast as it goes: for measurements
 };
 
 function flat({ ticks, note, anew }) {
   const on = running, truths = [], statuses = {};
   run(false);
-  if (anew) task.restart(task.file);
+  if (anew) for (const one of tasks()) one.restart(one.file);
   const before = performance.now();
   for (let k = 0; k < ticks; k++) {
-    task.tick();
-    if (note) truths.push(...task.true, ...task.controller.alpha_d);
+    for (const one of tasks()) one.tick();
+    if (note) truths.push(...forcesOf(task), ...task.controller.alpha_d);
     statuses[task.ended.status] = (statuses[task.ended.status] ?? 0) + 1;
   }
-  task.samples = [];
   const factor = ticks * task.about.period / (1e-3 * (performance.now() - before));
+  samples = [];
   const heaps = [task.plant.data.qpos.buffer.byteLength, task.law.memory.buffer.byteLength];
   postMessage({ kind: "flat", factor, statuses, truths, heaps });
   if (on) run(true);

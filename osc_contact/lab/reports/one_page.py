@@ -1,0 +1,89 @@
+"""A page with all its files inside, which opens from disk, and the licences of what runs in it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import tarfile
+import zlib
+from collections.abc import Mapping
+from importlib.metadata import distribution
+from importlib.resources import files
+
+from osc_contact.errors import OscContactError
+from osc_contact.lab.reports.mujoco_web import PACKAGE
+from osc_contact.lab.visual.page import asset, filled
+
+_SCRIPTS = ("mujoco.js", "controller.mjs", "worker.mjs")
+#: What a module has and a classic script has not, with what stands in its place.
+_OF_MODULES = (
+    (r"\bimport\.meta\.url\b", "self.location.href"),
+    (r"(?m)^import .*$", ""),
+    (r"(?m)^export default \w+;$", ""),
+    (r"(?m)^export (?=async function|function|class|const)", ""),
+)
+
+
+def packed_files(contents: Mapping[str, str | bytes]) -> str:
+    """A script element that holds all files of a page and begins its worker with them.
+
+    Args:
+        contents: of the files by name, three modules of JavaScript among them.
+
+    Raises:
+        OscContactError: a module has what a classic script cannot have.
+    """
+    script = "\n".join(_classic(name, _text(contents[name])) for name in _SCRIPTS)
+    inside = {name: content for name, content in contents.items() if name not in _SCRIPTS}
+    packed = {
+        name: base64.b64encode(zlib.compress(_bytes(content), 9)).decode("ascii")
+        for name, content in (*inside.items(), ("worker.js", script))
+    }
+    return f"<script>\n{filled('web_one_file.js', {'packed': json.dumps(packed)})}</script>"
+
+
+def _classic(name: str, module: str) -> str:
+    """The text of a module as a classic script.
+
+    Raises:
+        OscContactError: something of a module remains.
+    """
+    for pattern, replacement in _OF_MODULES:
+        module = re.sub(pattern, replacement, module)
+    if rest := re.search(r"(?m)^(import|export) .*|import\.meta", module):
+        raise OscContactError(f"{name} cannot be a classic script: it has {rest[0][:60]!r}")
+    return module
+
+
+def _text(content: str | bytes) -> str:
+    return content if isinstance(content, str) else content.decode("utf-8")
+
+
+def _bytes(content: str | bytes) -> bytes:
+    return content.encode("utf-8") if isinstance(content, str) else content
+
+
+def licences() -> str:
+    """Licences of MuJoCo, meshcat with what it contains, DAQP and wasi-libc."""
+    own = distribution("osc-contact").metadata["License-Expression"]
+    viewer = files("meshcat") / "viewer"
+    sources = files("osc_contact.control") / "c_files" / "daqp-0.11.0.tar.xz"
+    with sources.open("rb") as stream, tarfile.open(fileobj=stream) as archive:
+        found = archive.extractfile("daqp/LICENSE")
+        assert found is not None
+        daqp = found.read().decode("utf-8")
+    parts = {
+        "osc_contact (this page, law.wasm)": own,
+        f"MuJoCo (mujoco.js, mujoco.wasm: {PACKAGE})": "Copyright DeepMind Technologies Limited. "
+        "Apache License 2.0, whose text is the last part of this file.",
+        "meshcat (in index.html)": (viewer / "LICENSE").read_text("utf-8"),
+        "what meshcat contains": (viewer / "dist" / "main.min.js.LICENSE.txt").read_text("utf-8"),
+        "DAQP (in law.wasm)": daqp,
+        "wasi-libc (in law.wasm)": asset("wasi_libc_licence.txt"),
+        "Apache License 2.0": asset("apache_licence.txt"),
+    }
+    line = 80 * "="
+    return "\n".join(
+        f"{line}\n{title}\n{line}\n\n{text.strip()}\n" for title, text in parts.items()
+    )
