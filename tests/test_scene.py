@@ -34,7 +34,10 @@ from osc_contact.lab.visual.scene import (
     ASPECT,
     FIELD_OF_VIEW_DEG,
     MOST_FRAMES,
+    TURNS,
+    eye,
     fitted,
+    headings,
     panels_of,
     picture_axes,
     thinned,
@@ -253,6 +256,20 @@ def test_a_long_recording_gets_fewer_frames_per_second(tmp_path):
     assert last <= MOST_FRAMES and shown.page.stat().st_size < 3_000_000
     (fps,) = {a["clip"]["fps"] for a in shown.animation["animations"]}
     assert last / fps == approx(40.0)
+
+
+def test_the_first_view_is_one_in_which_no_arm_hides_a_force():
+    force = np.array([[0.6, 0.0, 0.3], [0.6, 0.0, 0.4]])
+    bases, pushes = np.zeros((1, 3)), np.array([[0.0, 0.0, -1.0]])
+    first, second = (np.deg2rad(turn) for turn in TURNS[:2])
+    for turned, arm in (
+        (first, np.zeros((0, 3))),
+        (first, force - 0.2 * eye(first)),  # behind it
+        (second, force + 0.2 * eye(first)),
+        (first, force + 0.2 * eye(second)),
+    ):
+        front, side = headings(force, bases, pushes, force, arm)
+        assert front == 0.0 and side == approx(turned)
 
 
 @parametrize("seed", range(20))

@@ -89,14 +89,17 @@ class Scene:
         samples = self._with_normals(samples)
         small: Sequence[Moving | marks.ContactForce] = (*self.bodies, *self.forces)
         near = np.vstack([nothing, *(part.corners(samples) for part in small)])
-        points = np.vstack([near, *(arm.corners(first) for arm in self.arms)])
+        links = np.vstack([nothing, *(arm.corners(first) for arm in self.arms)])
+        points = np.vstack((near, links))
         bases = np.vstack([nothing, *(arm.base[:3] for arm in self.arms)])
         directions = first.get("contact_direction", nothing)
         floor = np.min(bases[:, 2], initial=0.0)
         lowest = points[:, 2].min()
         if lowest <= floor - 0.05:
             floor = lowest - 0.1
-        front, side = _headings(points, bases, np.nan_to_num(directions.reshape(-1, 3)))
+        pushes = np.nan_to_num(directions.reshape(-1, 3))
+        arrows = np.vstack([nothing, *(force.corners(samples) for force in self.forces)])
+        front, side = headings(points, bases, pushes, arrows, links)
         if not len(near):
             near = points
         views = {
@@ -223,6 +226,10 @@ ELEVATION = np.deg2rad(28.0)
 ASPECT = float(EMPTY["aspect"])
 """Width / height that the scene is fitted to; a wider window shows more floor."""
 FILLED = 0.9
+TURNS = (25, -25, 10, -10, 40, -40, 55, -55)
+"""Headings from the object's side (deg) that are compared; the first of equal ones is taken."""
+COVERED, NEARER = 0.04, 0.02
+"""A point of an arm hides what is so near to it in the picture, and so far behind it (m)."""
 
 
 def set_stage(
@@ -264,14 +271,41 @@ def set_stage(
         scene[helper].set_property("visible", False)
 
 
-def _headings(points: Array, bases: Array, pushes: Array) -> tuple[float, float]:
-    """Headings (rad) of the object's side, and near it of where forces are seen from the side."""
+def headings(
+    points: Array, bases: Array, pushes: Array, arrows: Array, links: Array
+) -> tuple[float, float]:
+    """Headings (rad) of the object's side, and near it of where forces are seen best.
+
+    They are seen best where the arms hide fewest of them, then where they are seen from the side,
+    then obliquely.
+
+    Args:
+        points: (k, 3) what is shown (m). bases: (arms, 3) of the arms (m).
+        pushes: (contacts, 3) directions of the forces. arrows: (k, 3) points of them (m).
+        links: (k, 3) points of the arms (m).
+    """
     middle = centre(points)[:2]
     away = middle - bases[:, :2].mean(axis=0) if len(bases) else middle
     front = np.arctan2(away[1], away[0]) if norm(away) > 0.02 else -np.pi / 3
-    turns = np.deg2rad([0, 15, -15, 30, -30, 45, -45, 60, -60])
-    along = [np.abs(pushes @ eye(front + turn)).max(initial=0.0) for turn in turns]
-    return (front, front + turns[np.argmin(np.round(along, 1))])
+    views = {turn: eye(front + np.deg2rad(turn)) for turn in TURNS}
+    cost = {
+        turn: (
+            round(float(hidden(arrows, links, view)), 1),
+            round(float(np.abs(pushes @ view).max(initial=0.0)), 1),
+        )
+        for turn, view in views.items()
+    }
+    return (front, front + np.deg2rad(min(TURNS, key=lambda turn: cost[turn])))
+
+
+def hidden(points: Array, links: Array, view: Array) -> float:
+    """Share of points (k, 3) in front of which points of the arms (m, 3) are, for a view (3,)."""
+    if not len(points) or not len(links):
+        return 0.0
+    across = picture_axes(view)
+    apart = np.linalg.norm((links @ across.T)[None] - (points @ across.T)[:, None], axis=2)
+    nearer = (links @ view)[None] > (points @ view)[:, None] + NEARER
+    return float(np.mean(((apart < COVERED) & nearer).any(axis=1)))
 
 
 def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, Array]:
