@@ -1,10 +1,13 @@
 """The site and the notebooks: they build and run, links lead somewhere, nothing is fetched."""
 
+import json
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 from html import unescape
+from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from headless import Browser
@@ -100,6 +103,19 @@ def test_notebooks_are_pages(site):
     text = text_of(site, "notebooks/03_two_contact_task")
     assert "no constraint frame" in text and "build_rig" in text
     assert "matplotlib</span> <span" not in text and "fmt: skip" not in text
+
+
+def test_the_manual_s_command_makes_a_notebook_that_can_be_opened(tmp_path, monkeypatch):
+    text = (ROOT / "docs/commands.md").read_text()
+    (line,) = re.findall(r"^\$ jupytext (.*)$", text, re.M)
+    (tmp_path / "notebooks").mkdir()
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "notebooks" / "01_one_arm.py", "notebooks")
+    subprocess.run(
+        [sys.executable, "-m", "jupytext", *line.split()], check=True, capture_output=True
+    )
+    cells = json.loads(Path("notebooks/01_one_arm.ipynb").read_text())["cells"]
+    assert {cell["cell_type"] for cell in cells} == {"markdown", "code"} and len(cells) > 4
 
 
 def test_a_link_that_leads_nowhere_stops_the_build(tmp_path):

@@ -347,6 +347,8 @@ PAGES = (
     "contact_phases.md",
     "friction.md",
     "own_loop.md",
+    "batch.md",
+    "without_python.md",
     "mujoco_arm.md",
     "extend.md",
 )
