@@ -41,6 +41,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.control.batch import BatchController
     from osc_contact.control.controller import Controller
     from osc_contact.control.custom_laws import Laws, admittance, impedance
+    from osc_contact.control.goals import GoalFollower
     from osc_contact.control.set_point import PoseSetPoint, SetPoint, SetPointState
     from osc_contact.control.status import SafetyState, Status
     from osc_contact.dynamics.arm import Arm
@@ -65,6 +66,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.interface import Measurement, Reference, Robot, pose_reference
     from osc_contact.jerk_limits import JerkLimits
     from osc_contact.lab.checks.preflight import preflight
+    from osc_contact.lab.plants.mujoco_arm import MujocoArm
     from osc_contact.lab.plants.own_mujoco import MujocoRobot
     from osc_contact.lab.reports.viewing import open_viewer
     from osc_contact.lab.rig.contacts import OwnMotion
@@ -82,6 +84,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.loop.loop import run_loop
     from osc_contact.loop.recorder import Recorder
     from osc_contact.loop.rules import Finding
+    from osc_contact.loop.stepped import SteppedLoop
     from osc_contact.recorder import Recording
     from osc_contact.response import ContactResponse, contact_response
     from osc_contact.settings.control import (
@@ -112,8 +115,10 @@ __all__ = [
     "make_vector_env",
     "Robot",
     "run_loop",
+    "SteppedLoop",
     "surface_references",
     "MujocoRobot",
+    "MujocoArm",
     "Recorder",
     "Judge",
     "open_viewer",
@@ -141,6 +146,7 @@ __all__ = [
     "SetPoint",
     "SetPointState",
     "PoseSetPoint",
+    "GoalFollower",
     "JerkLimits",
     "impedance",
     "admittance",

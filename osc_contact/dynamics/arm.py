@@ -244,6 +244,7 @@ class Arm:
         *,
         name: str,
         tip: str,
+        tip_offset: pin.SE3 | None = None,
         limits: Mapping[str, robots.JointLimits] | None = None,
         **how: Unpack[ArmOptions],
     ) -> Arm:
@@ -256,6 +257,8 @@ class Arm:
             mjcf: path of an MJCF file, `mujoco.MjSpec` or `mujoco.MjModel`.
             name: prefix that distinguishes equal robots.
             tip: body or site that holds the object.
+            tip_offset: pose, in the frame of `tip`, of the operational point; it becomes the arm's
+                tip, a frame named after `tip`. None: `tip` itself.
             limits: limits by hand, see `robots.load_mjcf`.
             how: the other arguments of `from_urdf`. The wrist sensor is a site with force and
                 torque sensors, or a body; it measures the load of that body and all beyond it.
@@ -265,11 +268,24 @@ class Arm:
         """
         mj = robots.compile_mjcf(mjcf)
         model = robots.load_mjcf(mj, tip, limits=limits)
+        if tip_offset is not None:
+            model, tip = _with_point(model, tip, tip_offset)
         arm = cls.from_urdf(model, name=name, tip=tip, **how)
         follows = robots.couplings(mj)
         _require_uncoupled(arm.model, follows)
         _warn_of_followers(arm, follows)
         return arm
+
+
+def _with_point(model: pin.Model, tip: str, X: pin.SE3) -> tuple[pin.Model, str]:
+    """Copy of a model with a frame at pose X in the frame `tip`, and the name of the new frame."""
+    model = model.copy()
+    at = robots.frame_id(model, tip)
+    frame = model.frames[at]
+    name = f"{tip} point"
+    kind = pin.FrameType.OP_FRAME
+    model.addFrame(pin.Frame(name, frame.parentJoint, at, frame.placement * X, kind))
+    return model, name
 
 
 def _whole_robot(urdf: str | Path | pin.Model, tip: str) -> tuple[pin.Model, Mapping[str, str]]:

@@ -8,60 +8,21 @@ from contextlib import contextmanager
 from functools import partial
 from inspect import signature
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
-from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError, brief
-from osc_contact.interface import Measurement, Reference, Robot
+from osc_contact.interface import Reference, Robot
 from osc_contact.loop.os_signals import raised_signals
+from osc_contact.loop.protocols import Controls, Records, Shows
 from osc_contact.loop.realtime import LoopReport, SideWork, at_once, realtime_process
 from osc_contact.loop.shadow import Shadow
 from osc_contact.loop.start_rules import checked
-from osc_contact.spatial import Array
+from osc_contact.loop.stepped import StopCalls
 
 _log = logging.getLogger(__name__)
 
 NEWS = 100  #: ticks from one call of `progress` to the next
 SHOWN = 33  #: ticks from one picture to the next, where another thread hands them to the viewer
-
-
-class Controls(Protocol):
-    """Protocol of a controller in the loop."""
-
-    @property
-    def dt(self) -> float:
-        """The control period (s)."""
-
-    def tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """Motor torques (n_a,) for one period."""
-
-
-class Records(Protocol):
-    """Protocol of a recorder in the loop."""
-
-    def append(
-        self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
-    ) -> None:
-        """Store a tick before its torques act.
-
-        Args:
-            measurement, reference: input of the tick. tau: (n_a,) its motor torques (N m, N).
-            seconds: computing time (s).
-        """
-
-    def latest(self) -> Mapping[str, Any]:
-        """Channels of the last tick, for a viewer; by default none."""
-        return {}
-
-    def log(self, event: str, **facts: Any) -> None:
-        """Store an event of the loop, for example "stop" with its reason; ignored by default."""
-
-
-class Shows(Protocol):
-    """Protocol of a viewer in the loop."""
-
-    def show(self, tick: Mapping[str, Any]) -> None:
-        """Show the channels of one tick without waiting; an error ends the view, not the run."""
 
 
 def run_loop(
@@ -124,14 +85,7 @@ def run_loop(
     period = controller.dt
     report = LoopReport(period)
     judge = Shadow(controller) if shadow else None
-    stopped = braked = False
-
-    log = getattr(recorder, "log", _log_nothing)
-
-    def stop(reason: str) -> Exception | None:
-        failure = _stop(robot, reason)
-        log("stop", reason=reason, **({} if failure is None else {"failure": repr(failure)}))
-        return failure
+    stops = StopCalls(robot.stop, recorder)
 
     def draw(tick: Mapping[str, Any]) -> None:
         nonlocal viewer
@@ -151,11 +105,8 @@ def run_loop(
                 start = perf_counter()
                 tau = controller.tick(measurement, reference)
                 seconds = perf_counter() - start
-                before = stopped, braked
-                stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
-                braked = stopped and (braked or bool(getattr(controller, "unbraked", None)))
-                if stopped and before != (stopped, braked) and not shadow:
-                    stop(getattr(controller, "reason", ""))
+                if not shadow:
+                    stops.follow(controller)
                 if recorder is not None:
                     signals.whole(recorder.append, measurement, reference, tau, seconds)
                     if viewer is not None:
@@ -176,11 +127,11 @@ def run_loop(
             signals.busy = True
         except BaseException as error:
             signals.busy = True
-            failure = stop(signals.name or f"{type(error).__name__}: {error}")
+            failure = stops.call(signals.name or f"{type(error).__name__}: {error}")
             if failure is not None:
                 error.add_note(f"robot.stop() then failed, too: {failure!r}")
             raise
-        log("stop", reason="")
+        stops.log("stop", reason="")
         robot.stop("")
     if judge is not None:
         report.shadow = judge.report()
@@ -211,20 +162,6 @@ def _process(realtime: bool, recorder: Any, report: LoopReport) -> Iterator[Side
                 recorder.note({"loop": report.as_dict()})
         if side.failure is not None:  # the robot has been stopped
             raise side.failure
-
-
-def _log_nothing(event: str, **facts: Any) -> None:
-    """Ignore an event, for loops without a recorder or with one that stores no events."""
-
-
-def _stop(robot: Robot, reason: str) -> Exception | None:
-    """Call `robot.stop`; return its error, which is logged, or None."""
-    try:
-        robot.stop(reason)
-    except Exception as error:
-        _log.exception("robot.stop(%r) failed", reason)
-        return error
-    return None
 
 
 def _require_robot(robot: Robot, controller: Controls) -> None:

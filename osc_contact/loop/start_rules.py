@@ -21,7 +21,8 @@ from osc_contact.control.status import SafetyState, Status
 from osc_contact.dynamics.arm import stretched_length
 from osc_contact.dynamics.assembly import object_pose, reach
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, brief
-from osc_contact.interface import Measurement, Reference, Robot
+from osc_contact.interface import Measurement, Reference
+from osc_contact.loop.protocols import Measures
 from osc_contact.loop.rules import Finding, Task, Values, doubt, findings, rounded, rule
 from osc_contact.loop.scene_rules import SCENE_RULES
 from osc_contact.recorder.recording import column_names
@@ -47,7 +48,7 @@ _logger = logging.getLogger("osc_contact.preflight")
 
 
 def checked(
-    robot: Robot, controller: object, references: Iterable[Reference]
+    robot: Measures, controller: object, references: Iterable[Reference]
 ) -> Iterable[Reference]:
     """Check robot, controller and references of a loop by all rules; return the references.
 
@@ -83,7 +84,7 @@ def checked(
     refused = [one.text for one in found if one.refused]
     if refused:
         raise InvalidInputError(
-            "\n".join(refused) + "\n(run_loop compares these before the first command; "
+            "\n".join(refused) + "\n(these are compared before the first command; "
             "check=False leaves it out)"
         )
     for one in found:
@@ -188,7 +189,7 @@ def _require_forces(given: Sequence[Reference], r: int) -> None:
             )
 
 
-def _reading(robot: Robot, controller: Controller, first: Reference) -> Measurement:
+def _reading(robot: Measures, controller: Controller, first: Reference) -> Measurement:
     """Measure the robot until a tick can be computed, up to `READINGS` times."""
     for _ in range(READINGS):
         measured = robot.measure()

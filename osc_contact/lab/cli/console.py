@@ -31,7 +31,7 @@ from osc_contact.lab.scenarios.loader import load_scenario
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.lab.visual.parts import Content
 from osc_contact.lab.visual.run_figures import FigureProcess
-from osc_contact.loop.loop import Shows
+from osc_contact.loop.protocols import Shows
 from osc_contact.recorder import Recording
 from osc_contact.recorder.events import events_beside
 from osc_contact.recorder.judged import SETTLE_S

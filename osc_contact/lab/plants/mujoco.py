@@ -24,6 +24,7 @@ from osc_contact.errors import PlantError, missing
 from osc_contact.interface import Measurement
 from osc_contact.lab.plants.faces import Faces
 from osc_contact.lab.plants.joint_drives import SPRING, JointDrives, add_drives
+from osc_contact.lab.plants.mujoco_io import geoms_beyond
 from osc_contact.lab.plants.mujoco_scene import DRIVE_MASS, GRASP_JOINT, GUIDES, scene
 from osc_contact.lab.plants.mujoco_truth import OBJECT, MujocoTruth, guided_joints
 from osc_contact.lab.scenarios.hardware import PlantSpec, Push
@@ -118,7 +119,7 @@ class MujocoPlant:
         self._seen = [self.object_body, *tips]
         self.body_of = np.full(model.ngeom, OBJECT)
         for i in range(len(bodies)):
-            self.body_of[self._geoms_of(model.body(f"face{i}/root").id)] = i
+            self.body_of[geoms_beyond(model, model.body(f"face{i}/root").id)] = i
         self._find_guides(faces)
         if faces.driven:  # the drive's mass must not set the scale of the solver's accuracy
             model.stat.meaninertia = 1.0
@@ -167,14 +168,6 @@ class MujocoPlant:
         """Places of joints in qpos and qvel."""
         ids = np.array([self.model.joint(name).id for name in joints], dtype=int)
         return self.model.jnt_qposadr[ids], self.model.jnt_dofadr[ids]
-
-    def _geoms_of(self, root: int) -> Array:
-        """Geoms of a body and of the bodies that hang on it."""
-        bodies = [root]
-        for body in range(root + 1, self.model.nbody):
-            if self.model.body_parentid[body] in bodies:
-                bodies.append(body)
-        return np.flatnonzero(np.isin(self.model.geom_bodyid, bodies))
 
     def reset(self, q: Array) -> None:
         """Start at rest at joint positions q (n,); loops and gaps must fit."""

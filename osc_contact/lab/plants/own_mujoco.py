@@ -18,12 +18,20 @@ from osc_contact.dynamics.arm import Arm, stretched_length
 from osc_contact.dynamics.assembly import close, require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.environment import Rail
-from osc_contact.errors import InvalidInputError, ModelError, PlantError, did_you_mean
+from osc_contact.errors import InvalidInputError, ModelError, PlantError
 from osc_contact.files import Json
 from osc_contact.lab.plants.faces import Faces
 from osc_contact.lab.plants.mujoco import MujocoPlant, quieten
+from osc_contact.lab.plants.mujoco_io import (
+    TorqueInputs,
+    geoms_beyond,
+    loose_joints,
+    moving_geoms,
+    require_name,
+    sensor_rows,
+)
 from osc_contact.lab.plants.mujoco_truth import OBJECT, OTHER
-from osc_contact.robots.mjcf import compile_mjcf, joint_name, motors_of, pose
+from osc_contact.robots.mjcf import compile_mjcf, joint_name, pose
 from osc_contact.robots.pictures import scene_picture
 from osc_contact.spatial import Array, as_array
 
@@ -198,9 +206,9 @@ class MujocoRobot(MujocoPlant):
         import mujoco  # it is there: the model has been compiled
 
         if wrist_sensor is not None:
-            _require("site", wrist_sensor, [mj.site(i).name for i in range(mj.nsite)])
+            require_name("site", wrist_sensor, [mj.site(i).name for i in range(mj.nsite)])
         if keyframe is not None:
-            _require("keyframe", keyframe, [mj.key(i).name for i in range(mj.nkey)])
+            require_name("keyframe", keyframe, [mj.key(i).name for i in range(mj.nkey)])
         quieten(mujoco)
         mj.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         arm = Arm.from_mjcf(
@@ -227,7 +235,7 @@ class MujocoRobot(MujocoPlant):
         self._q = mj.jnt_qposadr[joints]
         self._v = mj.jnt_dofadr[joints]
         self._held = {mj.jnt_qposadr[number[j]]: at for j, at in arm.locked.items()}
-        self._take_motors(joints[chain.actuated])
+        self._inputs = TorqueInputs(mj, joints[chain.actuated])
         if arm.tip in [mj.body(b).name for b in range(mj.nbody)]:
             self.object_body = mj.body(arm.tip).id
         else:
@@ -239,52 +247,14 @@ class MujocoRobot(MujocoPlant):
         self._readings = np.zeros((0, 6), dtype=int)
         tool = self.object_body
         if arm.wrist_sensor is not None:
-            tool = self._take_sensor(arm.wrist_sensor)
+            self._sensed = [0]
+            self._readings = sensor_rows(mj, arm.wrist_sensor)[None]
+            tool = int(mj.site(arm.wrist_sensor).bodyid[0])
         # the tool, other links of the arm that move, and everything else, which is one body
-        bodies = mj.geom_bodyid
-        own = mj.body_rootid[bodies] == mj.body_rootid[tool]
-        self.body_of = np.where(own & (mj.body_weldid[bodies] != 0), OTHER, 0)
-        self.body_of[self._geoms_of(tool)] = OBJECT
-        self._warn_of_friction(np.flatnonzero(~own))
-
-    def _take_motors(self, joints: Array) -> None:
-        """Assign each joint a plain motor for its torques, or none: they act on the joint directly.
-
-        Args:
-            joints: indices of the joints.
-        """
-        mj = self.model
-        kinds = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
-        per_torque = mj.actuator_gear[:, 0] * mj.actuator_gainprm[:, 0]
-        plain = (per_torque != 0.0) & ~np.any(kinds, axis=0)  # force is gain × control, at once
-        motors = []
-        for joint in joints:
-            own = motors_of(mj, joint)
-            if len(own) == 1 and plain[own[0]]:
-                motors.append(own[0])
-                continue
-            motors.append(-1)
-            mj.actuator_gainprm[own] = mj.actuator_biasprm[own] = 0.0
-        self._motors = np.array(motors, dtype=int)
-        self._direct = mj.jnt_dofadr[joints][self._motors < 0]
-        self._per_torque = per_torque[self._motors[self._motors >= 0]]
-
-    def _take_sensor(self, name: str) -> int:
-        """Places of its readings; returns the body that it weighs, with all beyond."""
-        mj = self.model
-        site = mj.site(name)
-        rows = []
-        for tag in ("force", "torque"):
-            kind = getattr(self._mj.mjtSensor, f"mjSENS_{tag.upper()}")
-            sensors = np.flatnonzero((mj.sensor_type == kind) & (mj.sensor_objid == site.id))
-            if not len(sensors):
-                raise PlantError(
-                    f'site {name!r} has no {tag} sensor; add to <sensor>: <{tag} site="{name}"/>'
-                )
-            rows.append(mj.sensor_adr[sensors[0]] + np.arange(3))
-        self._sensed = [0]
-        self._readings = np.concatenate(rows)[None]
-        return int(site.bodyid[0])
+        self.body_of = np.where(moving_geoms(mj, tool), OTHER, 0)
+        self.body_of[geoms_beyond(mj, tool)] = OBJECT
+        tree = mj.body_rootid[mj.geom_bodyid] == mj.body_rootid[tool]
+        self._warn_of_friction(np.flatnonzero(~tree))
 
     def _warn_of_friction(self, others: Array) -> None:
         """Warn of friction that MuJoCo gives what has none named, and that few surfaces have."""
@@ -366,35 +336,12 @@ class MujocoRobot(MujocoPlant):
     def scene(self) -> MujocoScene:
         """Scene around the arm at present: distances from the geoms near the tool, and masses."""
         tool, others = (np.flatnonzero(self.body_of == which).tolist() for which in (OBJECT, 0))
-        return MujocoScene(
-            self.model, self.data, tool, others, chain=self.chain, loose=self._loose_joints()
-        )
-
-    def _loose_joints(self) -> dict[str, float]:
-        """Mass (kg) beyond each joint of the arm that is not the chain's and that nothing holds."""
-        mj = self.model
-        own = mj.body_rootid == mj.body_rootid[self.object_body]
-        coupled = mj.eq_type == self._mj.mjtEq.mjEQ_JOINT
-        joined = {*mj.eq_obj1id[coupled].tolist(), *mj.eq_obj2id[coupled].tolist()}
-        found = {}
-        for j in range(mj.njnt):
-            servos = mj.actuator_biasprm[motors_of(mj, j), 1]  # feedback of the position
-            held = np.any(servos) or mj.jnt_stiffness[j] > 0.0 or j in joined
-            if own[mj.jnt_bodyid[j]] and mj.jnt_dofadr[j] not in self._v and not held:
-                found[joint_name(mj, j)] = float(mj.body_subtreemass[mj.jnt_bodyid[j]])
-        return found
+        loose = loose_joints(self.model, self.object_body, self._v)
+        return MujocoScene(self.model, self.data, tool, others, chain=self.chain, loose=loose)
 
     def _send(self, tau: Array) -> None:
         self._tau = as_array("tau", tau, (self.chain.n_a,))
-        driven = self._motors >= 0
-        self._ctrl[self._motors[driven]] = self._tau[driven] / self._per_torque
-        self.data.qfrc_applied[self._direct] = self._tau[~driven]
+        self._inputs.send(self.data, self._tau)
 
     def _joint_torques(self) -> Array:
         return self._tau.copy()
-
-
-def _require(called: str, name: str, known: Sequence[str]) -> None:
-    if name not in known:
-        there = did_you_mean(name, filter(None, known))
-        raise PlantError(f"the MuJoCo model has no {called} {name!r}; {there}")

@@ -20,7 +20,8 @@ from osc_contact.lab.rig.rig import Rig, build_rig
 from osc_contact.lab.scenarios.named import as_scenario
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.loop.judge import Plant
-from osc_contact.loop.loop import Shows, run_loop
+from osc_contact.loop.loop import run_loop
+from osc_contact.loop.protocols import Shows
 from osc_contact.loop.recorder import Recorder
 from osc_contact.recorder import Recording
 from osc_contact.spatial import Array

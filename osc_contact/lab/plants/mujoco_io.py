@@ -1,0 +1,131 @@
+"""Inputs and outputs of an arm in a MuJoCo model: torques, wrist sensors, geoms of the tool."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from osc_contact.errors import PlantError, did_you_mean
+from osc_contact.robots.mjcf import joint_name, motors_of
+from osc_contact.spatial import Array
+
+
+class TorqueInputs:
+    """Places in MuJoCo's data that receive the torques of an arm's joints.
+
+    A joint with exactly one plain motor is driven through that motor's control. Any other joint
+    (with a position servo, several motors or none) receives its torque as `qfrc_applied`, and its
+    actuators are switched off in the model.
+
+    Args:
+        mj: `mujoco.MjModel`; gains of actuators are set to zero in it where they are switched off.
+        joints: numbers of the joints with a motor, in the order of the torques.
+    """
+
+    def __init__(self, mj: Any, joints: Array) -> None:
+        kinds = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
+        per_torque = mj.actuator_gear[:, 0] * mj.actuator_gainprm[:, 0]
+        plain = (per_torque != 0.0) & ~np.any(kinds, axis=0)  # force is gain × control, at once
+        motors = []
+        for joint in joints:
+            own = motors_of(mj, joint)
+            if len(own) == 1 and plain[own[0]]:
+                motors.append(own[0])
+                continue
+            motors.append(-1)
+            mj.actuator_gainprm[own] = mj.actuator_biasprm[own] = 0.0
+        found = np.array(motors, dtype=int)
+        self._driven = found >= 0
+        self._motors = found[self._driven]
+        self._direct = mj.jnt_dofadr[joints][~self._driven]
+        self._per_torque = per_torque[self._motors]
+
+    def send(self, data: Any, tau: Array) -> None:
+        """Write torques (N m; N) of the joints into MuJoCo's data."""
+        data.ctrl[self._motors] = tau[self._driven] / self._per_torque
+        data.qfrc_applied[self._direct] = tau[~self._driven]
+
+
+def sensor_rows(mj: Any, site: str) -> Array:
+    """Places (6,) of a wrist sensor's force and torque in MuJoCo's sensor data.
+
+    Args:
+        mj: `mujoco.MjModel`.
+        site: name of a site with a <force> and a <torque> sensor.
+
+    Raises:
+        PlantError: the model has no such site, or the site lacks one of the sensors.
+    """
+    from mujoco import mjtSensor
+
+    require_name("site", site, [mj.site(i).name for i in range(mj.nsite)])
+    number = mj.site(site).id
+    rows = []
+    for tag in ("force", "torque"):
+        kind = getattr(mjtSensor, f"mjSENS_{tag.upper()}")
+        sensors = np.flatnonzero((mj.sensor_type == kind) & (mj.sensor_objid == number))
+        if not len(sensors):
+            raise PlantError(
+                f'site {site!r} has no {tag} sensor; add to <sensor>: <{tag} site="{site}"/>'
+            )
+        rows.append(mj.sensor_adr[sensors[0]] + np.arange(3))
+    return np.concatenate(rows)
+
+
+def geoms_beyond(mj: Any, body: int) -> Array:
+    """Numbers of the geoms of a body and of all its descendants."""
+    bodies = [body]
+    for other in range(body + 1, mj.nbody):
+        if mj.body_parentid[other] in bodies:
+            bodies.append(other)
+    return np.flatnonzero(np.isin(mj.geom_bodyid, bodies))
+
+
+def moving_geoms(mj: Any, body: int) -> Array:
+    """Mask (ngeom,) of the geoms that move with the kinematic tree of a body."""
+    bodies = mj.geom_bodyid
+    tree: Array = mj.body_rootid[bodies] == mj.body_rootid[body]
+    return tree & (mj.body_weldid[bodies] != 0)
+
+
+def loose_joints(mj: Any, body: int, dofs: Array) -> dict[str, float]:
+    """Joints of an arm that neither the controller nor the scene holds, with the mass beyond each.
+
+    Args:
+        mj: `mujoco.MjModel`.
+        body: number of a body of the arm.
+        dofs: addresses in qvel of the joints that the controller moves.
+
+    Returns:
+        Mass (kg) by the name of the joint.
+    """
+    from mujoco import mjtEq
+
+    tree = mj.body_rootid == mj.body_rootid[body]
+    coupled = mj.eq_type == mjtEq.mjEQ_JOINT
+    joined = {*mj.eq_obj1id[coupled].tolist(), *mj.eq_obj2id[coupled].tolist()}
+    found = {}
+    for j in range(mj.njnt):
+        servos = mj.actuator_biasprm[motors_of(mj, j), 1]  # feedback of the position
+        held = np.any(servos) or mj.jnt_stiffness[j] > 0.0 or j in joined
+        if tree[mj.jnt_bodyid[j]] and mj.jnt_dofadr[j] not in dofs and not held:
+            found[joint_name(mj, j)] = float(mj.body_subtreemass[mj.jnt_bodyid[j]])
+    return found
+
+
+def require_name(kind: str, name: str, known: Sequence[str]) -> None:
+    """Refuse a name that a MuJoCo model does not have.
+
+    Args:
+        kind: of the named element, for the message.
+        name: to be found.
+        known: names of all elements of that kind.
+
+    Raises:
+        PlantError: the message names similar ones.
+    """
+    if name not in known:
+        there = did_you_mean(name, filter(None, known))
+        raise PlantError(f"the MuJoCo model has no {kind} {name!r}; {there}")

@@ -1,0 +1,225 @@
+"""Control loop that the caller steps once for each control period."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from time import perf_counter
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+from osc_contact.control.status import SafetyState
+from osc_contact.errors import InvalidInputError, brief
+from osc_contact.interface import Measurement, Reference, Scene
+from osc_contact.loop.protocols import Controls, Records, Shows
+from osc_contact.loop.start_rules import checked
+from osc_contact.spatial import Array
+
+_log = logging.getLogger(__name__)
+
+
+class StopCalls:
+    """Calls of a robot's `stop`, each with its reason, and their entries in the event log.
+
+    Args:
+        stop: `Robot.stop`, called with the reason.
+        recorder: its `log`, if it has one, receives every call.
+
+    Attributes:
+        log: records an event of the loop.
+    """
+
+    def __init__(self, stop: Callable[[str], object], recorder: Records | None) -> None:
+        self._stop = stop
+        self._stopped = False
+        self._needs_brakes = False
+        self.log: Callable[..., None] = getattr(recorder, "log", _ignore_event)
+
+    def follow(self, controller: Controls) -> None:
+        """Stop the robot in the tick of a safe stop, and again once it needs mechanical brakes.
+
+        Args:
+            controller: its `state`, `reason` and `unbraked` are read where it has them.
+        """
+        before = (self._stopped, self._needs_brakes)
+        self._stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
+        unbraked = bool(getattr(controller, "unbraked", None))
+        self._needs_brakes = self._stopped and (self._needs_brakes or unbraked)
+        if self._stopped and before != (self._stopped, self._needs_brakes):
+            self.call(getattr(controller, "reason", ""))
+
+    def call(self, reason: str) -> Exception | None:
+        """Stop the robot.
+
+        Returns:
+            The error that `stop` raised, which is logged; None where it succeeded.
+        """
+        facts = {"reason": reason}
+        failure = None
+        try:
+            self._stop(reason)
+        except Exception as error:
+            _log.exception("robot.stop(%r) failed", reason)
+            failure = error
+            facts["failure"] = repr(error)
+        self.log("stop", **facts)
+        return failure
+
+
+def _ignore_event(event: str, **facts: Any) -> None:
+    """Drop an event: there is no recorder, or it records no events."""
+
+
+class SteppedLoop:
+    """Control loop for a simulation, a learning environment or a driver that owns the time.
+
+    The caller reads the sensors, calls `step` once for each control period and applies the torques.
+    Everything else is as in `run_loop`: the checks before the first torques, the stop with its
+    reason, the recorder and the viewer. As a context manager the loop ends with its block, and an
+    error in the block stops the robot.
+
+    Args:
+        controller: a `Controller`, or any object with its `tick` and `dt`.
+        stop: called with the reason in the tick in which the controller enters `SAFE_STOP`, again
+            if the arms come to need their mechanical brakes, and when an error ends the block.
+            None: only the torques stop the arms.
+        recorder: records every tick.
+        viewer: draws every tick; needs a recorder that provides channels.
+        check: True: the first call of `step` compares controller, measurement and reference, as
+            `run_loop` does before its first command, within half a second. Doubts are logged.
+        scene: returns masses and shapes around the robot, which the checks then compare with the
+            model, for example `MujocoArm.scene`; None: they are not compared.
+
+    Raises:
+        InvalidInputError: a viewer without a recorder, or a controller without `tick` and `dt`.
+
+    Example:
+        >>> from osc_contact import robots
+        >>> urdf = robots.find_robot("panda")[0]
+        >>> arm = osc.Arm.from_urdf(urdf, name="panda", tip="panda_hand_tcp")
+        >>> chain = osc.ClosedChain([arm])
+        >>> q = np.array([0.0, 0.1, 0.0, -2.2, 0.0, 2.3, 0.8])
+        >>> X = chain.state(q).X_WO
+        >>> loop = osc.SteppedLoop(osc.Controller(chain, [], posture=q))
+        >>> reading = osc.Measurement(q, np.zeros(7), np.zeros((1, 6)))
+        >>> tau = loop.step(reading, osc.pose_reference(X.translation, X.rotation))
+        >>> print(tau.shape, loop.controller.status.name)
+        (7,) OK
+    """
+
+    def __init__(
+        self,
+        controller: Controls,
+        *,
+        stop: Callable[[str], object] | None = None,
+        recorder: Records | None = None,
+        viewer: Shows | None = None,
+        check: bool = True,
+        scene: Callable[[], Scene] | None = None,
+    ) -> None:
+        lacking = [name for name in ("tick", "dt") if not hasattr(controller, name)]
+        if lacking:
+            raise InvalidInputError(
+                f"controller is {brief(controller)}, which has no {' and no '.join(lacking)}; give "
+                "an osc.Controller"
+            )
+        if viewer is not None and recorder is None:
+            raise InvalidInputError(
+                "a viewer shows what is recorded; give the loop a recorder, too"
+            )
+        self.controller = controller
+        self._recorder = recorder
+        self._viewer = viewer
+        self._check = check
+        self._scene = scene
+        self._stops = StopCalls(_ignore_stop if stop is None else stop, recorder)
+        self._ended = False
+
+    def step(self, measurement: Measurement, reference: Reference) -> Array:
+        """Compute and record one control period.
+
+        Args:
+            measurement: readings at the beginning of the period.
+            reference: desired motion and forces of the period.
+
+        Returns:
+            (n_a,) motor torques for the period (N m, N): safe ones where `controller.status` is not
+            OK, braking ones after a stop.
+
+        Raises:
+            InvalidInputError: the checks before the first torques refuse something, or the loop has
+                ended.
+        """
+        if self._ended:
+            raise InvalidInputError(
+                "the loop has ended; make a new SteppedLoop, with a new controller or one that was "
+                "reset"
+            )
+        if self._check:
+            checked(_RestingRobot(measurement, self._scene), self.controller, [reference])
+            self._check = False
+        start = perf_counter()
+        tau = self.controller.tick(measurement, reference)
+        seconds = perf_counter() - start
+        self._stops.follow(self.controller)
+        if self._recorder is not None:
+            self._recorder.append(measurement, reference, tau, seconds)
+            self._draw()
+        return tau
+
+    def _draw(self) -> None:
+        """Show the last tick; a viewer that fails is dropped, and the loop continues."""
+        if self._viewer is None or self._recorder is None:
+            return
+        try:
+            self._viewer.show(self._recorder.latest())
+        except Exception:
+            _log.exception("the viewer failed; the loop continues without it")
+            self._viewer = None
+
+    def end(self, reason: str = "") -> None:
+        """End the loop: stop the robot, once, and record the event.
+
+        Args:
+            reason: why; empty where the task is done.
+        """
+        if not self._ended:
+            self._ended = True
+            self._stops.call(reason)
+
+    def __enter__(self) -> Self:
+        """Return the loop itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the loop; an error of the block becomes the reason of the stop."""
+        self.end("" if error is None else f"{type(error).__name__}: {error}")
+
+
+def _ignore_stop(reason: str) -> None:
+    """Leave the stop to the torques: the caller gave no `stop`."""
+
+
+class _RestingRobot(NamedTuple):
+    """Robot at rest, as the checks before the first torques read it.
+
+    Attributes:
+        measurement: reading of the robot at rest.
+        look: returns the robot's scene; None: unknown.
+    """
+
+    measurement: Measurement
+    look: Callable[[], Scene] | None
+
+    def measure(self) -> Measurement:
+        """Return the reading of the robot at rest."""
+        return self.measurement
+
+    def scene(self) -> Scene | None:
+        """Return masses and shapes around the robot; None: unknown."""
+        return None if self.look is None else self.look()
