@@ -47,7 +47,8 @@ class MujocoArm:
         tip_offset: pose of the operational point in the frame of `tip`; None: `tip` itself.
         wrist_sensor: site or body at which the wrench on it and all links beyond it is read. The
             <force> and <torque> sensors of a site are used where it has both; otherwise the wrench
-            is computed from MuJoCo's internal forces. None: no sensor, and so no contacts.
+            is computed from MuJoCo's internal forces, at the cost of one `mj_forward` for each
+            measurement. None: no sensor, and so no contacts.
         payload: object held by the tip, beyond the links of the model; None: nothing.
         name: of the arm.
         locked: positions of other joints of its tree (m, rad), fingers for example; default: where
@@ -164,9 +165,11 @@ class MujocoArm:
                 self._rows = sensor_rows(self.model, name)
             except PlantError:
                 _log.info("site %r has no force and torque sensor; its wrench is computed", name)
+        if self._rows is None:
+            self._scratch = self._mj.MjData(self.model)
 
     def measure(self) -> Measurement:
-        """Read encoders as they are now, and the wrench (6,) of MuJoCo's last step."""
+        """Read the encoders and the wrist as they are now; a site's sensors are one step old."""
         data = self.data
         wrench = np.zeros((1, 6))
         if self.chain.arms[0].wrist_sensor is not None:
@@ -177,9 +180,13 @@ class MujocoArm:
     def _internal_wrench(self) -> Array:
         """Wrench (6,) between the sensor's body and its parent, at the sensor and in its axes.
 
-        MuJoCo's `cfrc_int` acts at the centre of mass of the tree, in world axes, torque first.
+        It is that of the present state, computed in data of its own: amid a step the simulation has
+        new contacts already, and the forces of the old ones. MuJoCo's `cfrc_int` acts at the centre
+        of mass of the tree, in world axes, torque first.
         """
-        data = self.data
+        data = self._scratch
+        self._mj.mj_copyData(data, self.model, self.data)
+        self._mj.mj_forward(self.model, data)
         self._mj.mj_rnePostConstraint(self.model, data)
         if self._site is None:
             place, R = data.xpos[self._body], data.xmat[self._body].reshape(3, 3)
