@@ -127,13 +127,14 @@ def _attribute(kind: Layout, name: str) -> Callable[[Type], Implementation]:
     columns = shape[-1]
     carray = _public.carray
 
-    def one_size(record: np.record) -> NDArray[Any]:
+    # numba compares the parameters of `choose` with those of its results, annotations included
+    def one_size(record: Any) -> NDArray[Any]:
         return carray(start(record), (rows(record),), dtype)
 
-    def two_sizes(record: np.record) -> NDArray[Any]:
+    def two_sizes(record: Any) -> NDArray[Any]:
         return carray(start(record), (rows(record), columns(record)), dtype)
 
-    def choose(record: Type) -> Implementation:
+    def choose(record: Any) -> Implementation:
         return one_size if len(shape) == 1 else two_sizes
 
     return choose
