@@ -117,7 +117,12 @@ class TickParts:
     switches: int
 
     def run(self, begin: int, stop: int, more: int = 0) -> bool:
-        """Run the parts from `begin` to the one before `stop`; `more`: switches beside those.
+        """Run consecutive parts of the tick.
+
+        Args:
+            begin: number of the first part.
+            stop: number of the part after the last one.
+            more: switches in addition to those of the tick.
 
         Returns:
             Whether they were computed; else the tick has ended HELD.

@@ -26,7 +26,13 @@ class TickEnd:
     def note(
         self, measurement: Measurement, reference: Reference, failure: Exception | None
     ) -> None:
-        """Keep the inputs of a tick, and the error raised in it."""
+        """Keep the inputs of a tick, and the error raised in it.
+
+        Args:
+            measurement: readings of the tick.
+            reference: desired motion and forces of the tick.
+            failure: error raised by the user's code; None: none.
+        """
         self.inputs = (measurement, reference)
         self.failure = failure
         self._loss = None

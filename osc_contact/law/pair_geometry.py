@@ -56,7 +56,13 @@ Motion = namedtuple("Motion", "X_WO V_O R_E V_E V_rel moving")
 
 @leaf
 def fill_line(N, p, n):
-    """Fill N (6,) with [n; p × n], the wrench at O of a unit force along n through p."""
+    """Fill a column of N with [n; p × n], the wrench at O of a unit force.
+
+    Args:
+        N: (6,) column, filled.
+        p: (3,) point on the line of the force, from O (m).
+        n: (3,) unit vector along the force.
+    """
     fill(N, join(n, cross(p, n)))
 
 
@@ -177,7 +183,13 @@ def _on_surface(shapes, at, motion, column):
 
 @leaf
 def vertex(row, X_WO, R_E):
-    """Position of a vertex of the touched body from O (m, world axes); `row` has it in 3:6."""
+    """Position of a vertex of the touched body from O (m, world axes).
+
+    Args:
+        row: (16,) shape with the vertex in 3:6 (m, in the body's frame).
+        X_WO: (4, 4) pose of the object.
+        R_E: (4, 4) pose of the touched body.
+    """
     return minus3(plus3(origin(R_E), rotated(R_E, row[3:])), origin(X_WO))
 
 
@@ -211,7 +223,13 @@ def _along_first(a, e, m, mm):
 
 @inner
 def turned_edge(row, R_E, turn):
-    """Direction of the body's edge with its estimated turn: a unit vector in world axes."""
+    """Direction of the body's edge with its estimated turn: a unit vector in world axes.
+
+    Args:
+        row: (16,) shape with the direction of the edge from 9 on, in the body's frame.
+        R_E: (4, 4) pose of the touched body.
+        turn: (3,) estimated change of the direction, in the body's frame.
+    """
     f = plus3(row[9:], turn)
     return rotated(R_E, divided3(f, sqrt(dot3(f, f))))
 

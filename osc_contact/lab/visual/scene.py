@@ -299,7 +299,13 @@ def headings(
 
 
 def hidden(points: Array, links: Array, view: Array) -> float:
-    """Share of points (k, 3) in front of which points of the arms (m, 3) are, for a view (3,)."""
+    """Share of points that points of the arms hide.
+
+    Args:
+        points: (k, 3) points to be seen (m).
+        links: (n, 3) points of the arms (m).
+        view: (3,) unit vector towards the eye.
+    """
     if not len(points) or not len(links):
         return 0.0
     across = picture_axes(view)
