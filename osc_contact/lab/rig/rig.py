@@ -251,7 +251,7 @@ class Rig:
 
     @property
     def gains(self) -> Gains:
-        """Gains of the controller: those of the scenario, with a motion integral for a tare.
+        """Gains of the scenario, with a motion integral where it has a tare.
 
         Away from the contacts only the motion integral balances errors of the modelled weight. A
         scenario with a tare therefore has an integral by default.
