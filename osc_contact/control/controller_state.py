@@ -193,7 +193,7 @@ class ControllerState:
 
     @property
     def joint_friction(self) -> Array:
-        """Identified Coulomb (N m; N) and viscous friction (N m s/rad; N s/m) of all joints, (n, 2).
+        """Identified Coulomb (N m; N) and viscous friction (N m s/rad; N s/m) of joints, (n, 2).
 
         The columns are arguments of `Arm`, friction and damping, for the start of another session.
         """
