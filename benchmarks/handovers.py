@@ -109,11 +109,13 @@ def scenario_of(
 
 @dataclass
 class Handover:
-    """What happened in a run.
+    """Time series of a run, from the command of the second contact on.
 
     Attributes:
-        t: (n,) s, of each tick from the command on. closed: (n,) whether the second contact was.
-        forces: (n, 2) true. read: (n, 2).
+        t: (n,) time of each tick (s).
+        closed: (n,) whether the second contact was reported closed.
+        forces: (n, 2) true forces of both contacts (N).
+        read: (n, 2) forces of both contacts as read by the controller (N).
     """
 
     t: Array

@@ -86,11 +86,14 @@ def test_a_controller_ticks_as_with_the_packaged_pair(friction, count):
     q, v, X = posed(chain, default_rng(4))
     measurement = osc.Measurement(q, 0.1 * v, np.ones((1, 6)))
     reference = osc.Reference(X, np.full(6, 0.02), alpha_d=np.arange(10.0, 10.0 + count))
-    reading = "least_squares" if count == 1 else "filter"
+    if count > 1 and friction is not None:
+        # normals are estimated of pairs with one column, and μ learned with them: three packaged
+        # pairs have such normals, one compiled pair of three columns has none
+        friction = friction.model_copy(update={"learning": 0.0})
     controllers = [
-        osc.Controller(chain, pairs, friction=friction, reading=reading)
-        for pairs in same_geometry(X, count)
+        osc.Controller(chain, pairs, friction=friction) for pairs in same_geometry(X, count)
     ]
+    assert {controller.reading for controller in controllers} == {"least_squares"}
     for _ in range(3):
         ours, theirs = (one.tick(measurement, reference) for one in controllers)
         assert_allclose(ours, theirs, rtol=1e-9)

@@ -214,7 +214,7 @@ def test_keys_and_a_push_by_the_pointer(page, rod):
 
 
 def test_a_policy_without_unsafe_eval_is_named(page, pages):
-    """Of a host: a worker from the network obeys its own headers."""
+    """The policy stands in the header of the host, which a worker of the page obeys, too."""
     with served(pages, "script-src 'self' 'wasm-unsafe-eval'") as strict:
         page.visit(f"{strict}{TASK}/index.html", ready=f"{TOLD}.error")
         words = page.run("document.getElementById('says').textContent")

@@ -29,7 +29,7 @@ HEAD = """# Gallery
 Every packaged scenario and study, with its command and the verdict of the run shown. Arrows are
 contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines are lines
 of force, thin curves are trails. `make gallery` makes this page and its pictures anew;
-`osc-contact view SCENARIO --gif FILE` makes one of your own; on the
+`osc-contact view SCENARIO --gif FILE` makes another; on the
 [web page](viewing.md#a-page-that-runs-the-task) of `osc-contact page SCENARIO --out FOLDER` you set
 forces and walls yourself.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -407,11 +408,19 @@ def _on_axes(name: str, given: npt.ArrayLike, positive: bool = False) -> Array:
     return values
 
 
-class _Structure:
+class _Structure(ABC):
     """Base of structure laws that command an acceleration and an additional wrench."""
 
     def __call__(self, signals: Any) -> Any:
-        """Placeholder of the protocol; `fill` is called instead."""
+        """Refuse a call with signals: a controller calls `fill` instead.
+
+        Raises:
+            InvalidInputError: always.
+        """
+        raise InvalidInputError(
+            f"{type(self).__name__.strip('_').lower()} works on the records of a tick, not on its "
+            "signals; give it to a controller, as osc.Laws(structure=…)"
+        )
 
     def fill(self, records: TickRecords) -> None:
         """Write `acceleration_t` (the expected acceleration) and `f_S` of WORK.
@@ -437,6 +446,7 @@ class _Structure:
         work.force_next[:] = 0.0  # the integrals of the laws that are replaced rest
         work.motion_next[:] = 0.0
 
+    @abstractmethod
     def command(self, work: View, desired: Array, reading: Array) -> tuple[Array, Array]:
         """Commanded classical acceleration (6,), and an additional wrench (6,), at O.
 
@@ -444,7 +454,6 @@ class _Structure:
             work: WORK of the tick. desired: (6,) N α_d (N, N m). reading: (6,) wrist reading less
                 bias (N, N m).
         """
-        raise NotImplementedError
 
     def damp(self, Lambda: Array, turn: Array, rate: Array) -> Array:
         """Damping wrench (d,) for the error rate ė, in turned energy coordinates.

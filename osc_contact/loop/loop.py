@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from inspect import signature
@@ -17,9 +16,7 @@ from osc_contact.loop.protocols import Controls, Records, Shows
 from osc_contact.loop.realtime import LoopReport, SideWork, at_once, realtime_process
 from osc_contact.loop.shadow import Shadow
 from osc_contact.loop.start_rules import checked
-from osc_contact.loop.stepped import StopCalls
-
-_log = logging.getLogger(__name__)
+from osc_contact.loop.stepped import Drawing, StopCalls
 
 NEWS = 100  #: ticks from one call of `progress` to the next
 SHOWN = 33  #: ticks from one picture to the next, where another thread hands them to the viewer
@@ -79,22 +76,12 @@ def run_loop(
         KeyboardInterrupt, SystemExit: a signal ended the loop; the exit code of the latter is 128
             plus the number of the signal.
     """
-    if viewer is not None and recorder is None:
-        raise InvalidInputError("a viewer shows what is recorded; give the loop a recorder, too")
+    drawing = Drawing(viewer, recorder)
     _require_robot(robot, controller)
     period = controller.dt
     report = LoopReport(period)
     judge = Shadow(controller) if shadow else None
     stops = StopCalls(robot.stop, recorder)
-
-    def draw(tick: Mapping[str, Any]) -> None:
-        nonlocal viewer
-        try:
-            if viewer is not None:
-                viewer.show(tick)
-        except Exception:
-            _log.exception("the viewer failed; the run continues without it")
-            viewer = None
 
     with raised_signals() as signals, _process(realtime, recorder, report) as side:
         try:
@@ -109,11 +96,11 @@ def run_loop(
                     stops.follow(controller)
                 if recorder is not None:
                     signals.whole(recorder.append, measurement, reference, tau, seconds)
-                    if viewer is not None:
+                    if drawing.wanted:
                         if side is None:
-                            draw(recorder.latest())
+                            drawing.show(recorder.latest())
                         elif k % SHOWN == 0 and side.idle:
-                            side.submit(partial(draw, recorder.latest()))
+                            side.submit(partial(drawing.show, recorder.latest()))
                 if judge is not None:
                     tau = judge.torques(measurement)
                 ready = perf_counter()

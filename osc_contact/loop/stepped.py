@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from time import perf_counter
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -66,6 +66,40 @@ class StopCalls:
         return failure
 
 
+class Drawing:
+    """Pictures of a run, which never end it: a viewer that fails is logged once, and dropped.
+
+    Args:
+        viewer: draws the ticks; None: nothing is drawn.
+        recorder: provides the channels of a tick.
+
+    Raises:
+        InvalidInputError: a viewer without a recorder.
+    """
+
+    def __init__(self, viewer: Shows | None, recorder: Records | None) -> None:
+        if viewer is not None and recorder is None:
+            raise InvalidInputError(
+                "a viewer shows what is recorded; give the loop a recorder, too"
+            )
+        self._viewer = viewer
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is a viewer that has not failed."""
+        return self._viewer is not None
+
+    def show(self, tick: Mapping[str, Any]) -> None:
+        """Draw the channels of one tick."""
+        if self._viewer is None:
+            return
+        try:
+            self._viewer.show(tick)
+        except Exception:
+            _log.exception("the viewer failed; the run continues without it")
+            self._viewer = None
+
+
 def _ignore_event(event: str, **facts: Any) -> None:
     """Drop an event: there is no recorder, or it records no events."""
 
@@ -123,13 +157,9 @@ class SteppedLoop:
                 f"controller is {brief(controller)}, which has no {' and no '.join(lacking)}; give "
                 "an osc.Controller"
             )
-        if viewer is not None and recorder is None:
-            raise InvalidInputError(
-                "a viewer shows what is recorded; give the loop a recorder, too"
-            )
+        self._drawing = Drawing(viewer, recorder)
         self.controller = controller
         self._recorder = recorder
-        self._viewer = viewer
         self._check = check
         self._scene = scene
         self._stops = StopCalls(_ignore_stop if stop is None else stop, recorder)
@@ -164,18 +194,9 @@ class SteppedLoop:
         self._stops.follow(self.controller)
         if self._recorder is not None:
             self._recorder.append(measurement, reference, tau, seconds)
-            self._draw()
+            if self._drawing.wanted:
+                self._drawing.show(self._recorder.latest())
         return tau
-
-    def _draw(self) -> None:
-        """Show the last tick; a viewer that fails is dropped, and the loop continues."""
-        if self._viewer is None or self._recorder is None:
-            return
-        try:
-            self._viewer.show(self._recorder.latest())
-        except Exception:
-            _log.exception("the viewer failed; the loop continues without it")
-            self._viewer = None
 
     def end(self, reason: str = "") -> None:
         """End the loop: stop the robot, once, and record the event.

@@ -6,6 +6,7 @@ with the name of a field in the law's MODEL are copied to it by name.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from math import inf, pi, radians, sqrt
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -78,9 +79,9 @@ class _GainsOfOneLoop(OrderedSpec):
         self.__dict__.update(self._values(not beside, values) | values)
         return self
 
+    @abstractmethod
     def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
         """Compute the gains that are not given; given ones take precedence."""
-        raise NotImplementedError
 
     @model_serializer(mode="wrap")
     def _as_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:

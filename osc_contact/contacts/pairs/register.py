@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import field
 from inspect import signature
@@ -15,7 +16,7 @@ from osc_contact.contacts.pairs.pair import Bodies, ContactPair
 from osc_contact.spatial import Array, geometry
 
 
-class PackagedPair:
+class PackagedPair(ABC):
     """Base of pairs that compute contact and gaps from `Bodies` and a relative pose.
 
     Subclasses define `_contact` and `_gaps`; `contact` and `gaps` are those of `ContactPair`.
@@ -27,7 +28,7 @@ class PackagedPair:
         check_geometry(self)
         self._make()
 
-    def _make(self) -> None:
+    def _make(self) -> None:  # noqa: B027  most pairs need nothing here
         """Check geometry and compute derived attributes, after `check_geometry`."""
 
     def contact(
@@ -53,12 +54,13 @@ class PackagedPair:
         """Signed errors (r,) (m or rad), 0 in contact; distances are negative in an overlap."""
         return self._gaps(X_WO if X_WE is None else X_WE.actInv(X_WO))
 
+    @abstractmethod
     def _contact(self, b: Bodies) -> Contact:
-        raise NotImplementedError
+        """N (6, r) and n_γ (r,) at O, world axes, of the two bodies."""
 
+    @abstractmethod
     def _gaps(self, X_EA: SE3) -> Array:
         """Signed errors (r,) (m or rad) at a pose of the object in the environment frame."""
-        raise NotImplementedError
 
 
 Pair = TypeVar("Pair", bound=type)

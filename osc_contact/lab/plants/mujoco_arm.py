@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -102,24 +103,18 @@ class MujocoArm:
         if wrist_sensor is not None:
             self._take_sensor(wrist_sensor)
         number = {joint_name(model, j): j for j in range(model.njnt)}
-        arm = Arm.from_mjcf(
+        read_arm = partial(
+            Arm.from_mjcf,
             model,
             name=name,
             tip=tip,
             tip_offset=tip_offset,
             wrist_sensor=wrist_sensor,
-            locked=locked,
         )
-        now = {j: float(data.qpos[model.jnt_qposadr[number[j]]]) for j in arm.locked}
-        if now:
-            arm = Arm.from_mjcf(
-                model,
-                name=name,
-                tip=tip,
-                tip_offset=tip_offset,
-                wrist_sensor=wrist_sensor,
-                locked={**now, **(locked or {})},
-            )
+        arm = read_arm(locked=locked)
+        if arm.locked:  # at their present positions
+            now = {j: float(data.qpos[model.jnt_qposadr[number[j]]]) for j in arm.locked}
+            arm = read_arm(locked={**now, **(locked or {})})
         self.chain = ClosedChain([arm], payload=payload)
         joints = np.array([number[joint] for joint in list(arm.model.names)[1:]])
         self._q = model.jnt_qposadr[joints]
