@@ -10,7 +10,7 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import algebra, commands, contact, grasps, records, write
+from law_calls import algebra, commands, grasps, normals, records, write
 from law_calls import columns as columns_of_N
 from numpy.linalg import norm, qr
 from numpy.testing import assert_array_equal
@@ -239,5 +239,5 @@ def test_what_is_learned_of_a_normal_that_turns_about_one_axis_is_kept(i):
     last = t.memory.columns[0]
     t.work.columns[0].prior[:] = 1e-4
     last.covariance[i] = 1e-6
-    contact.learn_normal(0.0, last, t.work.columns[0])
+    normals.learn_normal(0.0, last, t.work.columns[0])
     assert last.normal_std == approx(1e-3)

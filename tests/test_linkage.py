@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from complaints import invalid_input
 from grasp_rigs import KINDS, random_case
-from law_calls import allocation, records, write
+from law_calls import bars, records, write
 from numpy.linalg import cholesky, pinv, qr, solve, svd
 from numpy.random import default_rng
 from rigs import assert_close, assert_near, held_tick, largest, rig_of, unit, vector, within
@@ -155,7 +155,7 @@ def answer(state, chain):
     tables = (work.bar_inverse, work.bar_effects, work.bar_torques, work.moving_torques)
     for out in (work.levers, work.basis, *tables):
         out[:] = np.nan
-    s = allocation.settable_bars(t, len(locked))
+    s = bars.settable_bars(t, len(locked))
     basis = work.basis[:, :s]
     assert_near(basis.T @ basis, np.eye(s), atol=1e-12)
     assert s < len(work.levers) or (work.basis == np.eye(s)).all()

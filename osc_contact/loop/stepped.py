@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Mapping
 from time import perf_counter
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError, brief
@@ -16,6 +16,8 @@ from osc_contact.loop.start_rules import checked
 from osc_contact.spatial import Array
 
 _log = logging.getLogger(__name__)
+
+Law = TypeVar("Law", bound=Controls)  #: class of the controller
 
 
 class StopCalls:
@@ -104,7 +106,7 @@ def _ignore_event(event: str, **facts: Any) -> None:
     """Drop an event: there is no recorder, or it records no events."""
 
 
-class SteppedLoop:
+class SteppedLoop(Generic[Law]):
     """Control loop for a simulation, a learning environment or a driver that owns the time.
 
     The caller reads the sensors, calls `step` once for each control period and applies the torques.
@@ -143,7 +145,7 @@ class SteppedLoop:
 
     def __init__(
         self,
-        controller: Controls,
+        controller: Law,
         *,
         stop: Callable[[str], object] | None = None,
         recorder: Records | None = None,
@@ -158,7 +160,7 @@ class SteppedLoop:
                 "an osc.Controller"
             )
         self._drawing = Drawing(viewer, recorder)
-        self.controller = controller
+        self.controller: Law = controller
         self._recorder = recorder
         self._check = check
         self._scene = scene

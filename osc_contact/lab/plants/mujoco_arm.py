@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.chain_state import RigidObject
@@ -191,7 +192,7 @@ class MujocoArm:
         lever = place - data.subtree_com[self.model.body_rootid[self._body]]
         return np.concatenate((R.T @ force, R.T @ (torque - np.cross(lever, force))))
 
-    def apply(self, tau: Array) -> None:
+    def apply(self, tau: ArrayLike) -> None:
         """Write motor torques (n_a,) (N m; N) into the simulation; they act in its next steps.
 
         Raises:
@@ -200,7 +201,7 @@ class MujocoArm:
         self.note(tau)
         self._inputs.send(self.data, self._tau)
 
-    def note(self, tau: Array) -> None:
+    def note(self, tau: ArrayLike) -> None:
         """Remember motor torques (n_a,) that the caller applies, for the next measurement.
 
         Raises:

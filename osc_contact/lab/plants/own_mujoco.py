@@ -75,6 +75,7 @@ class MujocoScene:
         self._model = model
         self._data = copy.copy(data)
         self.pairs = [(a, b) for a in tool for b in others if _can_touch(model, a, b)]
+        self.tool_touches = bool(self.pairs)
         self._others = sorted({b for _, b in self.pairs})
         if self.pairs:
             self._point = point = self.pairs[0][0]
@@ -82,11 +83,6 @@ class MujocoScene:
             self._at = copy.copy(data)
             self._probe.geom_type[point] = _SPHERE
             self._probe.geom_size[point] = self._probe.geom_rbound[point] = _POINT_M
-
-    @property
-    def tool_touches(self) -> bool:
-        """Whether MuJoCo lets any geom of the tool touch any other."""
-        return bool(self.pairs)
 
     def require_period(self, duration: float) -> None:
         """Refuse a control period (s) that is no whole number of MuJoCo's steps.
