@@ -18,6 +18,31 @@ RISE = 1.1  #: times the ceiling that was noted last; smaller rises are no event
 _STATES = tuple(SafetyState)
 #: Of MEMORY: fields of which a change is an event, or may be a part of one.
 _WATCHED = ("state", "engaged", "unbraked", "f_tare", "f_bias", "largest_force", "largest_sum")
+_CEILINGS = {"contact": "largest_force", "wrist": "largest_sum"}  #: and the command of each
+_COMMANDS = set(_CEILINGS.values())
+
+
+def _parts() -> dict[str, slice]:
+    """Place of each watched field among the bytes of all of them."""
+    sizes = [at.MEMORY.dtype[name].itemsize for name in _WATCHED]
+    ends = np.cumsum(sizes).tolist()
+    return {
+        name: slice(end - size, end)
+        for name, size, end in zip(_WATCHED, sizes, ends, strict=True)
+    }
+
+
+_PARTS = _parts()
+
+
+def _field(seen: bytes, name: str) -> np.ndarray[Any, Any]:
+    """Numbers of a watched field.
+
+    Args:
+        seen: bytes of all watched fields.
+        name: name of the field.
+    """
+    return np.frombuffer(seen[_PARTS[name]], at.MEMORY.dtype[name].base)
 
 
 class Changes:
@@ -34,15 +59,19 @@ class Changes:
         self._unbraked: str | None = None
 
     def _take_records(self) -> None:
+        """Note where the watched fields stand in the records, and the limits of the ceilings."""
         records = self._controller.records
         head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
         self._records = records
         self._words = records.rows.raw.view(np.int64)
         self._places = records.places(*(head[name] for name in _WATCHED))
+        self._headroom = {key: float(records.model[f"{key}_headroom"]) for key in _CEILINGS}
+        self._least = {key: float(records.model[f"{key}_ceiling"]) for key in _CEILINGS}
         self._seen = np.zeros(len(self._places), np.int64)
         self._before = self._read()
 
     def _read(self) -> bytes:
+        """Copy the watched fields, one after the other."""
         self._words.take(self._places, out=self._seen, mode="clip")
         return self._seen.tobytes()
 
@@ -52,33 +81,30 @@ class Changes:
             self._take_records()
             return ()
         now = self._read()
-        if now == self._before:
+        before = self._before
+        if now == before:
             return ()
-        before = self._fields(self._before)
         self._before = now
-        return list(self._events(before, self._fields(now)))
+        changed = {name for name, part in _PARTS.items() if now[part] != before[part]}
+        if changed <= _COMMANDS:  # in every tick of a growing command
+            return tuple(self._risen(now))
+        return tuple(self._events(changed, before, now))
 
-    @staticmethod
-    def _fields(seen: bytes) -> dict[str, Any]:
-        """The watched fields, of their bytes."""
-        fields: dict[str, Any] = {}
-        first = 0
-        for name in _WATCHED:
-            kind = at.MEMORY.dtype[name]
-            fields[name] = np.frombuffer(seen, kind.base, int(np.prod(kind.shape)), first)
-            first += kind.itemsize
-        return fields
+    def _events(self, changed: set[str], before: bytes, now: bytes) -> Iterator[Event]:
+        """Events of the changed fields.
 
-    def _events(self, before: dict[str, Any], now: dict[str, Any]) -> Iterator[Event]:
+        Args:
+            changed: names of the fields.
+            before, now: all watched fields, at the last look and at this one.
+        """
         controller = self._controller
-        changed = {name for name in _WATCHED if before[name].tobytes() != now[name].tobytes()}
         if "engaged" in changed:
-            yield "setting", {"name": "engaged", "value": bool(now["engaged"][0])}
+            yield "setting", {"name": "engaged", "value": bool(_field(now, "engaged")[0])}
         for name in ("f_tare", "f_bias"):
             if name in changed:
-                yield "setting", {"name": name, "value": now[name].tolist()}
+                yield "setting", {"name": name, "value": _field(now, name).tolist()}
         if "state" in changed:
-            old, new = (_STATES[int(one["state"][0])] for one in (before, now))
+            old, new = (_STATES[int(_field(one, "state")[0])] for one in (before, now))
             kind = "reset" if old is SafetyState.SAFE_STOP else "state"
             reason = controller.reason if new is not SafetyState.RUN else ""
             yield kind, {"from": old.name, "to": new.name, "reason": reason}
@@ -89,12 +115,11 @@ class Changes:
             self._unbraked = joint
         yield from self._risen(now)
 
-    def _risen(self, now: dict[str, Any]) -> Iterator[Event]:
+    def _risen(self, now: bytes) -> Iterator[Event]:
         """Ceilings that follow the largest command so far, where they have risen."""
-        model = self._records.model
-        for key, command in (("contact", "largest_force"), ("wrist", "largest_sum")):
-            ceiling = float(model[f"{key}_headroom"] * now[command][0])
-            if ceiling > max(RISE * self._ceilings.get(key, 0.0), model[f"{key}_ceiling"]):
+        for key, command in _CEILINGS.items():
+            ceiling = self._headroom[key] * float(_field(now, command)[0])
+            if ceiling > max(RISE * self._ceilings.get(key, 0.0), self._least[key]):
                 self._ceilings[key] = ceiling
                 yield "ceiling", {"name": f"{key}_ceiling", "value": ceiling}
 
