@@ -103,7 +103,10 @@ def read_tick(
         records.memory.wrench_missing = 1
     flags = 0
     squeeze = reference.squeeze_d
-    records.squeeze[:] = squeeze
+    if type(squeeze) is float:
+        records.squeeze.fill(squeeze)  # costs a quarter of an assignment to a slice
+    else:
+        records.squeeze[:] = squeeze
     # with three arms and more, the number 0 leaves internal forces at least effort
     if len(records.squeeze) > 1 and not (np.ndim(squeeze) == 0 and squeeze == 0.0):
         flags = law.COMMANDED
