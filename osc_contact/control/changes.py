@@ -27,8 +27,7 @@ def _parts() -> dict[str, slice]:
     sizes = [at.MEMORY.dtype[name].itemsize for name in _WATCHED]
     ends = np.cumsum(sizes).tolist()
     return {
-        name: slice(end - size, end)
-        for name, size, end in zip(_WATCHED, sizes, ends, strict=True)
+        name: slice(end - size, end) for name, size, end in zip(_WATCHED, sizes, ends, strict=True)
     }
 
 

@@ -111,11 +111,6 @@ def read_state(chain: EvaluatedChain, work: View, rest: View, data: pin.Data) ->
     reference = at.MODEL.view(chain.law_row(led=False)).reference
     X_WO = pin.SE3(work.X_WO)
     V_O = work.V_O.copy()
-    parts = zip(work.arms, chain.grasps, chain.slices, strict=True)
-    arms = [
-        _arm_terms(own, grasp, work.joints[s], rest.joints.h[s], M[s, s], motion, wrench)
-        for own, grasp, s in parts
-    ]
     return ChainState(
         X_WO=X_WO,
         V_O=V_O,
@@ -131,7 +126,7 @@ def read_state(chain: EvaluatedChain, work: View, rest: View, data: pin.Data) ->
         w=joints.offset + joints.J_bar @ sigma_e,
         h=joints.h.copy(),
         M=M,
-        arms=tuple(arms),
+        arms=_all_arm_terms(chain, work, rest, M, motion, wrench),
         payload=_payload_terms(chain, X_WO, V_O),
         metric=wrench @ wrench.T,
         grasp_points=np.array([tip.translation for tip in chain.tip_poses(data)]),
@@ -143,6 +138,23 @@ def read_state(chain: EvaluatedChain, work: View, rest: View, data: pin.Data) ->
         reference=(wrench * reference) @ wrench.T,
         full_ranks=chain.full_ranks,
         singular_directions=_singular_directions(chain, work.arms, reference, motion, wrench),
+    )
+
+
+def _all_arm_terms(
+    chain: EvaluatedChain, work: View, rest: View, M: Array, motion: Array, wrench: Array
+) -> tuple[ArmTerms, ...]:
+    """Operational-space terms of each arm at its grasp.
+
+    Args:
+        chain, work, rest: see `read_state`.
+        M: (nq, nq) joint-space inertia of all arms.
+        motion, wrench: (6, 6) bases of energy coordinates, of `motions` and `wrenches`.
+    """
+    parts = zip(work.arms, chain.grasps, chain.slices, strict=True)
+    return tuple(
+        _arm_terms(own, grasp, work.joints[s], rest.joints.h[s], M[s, s], motion, wrench)
+        for own, grasp, s in parts
     )
 
 

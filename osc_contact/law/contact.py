@@ -80,20 +80,36 @@ def place_contacts(t):
         if alone and model.tilt > 0.0:
             fill(V, minus(work.V_D, V_E))
             follow_face(t, pair, X_WO, R_E, V_rel, V)
-        known = pair.has_friction != 0
-        if not known and model.reading == LEAST_SQUARES:
-            for j in range(pair.count):
-                fill3(columns[pair.first + j].slip, ZERO_3)
-                fill(columns[pair.first + j].friction_wrench, ZERO)
-        if known and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
-            fill(V, add(V_rel, AHEAD * model.period, work.A_D))
-            for j in range(pair.count):
-                column = columns[pair.first + j]
-                if not given:
-                    row = shapes[pair.shape_at + j].row
-                    fill3(column.point, point_of_contact(pair.kind, row, X_WO, R_E, column.N))
-                _slide(V, work.mu, model.slip, column)
+        _predict_friction(t, pair, R_E, V_rel)
     return True
+
+
+@inner
+def _predict_friction(t, pair, R_E, V_rel):
+    """Fill point, slip and friction wrench of the columns of a pair.
+
+    Args:
+        t: Tick. pair: row of MODEL. R_E: (4, 4) motion of its face since the model was made.
+        V_rel: (6,) twist of the object relative to the face (m/s, rad/s).
+    """
+    model = t.model
+    work = t.work
+    columns = work.columns
+    V = local(6)
+    known = pair.has_friction != 0
+    if not known and model.reading == LEAST_SQUARES:
+        for j in range(pair.count):
+            fill3(columns[pair.first + j].slip, ZERO_3)
+            fill(columns[pair.first + j].friction_wrench, ZERO)
+    if known and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
+        fill(V, add(V_rel, AHEAD * model.period, work.A_D))
+        for j in range(pair.count):
+            column = columns[pair.first + j]
+            if pair.kind != GIVEN and pair.kind != FUNCTION:
+                row = model.shapes[pair.shape_at + j].row
+                point = point_of_contact(pair.kind, row, work.X_WO, R_E, column.N)
+                fill3(column.point, point)
+            _slide(V, work.mu, model.slip, column)
 
 
 @inner

@@ -98,18 +98,34 @@ def hold_posture(t):
         part = 1.0 / holding if holds else 0.0
         share = _split_torques(t, model.arms[k], part, R, centre, weight)
         rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
-        for j in range(model.arms[k].first, model.arms[k].end):
-            memory.joints[j].acceleration = share * joints[j].acceleration
-            memory.joints[j].driven = 0  # errors of gravity or friction may keep it at rest
-            if share < 1.0:
-                memory.joints[j].hold = q[j]
-            motor = model.joints[j].motor
-            most = model.joints[j].tau_max
-            if motor >= 0:
-                s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
-                work.tau[motor] = s if isfinite(s) else memory.torques[motor]
-                work.step[motor] = rate * model.period * most
+        _take_share(t, model.arms[k], share, rate)
     slew(work.tau, memory.torques, work.step, memory.ticked != 0)
+
+
+@inner
+def _take_share(t, arm, share, rate):
+    """Fill torques, their largest steps and the commanded accelerations of an arm that brakes.
+
+    Args:
+        t: Tick. arm: row of MODEL. share: part of the braking torques that its motors can exert;
+            below 1 the positions to be held follow the joints.
+        rate: largest rate of the torques, in torque limits per second.
+    """
+    model = t.model
+    memory = t.memory
+    work = t.work
+    joints = work.joints
+    for j in range(arm.first, arm.end):
+        memory.joints[j].acceleration = share * joints[j].acceleration
+        memory.joints[j].driven = 0  # errors of gravity or friction may keep it at rest
+        if share < 1.0:
+            memory.joints[j].hold = memory.q[j]
+        motor = model.joints[j].motor
+        most = model.joints[j].tau_max
+        if motor >= 0:
+            s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
+            work.tau[motor] = s if isfinite(s) else memory.torques[motor]
+            work.step[motor] = rate * model.period * most
 
 
 @inner

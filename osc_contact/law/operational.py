@@ -570,20 +570,35 @@ def _arm_at_tip(t, n, q, v, out):
         g = weight_on_joint(joints[j], model.gravity)
         p = add(p, g, bar)
         mu = add(mu, joints[j].h - g, bar)
+    for a in range(6):
+        for b in range(6):
+            own.Lambda[a, b] *= root[a] * root[b]
+            Phi[a, b] /= root[a] * root[b]
+    _write_terms(t, n, Phi, mu, p, out)
+    return True
+
+
+@inner
+def _write_terms(t, n, Phi, mu, p, out):
+    """Write the terms of an arm at its tip to a row of `operational_space`.
+
+    Args:
+        t: Tick, with Λ, J̇v and the rank of its arm 0, and J, J̄ and h of the joints.
+        n: number of joints. Phi: (6, 6). mu: (6,), without Λ J̇v yet. p: (6,). out: row, filled.
+    """
+    own = t.work.arms[0]
+    joints = t.work.joints
     at = 12 * n + 72  # behind all matrices
     for a in range(6):
-        row = own.Lambda[a]
         for b in range(6):
-            row[b] *= root[a] * root[b]
-            out[6 * a + b] = row[b]
-            out[36 + 6 * a + b] = Phi[a, b] / (root[a] * root[b])
+            out[6 * a + b] = own.Lambda[a, b]
+            out[36 + 6 * a + b] = Phi[a, b]
         for j in range(n):
             out[72 + a * n + j] = joints[j].column[a]
             out[72 + 6 * (n + j) + a] = joints[j].J_bar[a]
-        out[at + a] = mu[a] - dot6(row, drift)
+        out[at + a] = mu[a] - dot6(own.Lambda[a], own.drift)
         out[at + 6 + a] = p[a]
-        out[at + 12 + a] = drift[a]
+        out[at + 12 + a] = own.drift[a]
     for j in range(n):
         out[at + 18 + j] = joints[j].h
     out[at + 18 + n] = own.n_kept
-    return True

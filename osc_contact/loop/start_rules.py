@@ -151,12 +151,8 @@ def task_of_robot(
         times=looks * dt,
         poses=np.array([pin.SE3ToXYZQUAT(given[k].X_WD) for k in looks]),
         forces=np.array([given[k].alpha_d for k in looks]),
-        rates=np.array([_displacement(given[k], given[k + 1]) / dt for k in following]).reshape(
-            -1, 6
-        ),
-        twists=np.array([0.5 * (given[k].V_D + given[k + 1].V_D) for k in following]).reshape(
-            -1, 6
-        ),
+        rates=_rows_of_six([_displacement(given[k], given[k + 1]) / dt for k in following]),
+        twists=_rows_of_six([0.5 * (given[k].V_D + given[k + 1].V_D) for k in following]),
         squeezes=np.array([np.abs(given[k].squeeze_d).sum() for k in looks]),
         commanded=np.array([given[k].V_D for k in looks]),
         every=lambda period: iter(given[:: max(1, round(period / dt))]),
@@ -169,6 +165,11 @@ def task_of_robot(
         measured=measured,
         scene=robot.scene() if hasattr(robot, "scene") else None,
     )
+
+
+def _rows_of_six(twists: Sequence[Array]) -> Array:
+    """Stack twists (6,) as the rows of an array (k, 6), also where there are none."""
+    return np.array(twists, dtype=float).reshape(-1, 6)
 
 
 def _require_forces(given: Sequence[Reference], r: int) -> None:

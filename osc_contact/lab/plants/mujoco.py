@@ -123,9 +123,13 @@ class MujocoPlant:
         self._find_guides(faces)
         if faces.driven:  # the drive's mass must not set the scale of the solver's accuracy
             model.stat.meaninertia = 1.0
+        self._find_wrist_sensors(chain)
+
+    def _find_wrist_sensors(self, chain: ClosedChain) -> None:
+        """Find the arms with wrist sensors, and the places of their wrenches in the sensor data."""
         self._sensed = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
-        readings = [model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
-        self._readings = np.add.outer(np.array(readings, dtype=int), np.arange(6))
+        first = [self.model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
+        self._readings = np.add.outer(np.array(first, dtype=int), np.arange(6))
 
     def _find_guides(self, faces: Faces) -> None:
         """Find the coordinates of the joints that guide bodies of the environment.

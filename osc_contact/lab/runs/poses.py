@@ -9,7 +9,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -351,7 +351,29 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
         yield candidates[k]
 
 
-def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
+class _Slide(NamedTuple):
+    """Place of the stylus and motion of its ball along the plate.
+
+    Attributes:
+        joints: names of the arm's joints, for a comment. grasp: pose of the stylus in the tip.
+        point: (3,) lowest point of the ball (m). down: (3,) unit axis of the stylus.
+        along: (3,) direction of the motion in the plate. travel: its amplitude (mm).
+    """
+
+    joints: str
+    grasp: pin.SE3
+    point: Array
+    down: Array
+    along: Array
+    travel: float
+
+
+def _slide(arm: Arm, press: Press, q: Array) -> _Slide:
+    """Place the stylus in a posture q (n,) and choose the motion along the plate.
+
+    Raises:
+        InvalidInputError: q has not one number for each joint.
+    """
     model = arm.model
     data = arm.model.createData()
     joints = ", ".join(joint_names(model))
@@ -361,11 +383,24 @@ def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
     tip = robots.frame_id(model, arm.tip)
     X_WT = pin.updateFramePlacement(model, data, tip)
     axis = np.array(press.axis)
-    grasp = pin.SE3(triad(axis), np.zeros(3))  # the stylus points along the axis
     down = X_WT.rotation @ axis
-    point = X_WT.translation + (LENGTH_M + BALL_M) * down
-    along = _tangent(model, data, q, tip, down)
-    travel = min(20.0, 1e3 * 0.05 * norm(X_WT.translation))
+    return _Slide(
+        joints=joints,
+        grasp=pin.SE3(triad(axis), np.zeros(3)),  # the stylus points along the axis
+        point=X_WT.translation + (LENGTH_M + BALL_M) * down,
+        down=down,
+        along=_tangent(model, data, q, tip, down),
+        travel=min(20.0, 1e3 * 0.05 * norm(X_WT.translation)),
+    )
+
+
+def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
+    """Text of a scenario in which an arm presses a stylus on a plate.
+
+    Args:
+        robot: name or file of the robot. arm: its arm. press: force and axis. q: (n,) posture.
+    """
+    joints, grasp, point, down, along, travel = _slide(arm, press, q)
     about = f"{robot} presses {press.force:g} N with a stylus along {press} of {arm.tip}"
     return f"""\
 # {robot} presses a stylus on a plate with {press.force:g} N and slides along it.

@@ -1,6 +1,7 @@
 """One run: plant and controller, tick by tick, into a recording."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
 
@@ -88,20 +89,35 @@ def run(
     robot = rig.robot(simulated, controller)
     taring = controller if scenario.tare is None else Taring(rig, controller)
     plan = rig.references.each(ticks, controller.dt)
-    try:
+    with _recorded_to_the_end(recorder, ticks, controller.dt):
         run_loop(
             robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress, check=False
         )
+    return recorder.recording()
+
+
+@contextmanager
+def _recorded_to_the_end(recorder: Recorder, ticks: int, period: float) -> Iterator[None]:
+    """Add the recording so far to an error that ends a loop before its last tick.
+
+    Args:
+        recorder: recorder of the loop. ticks: number of its ticks. period: of one (s).
+
+    Raises:
+        PlantError: the simulation diverged.
+        Interrupted: a signal ended the loop.
+    """
+    try:
+        yield
     except PlantError as error:
         error.recording = recorder.recording()
         raise
     except (KeyboardInterrupt, SystemExit) as error:  # a signal, see `run_loop`
         if recorder.count < ticks:
-            ended = recorder.count * controller.dt
+            ended = recorder.count * period
             interrupted = Interrupted(f"ended on request at t = {ended:g} s")
             interrupted.recording = recorder.recording({"ended_s": ended})
             raise interrupted from error
-    return recorder.recording()
 
 
 def _describe(rig: Rig, seed: int, doubts: list[str]) -> Json:
