@@ -1,6 +1,6 @@
 """A second contact, commanded in the air: when it is closed, and what the first one does.
 
-    python -m benchmarks.handovers [--seconds 4]
+    python -m benchmarks.handovers [--seconds 6]
 
 A Panda presses a rounded nose on a floor with 6 N, with friction of the floor that the controller
 is not told; from 1.5 s on another tip of the tool, 15 mm in front of a wall, is commanded to press
@@ -55,7 +55,7 @@ MEETING = Tip("meet at the nose", (0.1, 0.0, -0.02), (0.1 / _LENGTH, 0.0, 0.03 /
 
 
 def scenario_of(
-    tip: Tip, friction: float, gap: float = 0.015, seconds: float = 4.0, **control: Any
+    tip: Tip, friction: float, gap: float = 0.015, seconds: float = 6.0, **control: Any
 ) -> osc.Scenario:
     """Nose on the floor; the other tip moves so far from its wall before its contact is commanded.
 
@@ -172,7 +172,7 @@ def _first(truth: Array) -> int:
     return int(np.argmax(truth)) if truth.any() else len(truth)
 
 
-def main(seconds: float = 4.0) -> None:
+def main(seconds: float = 6.0) -> None:
     """Print the table."""
     heads = (
         "lines of force; friction; closed in the air (s); missing one reads (%); closed at (N); "

@@ -25,7 +25,7 @@ from math import inf
 from osc_contact.law.algebra import lu_solve
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.records import body_of, contact_of
-from osc_contact.law.vectors import fill
+from osc_contact.law.vectors import add, fill, minus
 
 #: Phases: not in N; in N during a guarded approach; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
@@ -51,8 +51,8 @@ def low_pass(t, independent):
     first-order low-pass, so that the derivative is computed from measured speeds. A contact cannot
     pull, so a negative remainder is attributed to noise, whose estimate is twice as large.
 
-    Fills `force`, `filtered_speed`, `touch`, `explained`, `known`, `net` and `noise` of the columns
-    in MEMORY.
+    Fills `filtered_twist`, and `force`, `filtered_speed`, `touch`, `touch_read`, `explained`,
+    `known`, `net` and `noise` of the columns in MEMORY.
 
     Args:
         t: Tick, with `speeds` and `mobility` D in WORK.
@@ -66,6 +66,8 @@ def low_pass(t, independent):
     D = local(6, 6)
     b = local(1, 6)
     k = dt / (t.model.lag + dt)
+    twist = t.memory.filtered_twist
+    fill(twist, add(twist, k, minus(work.V_O, twist)))
     for a in range(r):
         j = work.chosen[a]
         row = columns[j]
@@ -79,9 +81,11 @@ def low_pass(t, independent):
             row.filtered_speed = row.speed
         row.force += k * (row.alpha - row.force)
         row.filtered_speed += k * (row.speed - row.filtered_speed)
-        touch = work.columns[j].touch if work.here[j] else 0.0
-        explained = work.columns[j].explained if work.here[j] else 0.0
-        row.touch = row.touch + k * (touch - row.touch) if row.known else touch
+        column = work.columns[j]
+        touch = column.touch if work.here[j] else 0.0
+        explained = column.explained if work.here[j] else 0.0
+        row.touch_read = row.touch_read + k * (touch - row.touch_read) if row.known else 0.0
+        row.touch = row.touch_read - (column.touch_inertia if work.here[j] else 0.0)
         row.explained = row.explained + k * (explained - row.explained) if row.known else explained
         row.known = 1 if work.here[j] else 0
         row.net = row.force if work.here[j] else 0.0

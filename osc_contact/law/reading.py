@@ -100,6 +100,22 @@ def read_wrist(reading, joint, sensor, C):
 
 
 @inner
+def object_wrench(t, k, reading):
+    """Wrench (six numbers) at the object's centre of mass, in world axes, of a wrist's reading.
+
+    Args:
+        t: Tick. k: number of an arm with a wrist sensor. reading: (6,) in the axes and at the
+            origin of the sensor (N, N m).
+    """
+    work = t.work
+    arm = t.model.arms[k]
+    wrench = read_wrist(reading, work.joints[arm.sensor_joint], arm.sensor, work.p_C)
+    if arm.filtered:
+        wrench = filter_reading(work.axes, work.arms[k].filter, wrench)
+    return wrench
+
+
+@inner
 def sum_readings(t):
     """Sum the readings of all wrists, and subtract tare and bias: f_meas − bias_out.
 
@@ -109,14 +125,8 @@ def sum_readings(t):
     work = t.work
     total = ZERO
     for k in range(t.model.n_arms):
-        arm = t.model.arms[k]
-        if arm.sensor_joint < 0:
-            continue
-        joint = work.joints[arm.sensor_joint]
-        wrench = read_wrist(t.input.wrenches[k], joint, arm.sensor, work.p_C)
-        if arm.filtered:
-            wrench = filter_reading(work.axes, work.arms[k].filter, wrench)
-        total = plus(total, wrench)
+        if t.model.arms[k].sensor_joint >= 0:
+            total = plus(total, object_wrench(t, k, t.input.wrenches[k]))
     fill(work.f_meas, minus(carry_wrench(total, work.p_C, work.p_O), t.memory.f_tare))
     fill(work.reading_e, minus(wrench_to_energy(work, work.f_meas), work.bias_e))
 

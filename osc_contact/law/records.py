@@ -328,6 +328,7 @@ _MEMORY = _record(
         "f_bias",
         "force_sum",  # force integrals of the columns kept in the last tick (N)
         "V_O",  # GIVEN_TWIST: twist of the object at O
+        "filtered_twist",  # of the object at O, low-passed, see `phases.low_pass`
     ),
 )
 CONTACT_MEMORY = _record(
@@ -376,6 +377,7 @@ COLUMN_MEMORY = _record(
         "noise",  # N
         "integral",  # N, of the force law
         # low-passed, of an approached column, see `witness`
+        "touch_read",  # N, before the object's inertial force is subtracted
         "touch",  # N
         "explained",  # N
         # estimate of the normal, see `contact`
@@ -621,8 +623,10 @@ COLUMN_WORK = _record(
         "drift",
         "unexplained",
         "lever",
+        # N, see `witness`
         "touch",
-        "explained",  # N, see `witness`
+        "touch_inertia",
+        "explained",
     ),
     to_come=3,
     point=3,  # point of contact from O

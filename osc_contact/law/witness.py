@@ -3,12 +3,17 @@
 While contacts are closed, an approach to another one pushes against their static friction, and the
 wrists measure this reaction. With n one of the approached columns, the reading
 
-    f_meas − bias_out − Λ_out a = N α + Σ T_jβ_j + noise,   |β_j| ≤ μ_b α_j over the closed contacts
+    f_meas − bias_out − Λ_out V̇_O = N α + Σ T_jβ_j + ν,   |β_j| ≤ μ_b α_j over the closed contacts
 
-is weighted by the inverse of R = Σ(μ_b α_j)² T_jT_jᵀ + noise: α_n = gᵀf, where gᵀ is the row n of
-(NᵀR⁻¹N)⁻¹NᵀR⁻¹. Friction changes α_n by at most e = μ_b Σα_j‖gᵀT_j‖. If the lines of action do not
-meet, g is nearly orthogonal to the friction forces and e is small; if they meet, e is μ_b times the
-force of the closed contact. Contact is made when α_n − e, low-passed, exceeds `force_on`.
+is weighted by the inverse of R = Σ(μ_b α_j)² T_jT_jᵀ + 3² cov ν: α_n = gᵀf, where gᵀ is the row n
+of (NᵀR⁻¹N)⁻¹NᵀR⁻¹. V̇_O is measured: a tool that sticks and slips accelerates by more than is
+desired. Reading and derivative pass the same low-pass, so that V̇_O = (V_O − V_f)/`lag` with the
+low-passed twist V_f. ν is the noise of the wrists, at the sensors and reduced by the low-pass, and
+the moment of the closed contacts' forces about points that are known to `_POINT` only. Friction
+changes α_n by at most e = μ_b Σα_j‖gᵀT_j‖, and ν by more than 3σ, σ² = gᵀ(cov ν)g, hardly ever. If
+the lines of action do not meet, g is nearly orthogonal to the friction forces and e is small; if
+they meet, e is μ_b times the force of the closed contact. Contact is made when α_n − e − 3σ,
+low-passed, exceeds `force_on`.
 """
 
 from __future__ import annotations
@@ -18,74 +23,95 @@ from math import sqrt
 from osc_contact.law.algebra import cholesky, cholesky_solve, gram, lu_solve
 from osc_contact.law.jit import inner, local
 from osc_contact.law.phases import APPROACHING, CLOSED
-from osc_contact.law.reading import desired_inertia_force
+from osc_contact.law.reading import object_wrench
 from osc_contact.law.records import body_of, contact_of
-from osc_contact.law.tangents import across, has_point, push_on, rub_along
+from osc_contact.law.tangents import across, has_point, outboard_times, push_on, rub_along
 from osc_contact.law.vectors import (
     ZERO,
+    ZERO_3,
     add_square,
+    axis3,
     combined,
+    cross,
     dot6,
+    energy_wrench,
     fill,
+    fill3,
+    join,
+    linear,
     minus,
+    minus3,
+    motion_to_energy,
+    scaled,
     scaled3,
     wrench_to_energy,
 )
 
-_FORCE_NOISE = 0.2  #: N, of the wrists
+_FORCE_NOISE = 0.2  #: N, of one reading of the wrists
 _COUPLE_NOISE = 0.01  #: N m
+_POINT = 5e-4  #: m, error of the points at which closed contacts press
+_SURE = 3.0  #: standard deviations of α_n that noise hardly ever exceeds
 
 
 @inner
 def witness_contacts(t):
-    """Compute the measured force of each approached column, and the part friction may explain.
+    """Compute the measured force of each approached column, and the part that may be none of it.
 
-    Reads `alpha_meas`, `reading_e`, `N`, `pushed`, and the fields that `desired_inertia_force` and
-    `push_on` read. Fills `touch` (α_n) and `explained` (e) of the active columns (N). Both are 0
-    unless one contact is approached while another one is closed and all columns are independent.
+    Reads `alpha_meas`, `reading_e`, `N`, `pushed`, `V_O`, `out_T`, `filtered_twist`, and the fields
+    that `push_on` reads. Fills, of the active columns (N), `touch` (α_n of the reading alone),
+    `touch_inertia` (gᵀΛ_out V̇_O) and `explained` (e + 3σ). All are 0 unless one contact is
+    approached while friction may act at another one, and all columns are independent.
     """
     work = t.work
-    approached = False
-    closed = False
+    needed = False
     for i in range(work.count):
-        phase = contact_of(t, work.chosen[i]).phase
-        approached = approached or phase == APPROACHING
-        closed = closed or phase == CLOSED
-        work.columns[work.chosen[i]].touch = 0.0
-        work.columns[work.chosen[i]].explained = 0.0
-    if approached and closed and work.rank == work.count and t.model.friction_bound > 0.0:
+        column = work.chosen[i]
+        needed = needed or (contact_of(t, column).phase == APPROACHING and _beside(t, column))
+        work.columns[column].touch = 0.0
+        work.columns[column].touch_inertia = 0.0
+        work.columns[column].explained = 0.0
+    if needed and work.rank == work.count and t.model.friction_bound > 0.0:
         _explain(t)
 
 
 @inner
-def _explain(t):
-    """Fill `touch` and `explained` (N) of approached columns while other contacts are closed.
+def _beside(t, column):
+    """Whether friction may act at another contact than that of a column of N."""
+    found = False
+    for i in range(t.work.count):
+        other = t.work.chosen[i]
+        same = t.model.columns[other].contact == t.model.columns[column].contact
+        found = found or (not same and _may_rub(t, other))
+    return found
 
-    `touch` is α_n = gᵀf, where f is the reading less bias and inertial force, and gᵀ the row of
-    (NᵀR⁻¹N)⁻¹NᵀR⁻¹ for the column; `explained` is the bound μ_b Σα_j‖gᵀT_j‖ of the contribution by
-    friction of the closed contacts. R is the covariance of friction and sensor noise.
+
+@inner
+def _explain(t):
+    """Fill `touch`, `touch_inertia` and `explained` (N) of approached columns.
+
+    `touch` is gᵀ times the reading less bias, with gᵀ the row of (NᵀR⁻¹N)⁻¹NᵀR⁻¹ for the column;
+    `touch_inertia` is gᵀ times the inertial force of the measured acceleration; `explained` is the
+    bound μ_b Σα_j‖gᵀT_j‖ of what friction of other contacts contributes, and three standard
+    deviations of what noise does. R is the covariance of friction and 3² times that of noise.
     """
     work = t.work
     r = work.rank
     R = local(6, 6)
+    noise = local(6, 6)
     factor = local(6, 6)
     H = local(6, 6)
     weighed = local(6, 6)
     normal = local(6, 6)
     solved = local(1, 6)
-    rest = local(6)
+    inertia = local(6)
     g = local(6)
-    fill(rest, minus(work.reading_e, desired_inertia_force(t)))
+    fill(inertia, _measured_inertia_force(t))
+    _add_noise(t, noise)
     for i in range(6):
-        fill(R[i], ZERO)
-    for k in range(6):
-        size = _FORCE_NOISE if k < 3 else _COUPLE_NOISE
-        fill(g, ZERO)
-        g[k] = size
-        add_square(1.0, wrench_to_energy(work, g), R)
+        fill(R[i], scaled(_SURE * _SURE, noise[i]))
     for a in range(r):
         column = work.chosen[a]
-        if contact_of(t, column).phase == CLOSED:
+        if _may_rub(t, column):
             most = t.model.friction_bound * _pressed(t, a)
             for k in range(_ways(t, column)):
                 add_square(1.0, _friction(t, column, k, most), R)
@@ -98,7 +124,7 @@ def _explain(t):
     gram(H, r, weighed, r, normal)
     for a in range(r):
         column = work.chosen[a]
-        if contact_of(t, column).phase != APPROACHING:
+        if contact_of(t, column).phase != APPROACHING or not _beside(t, column):
             continue
         for b in range(r):
             solved[0, b] = 1.0 if a == b else 0.0
@@ -108,16 +134,64 @@ def _explain(t):
             return
         fill(g, combined(solved[0], weighed, r))
         own = work.columns[column]
-        own.touch = dot6(g, rest)
+        own.touch = dot6(g, work.reading_e)
+        own.touch_inertia = dot6(g, inertia)
         for b in range(r):
             other = work.chosen[b]
-            if contact_of(t, other).phase == CLOSED:
+            if b != a and _may_rub(t, other):
                 most = t.model.friction_bound * _pressed(t, b)
                 square = 0.0
                 for k in range(_ways(t, other)):
                     part = dot6(g, _friction(t, other, k, most))
                     square += part * part
                 own.explained += sqrt(square)
+        own.explained += _SURE * sqrt(max(dot6(g, combined(g, noise, 6)), 0.0))
+
+
+@inner
+def _measured_inertia_force(t):
+    """Inertial force Λ_out V̇_O (six numbers, energy coordinates) of the low-passed acceleration."""
+    work = t.work
+    V = work.V_O
+    a = local(6)
+    fill(a, scaled(1.0 / (t.model.lag + work.dt), minus(V, t.memory.filtered_twist)))
+    fill3(a, minus3(a, cross(V[3:], V)))  # spatial acceleration
+    return outboard_times(work, motion_to_energy(work, a))
+
+
+@inner
+def _add_noise(t, noise):
+    """Fill the covariance (6, 6) of what sensors and points of contact add to the reading.
+
+    Args:
+        t: Tick. noise: of a reading in energy coordinates, low-passed with `lag`; filled.
+    """
+    work = t.work
+    f = local(6)
+    averaged = sqrt(min(0.5 * work.dt / t.model.lag, 1.0)) if t.model.lag > 0.0 else 1.0
+    for i in range(6):
+        fill(noise[i], ZERO)
+    for k in range(t.model.n_arms):
+        for i in range(6 if t.model.arms[k].sensor_joint >= 0 else 0):
+            fill(f, ZERO)
+            f[i] = averaged * (_FORCE_NOISE if i < 3 else _COUPLE_NOISE)
+            add_square(1.0, energy_wrench(work.axes, object_wrench(t, k, f)), noise)
+    for a in range(work.rank):
+        column = work.chosen[a]
+        if _may_rub(t, column) and has_point(t, column):
+            N = work.columns[column].N
+            size = _POINT * _pressed(t, a)
+            for k in range(3):  # moments of the force about a point beside the one that is known
+                couple = join(ZERO_3, scaled3(size, cross(axis3(k), linear(N))))
+                add_square(1.0, wrench_to_energy(work, couple), noise)
+
+
+@inner
+def _may_rub(t, column):
+    """Whether friction of a contact may act: it is closed, or was lost and is approached again."""
+    phase = contact_of(t, column).phase
+    lost = t.memory.columns[column].time_since_loss > 0.0
+    return phase == CLOSED or (phase == APPROACHING and lost)
 
 
 @inner
