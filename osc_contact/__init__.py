@@ -15,6 +15,7 @@ from osc_contact.moved import find_moved_modules
 if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.contacts.contact import Contact
     from osc_contact.contacts.detection.detect import detect
+    from osc_contact.contacts.insertion import Hole, Peg, pairs_between
     from osc_contact.contacts.pairs import ContactPair, register_pair
     from osc_contact.contacts.pairs.functions import CompiledPair, GapFunctions
     from osc_contact.contacts.pairs.points_on_planes import (
@@ -85,6 +86,8 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.loop.recorder import Recorder
     from osc_contact.loop.rules import Finding
     from osc_contact.loop.stepped import SteppedLoop
+    from osc_contact.plan.plan import Plan
+    from osc_contact.plan.stage import Stage, StageVerdict
     from osc_contact.recorder import Recording
     from osc_contact.response import ContactResponse, contact_response
     from osc_contact.settings.control import (
@@ -116,6 +119,9 @@ __all__ = [
     "Robot",
     "run_loop",
     "SteppedLoop",
+    "Plan",
+    "Stage",
+    "StageVerdict",
     "surface_references",
     "MujocoRobot",
     "MujocoArm",
@@ -171,6 +177,9 @@ __all__ = [
     "CompiledPair",
     "register_pair",
     "Surface",
+    "Peg",
+    "Hole",
+    "pairs_between",
     "detect",
     "Contact",
     "RaibertCraig",

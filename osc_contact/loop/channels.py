@@ -193,6 +193,26 @@ def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
     return out
 
 
+def add_stages(recording: Recording) -> None:
+    """Add the stage of a plan in each tick, if there was a plan, from the events of a recording.
+
+    The channel `stage` has the number of the stage, −1 before the first one; the names stand in
+    `meta["stages"]`.
+    """
+    begun = [event for event in recording.events if event["event"] == "stage"]
+    if not begun:
+        return
+    names = [""] * (1 + max(event["number"] for event in begun))
+    for event in begun:
+        names[event["number"]] = event["name"]
+    numbers = np.array([-1, *(event["number"] for event in begun)])
+    starts = np.array([event["t"] for event in begun])
+    t = recording["t"]
+    half = 0.5 / recording.meta["control_rate_hz"]
+    recording.channels["stage"] = numbers[np.searchsorted(starts, t + half)]
+    recording.meta["stages"] = names
+
+
 def recording_of(
     of: Subject, truths: ReadsTruth | None, journal: Journal, meta: Mapping[str, Any]
 ) -> Recording:

@@ -12,7 +12,7 @@ from typing import Any
 from osc_contact.errors import InvalidInputError, brief
 from osc_contact.interface import Reference, Robot
 from osc_contact.loop.os_signals import raised_signals
-from osc_contact.loop.protocols import Controls, Records, Shows
+from osc_contact.loop.protocols import Controls, Leads, Records, Shows, references_of
 from osc_contact.loop.realtime import LoopReport, SideWork, at_once, realtime_process
 from osc_contact.loop.shadow import Shadow
 from osc_contact.loop.start_rules import checked
@@ -25,7 +25,7 @@ SHOWN = 33  #: ticks from one picture to the next, where another thread hands th
 def run_loop(
     robot: Robot,
     controller: Controls,
-    references: Iterable[Reference],
+    references: Iterable[Reference] | Leads,
     *,
     recorder: Records | None = None,
     viewer: Shows | None = None,
@@ -49,7 +49,8 @@ def run_loop(
         robot: hardware or a plant.
         controller: a `Controller`, or an object with its `tick` and `dt`, and optionally its
             `state`, `reason` and `unbraked`.
-        references: one for each tick; a generator may be infinite.
+        references: one for each tick; a generator may be infinite. Or a `Plan`: the loop ends with
+            it, the reason of one that failed is that of the last stop.
         recorder: stores every tick; a `Recorder` makes a recording of them, with the truth if it
             was given a judge.
         viewer: shows the run while it lasts; requires a recorder that provides channels. A viewer
@@ -82,13 +83,22 @@ def run_loop(
     report = LoopReport(period)
     judge = Shadow(controller) if shadow else None
     stops = StopCalls(robot.stop, recorder)
+    lead = references if isinstance(references, Leads) else None
+    given: Iterable[Reference]
 
     with raised_signals() as signals, _process(realtime, recorder, report) as side:
         try:
+            if isinstance(references, Leads):
+                references.begin(controller, robot.measure(), stops.log)
+                given = references_of(references)
+            else:
+                given = references
             if check and not shadow:
-                references = checked(robot, controller, references)
-            for k, reference in enumerate(references):
+                given = checked(robot, controller, given)
+            for k, reference in enumerate(given):
                 measurement = robot.measure()
+                if lead is not None:
+                    measurement = lead.placed(measurement)
                 start = perf_counter()
                 tau = controller.tick(measurement, reference)
                 seconds = perf_counter() - start
@@ -118,8 +128,9 @@ def run_loop(
             if failure is not None:
                 error.add_note(f"robot.stop() then failed, too: {failure!r}")
             raise
-        stops.log("stop", reason="")
-        robot.stop("")
+        reason = getattr(lead, "reason", "")
+        stops.log("stop", reason=reason)
+        robot.stop(reason)
     if judge is not None:
         report.shadow = judge.report()
     return report

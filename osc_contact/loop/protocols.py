@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Protocol, runtime_checkable
 
 from osc_contact.interface import Measurement, Reference
 from osc_contact.spatial import Array
@@ -18,6 +18,38 @@ class Controls(Protocol):
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
         """Motor torques (n_a,) for one period (N m, N)."""
+
+
+@runtime_checkable
+class Leads(Protocol):
+    """Source of references that depend on what happens, as the loop uses it: a plan."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether the loop ends."""
+
+    def begin(
+        self, controller: Any, measurement: Measurement, log: Callable[..., None] | None = None
+    ) -> None:
+        """Check and begin.
+
+        Args:
+            controller: controller of the loop.
+            measurement: reading of the robot at rest.
+            log: records an event of the loop.
+        """
+
+    def step(self) -> Reference:
+        """Reference of the next tick, from the results of the last one."""
+
+    def placed(self, measurement: Measurement) -> Measurement:
+        """Measurement of a tick with the poses of touched bodies that were found meanwhile."""
+
+
+def references_of(lead: Leads) -> Iterator[Reference]:
+    """References of a plan until it has ended."""
+    while not lead.ended:
+        yield lead.step()
 
 
 class Measures(Protocol):

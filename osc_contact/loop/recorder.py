@@ -27,7 +27,7 @@ from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.files import Json
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.library import law_hash
-from osc_contact.loop.channels import Subject, channels, recording_of
+from osc_contact.loop.channels import Subject, add_stages, channels, recording_of
 from osc_contact.loop.judge import Judge, Pictured
 from osc_contact.loop.realtime import at_once
 from osc_contact.recorder import Recording
@@ -314,6 +314,7 @@ class Recorder:
         learns = getattr(controller.settings.joint_friction, "learning", False)
         self.log("end", state=controller.state.name, reason=controller.reason)
         recording.events = list(self._events.events)
+        add_stages(recording)
         recording.meta |= {
             "end_state": controller.state.name,
             "end_reason": controller.reason,

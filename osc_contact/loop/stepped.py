@@ -11,7 +11,7 @@ from typing import Any, Generic, NamedTuple, Self, TypeVar
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError, brief
 from osc_contact.interface import Measurement, Reference, Scene
-from osc_contact.loop.protocols import Controls, Records, Shows
+from osc_contact.loop.protocols import Controls, Leads, Records, Shows
 from osc_contact.loop.start_rules import checked
 from osc_contact.spatial import Array
 
@@ -125,6 +125,8 @@ class SteppedLoop(Generic[Law]):
             `run_loop` does before its first command, within half a second. Doubts are logged.
         scene: returns masses and shapes around the robot, which the checks then compare with the
             model, for example `MujocoArm.scene`; None: they are not compared.
+        plan: a `Plan` that gives the references, in place of the caller. After its end the object
+            is held, until the caller ends the loop.
 
     Raises:
         InvalidInputError: a viewer without a recorder, or a controller without `tick` and `dt`.
@@ -152,6 +154,7 @@ class SteppedLoop(Generic[Law]):
         viewer: Shows | None = None,
         check: bool = True,
         scene: Callable[[], Scene] | None = None,
+        plan: Leads | None = None,
     ) -> None:
         lacking = [name for name in ("tick", "dt") if not hasattr(controller, name)]
         if lacking:
@@ -164,29 +167,32 @@ class SteppedLoop(Generic[Law]):
         self._recorder = recorder
         self._check = check
         self._scene = scene
+        self._plan = plan
+        self._begun = False
         self._stops = StopCalls(_ignore_stop if stop is None else stop, recorder)
         self._ended = False
 
-    def step(self, measurement: Measurement, reference: Reference) -> Array:
+    def step(self, measurement: Measurement, reference: Reference | None = None) -> Array:
         """Compute and record one control period.
 
         Args:
             measurement: readings at the beginning of the period.
-            reference: desired motion and forces of the period.
+            reference: desired motion and forces of the period; None: that of the plan.
 
         Returns:
             (n_a,) motor torques for the period (N m, N): safe ones where `controller.status` is not
             OK, braking ones after a stop.
 
         Raises:
-            InvalidInputError: the checks before the first torques refuse something, or the loop has
-                ended.
+            InvalidInputError: the checks before the first torques refuse something, the loop has
+                ended, or it has both a plan and a reference, or neither.
         """
         if self._ended:
             raise InvalidInputError(
                 "the loop has ended; make a new SteppedLoop, with a new controller or one that was "
                 "reset"
             )
+        measurement, reference = self._led(measurement, reference)
         if self._check:
             checked(_RestingRobot(measurement, self._scene), self.controller, [reference])
             self._check = False
@@ -199,6 +205,29 @@ class SteppedLoop(Generic[Law]):
             if self._drawing.wanted:
                 self._drawing.show(self._recorder.latest())
         return tau
+
+    def _led(
+        self, measurement: Measurement, reference: Reference | None
+    ) -> tuple[Measurement, Reference]:
+        """Measurement and reference of a tick, those of the plan where there is one.
+
+        Raises:
+            InvalidInputError: there are a plan and a reference, or neither; or the plan is refused.
+        """
+        plan = self._plan
+        if (plan is None) == (reference is None):
+            raise InvalidInputError(
+                "the loop has no plan and step was given no reference; give one of them"
+                if plan is None
+                else "the loop has a plan, which gives the references; call step(measurement)"
+            )
+        if plan is None or reference is not None:
+            assert reference is not None
+            return measurement, reference
+        if not self._begun:
+            plan.begin(self.controller, measurement, self._stops.log)
+            self._begun = True
+        return plan.placed(measurement), plan.step()
 
     def end(self, reason: str = "") -> None:
         """End the loop: stop the robot, once, and record the event.

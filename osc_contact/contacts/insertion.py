@@ -1,0 +1,225 @@
+"""Pegs, holes, and the contact pairs that both can make, by name.
+
+Peg and hole have frames that coincide where the peg's tip is in the mouth of the hole: the origin
+of the peg is the middle of its tip, that of the hole the middle of its mouth, and both z axes point
+into the hole. Sides are named by their directions in these frames, "+x", "-x", "+y" and "-y", and
+corners by two of them, "+x+y".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.pairs.pair import ContactPair
+from osc_contact.contacts.pairs.points_on_planes import CylinderInHole, VertexOnFace
+from osc_contact.contacts.pairs.tangent_pair import Prismatic
+from osc_contact.contacts.pairs.vertex_and_edge import EdgeOnEdge, FaceOnVertex
+from osc_contact.errors import InvalidInputError
+from osc_contact.spatial import Array
+
+Shape = Literal["square", "round"]
+SIDES: dict[str, Array] = {
+    "+x": np.array([1.0, 0.0, 0.0]),
+    "-x": np.array([-1.0, 0.0, 0.0]),
+    "+y": np.array([0.0, 1.0, 0.0]),
+    "-y": np.array([0.0, -1.0, 0.0]),
+}
+CORNERS: dict[str, Array] = {
+    x + y: SIDES[x] + SIDES[y] for x, y in product(("+x", "-x"), ("+y", "-y"))
+}
+_OUT = np.array([0.0, 0.0, -1.0])  #: out of the hole
+_INTO = -_OUT
+_APART = 0.7  #: distance of the two points of a side along a rim, as a share of the rim's length
+
+
+@dataclass(frozen=True)
+class Peg:
+    """Straight peg. Its frame: origin in the middle of its tip, z out of the tip.
+
+    Attributes:
+        shape: of its cross section. A square one has its sides along x and y.
+        width: of its sides, or its diameter (m).
+
+    Raises:
+        InvalidInputError: a width that is not positive.
+
+    Example:
+        >>> print(osc.Peg("square", 0.02))
+        Peg(shape='square', width=0.02)
+    """
+
+    shape: Shape
+    width: float
+
+    def __post_init__(self) -> None:
+        _require_sizes(self, "width")
+
+
+@dataclass(frozen=True)
+class Hole:
+    """Straight hole in a flat face. Its frame: origin in the middle of its mouth, z into it.
+
+    Attributes:
+        shape: of its cross section. A square one has its walls along x and y.
+        width: between opposite walls, or its diameter (m).
+        depth: m.
+        pose: of its frame in the frame of the body that it is in.
+
+    Raises:
+        InvalidInputError: a size that is not positive.
+
+    Example:
+        >>> hole = osc.Hole("square", width=0.0202, depth=0.03)
+        >>> found = hole.found_at(pin.SE3(np.eye(3), np.array([1e-3, 0.0, 0.0])))
+        >>> print(found.translation)
+        [0.001 0.    0.   ]
+    """
+
+    shape: Shape
+    width: float
+    depth: float
+    pose: pin.SE3 = field(default_factory=pin.SE3.Identity)
+
+    def __post_init__(self) -> None:
+        _require_sizes(self, "width", "depth")
+
+    def found_at(self, pose: pin.SE3) -> pin.SE3:
+        """Pose of the hole's body if the hole is at another `pose` than believed."""
+        return pose * self.pose.inverse()
+
+
+def _require_sizes(shape: Peg | Hole, *names: str) -> None:
+    """Refuse another shape of the cross section, and sizes that are not positive."""
+    if shape.shape not in ("square", "round"):
+        raise InvalidInputError(f"shape = {shape.shape!r}; give 'square' or 'round'")
+    for name in names:
+        if not getattr(shape, name) > 0.0:
+            raise InvalidInputError(f"{name} = {getattr(shape, name)!r}; give metres, > 0")
+
+
+def pairs_between(peg: Peg, hole: Hole) -> dict[str, ContactPair]:
+    """Contact pairs that a peg and a hole can make, by their names.
+
+    A plan names those of each stage; a controller is made for these.
+
+    | pair | of | r |
+    |---|---|---|
+    | `corner +x+y on face` | corner of the square tip, face around the mouth | 1 |
+    | `edge +x on rim -y` | edge of the square tip, rim of the mouth that it crosses | 1 |
+    | `corner +x+y on rim +x` | long edge of the square peg, rim that it crosses | 1 |
+    | `corner +x+y on wall +x` | corner of the square tip, wall of the hole | 1 |
+    | `point +x on face` | point of the round tip's edge, face | 1 |
+    | `point +x on wall +x` | the same, wall of the round hole | 1 |
+    | `side +x on rim +x` | side of the peg, middle of the rim, wherever along it they touch | 1 |
+    | `side +x on rim +x, a` and `b` | two points beside the middle of a square hole's rim | 1, 1 |
+    | `tip on face`, `tip on bottom` | middle of the tip, plane of the mouth, of the bottom | 1 |
+    | `hole` | the peg in the hole, which may move along its axis; a round one may turn | 5, 4 |
+
+    Args:
+        peg: its frame is that of the held object.
+        hole: at its believed pose.
+
+    Raises:
+        InvalidInputError: shapes of two kinds, or a peg that is not narrower than the hole.
+
+    Example:
+        >>> peg = osc.Peg("square", 0.02)
+        >>> touch = osc.pairs_between(peg, osc.Hole("square", width=0.0202, depth=0.03))
+        >>> print(len(touch), touch["edge +x on rim -y"].gaps(pin.SE3.Identity()).round(6))
+        43 [0.]
+    """
+    if peg.shape != hole.shape:
+        raise InvalidInputError(f"a {peg.shape} peg and a {hole.shape} hole; give the same shape")
+    if not peg.width < hole.width:
+        raise InvalidInputError(
+            f"the peg is {1e3 * peg.width:g} mm wide and the hole {1e3 * hole.width:g} mm; give a "
+            "hole that is wider"
+        )
+    made = _Pairs(peg, hole)
+    pairs = made.square() if peg.shape == "square" else made.round()
+    return {pair.name: pair for pair in pairs}
+
+
+class _Pairs:
+    """Maker of the pairs of one peg and one hole.
+
+    Args:
+        peg: its geometry is that of the object.
+        hole: its geometry is turned into the frame of its body.
+    """
+
+    def __init__(self, peg: Peg, hole: Hole) -> None:
+        self._peg = 0.5 * peg.width
+        self._hole = 0.5 * hole.width
+        self._depth = hole.depth
+        self._pose = hole.pose
+        self._at: Callable[[Array], Array] = hole.pose.act
+        self._turned: Callable[[Array], Array] = lambda d: hole.pose.rotation @ d
+
+    def square(self) -> Iterator[ContactPair]:
+        """Pairs of a square peg."""
+        for name, corner in CORNERS.items():
+            tip = self._peg * corner
+            yield self._on_plane(f"corner {name} on face", tip, np.zeros(3), _OUT)
+            for side in (name[:2], name[2:]):
+                yield self._on_wall(f"corner {name} on wall {side}", tip, side)
+                yield self._long_edge(f"corner {name} on rim {side}", tip, side)
+        for edge, rim in product(SIDES, SIDES):
+            if edge[1] != rim[1]:
+                yield self._tip_edge(edge, rim)
+        for name, direction in SIDES.items():
+            along = np.cross(_INTO, direction)
+            yield self._side_on_rim(f"side {name} on rim {name}", direction, np.zeros(3))
+            for end, sign in (("a", 0.5), ("b", -0.5)):
+                away = sign * _APART * 2.0 * self._hole * along
+                yield self._side_on_rim(f"side {name} on rim {name}, {end}", direction, away)
+        yield from self._tip()
+        yield Prismatic([0, 0, 0], [0, 0, 1], self._pose, name="hole")
+
+    def round(self) -> Iterator[ContactPair]:
+        """Pairs of a round peg, at its four sides."""
+        for name, side in SIDES.items():
+            tip = self._peg * side
+            yield self._on_plane(f"point {name} on face", tip, np.zeros(3), _OUT)
+            yield self._on_wall(f"point {name} on wall {name}", tip, name)
+            yield self._side_on_rim(f"side {name} on rim {name}", side, np.zeros(3))
+        yield from self._tip()
+        length = 0.5 * self._depth
+        middle = np.array([0.0, 0.0, -0.5 * length])
+        on_axis, axis = self._at(np.zeros(3)), self._turned(_INTO)
+        yield CylinderInHole(middle, _INTO, on_axis, axis, length=length, name="hole")
+
+    def _tip(self) -> Iterator[ContactPair]:
+        yield self._on_plane("tip on face", np.zeros(3), np.zeros(3), _OUT)
+        yield self._on_plane("tip on bottom", np.zeros(3), self._depth * _INTO, _OUT)
+
+    def _on_plane(self, name: str, point: Array, on: Array, normal: Array) -> ContactPair:
+        return VertexOnFace(point, self._at(on), self._turned(normal), name=name)
+
+    def _on_wall(self, name: str, point: Array, side: str) -> ContactPair:
+        return self._on_plane(name, point, self._hole * SIDES[side], -SIDES[side])
+
+    def _long_edge(self, name: str, tip: Array, rim: str) -> ContactPair:
+        return self._crossed(name, tip, _INTO, rim, -SIDES[rim])
+
+    def _tip_edge(self, edge: str, rim: str) -> ContactPair:
+        side = SIDES[edge]
+        name = f"edge {edge} on rim {rim}"
+        return self._crossed(name, self._peg * side, np.cross(_INTO, side), rim, _OUT)
+
+    def _crossed(
+        self, name: str, point: Array, direction: Array, rim: str, outward: Array
+    ) -> ContactPair:
+        side = SIDES[rim]
+        along = self._turned(np.cross(_INTO, side))
+        on_rim = self._at(self._hole * side)
+        return EdgeOnEdge(point, direction, on_rim, along, self._turned(outward), name=name)
+
+    def _side_on_rim(self, name: str, side: Array, away: Array) -> ContactPair:
+        return FaceOnVertex(self._peg * side, side, self._at(self._hole * side + away), name=name)

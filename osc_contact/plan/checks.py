@@ -1,0 +1,143 @@
+"""Checks of a plan before it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.contact import Contact
+from osc_contact.contacts.feet import force_owners
+from osc_contact.contacts.pairs.pair import AT_REST
+from osc_contact.control.controller import Controller
+from osc_contact.control.status import Phase
+from osc_contact.errors import InvalidInputError, OscContactError, did_you_mean
+from osc_contact.plan.ends import End
+from osc_contact.plan.motions import Demand, permitted_twist
+from osc_contact.plan.sensed import Sensed, forces_of
+from osc_contact.plan.stage import Stage
+from osc_contact.spatial import Array
+
+BLOCKED = 0.99  #: share of a motion that contacts take away above which it is refused
+
+
+def require_stages(stages: Sequence[Stage]) -> None:
+    """Refuse stages that do not make a plan by themselves.
+
+    Raises:
+        InvalidInputError: no stages, equal names, or a stage that follows and does not exist.
+    """
+    names = [stage.name for stage in stages]
+    if not names:
+        raise InvalidInputError("the plan has no stages; give one at least, such as osc.Stage(…)")
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InvalidInputError(f"several stages are named {twice[0]!r}; give each its own name")
+    for stage in stages:
+        for key in ("then", "fails"):
+            name = getattr(stage, key)
+            if name is not None and name not in names:
+                raise InvalidInputError(
+                    f"stage {stage.name!r}: {key}={name!r} does not exist; "
+                    f"{did_you_mean(name, names)}"
+                )
+
+
+def require_plan(
+    stages: Sequence[Stage], largest: float, controller: Controller, X: pin.SE3
+) -> None:
+    """Refuse stages that a controller cannot carry out; contacts are judged in the start pose.
+
+    Args:
+        stages: of the plan.
+        largest: measured force that ends a stage (N).
+        controller: of the run.
+        X: pose of the object at the start.
+
+    Raises:
+        InvalidInputError: contacts that do not exist or contradict one another, conditions on
+            contacts that are not active, forces above their limits, a motion that the contacts of
+            its stage do not permit at all.
+    """
+    settings = controller.settings
+    names = [pair.name for pair in settings.contacts]
+    owners = force_owners(settings.contacts)
+    for stage in stages:
+        try:
+            alpha_d, active = forces_of(stage.forces, names, owners)
+            _require_contacts(stage, names)
+            N = _directions(controller, active, X)
+        except OscContactError as error:
+            raise InvalidInputError(f"stage {stage.name!r}: {error}") from error
+        _require_forces(stage, alpha_d, min(stage.largest, largest), controller)
+        _require_motion(stage, names, N, controller.dt, X)
+
+
+def _require_contacts(stage: Stage, names: Sequence[str]) -> None:
+    """Refuse conditions on contacts that are not active in the stage, and unknown contacts."""
+    assert isinstance(stage.until, End)  # the stage made it one
+    for name in (*stage.until.contacts, *stage.places):
+        if name not in names:
+            raise InvalidInputError(f"there is no contact {name!r}; {did_you_mean(name, names)}")
+    for name in stage.until.contacts:
+        if name not in stage.forces:
+            raise InvalidInputError(
+                f"it ends by contact {name!r}, which is not active in it; add it to its forces, "
+                "with 0.0 where it is to be approached only"
+            )
+
+
+def _directions(controller: Controller, active: Array, X: pin.SE3) -> Array:
+    """Independent directions of force (6, r) of the active contacts."""
+    pairs = controller.settings.contacts
+    chosen = np.flatnonzero(active).tolist()
+    parts = [pairs[k].contact(X, AT_REST) for k in chosen]
+    return Contact.stack(parts).N if parts else np.zeros((6, 0))
+
+
+def _require_forces(stage: Stage, alpha_d: Array, most: float, controller: Controller) -> None:
+    """Refuse forces above the largest one, or above the ceiling of a contact."""
+    total = float(np.abs(alpha_d).sum())
+    if total > most:
+        raise InvalidInputError(
+            f"stage {stage.name!r} commands {total:g} N in all, and fails above {most:g} N; lower "
+            "its forces, or raise largest="
+        )
+    ceiling = controller.settings.safety.contact_ceiling
+    highest = float(np.abs(alpha_d).max(initial=0.0))
+    if ceiling is not None and highest > ceiling:
+        raise InvalidInputError(
+            f"stage {stage.name!r} commands {highest:g} N, above safety.contact_ceiling = "
+            f"{ceiling:g} N, at which the arms are stopped; lower the force, or raise the ceiling"
+        )
+
+
+def _require_motion(stage: Stage, names: Sequence[str], N: Array, dt: float, X: pin.SE3) -> None:
+    """Refuse a motion of which the contacts of its stage permit nothing."""
+    now = Sensed(
+        X=X,
+        V=np.zeros(6),
+        aim=X,
+        wrench=np.zeros(6),
+        forces=dict.fromkeys(names, 0.0),
+        phases=dict.fromkeys(names, Phase.OPEN),
+        start=X,
+        N=N,
+    )
+    try:
+        demand = stage.motion.begin(now)(now, dt)
+    except (InvalidInputError, LookupError):  # it depends on stages before it
+        return
+    for kind, rows in (("velocity", slice(0, 3)), ("turn", slice(3, 6))):
+        mine = np.flatnonzero(np.any(demand.rows[:, rows] != 0.0, axis=1))
+        values = demand.values[mine]
+        size = float(np.linalg.norm(values))
+        if size == 0.0:
+            continue
+        _, misfit = permitted_twist(N, Demand(demand.rows[mine], values))
+        if float(np.linalg.norm(misfit)) > BLOCKED * size:
+            contacts = " and ".join(stage.forces)
+            raise InvalidInputError(
+                f"stage {stage.name!r}: {contacts} permit no {kind} of {stage.motion.words}; "
+                "release a contact, or command another motion"
+            )

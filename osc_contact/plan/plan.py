@@ -1,0 +1,355 @@
+"""Plan: a sequence of stages that gives the reference of each tick, and follows what happens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from enum import Enum
+from math import inf, sqrt
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.feet import force_owners
+from osc_contact.control.controller import Controller
+from osc_contact.control.status import SafetyState, Status
+from osc_contact.errors import InvalidInputError
+from osc_contact.interface import Measurement, Reference, Touched
+from osc_contact.plan.checks import require_plan, require_stages
+from osc_contact.plan.ends import End, Watch
+from osc_contact.plan.motions import (
+    ANGULAR_ACCELERATION,
+    CHANGES,
+    LINEAR_ACCELERATION,
+    Course,
+    permitted_twist,
+)
+from osc_contact.plan.sensed import Sensed, Senses, forces_of
+from osc_contact.plan.stage import Stage, StageVerdict
+from osc_contact.spatial import Array
+
+SETTLED = 0.1  #: s from the beginning of a stage that tares, whose readings are not averaged
+BRAKED = 1.0  #: s after a stop for which a plan still gives references, while the arms are braked
+
+
+class Outcome(Enum):
+    """State of a plan."""
+
+    NEW = "new"
+    RUNNING = "running"
+    PAUSED = "paused"
+    STOPPED = "stopped"  #: by the controller; `Plan.resume` continues
+    DONE = "done"
+    FAILED = "failed"
+    ABORTED = "aborted"
+
+
+_OVER = (Outcome.DONE, Outcome.FAILED, Outcome.ABORTED)
+
+
+class Plan:
+    """Sequence of stages, in place of the references of `run_loop` or of a `SteppedLoop`.
+
+    The reference follows the object in directions that contacts and arms do not permit, so that
+    contacts can be released without a jump. After a failure, an abort and a stop the object is held
+    where it is, without contacts; after the last stage its forces remain.
+
+    Args:
+        stages: in their order.
+        largest: measured force on what the object touches (N) above which a stage has failed.
+        tries: number of failures that end the plan, also where a stage follows a failure.
+
+    Attributes:
+        outcome: state of the plan. reason: why it failed, was aborted or stopped.
+        verdicts: on the stages passed, in their order, stages entered again among them.
+
+    Raises:
+        InvalidInputError: no stages, equal names, or a stage that follows and does not exist.
+
+    Example:
+        >>> rig = osc.build_rig("panda_edge")
+        >>> controller = rig.controller()
+        >>> press = osc.Stage("press", {"edge": 10.0}, until=ends.after(0.2), within=1.0)
+        >>> slide = osc.Stage(
+        ...     "slide", {"edge": 10.0}, motions.along([0, 1, 0], speed=0.02, distance=2e-3),
+        ...     until=ends.finished(), within=1.0,
+        ... )
+        >>> plan = osc.Plan([press, slide])
+        >>> report = osc.run_loop(rig.plant(), controller, plan)
+        >>> print(plan.outcome.value, [verdict.name for verdict in plan.verdicts])
+        done ['press', 'slide']
+    """
+
+    def __init__(self, stages: Sequence[Stage], *, largest: float = inf, tries: int = 3) -> None:
+        require_stages(stages)
+        self.stages = tuple(stages)
+        self.largest = largest
+        self.tries = tries
+        self.outcome = Outcome.NEW
+        self.reason = ""
+        self.verdicts: list[StageVerdict] = []
+        self._k = 0
+        self._places: dict[str, pin.SE3] = {}
+        self._failures = 0
+        self._time = 0.0
+        self._over_for = 0.0
+
+    # --- the loop's side ------------------------------------------------------------------------
+
+    def begin(
+        self,
+        controller: Controller,
+        measurement: Measurement,
+        log: Callable[..., None] | None = None,
+    ) -> None:
+        """Check the plan, and begin with the first stage, or with that of `resume`.
+
+        Args:
+            controller: its contacts are those that stages name.
+            measurement: reading of the robot at rest.
+            log: called with "stage" and its facts at the beginning of each stage, with "plan" and
+                the outcome at the end.
+
+        Raises:
+            InvalidInputError: a plan that has ended, and what `require_plan` refuses.
+        """
+        if self.outcome not in (Outcome.NEW, Outcome.RUNNING):
+            raise InvalidInputError(
+                f"the plan is {self.outcome.value}{': ' if self.reason else ''}{self.reason}; "
+                "make a new one, or call plan.resume() after a stop"
+            )
+        X = controller.settings.chain.state(np.asarray(measurement.q, dtype=float)).X_WO
+        if self.outcome is Outcome.NEW:
+            require_plan(self.stages, self.largest, controller, X)
+        contacts = controller.settings.contacts
+        self._controller = controller
+        self._names = [pair.name for pair in contacts]
+        self._owners = force_owners(contacts)
+        self._log = log
+        self._senses = Senses(controller, X)
+        self._aim = X
+        self._V = np.zeros(6)
+        self.outcome = Outcome.RUNNING
+        self._enter(self._k)
+
+    def step(self) -> Reference:
+        """Reference of the next tick, from the results of the last one."""
+        dt = self._controller.dt
+        now = self._senses.read()
+        self._follow()
+        now.aim, now.V_D = self._aim, self._V
+        self._time += dt
+        if self._controller.state is SafetyState.SAFE_STOP and self.outcome not in _OVER:
+            self._stop(self._controller.reason)
+        if self.outcome is Outcome.RUNNING:
+            self._judge(now)
+        if self.outcome is not Outcome.RUNNING:
+            self._over_for += dt
+        return self._reference(now)
+
+    def placed(self, measurement: Measurement) -> Measurement:
+        """Measurement with the poses of touched bodies that the stages have placed."""
+        if not self._places:
+            return measurement
+        count = len(self._names)
+        known = measurement.touched
+        if known is None:
+            still = np.zeros((count, 6))
+            known = Touched(np.tile(np.eye(4), (count, 1, 1)), still, still)
+        X_WE = np.array(known.X_WE)
+        for name, X in self._places.items():
+            X_WE[self._names.index(name)] = X.homogeneous
+        return replace(measurement, touched=replace(known, X_WE=X_WE))
+
+    @property
+    def ended(self) -> bool:
+        """Whether a loop of its own ends: the plan is over, or was stopped a second ago."""
+        if self.outcome is Outcome.STOPPED:
+            return self._over_for > BRAKED
+        return self.outcome in _OVER
+
+    @property
+    def stage(self) -> Stage:
+        """The present stage, or the last one."""
+        return self.stages[self._k]
+
+    # --- a person's side ------------------------------------------------------------------------
+
+    def pause(self) -> None:
+        """Stop the motion and the clock of the stage; its forces remain."""
+        if self.outcome is Outcome.RUNNING:
+            self.outcome = Outcome.PAUSED
+            self._note("plan", outcome=self.outcome.value, reason="")
+
+    def resume(self) -> None:
+        """Continue after a pause; after a stop, begin with the last stage that may be re-entered.
+
+        After a stop call `Controller.reset` first.
+
+        Raises:
+            InvalidInputError: the plan is neither paused nor stopped, the controller is still
+                stopped, or no stage that was entered may be re-entered.
+        """
+        if self.outcome is Outcome.PAUSED:
+            self.outcome = Outcome.RUNNING
+            self._note("plan", outcome=self.outcome.value, reason="")
+            return
+        if self.outcome is not Outcome.STOPPED:
+            raise InvalidInputError(
+                f"the plan is {self.outcome.value}; only one that is paused or stopped is resumed"
+            )
+        if self._controller.state is SafetyState.SAFE_STOP:
+            raise InvalidInputError(
+                f"the controller is stopped: {self.reason}; remove the cause and call "
+                "controller.reset() before plan.resume()"
+            )
+        entered = {verdict.name for verdict in self.verdicts}
+        again = [
+            k for k, stage in enumerate(self.stages) if stage.reentry and stage.name in entered
+        ]
+        if not again:
+            raise InvalidInputError(
+                "no stage that was entered may begin again; give one of them reentry=True, or make "
+                "a new plan"
+            )
+        self.outcome, self.reason, self._over_for = Outcome.RUNNING, "", 0.0
+        self._enter(again[-1])
+
+    def abort(self, reason: str = "aborted by the user") -> None:
+        """End the plan; the object is held where it is, without contacts.
+
+        Args:
+            reason: for reports.
+        """
+        if self.outcome not in _OVER:
+            self._end_stage(reason, failed=True)
+            self._finish(Outcome.ABORTED, reason)
+
+    # --- within a tick --------------------------------------------------------------------------
+
+    def _enter(self, k: int) -> None:
+        """Begin stage k where the object is."""
+        self._k = k
+        stage = self.stages[k]
+        now = self._senses.now
+        now.t, now.finished, now.start, now.aim = 0.0, False, now.X, self._aim
+        self._alpha_d, self._active = forces_of(stage.forces, self._names, self._owners)
+        for name, place in stage.places.items():
+            self._places[name] = pin.SE3(place(now) if callable(place) else place)
+        self._course: Course = stage.motion.begin(now)
+        until = stage.until
+        assert isinstance(until, End)  # the stage made it one
+        self._watch: Watch = until.begin(now)
+        self._squares, self._ticks = 0.0, 0
+        self._residual, self._weighed = np.zeros(6), 0
+        self._verdict = StageVerdict(stage.name, self._time)
+        self._note("stage", name=stage.name, number=k)
+
+    def _follow(self) -> None:
+        """Take from the reference what contacts and arms do not permit."""
+        if self._controller.records.memory.ticked and self._controller.status is not Status.HELD:
+            X = self._senses.now.X
+            e = self._senses.free_error()
+            self._aim = pin.SE3(pin.exp3(e[3:]) @ X.rotation, X.translation + e[:3])
+
+    def _judge(self, now: Sensed) -> None:
+        """Note the forces of the last tick; end the stage where a condition is met."""
+        stage = self.stage
+        dt = self._controller.dt
+        now.t += dt
+        verdict = self._verdict
+        force = float(np.linalg.norm(now.wrench[:3]))
+        verdict.peak = max(verdict.peak, force)
+        self._ticks += 1
+        if self._controller.records.memory.ticked:
+            self._squares += self._senses.force_error(self._alpha_d)
+        if stage.tare and now.t > SETTLED:
+            self._residual += self._controller.residual_wrench()
+            self._weighed += 1
+        most = min(stage.largest, self.largest)
+        until = stage.until
+        assert isinstance(until, End)
+        if force > most:
+            self._fail(f"{force:.1f} N, more than {most:g} N")
+        elif self._watch(now, dt):
+            self._end_stage(until.words, failed=False)
+            if self._weighed:
+                self._controller.f_tare = self._residual / self._weighed
+            now.passed[stage.name] = now.X
+            following = self._k + 1 if stage.then is None else self._number(stage.then)
+            if following == len(self.stages):
+                self._finish(Outcome.DONE, "")
+            else:
+                self._enter(following)
+        elif now.t > stage.within:
+            self._fail(f"{stage.within:g} s without: {until.words}")
+
+    def _fail(self, why: str) -> None:
+        """Go on with the stage that follows a failure, or end the plan."""
+        stage = self.stage
+        self._end_stage(why, failed=True)
+        self._failures += 1
+        if stage.fails is None:
+            self._finish(Outcome.FAILED, f"stage {stage.name!r}: {why}")
+        elif self._failures >= self.tries:
+            tries = f"{self._failures} tries" if self._failures > 1 else "1 try"
+            self._finish(Outcome.FAILED, f"stage {stage.name!r}: {why} ({tries})")
+        else:
+            self._enter(self._number(stage.fails))
+
+    def _stop(self, reason: str) -> None:
+        """Note a stop of the controller, once."""
+        if self.outcome is not Outcome.STOPPED:
+            self._end_stage(reason, failed=True)
+            self._finish(Outcome.STOPPED, f"stage {self.stage.name!r}: {reason}")
+
+    def _end_stage(self, why: str, *, failed: bool) -> None:
+        verdict = self._verdict
+        verdict.duration = self._time - verdict.begin
+        verdict.rms = sqrt(self._squares / max(self._ticks, 1))
+        verdict.ended_by, verdict.failed = why, failed
+        self.verdicts.append(verdict)
+
+    def _finish(self, outcome: Outcome, reason: str) -> None:
+        self.outcome, self.reason = outcome, reason
+        self._over_for = 0.0
+        if outcome is not Outcome.DONE:
+            self._alpha_d, self._active = forces_of({}, self._names, self._owners)
+        self._note("plan", outcome=outcome.value, reason=reason)
+
+    def _number(self, name: str) -> int:
+        return [stage.name for stage in self.stages].index(name)
+
+    def _reference(self, now: Sensed) -> Reference:
+        """Reference of the next tick: the aim moves as far as contacts and its limits permit."""
+        dt = self._controller.dt
+        V = np.zeros(6)
+        if self.outcome is Outcome.RUNNING:
+            demand = self._course(now, dt)
+            now.finished = demand.finished
+            V, _ = permitted_twist(now.N, demand)
+        before = self._V
+        self._V = _changed(before, V, dt)
+        A = (self._V - before) / dt
+        turned = pin.exp3(self._V[3:] * dt) @ self._aim.rotation
+        self._aim = pin.SE3(turned, self._aim.translation + self._V[:3] * dt)
+        if self.outcome is Outcome.STOPPED:  # the arms are braked
+            self._aim, self._V, A = now.X, np.zeros(6), np.zeros(6)
+        return Reference(self._aim, self._V, A, alpha_d=self._alpha_d, active=self._active)
+
+    def _note(self, event: str, **facts: Any) -> None:
+        if self._log is not None:
+            self._log(event, **facts)
+
+
+def _changed(V: Array, goal: Array, dt: float) -> Array:
+    """Twist (6,) one tick later, on the straight way to a goal (6,), with limited acceleration."""
+    step = goal - V
+    most = CHANGES * dt
+    share = max(
+        float(np.linalg.norm(step[:3])) / (most * LINEAR_ACCELERATION),
+        float(np.linalg.norm(step[3:])) / (most * ANGULAR_ACCELERATION),
+        1.0,
+    )
+    return V + step / share

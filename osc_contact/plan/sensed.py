@@ -1,0 +1,163 @@
+"""Signals of a tick on which motions and conditions of a plan depend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact.contacts.feet import force_owners
+from osc_contact.control.controller import Controller
+from osc_contact.control.status import Phase
+from osc_contact.errors import InvalidInputError, did_you_mean
+from osc_contact.spatial import Array
+
+SMOOTHING = 5e-3  #: s, time constant of the low-pass of measured forces
+
+
+@dataclass
+class Sensed:
+    """Signals of a plan after a tick; everything at O, the object's origin, in world axes.
+
+    Attributes:
+        t: time since the stage began, without pauses (s).
+        X: pose of the object. V: (6,) its twist (m/s, rad/s).
+        aim: pose that the plan commands. V_D: (6,) twist that it commanded in the last tick.
+        wrench: (6,) measured wrench of the object on what it touches, low-passed with 5 ms (N,
+            N m).
+        forces: measured force of each contact of the controller by name, the sum over its columns
+            of N, low-passed with 5 ms (N); 0 where it is not active.
+        phases: phase of each contact by name.
+        start: pose at which the stage began. passed: pose at which each former stage ended last.
+        finished: whether the motion of the stage has reached its end.
+        N: (6, r) independent directions of force of the active contacts.
+    """
+
+    X: pin.SE3
+    V: Array
+    aim: pin.SE3
+    wrench: Array
+    forces: dict[str, float]
+    phases: dict[str, Phase]
+    start: pin.SE3
+    N: Array
+    passed: dict[str, pin.SE3] = field(default_factory=dict)
+    t: float = 0.0
+    finished: bool = False
+    V_D: Array = field(default_factory=lambda: np.zeros(6))
+
+    def where_ended(self, stage: str | None) -> pin.SE3:
+        """Pose at which a stage ended last; None: at which the present stage began.
+
+        Raises:
+            InvalidInputError: the stage has not been passed.
+        """
+        if stage is None:
+            return self.start
+        if stage not in self.passed:
+            raise InvalidInputError(
+                f"stage {stage!r} has not been passed; {did_you_mean(stage, self.passed)}"
+            )
+        return self.passed[stage]
+
+
+#: Condition for the end of a stage without a memory of its own.
+Test = Callable[[Sensed], bool]
+
+
+class Senses:
+    """Reader of the signals of a controller, tick by tick.
+
+    Args:
+        controller: its contacts, and the results of its ticks.
+        X: pose of the object where the plan begins.
+    """
+
+    def __init__(self, controller: Controller, X: pin.SE3) -> None:
+        self._controller = controller
+        self._names = [pair.name for pair in controller.settings.contacts]
+        self._owners = force_owners(controller.settings.contacts)
+        self._share = controller.dt / (SMOOTHING + controller.dt)
+        self._alpha = np.zeros(len(self._owners))
+        self.now = Sensed(
+            X=X,
+            V=np.zeros(6),
+            aim=X,
+            wrench=np.zeros(6),
+            forces=dict.fromkeys(self._names, 0.0),
+            phases=dict.fromkeys(self._names, Phase.OPEN),
+            start=X,
+            N=np.zeros((6, 0)),
+        )
+
+    def read(self) -> Sensed:
+        """Signals after the last tick; those before it where none has been computed."""
+        controller = self._controller
+        if not controller.records.memory.ticked:
+            return self.now
+        now = self.now
+        result = controller.result()
+        active = controller.active
+        now.X = pin.SE3(result.X_WO)
+        now.V = np.array(result.V_O)
+        now.wrench = now.wrench + self._share * (result.f_meas - result.bias_out - now.wrench)
+        alpha = np.array(controller.records.memory.columns.alpha)
+        alpha[~active[self._owners]] = 0.0
+        self._alpha += self._share * (alpha - self._alpha)
+        self._alpha[~active[self._owners]] = 0.0
+        sums = np.bincount(self._owners, self._alpha, len(self._names))
+        phases = controller.phases()
+        for k, name in enumerate(self._names):
+            now.forces[name] = float(sums[k])
+            now.phases[name] = Phase(int(phases[k]))
+        now.N = result.columns.N[controller.records.kept()].T.copy()
+        return now
+
+    def free_error(self) -> Array:
+        """Part (6,) of the pose error that contacts and arms permitted in the last tick."""
+        return np.array(self._controller.result().free_error)
+
+    def force_error(self, alpha_d: Array) -> float:
+        """Sum over the closed contacts of the squared errors of their forces (N²).
+
+        Args:
+            alpha_d: (r,) desired forces (N).
+        """
+        closed = self._controller.phases()[self._owners] == Phase.CLOSED
+        measured = np.array(self._controller.records.memory.columns.alpha)
+        return float(np.sum((measured - alpha_d)[closed] ** 2))
+
+
+def forces_of(
+    forces: Mapping[str, float | Sequence[float]], names: Sequence[str], owners: Array
+) -> tuple[Array, Array]:
+    """Desired forces (r,) of all columns, and mask (contacts,) of the active contacts.
+
+    Args:
+        forces: force of each active contact by its name (N), distributed evenly over its columns of
+            N, or a force for each of them.
+        names: names of all contacts of the controller.
+        owners: (r,) index of the contact of each column.
+
+    Raises:
+        InvalidInputError: a contact that does not exist, or other numbers of forces.
+    """
+    alpha_d = np.zeros(len(owners))
+    active = np.zeros(len(names))
+    for name, force in forces.items():
+        if name not in names:
+            raise InvalidInputError(f"there is no contact {name!r}; {did_you_mean(name, names)}")
+        columns = owners == names.index(name)
+        values = np.atleast_1d(np.asarray(force, dtype=np.float64))
+        if values.shape == (1,) and np.ndim(force) == 0:
+            values = np.full(columns.sum(), values[0] / columns.sum())
+        if values.shape != (columns.sum(),) or not np.isfinite(values).all():
+            raise InvalidInputError(
+                f"contact {name!r} has {columns.sum()} columns of N, and its forces are {force!r}; "
+                "give a number, or a number for each column (N)"
+            )
+        alpha_d[columns] = values
+        active[names.index(name)] = 1.0
+    return alpha_d, active

@@ -1,0 +1,137 @@
+"""Pairs of pegs and holes: their gaps, N and n_γ against distances written down apart."""
+
+import numpy as np
+import pinocchio as pin
+from complaints import invalid_input, refusals
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from pair_kinds import Path
+from pytest import fixture
+from samples import parametrize
+
+import osc_contact as osc
+from osc_contact.contacts.insertion import CORNERS, SIDES
+
+PEG, HOLE, DEPTH = 0.01, 0.0101, 0.03  #: halves of the widths, and depth (m)
+STEP = 2e-3  #: s, of the differences
+INTO = np.array([0.0, 0.0, 1.0])
+POSE = pin.SE3(pin.exp3(np.array([3.0, 0.2, -0.1])), np.array([0.5, 0.1, 0.3]))  #: of the hole
+
+
+def pairs_of(shape):
+    peg = osc.Peg(shape, 2 * PEG)
+    return osc.pairs_between(peg, osc.Hole(shape, 2 * HOLE, DEPTH, POSE))
+
+
+PAIRS = {shape: pairs_of(shape) for shape in ("square", "round")}
+POINTS = {**CORNERS, **SIDES}
+
+
+def distance(name):
+    """Gap of a pair as a function of the pose of the peg in the frame of the hole."""
+    if name.startswith("tip"):
+        depth = DEPTH if name.endswith("bottom") else 0.0
+        return lambda X: depth - X.translation[2]
+    what, side, _, where, *rest = name.split()
+    if what in ("corner", "point") and where == "face":
+        return lambda X: -X.act(PEG * POINTS[side])[2]
+    if where == "wall":
+        return lambda X: HOLE - SIDES[rest[0]] @ X.act(PEG * POINTS[side])
+    if what == "side":
+        along = np.cross(INTO, SIDES[side])
+        away = {"a": 0.7, "b": -0.7}.get(rest[-1], 0.0) * HOLE * along
+        return lambda X: SIDES[side] @ X.actInv(HOLE * SIDES[side] + away) - PEG
+    if what == "edge":
+        point, direction, out = PEG * SIDES[side], np.cross(INTO, SIDES[side]), -INTO
+    else:  # a long edge on a rim
+        point, direction, out = PEG * CORNERS[side], INTO, -SIDES[rest[0]]
+    rim = SIDES[rest[0]]
+
+    def between_lines(X):
+        n = np.cross(X.rotation @ direction, np.cross(INTO, rim))
+        n /= np.linalg.norm(n) * np.sign(n @ out)
+        return n @ (X.act(point) - HOLE * rim)
+
+    return between_lines
+
+
+EVERY = [(shape, name) for shape in PAIRS for name in PAIRS[shape] if name != "hole"]
+
+
+@fixture
+def path():
+    """Motion of the peg near the hole, tilted, in the frame of the hole."""
+    rng = default_rng(61)
+    p = np.array([[2e-3, -1e-3, 3e-3], *(0.02 * rng.standard_normal((2, 3)))])
+    return Path(pin.exp3(np.array([0.15, -0.2, 0.1])), p, rng.standard_normal((2, 3)))
+
+
+@parametrize("shape, name", EVERY)
+def test_gaps_and_their_derivatives(shape, name, path):
+    pair = PAIRS[shape][name]
+    gap = distance(name)
+    X = POSE * path(0.0)
+    assert_allclose(pair.gaps(X), gap(path(0.0)), atol=1e-12)
+    times = STEP * np.arange(-2, 3)
+    g = np.array([gap(path(t)) for t in times])
+    rate = g @ [1, -8, 0, 8, -1] / (12 * STEP)
+    V = np.concatenate((POSE.rotation @ path.p[1], POSE.rotation @ path.w[0]))
+    contact = pair.contact(X, V)
+    assert_allclose(contact.N.T @ V, -rate, atol=1e-7)
+    second = g @ [-1, 16, -30, 16, -1] / (12 * STEP**2)
+    A = 2.0 * np.concatenate((POSE.rotation @ path.p[2], POSE.rotation @ path.w[1]))
+    A[:3] -= np.cross(V[3:], V[:3])  # spatial
+    assert_allclose(contact.n_gamma - contact.N.T @ A, second, atol=1e-4)
+    assert_allclose(contact.N.T @ contact.T, 0.0, atol=1e-12)
+
+
+@parametrize("shape, r, free", [("square", 5, [0, 0, 1, 0, 0, 0]), ("round", 4, None)])
+def test_a_peg_in_its_hole_moves_along_its_axis(shape, r, free):
+    pair = PAIRS[shape]["hole"]
+    X = POSE * pin.SE3(np.eye(3), 0.01 * INTO)
+    assert_allclose(pair.gaps(X), 0.0, atol=1e-12)
+    contact = pair.contact(X, np.zeros(6))
+    assert contact.r == r
+    axis = np.concatenate((POSE.rotation @ INTO, np.zeros(3)))
+    assert_allclose(contact.N.T @ axis, 0.0, atol=1e-12)
+    turn = np.concatenate((np.zeros(3), POSE.rotation @ INTO))
+    assert (np.abs(contact.N.T @ turn).max() < 1e-12) == (shape == "round")
+
+
+def test_pairs_of_a_square_peg_touch_where_the_peg_leans():
+    """A tilted peg whose corner is in the mouth rests on two rims with two edges: skew normals."""
+    tilt = pin.exp3(0.25 * np.array([1.0, -1.0, 0.0]) / np.sqrt(2))
+    pairs = pairs_of("square")
+    chosen = [pairs["edge +y on rim -x"], pairs["edge +x on rim -y"]]
+    low, high = -0.02, 0.02
+    for _ in range(60):  # down, until both touch
+        z = 0.5 * (low + high)
+        X = POSE * pin.SE3(tilt, np.array([0.0, 0.0, z]))
+        low, high = (z, high) if chosen[0].gaps(X)[0] > 0.0 else (low, z)
+    N = np.hstack([pair.contact(X, np.zeros(6)).N for pair in chosen])
+    assert_allclose([pair.gaps(X)[0] for pair in chosen], 0.0, atol=1e-9)
+    assert np.linalg.norm(np.cross(N[:3, 0], N[:3, 1])) > 0.05
+
+
+def test_a_hole_that_was_found():
+    hole = osc.Hole("square", 2 * HOLE, DEPTH, POSE)
+    found = POSE * pin.SE3(pin.exp3(np.array([0.02, 0.0, 0.01])), np.array([1e-3, 0.0, 2e-3]))
+    X_WE = hole.found_at(found)
+    X = found * pin.SE3(np.eye(3), 0.01 * INTO)
+    assert_allclose(PAIRS["square"]["hole"].gaps(X, X_WE), 0.0, atol=1e-12)
+
+
+test_refusals = refusals(
+    invalid_input,
+    {
+        "shape = 'oval'": lambda: osc.Peg("oval", 0.02),
+        "width = 0": lambda: osc.Peg("round", 0.0),
+        "depth = -1": lambda: osc.Hole("round", 0.02, -1.0),
+        "give the same shape": lambda: osc.pairs_between(
+            osc.Peg("round", 0.02), osc.Hole("square", 0.021, 0.03)
+        ),
+        "the hole 20 mm": lambda: osc.pairs_between(
+            osc.Peg("round", 0.02), osc.Hole("round", 0.02, 0.03)
+        ),
+    },
+)
