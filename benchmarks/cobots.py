@@ -1,6 +1,7 @@
 """Random tasks on random arms with everything wrong at once: how well are forces held?
 
     python -m benchmarks.cobots [--count 60] [--seed N] [--only TEXT] [--workers 2] [--why]
+    python -m benchmarks.cobots --seed N --case I
 
 The tasks are those of `random_tasks`: 8 s, default gains and settings, a tare. Judged is the true
 contact force from one second after each contact was made: rms error over the mean command, of the
@@ -271,19 +272,24 @@ def _row(one: Outcome, cause: str) -> str:
 
 
 def main(
-    count: int = 60, seed: int | None = None, only: str = "", workers: int = 2, why: bool = False
+    count: int = 60,
+    seed: int | None = None,
+    only: str = "",
+    workers: int = 2,
+    why: bool = False,
+    case: int | None = None,
 ) -> None:
     """Run the tasks and print the table.
 
     Args:
         count: of tasks. seed: of them; None: drawn and printed. only: tasks whose name contains
             this. workers: processes. why: run those that are not as wanted without one group of
-            errors after the other.
+            errors after the other. case: number of the one task to run; None: all of them.
     """
     if seed is None:
         seed = int(np.random.default_rng().integers(1 << 31))
     print(f"--seed {seed}", flush=True)
-    tasks = [draw(seed, number) for number in range(count)]
+    tasks = [draw(seed, number) for number in (range(count) if case is None else [case])]
     tasks = [task for task in tasks if only in task.name]
     kept = Kept()
     outcomes = kept.outcomes([(seed, task.number, "") for task in tasks], workers)
