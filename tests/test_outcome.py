@@ -115,6 +115,12 @@ held = changed("status", 1500, 1600, 2) | changed("motion_error", 1500, 1600, np
         ),
         ("POOR!", "limit 10.0%", changed("alpha_true", 1000, TICKS, 8.9)),
         ("OK", "", changed("alpha_true", 1000, TICKS, 9.1)),
+        ("POOR!", "10.6% of its mean command", changed("alpha_true", 1950, 2450, 8.5)),
+        ("OK", "", changed("alpha_true", 1950, 2350, 8.5)),
+        ("POOR!", "2.1 times its command", changed("alpha_true", 2000, 2001, 21.0)),
+        ("OK", "", changed("alpha_true", 2000, 2001, 19.0)),
+        ("POOR!", "6.0 mm off its", changed("motion_error", 2000, 2001, [0.006, 0, 0, 0, 0, 0])),
+        ("OK", "", changed("motion_error", 2000, 2001, [0.004, 0, 0, 0, 0, 0])),
         ("DOUBTFUL", "before it ran: no tare", {}, {"doubts": ["no tare"]}),
         ("HELD!", "100 of 3000 ticks", held, {"end_reason": "a cable broke"}),
         ("HELD", "1 of 3000 ticks", changed("status", 1500, 1501, 2)),
@@ -153,6 +159,8 @@ def test_the_gravest_word_is_given_and_every_reason():
 
 LIMITS = {
     "force_rms": (0.2, changed("alpha_true", 1000, TICKS, 8.5)),
+    "force_peak": (3.0, changed("alpha_true", 2000, 2001, 21.0)),
+    "path": (0.1, changed("motion_error", 2000, 2001, 0.006)),
     "limit_cycle": (0.2, {"alpha_true": 10 + np.sin(np.arange(TICKS) * 0.06)[:, None]}),
     "open_share": (0.03, changed("closed", 2000, 2040, 0)),
     "lost_time": (0.2, changed("closed", 2000, 2060, 0)),
@@ -168,7 +176,8 @@ def test_each_limit_is_a_key_of_the_scenario():
     assert set(LIMITS) == set(VerdictSpec.model_fields) == of_rules
     for key, (permitted, channels) in LIMITS.items():
         assert osc.metrics(made(**channels))["task"]["failed"], key
-        limits = {key: permitted} | ({"open_share": 0.1} if key == "lost_time" else {})
+        beside = {"lost_time": {"open_share": 0.1}, "distance": {"path": 0.2}}
+        limits = {key: permitted} | beside.get(key, {})
         scenario = {"name": "made", "verdict": limits}
         task = osc.metrics(made({"scenario": scenario}, **channels))["task"]
         assert not task["failed"], (key, task)

@@ -641,7 +641,13 @@ class VerdictSpec(Spec):
     """Limits of a run's verdict, beyond which its task has failed."""
 
     force_rms: PositiveNumber = 0.1
-    """largest rms error of a force, as a share of its mean command"""
+    """largest rms error of a force, over the run and within any second, as a share of its mean
+    command"""
+    force_peak: PositiveNumber = 2.0
+    """largest force of a closed contact, as a multiple of its command (of 1 N at least)"""
+    path: Positive[Length] = 5e-3
+    """largest distance of the object from its reference along the free directions while no contact
+    is approached or lands"""
     limit_cycle: PositiveNumber = 0.05
     """largest amplitude of a [limit cycle](metrics.md#limit-cycles), as a share of the mean
     command"""

@@ -8,11 +8,12 @@ import numpy as np
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.files import Json
 from osc_contact.lab.runs.limit_cycles import worst_cycles
+from osc_contact.lab.runs.series import Series, WorstSecond
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import CLOSED, SETTLE_S, JudgedTicks
 from osc_contact.settings.control import VerdictSpec
-from osc_contact.spatial import Array
 
+_LEAST_COMMAND_N = 1.0  #: a force is compared with no smaller command
 STEP_WINDOW_S = 0.5  #: a step's overshoot is looked for this long, or until the next step
 _READ = (
     "t",
@@ -112,6 +113,30 @@ RULES = (
     Rule(
         "POOR",
         "force",
+        "worst_second_rel",
+        "force_rms",
+        "force {name} was off by {worst_second_rel:.1%} of its mean command {mean_command_N:.3g} "
+        "N, rms within one second (limit {limit:.1%}); check gains, masses, friction and sensors",
+    ),
+    Rule(
+        "POOR",
+        "force",
+        "peak_over_command",
+        "force_peak",
+        "force {name} was {peak_over_command:.3g} times its command (limit {limit:g}); command a "
+        "slower motion, or check gains, masses, friction and sensors",
+    ),
+    Rule(
+        "POOR",
+        "run",
+        "off",
+        "path",
+        "the object was {mm:.1f} mm off its reference (limit {limit_mm:.1f} mm); command a slower "
+        "motion, raise gains.motion.frequency, or check friction and rotors of the joints",
+    ),
+    Rule(
+        "POOR",
+        "force",
         "limit_cycle_rel",
         "limit_cycle",
         "force {name} oscillates by ± {limit_cycle_N:.3g} N at {limit_cycle_Hz:.3g} Hz, "
@@ -158,10 +183,10 @@ def metrics(recording: Recording) -> Json:
 
     Keys: scenario, plant, seed (None for a loop of the user's own), duration_s, ticks,
     real_time_factor;
-    force {contact: rms_error_N, rms_error_rel, peak_error_N, peak_error_rel, mean_command_N,
-    sensing_rms_rel, limit_cycle_N, limit_cycle_Hz, limit_cycle_rel, limit_cycle_m_per_N}, of closed
-    contacts, see
-    `osc_contact.recorder.judged` and `limit_cycles`;
+    force {contact: rms_error_N, rms_error_rel, peak_error_N, peak_error_rel, worst_second_rel,
+    peak_over_command, mean_command_N, sensing_rms_rel, limit_cycle_N, limit_cycle_Hz,
+    limit_cycle_rel, limit_cycle_m_per_N}, of closed contacts, see `osc_contact.recorder.judged` and
+    `limit_cycles`;
     motion {rms_error_m, rms_error_rad} along the free directions;
     contact_fraction {contact}; first_contact_s {contact} (null: never); steps, see
     `step_answers`; judged_ticks; task {word, failed, why}, see `judge_task`;
@@ -216,8 +241,10 @@ class _Sums:
         self.ticks = JudgedTicks(recording)
         self.duration = len(recording) / meta["control_rate_hz"]
         self.opened, self.judged, self.longest, run = np.zeros((4, len(meta["contact_names"])), int)
-        self.command, self.error, self.sensing = (_Series() for _ in range(3))
-        self.total, self.projected, self.away, self.closed = (_Series() for _ in range(4))
+        self.command, self.error, self.sensing = (Series() for _ in range(3))
+        self.total, self.projected, self.away, self.closed = (Series() for _ in range(4))
+        self.over, self.off = Series(), Series()
+        self.seconds = WorstSecond()
         limits = list(meta.get("effort_limits", {}).values())
         effort = np.nan_to_num(np.array(limits, dtype=float), nan=np.inf)
         self.at_limit = np.zeros(len(effort), dtype=int)
@@ -233,6 +260,9 @@ class _Sums:
             )
             self.command.add(command)
             self.error.add(truth - command)
+            self.over.add(truth / np.maximum(np.abs(command), _LEAST_COMMAND_N))
+            self.seconds.add(piece["t"], truth - command)
+            self.off.add(np.linalg.norm(piece["motion_error"][quiet, :3], axis=1))
             self.sensing.add(sensed - truth)
             self.total.add(piece["power_total"][quiet])
             self.projected.add(piece["power_projected"][quiet])
@@ -323,13 +353,23 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
     """
     found = {}
     error = sums.error
-    columns = (sums.command.mean(), error.rms(), error.peak(), sums.sensing.rms(), sums.cycles)
-    for name, mean, rms, peak, sensed, cycle in zip(names, *columns, strict=True):
+    columns = (
+        sums.command.mean(),
+        error.rms(),
+        error.peak(),
+        sums.seconds.largest(),
+        sums.over.peak(),
+        sums.sensing.rms(),
+        sums.cycles,
+    )
+    for name, mean, rms, peak, second, over, sensed, cycle in zip(names, *columns, strict=True):
         found[name] = {
             "rms_error_N": rms,
             "rms_error_rel": _ratio(rms, mean),
             "peak_error_N": peak,
             "peak_error_rel": _ratio(peak, mean),
+            "worst_second_rel": _ratio(second, mean),
+            "peak_over_command": over,
             "mean_command_N": mean,
             "sensing_rms_rel": _ratio(sensed, mean),
             "limit_cycle_N": cycle and cycle.amplitude,
@@ -355,6 +395,7 @@ def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[J
         "stopped": meta.get("end_state") == "SAFE_STOP",
         "reason": meta.get("first_reason") or meta.get("end_reason") or "not recorded",
         "distance": distance,
+        "off": sums.off.peak()[0],
         "angle": angle,
         "held_share": verdict["status"]["held"] / verdict["ticks"],
         "motors": ", ".join(joint for joint, _ in verdict["at_limit"][:3]) or "some",
@@ -375,38 +416,6 @@ def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[J
     ]
     doubts = [{"counts": 1, "sentence": text} for text in meta.get("doubts", ())]
     return {"run": [run], "contact": contacts, "force": forces, "doubt": doubts}
-
-
-class _Series:
-    """Sums over the ticks of one or several numbers, piece after piece.
-
-    What is not finite was not computed, or is not judged, and is left out; None where all is.
-    """
-
-    def __init__(self) -> None:
-        self._counts = self._sums = self._squares = self._peaks = np.zeros(1)
-
-    def add(self, values: Array) -> None:
-        """Ticks (k,) or (k, m)."""
-        rows = np.array(values if values.ndim > 1 else values[:, None], dtype=float)
-        finite = np.isfinite(rows)
-        rows[~finite] = 0.0
-        self._counts = self._counts + finite.sum(axis=0)
-        self._sums = self._sums + rows.sum(axis=0)
-        self._squares = self._squares + (rows**2).sum(axis=0)
-        self._peaks = np.maximum(self._peaks, np.abs(rows).max(axis=0, initial=0.0))
-
-    def mean(self) -> list[float | None]:
-        return self._where_counted(self._sums / np.maximum(self._counts, 1))
-
-    def rms(self) -> list[float | None]:
-        return self._where_counted(np.sqrt(self._squares / np.maximum(self._counts, 1)))
-
-    def peak(self) -> list[float | None]:
-        return self._where_counted(self._peaks)
-
-    def _where_counted(self, values: Array) -> list[float | None]:
-        return [float(x) if n else None for x, n in zip(values, self._counts, strict=True)]
 
 
 def _tick(recording: Recording) -> dict[str, float | None]:

@@ -1,0 +1,84 @@
+"""Sums over the ticks of a run, piece after piece: means, rms, peaks, the worst second."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from osc_contact.spatial import Array
+
+
+class Series:
+    """Sums over the ticks of one or several numbers, piece after piece.
+
+    What is not finite was not computed, or is not judged, and is left out; None where all is.
+    """
+
+    def __init__(self) -> None:
+        """Begin before the first tick."""
+        self._counts = self._sums = self._squares = self._peaks = np.zeros(1)
+
+    def add(self, values: Array) -> None:
+        """Ticks (k,) or (k, m)."""
+        rows = np.array(values if values.ndim > 1 else values[:, None], dtype=float)
+        finite = np.isfinite(rows)
+        rows[~finite] = 0.0
+        self._counts = self._counts + finite.sum(axis=0)
+        self._sums = self._sums + rows.sum(axis=0)
+        self._squares = self._squares + (rows**2).sum(axis=0)
+        self._peaks = np.maximum(self._peaks, np.abs(rows).max(axis=0, initial=0.0))
+
+    def mean(self) -> list[float | None]:
+        """Mean of each number."""
+        return self._where_counted(self._sums / np.maximum(self._counts, 1))
+
+    def rms(self) -> list[float | None]:
+        """Root mean square of each number."""
+        return self._where_counted(np.sqrt(self._squares / np.maximum(self._counts, 1)))
+
+    def peak(self) -> list[float | None]:
+        """Largest magnitude of each number."""
+        return self._where_counted(self._peaks)
+
+    def _where_counted(self, values: Array) -> list[float | None]:
+        return [float(x) if n else None for x, n in zip(values, self._counts, strict=True)]
+
+
+class WorstSecond:
+    """Largest rms error within one second of a run, piece after piece.
+
+    Squares are summed in tenths of a second; a second counts if half of its ticks are judged.
+    """
+
+    def __init__(self) -> None:
+        """Begin before the first tick."""
+        self._squares: list[Array] = []
+        self._counts: list[Array] = []
+        self._ticks: list[int] = []
+
+    def add(self, t: Array, error: Array) -> None:
+        """Add ticks at t (k,) with errors (k, r); those that are not judged are not finite."""
+        tenths = np.floor(t * 10.0 + 1e-6).astype(int)
+        for tenth in np.unique(tenths):
+            own = error[tenths == tenth]
+            while len(self._ticks) <= tenth:
+                self._squares.append(np.zeros(error.shape[1]))
+                self._counts.append(np.zeros(error.shape[1]))
+                self._ticks.append(0)
+            self._squares[tenth] += np.nansum(own**2, axis=0)
+            self._counts[tenth] += np.isfinite(own).sum(axis=0)
+            self._ticks[tenth] += len(own)
+
+    def largest(self) -> list[float | None]:
+        """The largest value of each force; None where no second is judged."""
+        if not self._ticks:
+            return []
+        squares, counts = (
+            np.cumsum(np.vstack([np.zeros((10, len(rows[0]))), rows]), axis=0)
+            for rows in (self._squares, self._counts)
+        )
+        squares, counts = squares[10:] - squares[:-10], counts[10:] - counts[:-10]
+        enough = counts > 5.0 * max(self._ticks)
+        values = np.sqrt(np.where(enough, squares / np.maximum(counts, 1.0), 0.0).max(axis=0))
+        return [
+            float(x) if some else None for x, some in zip(values, enough.any(axis=0), strict=True)
+        ]
