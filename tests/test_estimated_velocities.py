@@ -151,6 +151,14 @@ def test_encoders_that_are_too_coarse_are_doubted_with_what_would_do():
     assert not doubts(0.05, f"control.estimate.joint_angular={0.98 * float(angular)}")
 
 
+def test_rotors_that_the_model_lacks_do_not_mislead_the_velocities():
+    """A Z1 whose wrist is mostly rotor stopped at 0.8 s: speeds were not those of positions."""
+    task = draw(101, 2)
+    task = replace(task, changes=[*task.changes, "duration=1.2 s"])
+    recording = osc.run(task.load(), check=lambda rig: [])
+    assert recording.meta["end_state"] == "RUN"
+
+
 # --- MuJoCo ---------------------------------------------------------------------------------------
 
 

@@ -15,6 +15,13 @@ and the last velocity, so that errors of velocity alternate and do not decay.
 
 A filtered difference lags by its time constant; this filter uses the commanded acceleration and
 does not lag behind commanded motions.
+
+A joint does not always follow what is known of it: with a rotor that the model lacks it accelerates
+by a share c of the known acceleration a, where friction holds it by none of it. The estimate is
+linear in c. Let x_c and v_c be its derivatives by c, which a drives through the same filter. Then
+innovations are white noise of variance σ_n²/(1 − α) plus x_c times the error of c, from which c is
+estimated as a random walk, and x̂, v̂ follow it by x_c, v_c (B. Friedland, Treatment of bias in
+recursive filtering, IEEE Trans. Automatic Control 14, 1969).
 """
 
 from __future__ import annotations
@@ -26,8 +33,9 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
-_SURPRISE = 6.0  #: times the rms of innovations
-_MISLED = 0.1  #: s for which a known acceleration must lead ahead; pushes are over sooner
+_DOUBT = 0.5  #: deviation of the share c at the start, and at most
+_CHANGES = 1.0  #: s in which c may change by `_DOUBT`, as where a joint begins to stick
+_MOST = 1.5  #: largest share: of links or rotors that are modelled too heavy
 _EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
 
 
@@ -39,11 +47,11 @@ class VelocityEstimate:
         alpha, beta: (k,) gains of position and of velocity, for the period `sample`.
         dt: period of `update` (s).
         sample: period of the sensor (s); 0: dt.
-        usual: (k,) largest innovations caused by noise (m, rad). A known acceleration that leads
-            further ahead of the readings for 0.1 s is wrong by far more than σ_a, for example
-            because friction holds the joint. It is not used until the readings lead as far for as
-            long.
+        gamma: (k,) gain of the unknown acceleration; 0: none is learned.
+        scatter: (k,) rms of innovations by noise (m, rad); infinite: c remains 1.
         x, v: (k,) last estimate (m, rad; m/s, rad/s); x is None before the first update.
+        unknown: (k,) learned acceleration (m/s², rad/s²).
+        share: (k,) c, by which channels follow their known acceleration.
     """
 
     alpha: Array
@@ -51,7 +59,7 @@ class VelocityEstimate:
     dt: float
     sample: float = 0.0
     gamma: Array | float = 0.0
-    usual: Array | float = np.inf
+    scatter: Array | float = np.inf
 
     def __post_init__(self) -> None:
         self.alpha = np.atleast_1d(self.alpha)
@@ -67,8 +75,13 @@ class VelocityEstimate:
         self.x: Array | None = None
         self.v = np.zeros(len(self.alpha))
         self.unknown = np.zeros(len(self.alpha))
-        self._misled = np.zeros(len(self.alpha), dtype=bool)
-        self._ahead = np.zeros(len(self.alpha))  #: s; < 0: the readings lead
+        self.share = np.ones(len(self.alpha))
+        self._variance = np.full(len(self.alpha), _DOUBT**2)  #: of the share
+        self._by_share = np.zeros(
+            (3, len(self.alpha))
+        )  #: derivatives of x, v, unknown by the share
+        self._gains = np.array([self.alpha, self.beta / self.sample, self.gamma / self.sample**2])
+        self._learns = bool(np.isfinite(self.scatter).all())
 
     @classmethod
     def optimal(
@@ -97,7 +110,7 @@ class VelocityEstimate:
         u = 1.0 / 3.0 + np.sqrt(1.0 / 12.0 + 4.0 / index**2)
         beta = 12.0 / (6.0 * (u + np.sqrt(u)) + 1.0)
         alpha = beta * np.sqrt(u)
-        return cls(alpha, beta, dt, sample, usual=_usual(noise, alpha))
+        return cls(alpha, beta, dt, sample, scatter=_scatter(noise, alpha))
 
     @classmethod
     def learning(
@@ -121,7 +134,8 @@ class VelocityEstimate:
         pole = np.atleast_1d(pole)
         back = 1.0 - pole
         beta = 1.5 * back**2 * (1.0 + pole)
-        return cls(1.0 - pole**3, beta, dt, period, back**3)
+        alpha = 1.0 - pole**3
+        return cls(alpha, beta, dt, period, back**3, _scatter(noise, alpha))
 
     @property
     def noise_gain(self) -> Array:
@@ -150,44 +164,57 @@ class VelocityEstimate:
         return cls(1.0 - pole**2, (1.0 - pole) ** 2, dt)
 
     def update(
-        self, x: Array, acceleration: Array | float = 0.0, fresh: bool = True
+        self, measured: Array, acceleration: Array | float = 0.0, fresh: bool = True
     ) -> tuple[Array, Array]:
         """Advance the estimate by one period; return position and velocity, (k,) each.
 
         Args:
-            x: (k,) measured positions (m, rad); channels that are not finite are only predicted.
+            measured: (k,) positions (m, rad); channels that are not finite are only predicted.
             acceleration: (k,) known acceleration over the period that ends now (m/s², rad/s²).
             fresh: False if the reading is an old one (slower sensor, lost sample): all channels
                 are only predicted.
         """
         if self.x is None:
-            self.x = np.array(x, dtype=float)
+            self.x = np.array(measured, dtype=float)
             return (self.x, self.v)
-        total = np.where(self._misled, 0.0, acceleration) + self.unknown
+        total = self.share * acceleration + self.unknown
         self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * total
         self.v = self.v + self.dt * total
+        if self._learns:
+            x, v, unknown = self._by_share
+            total = acceleration + unknown
+            moved = (x + self.dt * v + 0.5 * self.dt**2 * total, v + self.dt * total, unknown)
+            self._by_share = np.array(moved)
         if fresh:
-            innovation = np.where(np.isfinite(x), x - self.x, 0.0)
-            self.x = self.x + self.alpha * innovation
-            self.v = self.v + self.beta / self.sample * innovation
-            self.unknown = self.unknown + self.gamma / self.sample**2 * innovation
-            self._judge(innovation, acceleration)
+            innovation = np.where(np.isfinite(measured), measured - self.x, 0.0)
+            self._correct(self._gains * innovation)
+            if self._learns:
+                self._learn_share(innovation)
         return (self.x, self.v)
 
-    def _judge(self, innovation: Array, acceleration: Array | float) -> None:
-        """Note which channels a known acceleration misleads, see `usual`.
+    def _correct(self, change: Array) -> None:
+        """Add (3, k) to x, v and the unknown acceleration."""
+        self.x = self.x + change[0]
+        self.v = self.v + change[1]
+        self.unknown = self.unknown + change[2]
+
+    def _learn_share(self, innovation: Array) -> None:
+        """Update the share c, and with it the estimate, by Friedland's filter.
 
         Args:
-            innovation: (k,) m, rad. acceleration: (k,) known one (m/s², rad/s²).
+            innovation: (k,) reading minus prediction (m, rad).
         """
-        large = np.abs(innovation) > self.usual
-        lead = np.where(large, -np.sign(innovation * acceleration), 0.0)
-        continues = self._ahead * lead >= 0.0
-        self._ahead = np.where(continues, self._ahead, 0.0) * np.abs(lead) + lead * self.sample
-        lasting = np.abs(self._ahead) > _MISLED
-        self._misled = np.where(lasting, lead > 0.0, self._misled)
+        lever = self._by_share[0]
+        self._by_share = self._by_share - self._gains * lever
+        grown = self._variance + _DOUBT**2 * self.sample / _CHANGES
+        variance = np.minimum(grown, _DOUBT**2)
+        gain = variance * lever / (self.scatter**2 + variance * lever**2)
+        self._variance = variance * (1.0 - gain * lever)
+        share = np.clip(self.share + gain * innovation, 0.0, _MOST)
+        self._correct(self._by_share * (share - self.share))
+        self.share = share
 
 
-def _usual(noise: Array, alpha: Array) -> Array:
-    """(k,) largest innovations that noise brings about: their rms is σ_n/√(1 − α) (m, rad)."""
-    return np.asarray(_SURPRISE * np.atleast_1d(noise) / np.sqrt(np.maximum(1.0 - alpha, 1e-9)))
+def _scatter(noise: Array, alpha: Array) -> Array:
+    """(k,) rms of innovations that noise brings about, σ_n/√(1 − α) (m, rad)."""
+    return np.asarray(np.atleast_1d(noise) / np.sqrt(np.maximum(1.0 - alpha, 1e-9)))
