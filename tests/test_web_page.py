@@ -7,9 +7,18 @@ from headless import Browser
 from pytest import approx, mark, raises
 from rigs import rig_of
 from samples import module_fixture, parametrize
-from web_tasks import EXTENSION, TOLD, flat, made_pages, newest, opened, served, set_slider, tell
+from web_tasks import made_pages, opened
 
 import osc_contact as osc
+from benchmarks.web_pages import (
+    EXTENSION,
+    REPORTED,
+    next_picture,
+    post,
+    run_ticks,
+    served,
+    set_slider,
+)
 from osc_contact.lab.reports.web_page import folded, playable, write_web_page
 from osc_contact.law.jit import HAS_LIBRARY
 
@@ -80,7 +89,7 @@ def test_forces_are_those_of_the_native_run(page, address, name):
     """True ones; measured ones where several share a wall."""
     opened(page, f"{address}{name}/index.html")
     ticks = 2000
-    found = flat(page, ticks, note=True, anew=True)
+    found = run_ticks(page, ticks, note=True, anew=True)
     force, commanded = np.reshape(found["truths"], (ticks, 2, -1)).swapaxes(0, 1)
     native = osc.run(osc.load_scenario(name), duration=ticks * 1e-3)
     alone = page.run("CONFIG.task.forces.every((force) => force.wall >= 0)")
@@ -97,8 +106,8 @@ def test_forces_are_those_of_the_native_run(page, address, name):
 def test_a_slider_sets_the_true_force(page, rod):
     opened(page, rod)
     set_slider(page, "force left end", 20)
-    flat(page, 2500)
-    picture = newest(page)
+    run_ticks(page, 2500)
+    picture = next_picture(page)
     assert picture["commanded"][0] == 20.0
     assert picture["true"][0] == approx(20.0, abs=0.05)
 
@@ -107,8 +116,8 @@ def test_contact_is_kept_on_a_wall_that_was_turned(page, rod):
     opened(page, rod)
     set_slider(page, "face left end: turned by", 4)
     for _ in range(5):
-        flat(page, 500)
-        picture = newest(page)
+        run_ticks(page, 500)
+        picture = next_picture(page)
         assert min(picture["true"]) > 1.0
         assert picture["state"] == 0
     assert picture["walls"][0] == approx(np.deg2rad(4.0), abs=1e-4)
@@ -116,7 +125,7 @@ def test_contact_is_kept_on_a_wall_that_was_turned(page, rod):
 
 def test_the_motion_turns_round_at_the_ends_of_its_table(page, rod):
     opened(page, rod)
-    found = flat(page, 25_000, anew=True)
+    found = run_ticks(page, 25_000, anew=True)
     assert sum(found["statuses"].values()) == 25_000
     assert set(found["statuses"]) == {"0"}
 
@@ -137,32 +146,32 @@ def test_another_controller_is_refused_in_words(page, rod, folder, tmp_path, fil
     )
     page.until("measured.error")
     assert words in page.run("document.getElementById('says').textContent")
-    assert newest(page)["state"] == 0  # the one before goes on
+    assert next_picture(page)["state"] == 0  # the one before goes on
 
 
 def test_heaps_do_not_grow(page, rod):
     opened(page, rod)
-    before = flat(page, 5000)["heaps"]
-    assert flat(page, 20_000)["heaps"] == before
+    before = run_ticks(page, 5000)["heaps"]
+    assert run_ticks(page, 20_000)["heaps"] == before
 
 
 @mark.slow
 def test_an_hour_of_simulated_time_leaves_the_heaps_as_they_are(page, rod):
     opened(page, rod)
-    before = flat(page, 5000)["heaps"]
+    before = run_ticks(page, 5000)["heaps"]
     for _ in range(60):
-        found = flat(page, 60_000)
+        found = run_ticks(page, 60_000)
         assert set(found["statuses"]) == {"0"}
         assert found["heaps"] == before
 
 
 def test_a_selection_law_errs_ten_times_as_much_at_the_same_step(page, rod):
     opened(page, rod)
-    tell(page, kind="compare", on=True)
-    flat(page, 1000)
+    post(page, kind="compare", on=True)
+    run_ticks(page, 1000)
     set_slider(page, "force left end", 15)
-    flat(page, 3000)
-    picture = newest(page)
+    run_ticks(page, 3000)
+    picture = next_picture(page)
     assert picture["beside"]["state"] == picture["state"] == 0
 
     def rms(errors):
@@ -172,25 +181,25 @@ def test_a_selection_law_errs_ten_times_as_much_at_the_same_step(page, rod):
     assert np.abs(picture["selection"]).max() > 10.0 > np.abs(picture["error"]).max()  # mN
     words = page.run("document.getElementById('status-beside').textContent")
     assert words == "selection law: RUN, tick OK"
-    tell(page, kind="compare", on=False)
-    assert newest(page)["beside"] is None
+    post(page, kind="compare", on=False)
+    assert next_picture(page)["beside"] is None
 
 
 def test_friction_of_contacts_and_joints_is_the_plants_alone(page, rod):
     """Without friction again the forces are those of before, to the last digit."""
     opened(page, rod)
-    first = flat(page, 300, note=True, anew=True)["truths"]
+    first = run_ticks(page, 300, note=True, anew=True)["truths"]
     errors = {}
     for name, value in {"friction of the contacts": 0.2, "friction of the joints": 1.0}.items():
         set_slider(page, name, value)
-        found = flat(page, 1500, note=True, anew=True)
+        found = run_ticks(page, 1500, note=True, anew=True)
         true, commanded = np.reshape(found["truths"], (1500, 2, 2)).swapaxes(0, 1)
         errors[name] = np.abs(true - commanded)[500:].max()
         assert found["truths"][:600] != first[:600]
         assert set(found["statuses"]) == {"0"}
         set_slider(page, name, 0)
     assert max(errors.values()) < 2.0
-    assert flat(page, 300, note=True, anew=True)["truths"] == first
+    assert run_ticks(page, 300, note=True, anew=True)["truths"] == first
 
 
 def test_keys_and_a_push_by_the_pointer(page, rod):
@@ -200,7 +209,7 @@ def test_keys_and_a_push_by_the_pointer(page, rod):
     page.until("measured.newest.t < 5 && element('pause').textContent === 'Pause'")
     page.request("Input.dispatchKeyEvent", type="keyDown", key=" ", text=" ")
     page.until("element('pause').textContent === 'Run'")
-    before = newest(page)["t"]
+    before = next_picture(page)["t"]
     page.request("Input.dispatchKeyEvent", type="keyDown", key=".", text=".")
     page.until(f"measured.newest.t > {before}")
     page.run("element('push').click()")
@@ -216,7 +225,7 @@ def test_keys_and_a_push_by_the_pointer(page, rod):
 def test_a_policy_without_unsafe_eval_is_named(page, pages):
     """The policy stands in the header of the host, which a worker of the page obeys, too."""
     with served(pages, "script-src 'self' 'wasm-unsafe-eval'") as strict:
-        page.visit(f"{strict}{TASK}/index.html", ready=f"{TOLD}.error")
+        page.visit(f"{strict}{TASK}/index.html", ready=f"{REPORTED}.error")
         words = page.run("document.getElementById('says').textContent")
     assert "add 'unsafe-eval' to script-src" in words
     page.errors.clear()
@@ -225,9 +234,9 @@ def test_a_policy_without_unsafe_eval_is_named(page, pages):
 def test_one_file_opens_from_disk(tmp_path):
     sizes = write_web_page(osc.load_scenario(TASK), tmp_path, one_file=True)
     assert list(sizes) == ["index.html"] and sizes["index.html"] < 6e6
-    with Browser((tmp_path / "index.html").as_uri(), ready=f"{TOLD}.pictures > 1") as page:
-        tell(page, kind="run", on=False)
-        assert set(flat(page, 500)["statuses"]) == {"0"}
+    with Browser((tmp_path / "index.html").as_uri(), ready=f"{REPORTED}.pictures > 1") as page:
+        post(page, kind="run", on=False)
+        assert set(run_ticks(page, 500)["statuses"]) == {"0"}
         assert page.errors == []
 
 
