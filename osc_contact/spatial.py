@@ -47,10 +47,14 @@ Kind = TypeVar("Kind", bound=type)
 
 @dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(field,))
 def geometry(kind: Kind) -> Kind:
-    """Class decorator: make a frozen dataclass whose `Coordinates` accept numbers of any kind.
+    """Make a class a frozen dataclass, whose fields of type `Coordinates` accept array-likes.
 
-    Type checkers see array-likes as arguments and arrays as attributes; `__post_init__` of the
-    class converts them.
+    A decorator. Type checkers see array-likes (lists, tuples, arrays) as arguments of the
+    constructor and arrays as attributes; the class has to convert them in `__post_init__`.
+    Instances are compared by identity.
+
+    Args:
+        kind: class with annotated fields.
     """
     dataclass(frozen=True, eq=False)(kind)
     return kind

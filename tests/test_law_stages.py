@@ -88,7 +88,7 @@ def test_bodies_do_not_yield_while_their_motion_is_unknown():
     pushes = []
     for found in (0.0, 1.0):
         t.work.yields[:] = found
-        pushes.append(reading.push_on(t, (1.0, 2.0, 3.0), 0))
+        pushes.append(reading.reading_of_force(t, (1.0, 2.0, 3.0), 0))
     assert_array_equal(*pushes)
 
 
@@ -333,7 +333,7 @@ def command_of(flags=0, of_memory=None, integral=2.0, **of_work):
         "command",
         filter_motion=lambda t: NO_REASON,
         command_object=lambda t: None,
-        hand_over=lambda t: called.update(handed=True),
+        transfer_integral=lambda t: called.update(handed=True),
         reduce_motion=lambda *given: called.update(reduced=True),
     )
     t = records(integral_force=5.0, integral_motion=0.8, stiffness=3.0, damping=4.0)

@@ -665,7 +665,7 @@ def test_friction_may_hold_a_joint_against_a_share_of_its_torque(sign):
 
     def driven(*pushes):
         write(t.work.joints, h=h, inertial=h + sign * np.array(pushes))
-        return [bool(sensors.must_move(t, j)) for j in range(2)]
+        return [bool(sensors.exceeds_dry_friction(t, j)) for j in range(2)]
 
     assert driven(0.501, 0.999) == [True, False]
     assert driven(0.499, 1.001) == [False, True]
@@ -724,7 +724,7 @@ def test_joints_that_all_read_the_same_are_held_by_twice_the_friction_that_they_
 
     def driven(push):
         write(t.work.joints, h=0.0, inertial=sign * push)
-        return [bool(sensors.must_move(t, j)) for j in range(2)]
+        return [bool(sensors.exceeds_dry_friction(t, j)) for j in range(2)]
 
     t.memory.still = 0.02
     write(t.memory.joints, slid=[0.2, 0.05], rubbed=0.1)

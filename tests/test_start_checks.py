@@ -3,9 +3,11 @@
 import logging
 from dataclasses import replace
 from itertools import count, repeat
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from complaints import invalid_input
 from pytest import approx
 from rigs import placed
@@ -13,6 +15,7 @@ from samples import module_fixture, parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
+from osc_contact.control.start_check import is_clear
 
 RIGID = ("two_contact_rod", "plant.type=rigid", "plant.step=1 ms")
 LOGGER = "osc_contact.preflight"
@@ -295,3 +298,26 @@ def test_a_sequence_of_a_hundred_thousand_is_compared_to_its_end():
     goals[-1] = osc.Reference(placed(0, 5.0, 0) * rig.state.X_WO)
     (one,) = osc.preflight(rig.plant(), controller, goals)
     assert one.refused and "from the base of arm" in one.text and "at t = 100 s" in one.text
+
+
+def clear_at(pair, xyz, rpy=(0.0, 0.0, 0.0)):
+    """Whether a contact counts as open with the object at a place (m) and angles (rad)."""
+    pose = pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous
+    bodies = SimpleNamespace(motion=np.zeros((1, 28)))
+    work = SimpleNamespace(X_WO=pose, bodies=bodies, moving=0)
+    return is_clear(SimpleNamespace(contacts=[pair]), SimpleNamespace(work=work))
+
+
+def test_a_ball_pressed_into_a_soft_face_is_not_clear_of_it():
+    ball = osc.SphereOnPlane([0, 0, 0], 0.01, [0, 0, 0], [0, 0, 1])
+    assert clear_at(ball, [0, 0, 0.012])
+    assert not clear_at(ball, [0, 0, 0.01])
+    assert not clear_at(ball, [0, 0, 0.005])  # 5 mm deep, with its contact force
+
+
+def test_a_hinge_off_its_axis_to_either_side_is_clear():
+    hinge = osc.Revolute([0, 0, 0], axis=[0, 0, 1])
+    for side in (-1.0, 1.0):
+        place = [side * 0.01, side * 0.01, side * 0.01]
+        assert clear_at(hinge, place, [side * 0.1, side * 0.1, 0.0])
+    assert not clear_at(hinge, [0, 0, 0])

@@ -74,6 +74,15 @@ class BatchController:
         self._pool = ThreadPoolExecutor(threads)
 
     def _require_fitting(self, i: int, one: Controller) -> None:
+        """Refuse a controller that cannot be a row of the batch.
+
+        Args:
+            i: number of the row. one: its controller.
+
+        Raises:
+            InvalidInputError: its structure differs from that of row 0, or it needs Python in the
+                tick.
+        """
         found = _structure_of(one)
         differing = [name for name, size in self._structure.items() if found[name] != size]
         if differing:
@@ -189,6 +198,12 @@ class BatchController:
             part.result()
 
     def _run(self, thread: int, lo: int, hi: int, flags: int, args: tuple[Array, ...]) -> None:
+        """Run the ticks of some rows in one thread; rows that saturate are completed in Python.
+
+        Args:
+            thread: number of the thread. lo, hi: first row, and the row after the last one.
+            flags: switches of the job, see `law.tick.rows`. args: arrays of inputs of all rows.
+        """
         job = self._jobs[thread]
         start = self._bytes.starts[thread]
         while lo < hi:
@@ -289,6 +304,7 @@ class BatchController:
         return {**own, "_bytes": (self._bytes.model, self._bytes.memory)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a batch from its pickle: its records, views of them, and its threads."""
         self.__dict__.update(state)
         model, memory = state["_bytes"]
         self._bytes = Rows(model, memory, self.threads)
@@ -297,6 +313,7 @@ class BatchController:
 
 
 def _structure_of(controller: Controller) -> dict[str, int]:
+    """Sizes and switches of a controller's model that must be equal in all rows of a batch."""
     head = controller.records.model
     shape = (
         "n_arms",

@@ -209,6 +209,11 @@ class Controller(ControllerState):
         self.ended.forget_limits()
 
     def __setattr__(self, name: str, value: object) -> None:
+        """Set an attribute that may change after construction.
+
+        Raises:
+            InvalidInputError: the attribute is fixed at construction.
+        """
         if name not in _SETTABLE and not name.startswith("_"):
             raise InvalidInputError(
                 f"controller.{name} is taken when a controller is made, and would be ignored "
@@ -393,6 +398,7 @@ class Controller(ControllerState):
         return self._another(self.settings, replace(self.laws, **laws))
 
     def _another(self, settings: Settings, laws: Laws) -> Self:
+        """Copy of the controller with other settings and laws, continuing from its memory."""
         other = type(self).__new__(type(self))
         other._begin(settings, laws, deepcopy(self.start), self.records.model_bytes)
         other.records.memory_bytes[:] = self.records.memory_bytes
@@ -404,6 +410,7 @@ class Controller(ControllerState):
         return copy(self)  # shares the immutable settings and laws
 
     def __getstate__(self) -> dict[str, Any]:
+        """State for `pickle` and `copy`: settings, laws, and bytes of the records."""
         r = self.records
         return {
             "parts": (self.settings, self.laws, deepcopy(self.start)),
@@ -413,6 +420,7 @@ class Controller(ControllerState):
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a controller from its state: pack its model anew, and copy its records."""
         settings, laws, start = state["parts"]
         self._begin(settings, laws, start, pack_model(settings, state["columns"]))
         self.records.memory_bytes[:], self.records.work_bytes[:] = state["bytes"]

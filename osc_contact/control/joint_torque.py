@@ -45,6 +45,12 @@ class JointTorqueLoop:
     settings: JointTorqueSpec
 
     def __post_init__(self) -> None:
+        """Compute gains and bandwidth of the loop from stiffness and motor inertia.
+
+        Raises:
+            InvalidInputError: a stiffness or inertia is not positive, or the sampled loop is
+                unstable.
+        """
         n = len(self.tau_max)
         K = as_array("stiffness", self.stiffness, (n,))
         J = as_array("motor_inertia", self.motor_inertia, (n,))

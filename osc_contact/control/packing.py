@@ -178,6 +178,11 @@ def pack_safety(settings: Settings, head: View) -> None:
 
 
 def _pack_joints(settings: Settings, head: View) -> None:
+    """Fill the joints of MODEL: motors, limits, effort, posture and margins of the joint limits.
+
+    Args:
+        settings: settings of the controller. head: view of MODEL, whose `joints` are filled.
+    """
     chain = settings.chain
     posture = settings.posture_task
     rows = head.joints

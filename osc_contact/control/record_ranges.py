@@ -282,6 +282,14 @@ def read_relation(text: str) -> list[tuple[list[Sum], list[str]]]:
 
 
 def _read_sum(text: str) -> Sum:
+    """Parse a sum of products, such as "2 * n_arms + 1".
+
+    Args:
+        text: terms joined by " + " or " - ", factors by " * "; factors are integers or names.
+
+    Returns:
+        (integer factor, names) of each product.
+    """
     words = re.split(r" ([+-]) ", text)
     products: Sum = []
     for sign, product in zip(["+", *words[1::2]], words[::2], strict=True):
@@ -308,6 +316,11 @@ def names_in(text: str) -> set[str]:
 
 
 def _holds(text: str, value: Callable[[str], int]) -> bool:
+    """Whether one of the alternatives of a relation holds.
+
+    Args:
+        text: relation, see `read_relation`. value: value of a name.
+    """
     signs = {"<=": operator.le, "==": operator.eq, "!=": operator.ne}
     for sums, between in read_relation(text):
         numbers = [sum(k * math.prod(map(value, names)) for k, names in one) for one in sums]
@@ -324,6 +337,11 @@ class _Names:
     """Values of the names of relations, while the rows of a table are gone through."""
 
     def __init__(self, kind: Nested, record: View, model: View) -> None:
+        """Begin without a table.
+
+        Args:
+            kind: layout of the record. record: view of it. model: view of MODEL.
+        """
         self.kind, self.record, self.model = kind, record, model
         self.own: Any = None
         self.before: Any = None
@@ -341,6 +359,15 @@ class _Names:
             self.motors += int(self.own["motor"] >= 0)
 
     def __call__(self, name: str) -> int:
+        """Value of a name in a relation.
+
+        Args:
+            name: the table, for an element of a plain one; a field of the present row;
+                before_FIELD, a field of the row before it (0 in the first row); size_TABLE, the
+                number of rows of a table; row, the index of the present row; motors_before, the
+                number of motors of the rows before it; surface_shapes, the SHAPE rows that the
+                present pair reads; or a field of MODEL.
+        """
         if name == self.table:
             return int(self.own)
         if self.own is not None and name in (self.own.dtype.names or ()):
@@ -361,7 +388,14 @@ class _Names:
 
 
 def _surface_shapes(model: View, pair: np.record) -> int:
-    """Shapes that a SURFACE pair reads: its own, that of its axes, one of each cell."""
+    """Number of SHAPE rows that a SURFACE pair reads; 0 for pairs of other kinds.
+
+    They are a row of the surface, one of its axes, and one for each cell of a grid. An invalid
+    index or number of cells gives `MOST_ROWS` + 1, which no model has.
+
+    Args:
+        model: view of MODEL. pair: its PAIR row.
+    """
     first = int(pair["shape_at"])
     if pair["kind"] != at.SURFACE:
         return 0
@@ -375,17 +409,20 @@ def _surface_shapes(model: View, pair: np.record) -> int:
 
 
 def broken_relations(name: str, record: View, model: View) -> Iterator[str]:
-    """Clauses that name the fields of a record that are out of their ranges.
+    """Clauses, each of which names a field of a record and the relation that it violates.
 
     Args:
-        name: of the record. record: a view of it. model: of MODEL.
+        name: name of the record in `RECORDS`. record: view of the record. model: view of MODEL,
+            whose counts the relations refer to.
     """
     kind = RECORDS[name]
     value = _Names(kind, record, model)
     for table, relations in RELATIONS[name].items():
         rows = getattr(record, table).view(np.ndarray) if table else [record.head]
         value.begin(table)
-        for value.row, value.own in enumerate(rows):
+        for index, row in enumerate(rows):
+            value.row = index
+            value.own = row
             place = f"{name}.{table}[{value.row}]" if table else name
             yield from (f"{place}: {one}" for one in relations if not _holds(one, value))
             value.step()

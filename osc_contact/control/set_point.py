@@ -54,6 +54,16 @@ class SetPoint:
     """
 
     def __init__(self, start: ArrayLike, limits: JerkLimits, dt: float) -> None:
+        """Start at rest.
+
+        Args:
+            start: number, or array of one number for each coordinate. limits: limits of each
+                coordinate.
+            dt: period (s).
+
+        Raises:
+            InvalidInputError: `start` is empty or not finite, or the period is not positive.
+        """
         self._dt = _period(dt)
         numbers = np.asarray(as_numbers("start", start))
         if numbers.size == 0:

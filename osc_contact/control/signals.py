@@ -121,6 +121,7 @@ class Signals(TickResult):
 
     @cached_property
     def parts(self) -> list[Contact]:
+        """Active contacts: N (6, r) at O in world axes, n_γ (r,), and the name of the pair."""
         out = []
         for c in self._active:
             mine = self.columns[self.records.model.columns.contact == c]
@@ -137,6 +138,7 @@ class Signals(TickResult):
 
     @cached_property
     def environment(self) -> Environment:
+        """Inverse inertia Φ_e, bias b_e and twist V_e of the touched bodies together."""
         if not self.moving:
             return Environment.fixed()
         touched = self.records.model.bodies.same[self._active].tolist()

@@ -8,6 +8,7 @@ sign, axes or the payload is wrong, or a tare is missing.
 import numpy as np
 from pinocchio import SE3
 
+from osc_contact.contacts.pairs.pair import pushes_only
 from osc_contact.control.controller_settings import Settings
 from osc_contact.control.controller_state import ControllerState
 from osc_contact.control.records import TickRecords
@@ -39,6 +40,7 @@ class StartCheck:
     """
 
     def __init__(self) -> None:
+        """Begin before the first tick."""
         self.done = False
         self.refused = ""
         self.inside = False
@@ -110,7 +112,11 @@ def require_start(chain: ClosedChain, q: Array) -> None:
 
 
 def is_clear(settings: Settings, rows: TickRecords) -> bool:
-    """Whether every gap of the controller's contacts is open.
+    """Whether all contacts of the controller are open, so that no contact force acts.
+
+    A contact that only pushes is open if each gap exceeds `CLEAR`; an overlap is a contact, since a
+    soft face yields by more than `CLEAR`. A contact that transmits forces of either sign (a hinge,
+    a hole) is open if each error exceeds `CLEAR` in magnitude.
 
     Args:
         settings: settings with the contacts. rows: `TickRecords` of a computed tick.
@@ -118,7 +124,9 @@ def is_clear(settings: Settings, rows: TickRecords) -> bool:
     X_WO = SE3(rows.work.X_WO)
     for pair, motion in zip(settings.contacts, rows.work.bodies.motion, strict=True):
         X_WE = SE3(motion[:16].reshape(4, 4)) if rows.work.moving else None
-        if not (np.abs(pair.gaps(X_WO, X_WE)) > CLEAR).all():
+        gaps = pair.gaps(X_WO, X_WE)
+        distances = gaps if pushes_only(pair) else np.abs(gaps)
+        if not (distances > CLEAR).all():
             return False
     return True
 

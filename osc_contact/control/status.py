@@ -74,6 +74,7 @@ class LimitLoss:
     short: bool
 
     def __str__(self) -> str:
+        """Sentence with the torques beyond their limits, and the motion and forces given up."""
         motors = ", ".join(
             f"{name}: {desired:.4g} of ±{limit:.4g} desired"
             for name, desired, limit in zip(self.joints, self.desired, self.limits, strict=True)
@@ -103,6 +104,7 @@ class LostDirection:
     twist: Array
 
     def __str__(self) -> str:
+        """Sentence with the lost direction and the share of the command that remains along it."""
         twist = np.array2string(self.twist, precision=3, suppress_small=True)
         return (
             f"{self.arm} is near a singular posture: {100 * self.left:.0f} % left of the command "

@@ -29,6 +29,11 @@ class MotorLimits:
     """The quadratic program of one controller, its arrays made once."""
 
     def __init__(self, settings: Settings, model: View) -> None:
+        """Allocate the quadratic program of the motor limits.
+
+        Args:
+            settings: settings of the controller. model: view of MODEL, whose sizes are read.
+        """
         chain = settings.chain
         self.chain = chain
         self.program = TorqueLimits(

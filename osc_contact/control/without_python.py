@@ -161,6 +161,7 @@ class _PhaseSetting(NamedTuple):
 
 
 def _phase_settings() -> list[_PhaseSetting]:
+    """Settings of contact phases: name, offset in MODEL, whether 0 is allowed, unit and meaning."""
     fields: Any = records.MODEL.dtype.fields
     found = []
     for name, about in PhaseSettings.model_fields.items():
@@ -274,6 +275,12 @@ def _structure() -> list[str]:
 
 
 def _forgotten() -> list[tuple[int, int, int, int, int]]:
+    """Parts of MEMORY that a reset clears.
+
+    Returns:
+        For each part the offset of its table's entry in the layout (−1: the head), the slot of its
+        number of rows, bytes of a row, offset in the row, and bytes to clear.
+    """
     fields: Any = records.MEMORY.dtype.fields
     found = [(-1, 0, 0, fields[name][1], fields[name][0].itemsize) for name in FORGOTTEN]
     for table, names in FORGOTTEN_TABLES.items():
@@ -369,6 +376,12 @@ def _in_c(relation: str, name: str, table: str) -> str:
 
 
 def _sum_in_c(products: Sum, name: str, table: str) -> str:
+    """Write a sum of products as an expression in C.
+
+    Args:
+        products: (integer factor, names) of each product. name: name of the record. table: its
+            table.
+    """
     parts = []
     for factor, names in products:
         words = [_name_in_c(one, name, table) for one in names]

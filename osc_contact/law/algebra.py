@@ -88,7 +88,7 @@ def cholesky(A, first, n, L):
                 s -= L[i, k] * L[j, k]
             if i == j:
                 whole = A[first + i, first + i]
-                if not s > 0.0:
+                if not s > 0.0:  # also if NaN
                     return 0.0
                 least = min(least, s / whole)
                 L[i, i] = 1.0 / sqrt(s)
@@ -208,7 +208,7 @@ def lu_solve(A, n, B, columns):
             if abs(A[i, k]) > abs(A[p, k]):
                 p = i
         largest = max(largest, abs(A[p, k]))
-        if not abs(A[p, k]) > _SINGULAR * largest:
+        if not abs(A[p, k]) > _SINGULAR * largest:  # also if NaN
             return False
         if p != k:
             for j in range(n):
@@ -254,7 +254,7 @@ def qr_rows(X, rows, length, diagonal, beta):
         v = X[k, k:]
         rest = length - k
         square = dot(v, v, rest)
-        if not square > 0.0:
+        if not square > 0.0:  # also if NaN
             return False
         diagonal[k], beta[k] = reflector(square, v[0])
         v[0] -= diagonal[k]
@@ -374,7 +374,7 @@ def orthonormalise(X, r, m, Q, L):
                 L[a, b] += t
                 x = add(x, -t, Q[b])
         square = dot6(x, x)
-        if not square > 0.0:
+        if not square > 0.0:  # also if NaN
             return 0.0
         L[a, a] = 1.0 / sqrt(square)
         fill(Q[a], scaled(L[a, a], x))

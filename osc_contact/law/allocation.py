@@ -61,39 +61,44 @@ def factor_effort(t):
 
 @inner
 def add_row(t, e):
-    """Append the row of E[e] to the factor of Z.
+    """Append a row of E, a further condition on the torques, to the Cholesky factor of Z = A R⁻¹Aᵀ.
 
-    Reads `extra` (E). Fills row e of `weighed` and the corresponding row of `factor`.
+    A has the rows of G and of E. Reads `extra` (E) and J̄ of the joints. Fills row e of `weighed`
+    (E[e] R⁻¹, R being the effort of the motors) and row d + e of `factor`, with the reciprocal
+    pivot on the diagonal.
 
     Args:
-        t: Tick. e: row of E.
+        t: Tick. e: index of the row of E.
 
     Returns:
-        False if E[e]τ is determined by the rows before it.
+        False if E[e] τ is determined by the rows before it; then the row is not appended.
     """
     work = t.work
     a = work.extra[e]
     size = 6 - work.locked + e
     row = work.factor[size]
     _weigh(t, a, work.weighed[e])
-    _multiply(t, work.weighed[e], e, row)
+    _multiply_constraints(t, work.weighed[e], e, row)
     whole = row[size] = dot(work.weighed[e], a, t.model.n_joints)
     forward(work.factor, size, row)
     left = whole - dot(row, row, size)
     if left < _DOUBTFUL * whole:
-        left = _project_again(t, e)
-    if not left > _DRIVEN * whole:
+        left = _refine_pivot(t, e)
+    if not left > _DRIVEN * whole:  # also if NaN
         return False
     row[size] = 1.0 / sqrt(left)
     return True
 
 
 @inner
-def _multiply(t, weighed, e, out):
-    """Compute A R⁻¹a, the products of a weighted row R⁻¹a with G and with E[:e].
+def _multiply_constraints(t, weighed, e, out):
+    """Compute A R⁻¹a, the products of a weighted row R⁻¹a with the rows of G and of E[:e].
+
+    Reads J̄ of the joints, whose columns along the free axes are those of G, and `extra` (E).
 
     Args:
-        t: Tick. weighed: (n,) R⁻¹a. e: number of rows of E. out: (d + e,), filled.
+        t: Tick. weighed: (n,) R⁻¹a. e: number of rows of E in use. out: (d + e,), filled: d
+            products with G, then e with E.
     """
     work = t.work
     m = work.locked
@@ -109,11 +114,17 @@ def _multiply(t, weighed, e, out):
 
 
 @inner
-def _project_again(t, e):
-    """Compute the pivot of row e of E from its remainder in joint space; correct its `factor` row.
+def _refine_pivot(t, e):
+    """Compute the pivot of row e of E again, without cancellation, and correct its `factor` row.
+
+    The pivot is computed from the remainder of E[e] outside the span of the rows before it, not as
+    a difference of two large numbers.
 
     Args:
-        t: Tick. e: row of E, whose row of `factor` has been computed once.
+        t: Tick. e: index of the row of E, whose row of `factor` has been computed once.
+
+    Returns:
+        Pivot: the square of the remainder's norm in the metric R⁻¹.
     """
     work = t.work
     Z = work.factor
@@ -125,21 +136,25 @@ def _project_again(t, e):
     for i in range(size):
         x[i] = Z[size, i]
     backward(Z, size, x)
-    y = _from_free(work, x)
+    y = _embed_free(work, x)
     for j in range(n):
         rest[j] = work.extra[e, j] - dot6(work.joints[j].J_bar, y)
     for c in range(e):
         add_scaled(-x[6 - m + c], work.extra[c], n, rest)
     _weigh(t, rest, work.rest_weighed)
-    _multiply(t, work.rest_weighed, e, x)
+    _multiply_constraints(t, work.rest_weighed, e, x)
     forward(Z, size, x)
     add_scaled(1.0, x, size, Z[size])
     return dot(work.rest_weighed, rest, n) - dot(x, x, size)
 
 
 @leaf
-def _from_free(work, x):
-    """Vector in energy coordinates (six numbers) with the components x (d,) along the free axes."""
+def _embed_free(work, x):
+    """Embed components along the free axes in six numbers in energy coordinates, other axes zero.
+
+    Args:
+        work: WORK. x: (d,) components along the free axes.
+    """
     whole = local(6)
     for i in range(6):
         whole[i] = x[i - work.locked] if i >= work.locked else 0.0
@@ -148,9 +163,12 @@ def _from_free(work, x):
 
 @inner
 def _weigh(t, row, out):
-    """Compute R⁻¹ row, where R is the weight of the torques; `row` and `out` are (n,).
+    """Weight a row of conditions on the torques by R⁻¹, where R is the effort of the motors.
 
-    Reads `wide` and `effort` of the arms, J of the joints.
+    Reads `wide` and `effort` of the arms, and J of the joints.
+
+    Args:
+        t: Tick. row: (n,) condition, one number for each joint. out: (n,) R⁻¹ row, filled.
     """
     joints = t.work.joints
     for k in range(t.model.n_arms):
@@ -240,7 +258,7 @@ def allocate_torques(t):
             for j in range(arms[k].first, arms[k].end):
                 joints[j].rest = 0.0
     if model.n_arms == 1 and work.arms[0].wide and work.n_lost == 0:
-        f = _from_free(work, work.f_S[work.locked :])  # a single arm: τ = τ_0 + Jᵀf
+        f = _embed_free(work, work.f_S[work.locked :])  # a single arm: τ = τ_0 + Jᵀf
         for j in range(n):
             joints[j].tau = joints[j].rest + dot6(joints[j].J, f)
         work.n_internal = 0
@@ -268,7 +286,7 @@ def allocate_torques(t):
         if add_row(t, size - d):
             size += 1
     cholesky_solve(work.factor, size, b)
-    y = _from_free(work, b)
+    y = _embed_free(work, b)
     for k in range(model.n_arms):
         _add_torques(t, arms[k], work.arms[k], y)
     for e in range(size - d):
@@ -292,7 +310,7 @@ def push_from_limits(joint, q):
     else:
         depth = q - joint.high
         sign = -1.0
-    if not depth > 0.0:
+    if not depth > 0.0:  # also if NaN
         return 0.0
     s = min(depth / joint.width, 1.0)
     return sign * joint.most * s * s * (3.0 - 2.0 * s)

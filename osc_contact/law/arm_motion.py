@@ -132,8 +132,9 @@ def _force_on(b, V, a, gravity):
     """Wrench I(a − g) + V ×* IV (six numbers, at C) that moves a body.
 
     Args:
-        b: (13,) inertia, see `_times`. V: (6,) twist. a: (6,) spatial acceleration.
-        gravity: (3,) g (m/s²).
+        b: (13,) mass (kg), mass × centre of mass (kg m), inertia about C by rows (kg m²).
+            V: (6,) twist at C (m/s, rad/s).
+            a: (6,) spatial acceleration at C. gravity: (3,) g (m/s²).
     """
     f = _times(b, join(minus3(a, gravity), angular(a)))
     p = _times(b, V)

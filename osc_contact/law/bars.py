@@ -125,7 +125,10 @@ def settable_bars(t, n_locked):
 
 @inner
 def _place_bars(k, bars, points, X):
-    """Fill X with the rows of Eᵀ, followed by those of the identity.
+    """Fill X with [Eᵀ  1]: in each row a row of Eᵀ (3k numbers), then one of the identity.
+
+    Eᵀ has the unit vector from grasp i to grasp j in the columns of arm i, and its opposite in
+    those of arm j; a bar between coinciding points has zeros.
 
     Args:
         k: number of arms. bars: number of bars. points: (k, 3) grasp points (m).
@@ -147,10 +150,11 @@ def _place_bars(k, bars, points, X):
 
 @inner
 def _invert(X, count, length, carried, tolerance):
-    """Convert rows (σy, u) of the SVD UΣYᵀ = Eᵀ to rows (y/σ, u) of E⁺ = UΣ⁻¹Yᵀ.
+    """Convert rows [σyᵀ  uᵀ] of the SVD UΣYᵀ = Eᵀ to rows [yᵀ/σ  uᵀ], with E⁺ = UΣ⁻¹Yᵀ.
 
     Args:
-        X: matrix, overwritten. count: number of rows. length: length of y. carried: length of u.
+        X: matrix whose rows are orthogonal in y, overwritten. count: number of rows. length: number
+            of elements of y. carried: number of elements of u.
         tolerance: least σ relative to the largest one; rows below it are dropped.
 
     Returns:
@@ -188,9 +192,13 @@ def _dot_forces(t, rank, X, n_locked, Y):
 
 @inner
 def _make_forces(s, count, bars, n, Z, Y, X):
-    """Compute the bar forces X[c, :bars] caused by torques Z[c], c < s.
+    """Compute the bar forces that torques cause: X[c] = Σ (y[:n]·Z[c]) y[n:] over the rows y of Y.
 
-    X[c, :bars] = Σ (y[:n]·Z[c]) y[n:] over the rows y of Y[:count].
+    Args:
+        s: number of rows of Z. count: number of rows of Y. bars: number of bars. n: number of
+            joints.
+        Z: (s, n) torques (N m, N). Y: (count, n + bars) rows of forces per torque of a joint,
+            behind each the bar forces that belong to it. X: (s, bars), filled with bar forces (N).
     """
     for c in range(s):
         for bar in range(bars):
@@ -201,7 +209,12 @@ def _make_forces(s, count, bars, n, Z, Y, X):
 
 @inner
 def _keep(X, count, length, width, above, most):
-    """Move the rows X[:count, :width] with above < |X[row, :length]|² ≤ most to the front.
+    """Move the rows of X to the front whose leading part y has above < |y|² ≤ most.
+
+    Args:
+        X: matrix, whose rows are overwritten. count: number of rows. length: number of elements of
+            y.
+        width: number of elements of a row. above, most: bounds of |y|².
 
     Returns:
         Number of these rows.
@@ -217,17 +230,27 @@ def _keep(X, count, length, width, above, most):
 
 @inner
 def _take_out(Q, count, length, x):
-    """Remove the directions of the orthonormal rows Q[:count] from a row x (length,)."""
+    """Subtract from a row its components along orthonormal rows.
+
+    Args:
+        Q: matrix with orthonormal rows. count: number of its rows in use. length: number of
+            elements.
+        x: (length,), changed.
+    """
     for c in range(count):
         add_scaled(-dot(Q[c], x, length), Q[c], length, x)
 
 
 @inner
 def _orthonormalise(X, count, length, tolerance):
-    """Orthonormalise the rows X[:count, :length] by Gram–Schmidt, the longest remainder first.
+    """Orthonormalise the rows of X by Gram–Schmidt, the longest remainder first.
 
     Each remainder is orthogonalised a second time before it is normalised. Rows whose remainder is
     at most `tolerance` times the longest row count as dependent.
+
+    Args:
+        X: matrix, overwritten. count: number of rows. length: number of elements of a row.
+        tolerance: least remainder relative to the longest row.
 
     Returns:
         Number of orthonormal rows, at the front of X.
@@ -242,7 +265,7 @@ def _orthonormalise(X, count, length, tolerance):
                 most = square
                 at = row
         largest = max(largest, most)
-        if not most > tolerance * tolerance * largest:
+        if not most > tolerance * tolerance * largest:  # also if NaN
             return done
         for i in range(length):
             X[done, i], X[at, i] = X[at, i], X[done, i]

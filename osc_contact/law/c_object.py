@@ -50,12 +50,16 @@ _rows, _terms, _prepare, _finish, _fill, _settle = (
 
 
 def osc_law_rows(raw, at, arrays, sizes):
-    """Run `tick.rows`.
+    """Run `tick.rows`, the law over many rows of inputs, as a function called from C.
 
     Args:
-        raw: address of the bytes of `records.Rows`. at: offset of the JOB. arrays: address of nine
-            addresses, of the arrays of its argument `given`. sizes: address of their numbers of
-            elements or rows.
+        raw: address of the bytes of `records.Rows`. at: offset of the JOB in them (bytes).
+        arrays: address of nine addresses, those of the float64 arrays of the argument `given` of
+            `tick.rows`, in its order. sizes: address of nine integers, the number of elements of
+            each array, or the number of its rows if it has two axes.
+
+    Returns:
+        The value returned by `tick.rows`.
     """
     x = words_at(arrays, 9)
     n = words_at(sizes, 9)

@@ -54,10 +54,14 @@ _STILL = 1e-9  #: rounding error of n_γ when the bodies hardly move (m/s², rad
 
 @inner
 def choose_columns(t):
-    """List the columns of N of active contacts.
+    """List the columns of N that belong to active contacts.
 
-    Fills `chosen` (indices of these columns), `count` (their number) and `here` (1 for each of
-    them, 0 for the others).
+    Reads `active` of the contacts in MEMORY. Fills in WORK `chosen` (indices of these columns among
+    all columns of the model), `count` (their number) and `here` (for each column of the model 1 if
+    it is active, else 0).
+
+    Args:
+        t: Tick.
     """
     work = t.work
     work.count = 0
@@ -71,11 +75,19 @@ def choose_columns(t):
 
 @inner
 def keep_columns(t):
-    """Select independent columns of N and compute their orthonormal basis; return a reason.
+    """Select independent columns of N and compute their orthonormal basis.
 
-    Reads `chosen`, `count` and N, n_γ of the active columns. Fills `rank` (r), `kept` (indices of
-    the independent columns), their `n_gamma`, and in energy coordinates, with columns as rows,
-    `N_e`, `N_factor` and `N_basis`; `energy`, `extent` and `share` of the columns.
+    Reads `chosen`, `count`, and N and n_γ of the active columns. Fills in WORK `rank` (r), `kept`
+    (indices of the independent columns), their `n_gamma`, and in energy coordinates, with the
+    columns of N as rows, N = `N_e` and its factors `N_e` = `N_factor` `N_basis`; for each active
+    column its `energy` (N in energy coordinates), `extent` (its norm) and `share` (the magnitudes
+    of the kept columns that have the same wrench as a unit of this one).
+
+    Args:
+        t: Tick.
+
+    Returns:
+        `NO_REASON`, or the reason why dependent columns contradict each other.
     """
     work = t.work
     columns = work.columns
@@ -93,7 +105,7 @@ def keep_columns(t):
     dependent = count > 6
     if 1 < count <= 6:
         least = orthonormalise(work.N_e, count, 0, work.N_basis, work.N_factor)
-        dependent = not least > 10.0 * DEPENDENT
+        dependent = not least > 10.0 * DEPENDENT  # also if NaN
     if dependent:
         reason = _reduce(t)
         if reason != NO_REASON:
@@ -109,7 +121,7 @@ def keep_columns(t):
 
 @inner
 def _reduce(t):
-    """Select a well-conditioned, independent subset of the active columns; return a reason.
+    """Select a well-conditioned, independent subset of the active columns.
 
     Each step selects the first column whose part outside the span of the selected ones is at least
     0.3 times the largest such part. Reads `energy` and `extent` of the columns. Fills `rank`,
@@ -285,7 +297,7 @@ def square_shares(work, out):
 
 
 @inner
-def _answer(kind, parameters, E, O, answer):
+def _body_response(kind, parameters, E, O, answer):
     """Fill inverse inertia Φ_e, bias b_e and twist V_e of one touched body at O, in world axes.
 
     Args:
@@ -321,8 +333,8 @@ def _answer(kind, parameters, E, O, answer):
 
 
 @inner
-def answer_bodies(t):
-    """Compute Φ_e, b_e and V_e at O of every touched body from its measured motion.
+def compute_body_responses(t):
+    """Compute inverse inertia Φ_e, bias b_e and twist V_e at O of every touched body.
 
     Reads `p_O` and `touched` of INPUT; fills `answer` of the bodies.
     """
@@ -330,7 +342,7 @@ def answer_bodies(t):
         body = t.model.bodies[c]
         if body.same == c and body.kind != ELSEWHERE:
             answer = t.work.bodies[c].answer
-            _answer(body.kind, body.parameters, t.input.touched[c], t.work.p_O, answer)
+            _body_response(body.kind, body.parameters, t.input.touched[c], t.work.p_O, answer)
 
 
 @inner

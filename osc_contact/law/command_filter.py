@@ -120,18 +120,18 @@ def _judge_reach(t):
     factor = local(6, 6)
     seen = local(6, 6)  # rows: columns of N, weighted by the inertia of the chain
     basis = local(6, 6)
-    if not cholesky(work.Lambda, m, d, factor) > 0.0:
+    if not cholesky(work.Lambda, m, d, factor) > 0.0:  # also if NaN
         return BAD_METRIC
     for a in range(r):
         N = work.N_t[a]
         fill(seen[a], N)
         forward(factor, d, seen[a, m:])
         work.reason_amount = dot(seen[a, m:], seen[a, m:], d) / dot6(N, N)
-        if not work.reason_amount > _REACH:
+        if not work.reason_amount > _REACH:  # also if NaN
             work.where = a
             return UNREACHABLE
     work.reason_amount = orthonormalise(seen, r, m, basis, factor)
-    if not work.reason_amount > _APART:
+    if not work.reason_amount > _APART:  # also if NaN
         return INSEPARABLE
     return NO_REASON
 
@@ -159,7 +159,7 @@ def permit_error(t):
         project_onto_constraint(work.N_basis, r, e, none)
     else:
         fill(e, turned(work, e))
-        if not _meet_weighed(t, work.B_inv_t, 0, e, none):
+        if not _project_weighted(t, work.B_inv_t, 0, e, none):
             return BAD_METRIC
         fill(e, turned_back(work, e))
     fill(work.motion_next, motion_to_world(work, e))
@@ -167,10 +167,11 @@ def permit_error(t):
 
 
 @inner
-def _meet_weighed(t, B_inv, m, x, target):
-    """Replace x by the vector with N x = target that is nearest in the metric B⁻¹.
+def _project_weighted(t, B_inv, m, x, target):
+    """Replace x by the vector with Nᵀx = target that is nearest in the metric B⁻¹.
 
-    With B⁻¹ = KKᵀ and y = Kᵀx this is an orthogonal projection on (N K⁻ᵀ) y = target. Reads `N_t`.
+    With B⁻¹ = KKᵀ and y = Kᵀx this is the orthogonal projection of y on (K⁻¹N)ᵀy = target. The rows
+    of `N_t` are the columns of N, in reflected energy coordinates (x, too).
 
     Args:
         t: Tick. B_inv: (6, 6) metric. m: index of the first element in use; the elements before it
@@ -186,7 +187,7 @@ def _meet_weighed(t, B_inv, m, x, target):
     weighed = local(6, 6)
     factor = local(6, 6)
     basis = local(6, 6)
-    if not cholesky(B_inv, m, d, K) > 0.0:
+    if not cholesky(B_inv, m, d, K) > 0.0:  # also if NaN
         return False
     transposed_factor_times(K, d, x[m:])
     for a in range(r):
@@ -206,7 +207,7 @@ def reduce_motion(t):
     A share φ of it is executed; the rest is replaced by the acceleration of the posture task, with
     the least change Δ of the command (in Λ_o) that the contacts permit:
 
-        min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − t)²/|u|²,   NΔ = 0,   t = χ vᵀKᵀq̈_posture − uᵀ(a − γ)
+        min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − t)²/|u|²,   NᵀΔ = 0,   t = χ vᵀKᵀq̈_posture − uᵀ(a − γ)
 
     Reads the lost directions of the arms (`mode`, `chi`, `lost`, `share`, `gone`), their `gamma`,
     and `N_t`. Updates `acceleration_t` (a).
@@ -241,7 +242,7 @@ def reduce_motion(t):
     fill(none, ZERO)
     cholesky(H, m, 6 - m, factor)
     cholesky_solve(factor, 6 - m, step[m:])
-    _meet_weighed(t, H, m, step, none)
+    _project_weighted(t, H, m, step, none)
     fill(work.acceleration_t, plus(work.acceleration_t, step))
 
 
@@ -302,7 +303,7 @@ def filter_motion(t):
         project_onto_columns(work.N_factor_t, work.N_basis_t, r, x, kept)
     if not weighed:
         project_onto_columns(work.N_factor_t, work.N_basis_t, r, x, rho)
-    elif r > 0 and not _meet_weighed(t, work.B_inv_t, m, x, rho):
+    elif r > 0 and not _project_weighted(t, work.B_inv_t, m, x, rho):
         return BAD_METRIC
     for i in range(m):
         x[i] = sigma[i]

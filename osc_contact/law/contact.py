@@ -25,6 +25,7 @@ from osc_contact.law.vectors import (
     origin,
     scaled3,
     set_identity,
+    unpack_pose,
     velocity_at,
 )
 
@@ -46,50 +47,48 @@ def place_contacts(t):
     V_O = t.work.V_O
     moving = t.work.moving
     work = t.work
-    R_E = local(4, 4)
+    X_WE = local(4, 4)
     V_E = local(6)
     V_rel = local(6)
     V = local(6)
     evaluated = local(6, 11)  # N, n_γ, gap and point of each column of a FUNCTION pair
     evaluated[:] = 0.0
-    set_identity(R_E)
+    set_identity(X_WE)
     fill(V_E, ZERO)
     fill(V_rel, V_O)
     for c in range(model.n_contacts):
         pair = model.pairs[c]
         if moving:
             E = t.input.touched[c]
-            for i in range(3):
-                for j in range(4):
-                    R_E[i, j] = E[4 * i + j]
-            fill(V_E, carry_motion(E[16:], origin(R_E), origin(X_WO)))
+            unpack_pose(E, X_WE)
+            fill(V_E, carry_motion(E[16:], origin(X_WE), origin(X_WO)))
             fill(V_rel, minus(V_O, V_E))
         alone = pair.count == 1 and pair.has_friction != 0
         given = pair.kind == GIVEN or pair.kind == FUNCTION
         if pair.kind == FUNCTION:
             row = shapes[pair.shape_at].row
-            call_at(pair.address, X_WO, V_O, R_E, V_E, row, evaluated)
+            call_at(pair.address, X_WO, V_O, X_WE, V_E, row, evaluated)
             if not _take_evaluated(columns, pair.first, pair.count, evaluated):
                 return False
         if not given:
-            motion = Motion(X_WO, V_O, R_E, V_E, V_rel, moving)
-            if not place_pair(pair, shapes, columns, motion) >= PARALLEL:
+            motion = Motion(X_WO, V_O, X_WE, V_E, V_rel, moving)
+            if not place_pair(pair, shapes, columns, motion) >= PARALLEL:  # also if NaN
                 return False
         elif alone:
-            turn_given(columns[pair.first], R_E)
+            turn_given(columns[pair.first], X_WE)
         if alone and model.tilt > 0.0:
             fill(V, minus(work.V_D, V_E))
-            follow_face(t, pair, X_WO, R_E, V_rel, V)
-        _predict_friction(t, pair, R_E, V_rel)
+            follow_face(t, pair, X_WO, X_WE, V_rel, V)
+        _predict_friction(t, pair, X_WE, V_rel)
     return True
 
 
 @inner
-def _predict_friction(t, pair, R_E, V_rel):
+def _predict_friction(t, pair, X_WE, V_rel):
     """Fill point, slip and friction wrench of the columns of a pair.
 
     Args:
-        t: Tick. pair: row of MODEL. R_E: (4, 4) motion of its face since the model was made.
+        t: Tick. pair: row of MODEL. X_WE: (4, 4) pose of the touched body.
         V_rel: (6,) twist of the object relative to the face (m/s, rad/s).
     """
     model = t.model
@@ -107,7 +106,7 @@ def _predict_friction(t, pair, R_E, V_rel):
             column = columns[pair.first + j]
             if pair.kind != GIVEN and pair.kind != FUNCTION:
                 row = model.shapes[pair.shape_at + j].row
-                point = point_of_contact(pair.kind, row, work.X_WO, R_E, column.N)
+                point = point_of_contact(pair.kind, row, work.X_WO, X_WE, column.N)
                 fill3(column.point, point)
             _slide(V, work.mu, model.slip, column)
 

@@ -106,9 +106,9 @@ def find_twist(t, given):
         place_frame(work.joints[arm.tip_joint], arm.tip, own.tip, own.tip[3])
         grasp_rows(arm, own, work.p_C, work.axes, own.passed)
         motions = own.passed[arm.m :]
-        if not orthonormalise(own.passed, arm.m, 0, own.passed, factor) > 0.0:
+        if not orthonormalise(own.passed, arm.m, 0, own.passed, factor) > 0.0:  # also if NaN
             return False
-        if not orthonormalise(motions, 6 - arm.m, 0, motions, factor) > 0.0:
+        if not orthonormalise(motions, 6 - arm.m, 0, motions, factor) > 0.0:  # also if NaN
             return False
         if model.leader < 0 and not given:
             twist = energy_motion(work.axes, own.V)
@@ -119,7 +119,7 @@ def find_twist(t, given):
     if model.leader >= 0:
         fill(work.V_C, work.arms[model.leader].V)
         return True
-    if not cholesky(A, 0, 6, factor) > KNOWN:
+    if not cholesky(A, 0, 6, factor) > KNOWN:  # also if NaN
         return False
     cholesky_solve(factor, 6, x)
     fill(work.V_C, world_motion(work.axes, x))
@@ -128,10 +128,13 @@ def find_twist(t, given):
 
 @leaf
 def _add_condition(row, s, A, x):
-    """Add the condition row · y = s to the normal equations A y = x.
+    """Add the condition rᵀy = s on the unknown y to the normal equations A y = x.
+
+    A ← A + r rᵀ and x ← x + s r.
 
     Args:
-        row: (6,). s: number. A: (6, 6), changed. x: (6,), changed.
+        row: (6,) r, dimensionless in energy coordinates. s: right side of the condition.
+        A: (6, 6) matrix of the normal equations, changed. x: (6,) their right side, changed.
     """
     add_square(1.0, row, A)
     accumulate(x, s, row)
@@ -196,7 +199,7 @@ def filter_outboard(t, arm, own, bias):
     set_identity(F)
     for k in range(count):
         square = dot(X[k], X[k], n)
-        if not sqrt(square) > _MOVES * largest:
+        if not sqrt(square) > _MOVES * largest:  # also if NaN
             continue
         moved = combined(X[k], G, n)
         felt = combined(X[k, n:], T, count)
@@ -399,12 +402,12 @@ def find_object(t, X):
             else:
                 _miss_of_group(arm, own.tip, X, r)
             grasp_rows(arm, own, work.p_C, work.axes, own.passed)
-            if not orthonormalise(own.passed, arm.m, 0, own.passed, factor) > 0.0:
+            if not orthonormalise(own.passed, arm.m, 0, own.passed, factor) > 0.0:  # also if NaN
                 return False
             forward(factor, arm.m, r)
             for a in range(arm.m):
                 _add_condition(own.passed[a], -r[a], A, x)
-        if not cholesky(A, 0, 6, factor) > KNOWN:
+        if not cholesky(A, 0, 6, factor) > KNOWN:  # also if NaN
             return False
         cholesky_solve(factor, 6, x)
         step = carry_motion(world_motion(work.axes, x), work.p_C, work.p_O)
@@ -414,7 +417,7 @@ def find_object(t, X):
             size = max(size, abs(step[i]))
             if i < 3:
                 X[i, 3] += step[i]
-        if not size > 1e-15:
+        if not size > 1e-15:  # also if NaN
             break
     centre_object(t, X)
     return size < 1e-12

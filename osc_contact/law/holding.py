@@ -223,8 +223,9 @@ def _split_torques(t, arm, part, R, centre, weight):
     weaken the brakes of the others. In this case q̈ is along −q̇, because q_hold follows q.
 
     Args:
-        t: Tick. arm: ARM row. part: share of the object (0 … 1). R, centre, weight: from
-            `_carry_weight`.
+        t: Tick. arm: ARM row. part: share of the object (0 … 1). R: (3, 3) principal axes of the
+            object in the world. centre: (3,) its centre of mass in the world (m). weight: (6,)
+            wrench that carries the object, at the world's origin (N, N m).
 
     Returns:
         Share of `rest` that can be exerted.
@@ -233,7 +234,7 @@ def _split_torques(t, arm, part, R, centre, weight):
     joints = t.work.joints
     lo = arm.first
     share = 1.0
-    pull = _accelerate_object(t, arm, part, R, centre)
+    pull = _inertial_wrench(t, arm, part, R, centre)
     for j in range(lo, arm.end):
         s = joints[j].h + part * dot6(joints[j].column, weight)
         brake = dot6(joints[j].column, pull)
@@ -267,11 +268,18 @@ def _clip_brake(joint, most):
 
 
 @inner
-def _accelerate_object(t, arm, part, R, centre):
-    """Wrench (six numbers, at the world's origin) that accelerates a share of the object by q̈.
+def _inertial_wrench(t, arm, part, R, centre):
+    """Inertial wrench of a share of the object at the accelerations q̈ of an arm's joints.
+
+    Reads `acceleration` (q̈) and `column` (Jacobian at the world's origin) of the joints; products
+    of speeds are not included.
 
     Args:
-        t: Tick. arm: ARM row. part: share of the object (0 … 1). R, centre: from `_carry_weight`.
+        t: Tick. arm: ARM row. part: share of the object (0 … 1). R: (3, 3) principal axes of the
+            object in the world. centre: (3,) its centre of mass in the world (m).
+
+    Returns:
+        Wrench (six numbers: N, N m) at the world's origin, in world axes.
     """
     work = t.work
     a = ZERO

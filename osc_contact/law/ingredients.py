@@ -39,12 +39,12 @@ def ingredients(function: FunctionType) -> list[str]:
     Raises:
         TypeError: the function reads a value whose content cannot be written as text.
     """
-    lines = [_bytecode(function.__code__), f"defaults {_written(function.__defaults__)}"]
+    lines = [_bytecode(function.__code__), f"defaults {_text_of(function.__defaults__)}"]
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     values = {name: cell.cell_contents for name, cell in cells} | values_read(function)
     for name, value in sorted(values.items()):
         try:
-            lines.append(f"{name} = {_written(value)}")
+            lines.append(f"{name} = {_text_of(value)}")
         except TypeError as error:
             raise TypeError(f"{function.__qualname__} reads {name}: {error}") from error
     return lines
@@ -90,22 +90,29 @@ def _bytecode(code: CodeType) -> str:
     constants = [
         _bytecode(constant) if isinstance(constant, CodeType) else repr(constant)
         for place, constant in enumerate(code.co_consts)
-        if place > 0 or not isinstance(constant, str) or _loads(code, place)
+        if place > 0 or not isinstance(constant, str) or _uses_constant(code, place)
     ]
     counts = (code.co_argcount, code.co_kwonlyargcount, code.co_flags)
     names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)
     return f"code {code.co_code.hex()} {counts} {names} {constants}"
 
 
-def _loads(code: CodeType, place: int) -> bool:
-    """Whether code loads the constant with an index in its table."""
+def _uses_constant(code: CodeType, place: int) -> bool:
+    """Whether the instructions of a function load one of the constants in its table.
+
+    Args:
+        code: code object. place: index of the constant in `code.co_consts`.
+    """
     return any(
         step.opname == "LOAD_CONST" and step.arg == place for step in dis.get_instructions(code)
     )
 
 
-def _written(value: Any) -> str:
-    """Text of a value that changes with its content.
+def _text_of(value: Any) -> str:
+    """Text that identifies a value by its content, the same in every process.
+
+    It is part of the key under which machine code is stored: a function that uses another value
+    must have another key, so memory addresses are not part of it.
 
     Raises:
         TypeError: the content cannot be written as text.
@@ -116,7 +123,7 @@ def _written(value: Any) -> str:
     if type(value) in _PLAIN:
         return repr(value)
     if isinstance(value, tuple | list):
-        return f"{type(value).__name__}({', '.join(map(_written, value))})"
+        return f"{type(value).__name__}({', '.join(map(_text_of, value))})"
     if isinstance(value, np.dtype):
         return repr(value.descr if value.names else value)
     if isinstance(value, np.generic):

@@ -12,9 +12,9 @@ from osc_contact.law.jit import inner
 from osc_contact.law.records import FAULTY_POSITION, FAULTY_SPEED
 from osc_contact.law.vectors import clamped
 
-_GONE = 0.25  #: share of `position_drift` by which a lasting speed must change the position
+_DISTANCE = 0.25  #: share of `position_drift` by which a lasting speed must change the position
 _SLOPE = 0.005  #: s, time constant of the speed estimate from positions
-_DRAWN = 0.2  #: share of the positions' error at which an estimated speed is faulty
+_SPEED_SHARE = 0.2  #: share of the positions' error at which an estimated speed is faulty
 DEAD = 0.01  #: s of identical readings of all joints after which the whole packet is dead
 BLIND = 0.01  #: s without a sound reading after which a joint cannot be braked
 
@@ -23,31 +23,38 @@ BLIND = 0.01  #: s without a sound reading after which a joint cannot be braked
 def isolate_joint(t, j):
     """Mark the faulty reading of joint j, whose position and speed contradict each other.
 
-    A reading that is constant while the other one changes is faulty; otherwise the one whose
-    changes the commanded accelerations have predicted less, on average over the last half second.
-    Speeds that are estimated from positions are drawn towards the predictions, and are faulty at
-    `_DRAWN` times the error of the position. Speeds of all joints come from the same estimator, so
-    all are marked if that of one joint is faulty.
+    1. A reading that stays constant while the other one changes is faulty.
+    2. Otherwise the reading is faulty whose changes the commanded accelerations predicted with the
+       larger error, averaged over the last half second.
+    3. Speeds that the driver differentiates from positions (`derived`) follow the predictions more
+       closely than positions do; they are faulty if their error exceeds `_SPEED_SHARE` times that
+       of the position.
+
+    All speeds come from the same estimator, so those of all joints are marked with the first.
+
+    Args:
+        t: Tick; `faulty` of the joints in MEMORY is changed. j: index of the joint.
     """
     joint_memory = t.memory.joints
-    known = joint_memory[j]
-    most = _GONE * t.model.position_drift
-    stuck = abs(known.due) > most or known.stuck != 0
-    dead = known.same_speed > DEAD and (stuck or abs(known.moved) > most)
-    if stuck:
-        known.faulty |= FAULTY_POSITION
-        if dead or t.memory.derived:
-            known.faulty |= FAULTY_SPEED
-    elif known.faulty == 0:
-        of_speed = known.blame > 0.0
+    joint = joint_memory[j]
+    distance = _DISTANCE * t.model.position_drift  # rad, m
+    position_constant = abs(joint.due) > distance or joint.stuck != 0
+    changed = position_constant or abs(joint.moved) > distance
+    speed_constant = joint.same_speed > DEAD and changed
+    if position_constant:
+        joint.faulty |= FAULTY_POSITION
+        if speed_constant or t.memory.derived:
+            joint.faulty |= FAULTY_SPEED
+    elif joint.faulty == 0:
+        speed_worse = joint.blame > 0.0
         if t.memory.derived:
-            of_speed = abs(known.surprise_v) > _DRAWN * abs(known.surprise_q)
-        if dead or of_speed:
+            speed_worse = abs(joint.surprise_v) > _SPEED_SHARE * abs(joint.surprise_q)
+        if speed_constant or speed_worse:
             for i in range(t.model.n_joints):
                 if joint_memory[i].faulty == 0:
                     joint_memory[i].faulty = FAULTY_SPEED
         else:
-            known.faulty = FAULTY_POSITION
+            joint.faulty = FAULTY_POSITION
 
 
 @inner
@@ -76,24 +83,24 @@ def estimate_joints(t):
     dt = model.period
     memory.unbraked = -1
     for j in range(model.n_joints):
-        known = memory.joints[j]
-        use_q = known.faulty & FAULTY_POSITION == 0
-        use_v = known.faulty & FAULTY_SPEED == 0
-        seen_q = use_q and known.unread_q == 0
-        seen_v = use_v and known.unread_v == 0
-        v = memory.v[j] + known.acceleration * dt
+        joint = memory.joints[j]
+        sound_q = joint.faulty & FAULTY_POSITION == 0
+        sound_v = joint.faulty & FAULTY_SPEED == 0
+        new_q = sound_q and joint.unread_q == 0
+        new_v = sound_v and joint.unread_v == 0
+        v = memory.v[j] + joint.acceleration * dt
         if memory.ticked == 0:
-            memory.q[j] = known.q
+            memory.q[j] = joint.q
             v = 0.0
-        if seen_v:
-            v = known.v
-        elif seen_q:
-            slope = (known.q - memory.q[j]) / dt
+        if new_v:
+            v = joint.v
+        elif new_q:
+            slope = (joint.q - memory.q[j]) / dt
             v += (slope - v) * dt / (_SLOPE + dt)
         v = clamped(v, model.plausible_speed * table[j].rated)
-        memory.q[j] = known.q if seen_q else memory.q[j] + v * dt
+        memory.q[j] = joint.q if new_q else memory.q[j] + v * dt
         memory.v[j] = v
-        blind_q = not use_q or known.unread_q * dt > BLIND
-        blind_v = not use_v or known.unread_v * dt > BLIND
+        blind_q = not sound_q or joint.unread_q * dt > BLIND
+        blind_v = not sound_v or joint.unread_v * dt > BLIND
         if blind_q and blind_v and table[j].motor >= 0:
             memory.unbraked = j

@@ -308,7 +308,7 @@ def _estimate(t, j, moves, k, dt):
     C = local(_SIZE, _SIZE)
     _keep_bounds(prior, learned, C)
     if known[j] == SUSPECTED and (
-        sticks or holds or _shows_friction(prior, t.model.joints[j].theta, learned, phi, C)
+        sticks or holds or _test_and_reset_friction(prior, t.model.joints[j].theta, learned, phi, C)
     ):
         known[j] = LEARNED
         _keep_bounds(prior, learned, C)
@@ -379,15 +379,19 @@ def _keep_bounds(prior, learned, C):
 
 
 @leaf
-def _shows_friction(prior, known, learned, phi, C):
-    """Whether F, D and A differ significantly from the model's, and by a torque that matters.
+def _test_and_reset_friction(prior, known, learned, phi, C):
+    """Test F, D and A against the model by χ², and reset them to the model's values.
 
-    Their distance from the model is χ² = Σ (θ_i − known_i)²/C_ii, each term conditioned on those
-    before it. Sets F, D and A of `theta` to the model's values, and conditions bias and μ on them.
+    χ² = Σ (θ_i − known_i)²/C_ii over i = F, D, A, where each term is conditioned on those before
+    it. After the test F, D and A of `theta` are the model's, and the bias and μ are conditioned on
+    them; the caller restores `theta` where the test shows friction.
 
     Args:
-        prior: PRIOR of a joint. known: (5,) θ of its model. learned: its FRICTION.
+        prior: PRIOR of a joint. known: (5,) θ of its model. learned: its FRICTION; `theta` changed.
         phi: (5,) regressor. C: (5, 5) covariance of `theta`, overwritten.
+
+    Returns:
+        True if χ² exceeds the prior's bound and φᵀ(θ − known) is large enough to matter.
     """
     theta = learned.theta
     torque = 0.0

@@ -156,7 +156,7 @@ def refine(p, slack):
     for j in range(v + k):
         x = p.point[j] if j < v else dot(A[j - v], p.point, v)
         room = _ROOM * (1.0 + abs(x))
-        if not lower[j] - room <= x <= upper[j] + room:
+        if not lower[j] - room <= x <= upper[j] + room:  # also if NaN
             return False
     return True
 
@@ -213,7 +213,7 @@ def _mobility(p, X, P, D, extent, K):
         for b in range(r):
             X[a, u + b] = 1.0 if a == b else 0.0
     one_sided_jacobi(X, r, d, 6 + r)
-    if not cholesky(p.Lambda, 6 - d, d, K) > 0.0:
+    if not cholesky(p.Lambda, 6 - d, d, K) > 0.0:  # also if NaN
         return False
     for b in range(r):
         for i in range(d):
@@ -364,7 +364,7 @@ def finish(raw, slack):
     fill(p.lost_force, ZERO)
     fill(p.lost_motion, ZERO)
     for j in range(n):
-        if not abs(z[j]) < _INFINITE:
+        if not abs(z[j]) < _INFINITE:  # also if NaN
             return False
         most = p.tau_max[j]
         p.tau[j] = max(-most, min(most, p.desired[j] + p.scale[j] * z[j]))

@@ -55,6 +55,11 @@ class _Table:
     """
 
     def __init__(self, kind: Layout, name: str) -> None:
+        """Set element type and layout of one table of a record.
+
+        Args:
+            kind: layout of the record. name: name of the table.
+        """
         dtype, sizes = kind.tables[name]
         self.array = types.Array(_public.from_dtype(dtype), len(sizes), "C")
         self._item = dtype.itemsize

@@ -54,7 +54,7 @@ _SLIDES = 0.01  #: v_1 (m/s), sliding speed at which half of v is attributed to 
 
 
 @inner
-def take_turns(t):
+def load_normal_estimates(t):
     """Copy v̄ and the turns of the assumed normals from MEMORY to the columns of WORK.
 
     Fills `drift`, `turn`, `turned` (equal to `turn`), and zeroes `slides`, `lever` and `prior`.
@@ -71,7 +71,7 @@ def take_turns(t):
 
 
 @inner
-def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
+def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
     """Turn the assumed normal of a face by the speed along it while a point slides.
 
         n ← n − κ (NᵀV_rel − v̄) v_t / v_t²,   σ = v_t⁴ / (v_t⁴ + v_1⁴)
@@ -88,7 +88,7 @@ def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
     Args:
         pair: PAIR row with one column, whose N, `turn` and `drift` are filled.
         X_WO: (4, 4) pose of the object.
-        R_E: (4, 4) pose of the touched body.
+        X_WE: (4, 4) pose of the touched body.
         V_rel: (6,) measured twist of the object relative to the body, at O.
         V_goal: (6,) desired twist of the object relative to the body, at O.
     """
@@ -98,12 +98,12 @@ def follow_face(t, pair, X_WO, R_E, V_rel, V_goal):
     last = t.memory.columns[pair.first]
     N = column.N
     size = sqrt(dot3(N, N))
-    v = tangential_part(velocity_at(V_goal, _tracked(pair, shapes, X_WO, R_E, column)), N)
+    v = tangential_part(velocity_at(V_goal, _tracked(pair, shapes, X_WO, X_WE, column)), N)
     if pair.kind == EDGES:
-        v = _shown_by_edges(shapes[pair.shape_at].row, X_WO, R_E, column, v)
+        v = _shown_by_edges(shapes[pair.shape_at].row, X_WO, X_WE, column, v)
     column.lever = square = dot3(v, v)
     column.unexplained = (dot6(N, V_rel) - column.drift) / size
-    axes = X_WO if pair.kind == FACE_ON_VERTEX else R_E
+    axes = X_WO if pair.kind == FACE_ON_VERTEX else X_WE
     v = rotated_back(axes, v)
     n = rotated_back(axes, scaled3(1.0 / size, N))
     fill3(column.shown, scaled3(1.0 / sqrt(max(square, _LEAST_SQUARE)), v))
@@ -133,19 +133,19 @@ def tangential_part(v, N):
 
 
 @inner
-def _shown_by_edges(row, X_WO, R_E, column, v):
+def _shown_by_edges(row, X_WO, X_WE, column, v):
     """Sensitivity g (m/s) of NᵀV_rel to a turn δ of the body's edge f: NᵀV_rel changes by gᵀδ.
 
     g = ±(v_t × e)/|e × f|, with e the edge of the object.
 
     Args:
         row: (16,) shape of the edges, see `_edges`.
-        X_WO, R_E: (4, 4) poses of the object and the touched body.
+        X_WO, X_WE: (4, 4) poses of the object and the touched body.
         column: COLUMN_WORK, of which N and `turn` are read.
         v: velocity of the crossing along the face (m/s).
     """
     e = rotated(X_WO, row[3:])
-    m = cross(e, turned_edge(row, R_E, column.turn))
+    m = cross(e, turned_edge(row, X_WE, column.turn))
     return scaled3(1.0 / dot3(column.N, m), cross(v, e))
 
 
@@ -188,42 +188,46 @@ def learn_normal(share, last, column):
 
 
 @inner
-def _tracked(pair, shapes, X_WO, R_E, column):
-    """Return the point (m, from O) that slides on the face of a pair with one column.
+def _tracked(pair, shapes, X_WO, X_WE, column):
+    """Position (m, from O, world axes) of the point that slides on the face of a one-column pair.
 
     Fills `believed` of the column with the declared normal, in the axes of the object or body that
     carries the face. The normals of a SURFACE, a GIVEN and a FUNCTION pair are filled elsewhere.
+
+    Args:
+        pair: PAIR row. shapes: SHAPE rows of the model. X_WO, X_WE: (4, 4) poses of the object and
+            the touched body. column: COLUMN_WORK, changed.
     """
     if pair.kind == GIVEN or pair.kind == FUNCTION:
         return linear(column.point)
     row = shapes[pair.shape_at].row
     if pair.kind == FACE_ON_VERTEX:
         fill3(column.believed, row)
-        return vertex(row, X_WO, R_E)
+        return vertex(row, X_WO, X_WE)
     if pair.kind == EDGES:
         fill3(column.believed, row[9:])
-        return crossing(row, X_WO, R_E, turned_edge(row, R_E, column.turn))[0]
+        return crossing(row, X_WO, X_WE, turned_edge(row, X_WE, column.turn))[0]
     if pair.kind != SURFACE:
         fill3(column.believed, row[3:])
     return rotated(X_WO, row)
 
 
 @inner
-def turn_given(column, R_E):
+def turn_given(column, X_WE):
     """Turn the N of a GIVEN or FUNCTION pair with one column by the estimate of its normal.
 
     The point of contact stays where it is. Fills `believed` with the normal before the turn.
 
     Args:
         column: COLUMN_WORK with N, `point` and `turn`; N is changed.
-        R_E: (4, 4) pose of the touched body.
+        X_WE: (4, 4) pose of the touched body.
     """
     N = column.N
     turn = column.turn
     size = sqrt(dot3(N, N))
-    n = rotated_back(R_E, divided3(N, size))
+    n = rotated_back(X_WE, divided3(N, size))
     fill3(column.believed, n)
     if turn[0] == 0.0 and turn[1] == 0.0 and turn[2] == 0.0:
         return
     n = plus3(n, turn)
-    fill_line(N, column.point, rotated(R_E, scaled3(size / sqrt(dot3(n, n)), n)))
+    fill_line(N, column.point, rotated(X_WE, scaled3(size / sqrt(dot3(n, n)), n)))

@@ -45,9 +45,9 @@ _DEFINITE = 1e-12  #: least relative pivot of an effort metric
 def arm_terms(t, lo, n, m, arm, row):
     """Compute J̄, Λ and the locked wrenches of one arm in energy coordinates.
 
-    Reads J and M of its joints, and `passed` of the arm unless m = 6. Fills J̄ of the joints and, of
-    the arm, `Lambda`, `passed`, `kept` (orthonormal wrenches that the joints resist), `n_kept` and
-    `n_locked`; rows of `locked_rows`.
+    Reads J and M of its joints, and `passed` of the arm unless m = 6. Fills J̄ of the joints and,
+    of the arm, `Lambda`, `passed`, `kept` (orthonormal wrenches that the joints resist), `n_kept`
+    and `n_locked`; rows of `locked_rows`.
 
     With M = KKᵀ and N J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ². Directions
     with σ²(1 + σ_max²) ≤ tolerance² σ_max² count as locked, for an object of any mass. The faster
@@ -108,7 +108,7 @@ def weigh_joints(joints, lo, n, K, weighed):
         fill(weighed[i], joint.J)
         for j in range(i + 1):
             K[i, j] = joint.M[j]
-    if not cholesky(K, 0, n, K) > 0.0:
+    if not cholesky(K, 0, n, K) > 0.0:  # also if NaN
         return False
     forward_rows(K, n, weighed)
     return True
@@ -116,11 +116,20 @@ def weigh_joints(joints, lo, n, K, weighed):
 
 @inner
 def _decompose(t, lo, n, arm, row):
-    """Compute J̄ and Λ of full rank by QR; return False if columns are numerically dependent.
+    """Compute J̄ and Λ of an arm of full rank by QR, in energy coordinates.
 
     With up to six joints J = QR, J̄ᵀ = QR⁻ᵀ and Λ = J̄ᵀMJ̄, whose accuracy does not depend on the
-    condition of M. With more joints A = J K⁻ᵀ, Aᵀ = QR and A⁺ = QR⁻ᵀ. Arguments and filled fields
-    are those of `arm_terms`.
+    condition of M. With more joints A = J K⁻ᵀ with M = KKᵀ, Aᵀ = QR and A⁺ = QR⁻ᵀ.
+
+    Reads J and M of the joints. Fills J̄ of the joints and, of the arm, `Lambda`, `kept`, `n_kept`
+    and `n_locked`; rows of `locked_rows`.
+
+    Args:
+        t: Tick. lo: first joint of the arm. n: number of its joints. arm: ARM_WORK row.
+        row: first row of `locked_rows` for the locked wrenches of this arm.
+
+    Returns:
+        False if columns of J are numerically dependent or M is not positive definite.
     """
     work = t.work
     joints = work.joints
@@ -205,7 +214,7 @@ def _qr_tall(A, rows, columns, Q, L):
         for i in range(k + 1, rows):
             t = add(t, A[i, k], A[i])
         fill(products, t)  # inner products of column k with all columns
-        if not products[k] > 0.0:
+        if not products[k] > 0.0:  # also if NaN
             return False
         (alpha, b) = reflector(products[k], A[k, k])
         fill(products, scaled(b, add(t, -alpha, A[k])))
@@ -335,7 +344,7 @@ def effort_metric(t, lo, n, m, arm, out):
         for a in range(count):
             x[a] = dot6(arm.kept[a], joints[j].J)
         add_square(table[j].ease, x, A)
-    if count > 0 and not cholesky(A, 0, count, factor) > _DEFINITE:
+    if count > 0 and not cholesky(A, 0, count, factor) > _DEFINITE:  # also if NaN
         return False
     for a in range(count):
         fill(A[a], arm.kept[a])
@@ -434,7 +443,12 @@ def find_lost(t, arm, own):
 
 @inner
 def _sort_rows(X, m, n):
-    """Sort the rows X[:m, :n + 6] by falling length of their first n elements."""
+    """Sort rows by falling length of their leading parts.
+
+    Args:
+        X: matrix, whose rows are exchanged. m: number of rows. n: number of leading elements whose
+            length counts; n + 6 elements of each row are moved.
+    """
     for a in range(m):
         best = a
         longest = -1.0
@@ -457,7 +471,7 @@ def _unit_row(X, k, n, chi):
         chi: norm of these elements.
     """
     norm = chi
-    if not chi > _SMALL:
+    if not chi > _SMALL:  # also if NaN
         best = 0
         largest = -1.0
         for e in range(n):  # axis with the largest part outside the span of the former rows
@@ -500,8 +514,8 @@ def retreat(t, arm, i, damping):
 def operational_space(raw, q, v, out):
     """Compute the operational-space terms of one arm for many states.
 
-    A row of `out` contains Λ (6, 6), Φ (6, 6), J (6, n), J̄ (n, 6), μ (6,), p (6,), J̇v (6,), h (n,)
-    and the rank, in this order, matrices by rows.
+    A row of `out` contains Λ (6, 6), Φ (6, 6), J (6, n), J̄ (n, 6), μ (6,), p (6,), J̇v (6,), h
+    (n,) and the rank, in this order, matrices by rows.
 
     Args:
         raw: bytes of `records.Rows` with one arm alone. q, v: (rows · n,) joint positions and

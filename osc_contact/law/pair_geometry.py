@@ -49,9 +49,9 @@ from osc_contact.law.vectors import (
 
 PARALLEL = 1e-6  #: sine of the angle below which two edges have no common normal
 
-#: X_WO, R_E: (4, 4) poses of the object and of the touched body. V_O, V_E: (6,) their twists at O.
+#: X_WO, X_WE: (4, 4) poses of the object and of the touched body. V_O, V_E: (6,) their twists at O.
 #: V_rel: (6,) twist of the object relative to the body, at O. moving: False if the body rests.
-Motion = namedtuple("Motion", "X_WO V_O R_E V_E V_rel moving")
+Motion = namedtuple("Motion", "X_WO V_O X_WE V_E V_rel moving")
 
 
 @leaf
@@ -107,17 +107,19 @@ def _point_on_plane(row, motion, column):
     p = rotated(motion.X_WO, row)
     n = plus3(row[3:], column.turn)
     if motion.moving:
-        n = rotated(motion.R_E, n)
+        n = rotated(motion.X_WE, n)
     fill_line(column.N, p, n)
-    column.n_gamma = _carried(p, n, motion)
+    column.n_gamma = _normal_acceleration(p, n, motion)
 
 
 @inner
-def _carried(p, n, motion):
-    """Normal acceleration n_γ = −ṄᵀV_rel of a point p fixed to the object, n fixed to the body.
+def _normal_acceleration(p, n, motion):
+    """Normal acceleration n_γ = −ṄᵀV_rel of N = [n; p × n] (m/s²).
 
     Args:
-        p: point of contact from O (m), world axes. n: unit vector, world axes. motion: `Motion`.
+        p: point of contact, fixed to the object: its position from O (m), world axes.
+        n: normal into the body, fixed to the body: unit vector, world axes.
+        motion: `Motion` of the object and the touched body.
     """
     V_rel = motion.V_rel
     s = -dot3(n, cross(V_rel[3:], velocity_at(motion.V_O, p)))
@@ -127,32 +129,37 @@ def _carried(p, n, motion):
 
 
 @inner
-def point_of_contact(kind, row, X_WO, R_E, N):
+def point_of_contact(kind, row, X_WO, X_WE, N):
     """Point of contact (m, from O, world axes) of a column of a pair with unilateral contact.
 
     It is the projection of a point on its plane, the point of a ball on its face, the vertex (less
     its radius) or the point of the object's edge.
 
     Args:
-        kind: of the pair. row: (16,) SHAPE of the column. X_WO, R_E: (4, 4) poses of the object
-            and the touched body. N: (6,) line of force at O.
+        kind: kind of the pair (`records.POINTS`, `records.FACE_ON_VERTEX`, `records.EDGES` or
+            `records.SURFACE`). row: (16,) SHAPE of the column. X_WO, X_WE: (4, 4) poses of the
+            object and the touched body. N: (6,) column [n; p × n] at O, in world axes; n is read.
     """
     if kind == FACE_ON_VERTEX:
-        return add3(vertex(row, X_WO, R_E), -row[6], N)
+        return add3(vertex(row, X_WO, X_WE), -row[6], N)
     if kind == EDGES:
-        return crossing(row, X_WO, R_E, rotated(R_E, row[9:]))[0]
+        return crossing(row, X_WO, X_WE, rotated(X_WE, row[9:]))[0]
     p = rotated(X_WO, row)
     ahead = row[3]
     if kind == POINTS:  # to the assumed plane
-        x, y, z = minus3(minus3(origin(R_E), origin(X_WO)), p)
-        a, b, c = rotated(R_E, row[3:])
+        x, y, z = minus3(minus3(origin(X_WE), origin(X_WO)), p)
+        a, b, c = rotated(X_WE, row[3:])
         ahead = row[6] + a * x + (b * y + c * z)
     return add3(p, ahead, N)
 
 
 @inner
 def _rate(p, n, p_dot, n_dot):
-    """Rate of a line of force [n; p × n]: [ṅ; ṗ × n + p × ṅ], six numbers."""
+    """Time derivative of a line of force N = [n; p × n]: Ṅ = [ṅ; ṗ × n + p × ṅ], six numbers.
+
+    Args:
+        p: (3,) point from O (m). n: (3,) unit vector. p_dot: (3,) ṗ (m/s). n_dot: (3,) ṅ (1/s).
+    """
     return join(n_dot, plus3(cross(p_dot, n), cross(p, n_dot)))
 
 
@@ -166,31 +173,31 @@ def _on_surface(shapes, at, motion, column):
         shapes: SHAPE rows. at: the first one of this surface, see below. motion: `Motion`.
         column: COLUMN_WORK, filled (`believed`, too).
     """
-    X_WO, _, R_E, _, V_rel, _ = motion
+    X_WO, _, X_WE, _, V_rel, _ = motion
     p = rotated(X_WO, shapes[at].row)
-    p_E = rotated_back(R_E, minus3(plus3(p, origin(X_WO)), origin(R_E)))
+    p_E = rotated_back(X_WE, minus3(plus3(p, origin(X_WO)), origin(X_WE)))
     v = velocity_at(V_rel, p)
-    size, n, n_dot = normal_at(shapes, at, p_E, rotated_back(R_E, v))
+    size, n, n_dot = normal_at(shapes, at, p_E, rotated_back(X_WE, v))
     fill3(column.believed, scaled3(-1.0, n))
-    n = rotated(R_E, minus3(column.turn, n))
+    n = rotated(X_WE, minus3(column.turn, n))
     s = 1.0 / sqrt(dot3(n, n))
     n = scaled3(s, n)
     fill_line(column.N, p, n)
-    bend = dot3(rotated(R_E, scaled3(s, n_dot)), add3(v, -dot3(n, v), n))
-    column.n_gamma = _carried(p, n, motion) + bend
+    bend = dot3(rotated(X_WE, scaled3(s, n_dot)), add3(v, -dot3(n, v), n))
+    column.n_gamma = _normal_acceleration(p, n, motion) + bend
     return size
 
 
 @leaf
-def vertex(row, X_WO, R_E):
+def vertex(row, X_WO, X_WE):
     """Position of a vertex of the touched body from O (m, world axes).
 
     Args:
         row: (16,) shape with the vertex in 3:6 (m, in the body's frame).
         X_WO: (4, 4) pose of the object.
-        R_E: (4, 4) pose of the touched body.
+        X_WE: (4, 4) pose of the touched body.
     """
-    return minus3(plus3(origin(R_E), rotated(R_E, row[3:])), origin(X_WO))
+    return minus3(plus3(origin(X_WE), rotated(X_WE, row[3:])), origin(X_WO))
 
 
 @inner
@@ -203,9 +210,9 @@ def _face_on_vertex(row, motion, column):
         motion: `Motion`.
         column: COLUMN_WORK, filled.
     """
-    X_WO, V_O, R_E, V_E, V_rel, _ = motion
+    X_WO, V_O, X_WE, V_E, V_rel, _ = motion
     n = rotated(X_WO, plus3(row, column.turn))
-    p = vertex(row, X_WO, R_E)
+    p = vertex(row, X_WO, X_WE)
     fill_line(column.N, p, n)
     rate = _rate(p, n, velocity_at(V_E, p), cross(V_O[3:], n))
     column.n_gamma = -dot6(rate, V_rel)
@@ -216,30 +223,34 @@ def _along_first(a, e, m, mm):
     """Solve s e_A − t e_E = a for s, in the plane perpendicular to m = e_A × e_E.
 
     Args:
-        a: vector (m or m/s). e: direction e_E. m: e_A × e_E. mm: m · m.
+        a: (3,) vector (m or m/s). e: (3,) unit vector e_E. m: (3,) e_A × e_E. mm: m · m.
+
+    Returns:
+        s (m or m/s).
     """
     return dot3(cross(a, e), m) / mm
 
 
 @inner
-def turned_edge(row, R_E, turn):
+def turned_edge(row, X_WE, turn):
     """Direction of the body's edge with its estimated turn: a unit vector in world axes.
 
     Args:
         row: (16,) shape with the direction of the edge from 9 on, in the body's frame.
-        R_E: (4, 4) pose of the touched body.
+        X_WE: (4, 4) pose of the touched body.
         turn: (3,) estimated change of the direction, in the body's frame.
     """
     f = plus3(row[9:], turn)
-    return rotated(R_E, divided3(f, sqrt(dot3(f, f))))
+    return rotated(X_WE, divided3(f, sqrt(dot3(f, f))))
 
 
 @inner
-def crossing(row, X_WO, R_E, f):
+def crossing(row, X_WO, X_WE, f):
     """Nearest points of two edges.
 
     Args:
-        row: (16,) shape, see `_edges`. X_WO, R_E: (4, 4) poses of object and body. f: direction of
+        row: (16,) SHAPE with a point and the direction of the object's edge (0:3, 3:6) and a point
+            of the body's edge (6:9). X_WO, X_WE: (4, 4) poses of object and body. f: direction of
             the body's edge, in world axes.
 
     Returns:
@@ -249,7 +260,7 @@ def crossing(row, X_WO, R_E, f):
     e = rotated(X_WO, row[3:])
     m = cross(e, f)
     q = rotated(X_WO, row)
-    p = plus3(origin(R_E), rotated(R_E, row[6:]))
+    p = plus3(origin(X_WE), rotated(X_WE, row[6:]))
     apart = minus3(minus3(p, origin(X_WO)), q)
     return add3(q, _along_first(apart, f, m, dot3(m, m)), e), apart
 
@@ -267,17 +278,17 @@ def _edges(row, motion, column):
         motion: `Motion`.
         column: COLUMN_WORK, filled.
     """
-    X_WO, V_O, R_E, V_E, V_rel, _ = motion
+    X_WO, V_O, X_WE, V_E, V_rel, _ = motion
     e = rotated(X_WO, row[3:])
-    f = turned_edge(row, R_E, column.turn)
+    f = turned_edge(row, X_WE, column.turn)
     m = cross(e, f)
     mm = dot3(m, m)
     sine = sqrt(mm)
     side = row[12]
     if side == 0.0:
-        side = -dot3(rotated(R_E, row[13:]), m)
+        side = -dot3(rotated(X_WE, row[13:]), m)
     n = scaled3(copysign(1.0 / sine, side), m)
-    p, apart = crossing(row, X_WO, R_E, f)
+    p, apart = crossing(row, X_WO, X_WE, f)
     gap = dot3(n, apart)
     m_dot = plus3(cross(cross(V_O[3:], e), f), cross(e, cross(V_E[3:], f)))
     n_dot = divided3(add3(m_dot, -dot3(n, m_dot), n), dot3(n, m))
@@ -290,21 +301,21 @@ def _edges(row, motion, column):
 
 
 @inner
-def permitted_motion(row, X_WO, R_E):
+def permitted_motion(row, X_WO, X_WE):
     """Twist at O (six numbers) of one freedom of a pair that is declared by its permitted motions.
 
     Args:
         row: point of the object (0:3), axis (3:6), kind (6): TURN about an axis of the object;
             SLIDE along an axis of the body; SCREW, a turn about the object's axis with a
             translation by the pitch (10, m/rad) along the body's axis 7:10.
-        X_WO: (4, 4) pose of the object. R_E: (4, 4) pose of the touched body.
+        X_WO: (4, 4) pose of the object. X_WE: (4, 4) pose of the touched body.
     """
     if row[6] == SLIDE:
-        return join(rotated(R_E, row[3:]), ZERO_3)
+        return join(rotated(X_WE, row[3:]), ZERO_3)
     w = rotated(X_WO, row[3:])
     v = cross(rotated(X_WO, row), w)
     if row[6] == SCREW:
-        v = add3(v, row[10], rotated(R_E, row[7:]))
+        v = add3(v, row[10], rotated(X_WE, row[7:]))
     return join(v, w)
 
 
@@ -323,11 +334,11 @@ def _tangents(pair, shapes, motion, columns):
         motion: `Motion`.
         columns: COLUMN_WORK rows, filled.
     """
-    X_WO, V_O, R_E, V_E, V_rel, _ = motion
+    X_WO, V_O, X_WE, V_E, V_rel, _ = motion
     Tdot_beta = ZERO
     for k in range(pair.count, pair.count + pair.freedoms):
         row = shapes[pair.shape_at + k].row
-        t = permitted_motion(row, X_WO, R_E)
+        t = permitted_motion(row, X_WO, X_WE)
         if row[6] == SLIDE:
             rate = dot3(t, velocity_at(V_rel, rotated(X_WO, row)))
             Tdot_beta = add(Tdot_beta, rate, cross_motion(V_E, t))
@@ -338,7 +349,7 @@ def _tangents(pair, shapes, motion, columns):
         column = columns[pair.first + j]
         N = column.N
         p = rotated(X_WO, row)
-        d = rotated(R_E, row[3:])
+        d = rotated(X_WE, row[3:])
         if row[6] == COUPLE:
             fill(N, join(ZERO_3, cross(p, d)))
         else:

@@ -205,7 +205,14 @@ def _find_exchange(t, off):
 
 @leaf
 def _cross(t, i, j):
-    """Whether joints i and j each read the predicted position of the other one, not their own."""
+    """Whether the position readings of two joints are exchanged.
+
+    Each is then near the position predicted for the other joint, and at least one is farther than
+    `_EXCHANGED` from its own prediction.
+
+    Args:
+        t: Tick. i, j: indices of the joints.
+    """
     q = t.input.q
     far = min(abs(q[i] - _expected(t, i)), abs(q[j] - _expected(t, j))) > _EXCHANGED
     return far and _is_near_other(q[i], q[j], _expected(t, i), _expected(t, j))
@@ -213,7 +220,11 @@ def _cross(t, i, j):
 
 @leaf
 def _is_near_other(x, y, expected_x, expected_y):
-    """Whether two readings x and y are each near the prediction of the other one, not their own."""
+    """Whether two readings are each near the prediction of the other one, and not near their own.
+
+    Args:
+        x, y: readings (rad, m). expected_x, expected_y: their predictions (rad, m).
+    """
     near = _SAME * abs(x - expected_x)
     return abs(x - expected_y) < near and abs(y - expected_x) < near
 

@@ -26,7 +26,7 @@ from osc_contact.law.tangents import (
     add_yield,
     has_point,
     outboard_times,
-    push_on,
+    reading_of_force,
     rub_along,
 )
 from osc_contact.law.vectors import (
@@ -399,7 +399,7 @@ def weigh_magnitudes(t):
             h = add_yield(work, h, yields)
         fill(H[a], h)
         add_square(1.0, scaled(largest, h), R)
-    if not cholesky(R, 0, 6, R_factor) > 0.0:
+    if not cholesky(R, 0, 6, R_factor) > 0.0:  # also if NaN
         return False
     for a in range(r):  # HᵀR⁻¹
         fill(weighed[a], H[a])
@@ -477,15 +477,15 @@ def learn_friction(t):
         w = _likely_force(work, chosen)
         along = dot3(s, s)
         share = (_ALONG**2 - _ACROSS**2) * along + _ACROSS**2
-        found += w * w * w * share * dot6(push_on(t, linear(s), chosen), work.reading_rest)
+        found += w * w * w * share * dot6(reading_of_force(t, linear(s), chosen), work.reading_rest)
         pressed = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
         slid += w * pressed * along
         whole += w * w
         uncertain += column.prior[0] + column.prior[4] + column.prior[8]
-    if not whole > 0.0:
+    if not whole > 0.0:  # also if NaN
         return
     k = model.learning
-    if not uncertain > 0.0 and not dependent:
+    if not uncertain > 0.0 and not dependent:  # also if NaN
         k = max(k, 1.0 / (_FIRST + work.slid))
         work.slid += work.dt * slid / whole
     more = work.more_friction + min(k * work.dt, 1.0) * found / whole
@@ -567,7 +567,7 @@ def _find_tangential(t, column, chosen, past):
     work = t.work
     shown = local(3)
     for k in range(3):
-        shown[k] = dot6(push_on(t, across(column.N, k), chosen), work.reading_rest)
+        shown[k] = dot6(reading_of_force(t, across(column.N, k), chosen), work.reading_rest)
     w = _likely_force(work, chosen)
     along = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, shown)
     k = work.dt / (_LAG + work.dt)
@@ -627,9 +627,9 @@ def _likely_errors(t, R):
             continue
         for k in range(3):
             sideways = scaled3(w * _ACROSS, across(column.N, k))
-            add_square(1.0, push_on(t, sideways, chosen), R)
+            add_square(1.0, reading_of_force(t, sideways, chosen), R)
         along = scaled3(w * sqrt(_ALONG**2 - _ACROSS**2), column.slip)
-        add_square(1.0, push_on(t, along, chosen), R)
+        add_square(1.0, reading_of_force(t, along, chosen), R)
     return largest
 
 

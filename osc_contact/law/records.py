@@ -428,8 +428,8 @@ JOINT_MEMORY = _record(
         "turning",  # share of changes that reversed the one before, low-passed
         "model_v",  # speed predicted from speeds read
         "model_q",  # speed predicted from positions
-        "surprise_v",  # error of either prediction, low-passed
-        "surprise_q",
+        "surprise_v",  # speed read less `model_v` (rad/s, m/s), low-passed
+        "surprise_q",  # speed from positions less `model_q` (rad/s, m/s), low-passed
         "blame",  # integral of |surprise_v| − |surprise_q|, with forgetting
         # see `joint_friction`
         "past_weight",  # torque of the arm's h less outboard bias in the last tick

@@ -19,7 +19,7 @@ from osc_contact.law.records import (
     SATURATED,
     WRISTS,
 )
-from osc_contact.law.sensors import check_sensors, must_move, stop_at_once
+from osc_contact.law.sensors import check_sensors, exceeds_dry_friction, stop_at_once
 
 OVERSPEED = declare_reason(
     "OVERSPEED",
@@ -80,8 +80,9 @@ _OVERFORCE = 3.0  #: multiple of its command above which a contact is overloaded
 def watch_joints(t):
     """Return a reason if a joint is too fast for too long, or cannot stop before its end stop.
 
-    The stopping distance of a joint is |q̇|(t_r + |q̇|/(2a)), where t_r is the time until the brakes
-    act. Joints beyond the end of their range are excluded, because braking cannot keep them in it.
+    The stopping distance of a joint is |q̇|(t_r + |q̇|/(2a)), where t_r is the time until the
+    brakes act. Joints beyond the end of their range are excluded, because braking cannot keep them
+    in it.
     """
     model = t.model
     memory = t.memory
@@ -231,7 +232,7 @@ def _note_accelerations(t):
         for j in range(arm.first, arm.end):
             known = t.memory.joints[j]
             known.acceleration = t.work.joints[j].acceleration
-            known.driven = 1 if known.rested > 0.0 and (dead or must_move(t, j)) else 0
+            known.driven = 1 if known.rested > 0.0 and (dead or exceeds_dry_friction(t, j)) else 0
 
 
 @leaf
@@ -244,6 +245,14 @@ def count_computed(t):
 
 @inner
 def _enter(t, state):
+    """Set the state of the safety layer, and reset what belongs to a change of state.
+
+    `age` of MEMORY counts the ticks in the state. On the way from an active state to HOLD or
+    SAFE_STOP the holds are no longer settled, and the load of each arm is weighed anew.
+
+    Args:
+        t: Tick. state: new state, such as `records.HOLD`.
+    """
     memory = t.memory
     if memory.state == state:
         memory.age += 1

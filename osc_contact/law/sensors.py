@@ -177,18 +177,23 @@ def check_sensors(t):
 
 @leaf
 def _shares(dt):
-    """Shares of a time step dt (s) in three low-passes: of predictions, errors and reversals."""
+    """Shares dt/(T + dt) of a step dt (s) in the low-passes of predictions, errors, reversals."""
     return dt / (_MODEL + dt), dt / (_LAG + dt), dt / (_TURNING + dt)
 
 
 @leaf
 def _check_joint(t, known, limit, step, v, dt, shares):
-    """Update the evidence of faults of a joint by a new reading; return a reason.
+    """Update the evidence of faults of a joint by a new reading of its position and speed.
 
     Args:
         t: Tick. known: JOINT_MEMORY, changed. limit: speed limit (rad/s, m/s). step: change of the
             position since it was last read (rad, m). v: speed read (rad/s, m/s). dt: time since the
-            position was last read (s). shares: from `_shares`.
+            position was last read (s). shares: shares of dt in the low-passes of predictions,
+            errors and reversals (dt/(T + dt), T their time constants).
+
+    Returns:
+        `STUCK` if the joint does not follow commands, `DISAGREE` if position and speed contradict
+        each other, else `NO_REASON`.
     """
     model = t.model
     k, lag, turning = shares
@@ -243,7 +248,17 @@ def _check_joint(t, known, limit, step, v, dt, shares):
 
 @inner
 def _check_wrists(t):
-    """Arm whose wrist is constant in contact for too long, or −1; and whether all wrists repeat."""
+    """Detect wrist sensors whose readings repeat.
+
+    Reads `wrenches` of INPUT; updates `same` and `unread` of the arms and `wrenches` in MEMORY.
+
+    Args:
+        t: Tick.
+
+    Returns:
+        Index of an arm in contact whose reading has been constant for `frozen_time`, or −1; and
+        True if the readings of all wrists equal those of the last tick.
+    """
     model = t.model
     memory = t.memory
     last_wrenches = memory.wrenches
@@ -329,7 +344,7 @@ def stop_at_once(t):
     """Whether constant readings of all joints began with a stop that no friction can cause.
 
     The deceleration of some joint from one packet to the next then needs more than twice the torque
-    of unknown friction, see `must_move`, and the readings are dead.
+    of unknown friction (`_HELD` times the motor limit, and its known friction).
     """
     if t.memory.still <= DEAD:
         return False
@@ -339,32 +354,39 @@ def stop_at_once(t):
         for j in range(arm.first, arm.end):
             halted = t.memory.joints[j].halted
             if halted > 0.0 and t.model.joints[j].motor >= 0:
-                most = 2.0 * (_known_friction(t, j) + _HELD * t.model.joints[j].tau_max)
+                most = 2.0 * (_dry_friction_bound(t, j) + _HELD * t.model.joints[j].tau_max)
                 found = found or t.work.joints[j].M[j - arm.first] * halted > most
     return found
 
 
 @leaf
-def _known_friction(t, j):
-    """Known dry friction of joint j, doubled because it may be compensated wrongly (N m, N)."""
+def _dry_friction_bound(t, j):
+    """Upper bound of the dry friction of joint j: twice its known value (N m, N).
+
+    The known value is the larger one of the model's and the estimated one. It is doubled because it
+    may also be compensated with the wrong sign.
+    """
     return 2.0 * max(t.model.joints[j].theta[0], t.memory.joints[j].trusted[0])
 
 
 @leaf
-def must_move(t, j):
+def exceeds_dry_friction(t, j):
     """Whether the commanded acceleration of joint j needs more torque than dry friction holds.
 
-    Unknown friction is assumed to hold `_HELD` times the motor's limit. When the readings of all
-    joints are constant, they may be dead instead of held by friction. The friction of a joint that
-    has moved is then limited by twice the friction which this motion has shown.
+    Unknown friction is assumed to hold `_HELD` times the motor's limit. If the readings of all
+    joints have been constant for `DEAD`, either friction holds the arm or the encoders are dead;
+    for a joint that has moved, friction is then limited to twice the value shown by that motion.
 
     Args:
-        t: Tick. j: joint.
+        t: Tick. j: index of the joint.
+
+    Returns:
+        True if the joint has to move under the command, whatever its dry friction.
     """
     joint = t.model.joints[j]
     own = t.work.joints[j]
     known = t.memory.joints[j]
-    most = _known_friction(t, j)
+    most = _dry_friction_bound(t, j)
     if joint.motor >= 0:
         held = _HELD * joint.tau_max
         if t.memory.still > DEAD and known.slid > _SLID:

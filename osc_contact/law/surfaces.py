@@ -52,7 +52,16 @@ def _cell(x, count):
 
 @inner
 def _height(shapes, at, x, y):
-    """Height h (m) of a gridded surface at (x, y), and its derivatives by x, y, xx, xy, yy."""
+    """Height of a gridded surface and its derivatives at a place, by bicubic interpolation.
+
+    Args:
+        shapes: SHAPE rows. at: index of the first row of the surface.
+        x, y: place in the axes of the surface (m).
+
+    Returns:
+        h (m), its derivatives by x and y (dimensionless), and by xx, xy and yy (1/m); zeros for a
+        surface without a grid.
+    """
     row = shapes[at].row
     if row[13] == 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -28,6 +28,7 @@ from osc_contact.law.vectors import (
     rotated,
     scaled,
     set_identity,
+    unpack_pose,
     wrench_to_energy,
 )
 
@@ -48,26 +49,32 @@ def across(N, k):
 
 
 @inner
-def push_on(t, force, chosen):
-    """Reading (six numbers, energy coordinates) that a force at one contact causes.
+def reading_of_force(t, force, chosen):
+    """Reading of the wrist sensors that a force at one contact causes.
 
     Args:
-        t: Tick. force: (3,) at the point of contact, in world axes (N). chosen: column of N of the
-            contact.
+        t: Tick. force: (3,) force at the point of contact, in world axes (N). chosen: index of a
+            column of N of the contact.
+
+    Returns:
+        Six numbers: the wrench at C in energy coordinates.
     """
-    return reading_of(t, join(force, cross(t.work.columns[chosen].point, force)), chosen)
+    return reading_of_wrench(t, join(force, cross(t.work.columns[chosen].point, force)), chosen)
 
 
 @inner
-def reading_of(t, f, chosen):
-    """Reading (six numbers, energy coordinates) that a wrench on one body causes.
+def reading_of_wrench(t, f, chosen):
+    """Reading of the wrist sensors that a wrench on one touched body causes.
 
     It is the wrench; on a movable body the inertial force is added that the object exerts when it
     moves with the body.
 
     Args:
-        t: Tick. f: six numbers at O, in world axes (N, N m). chosen: column of N of a contact on
-            the body.
+        t: Tick. f: wrench (six numbers) at O, in world axes (N, N m). chosen: index of a column of
+            N of a contact on the body.
+
+    Returns:
+        Six numbers: the wrench at C in energy coordinates.
     """
     work = t.work
     reading = wrench_to_energy(work, f)
@@ -83,27 +90,28 @@ def reading_of(t, f, chosen):
 
 @inner
 def rub_along(t, size, k, c):
-    """Reading (six numbers, energy coordinates) of friction along a freedom of a pair given by T.
+    """Reading that friction along one permitted motion of a contact (a column of its T) causes.
 
     Args:
-        t: Tick. size: magnitude of the force (N); about an axis it acts with the lever `_LEVER`.
-        k: number of the freedom. c: number of the contact.
+        t: Tick. size: magnitude of the friction force (N); about an axis it acts with the lever
+            `_LEVER`. k: index of the permitted motion. c: index of the contact.
+
+    Returns:
+        Six numbers in energy coordinates.
     """
-    R_E = local(4, 4)
-    set_identity(R_E)
+    X_WE = local(4, 4)
+    set_identity(X_WE)
     if t.work.moving:
-        for i in range(3):
-            for j in range(4):
-                R_E[i, j] = t.input.touched[c][4 * i + j]
+        unpack_pose(t.input.touched[c], X_WE)
     pair = t.model.pairs[c]
     row = t.model.shapes[pair.shape_at + pair.count + k].row
-    motion = permitted_motion(row, t.work.X_WO, R_E)
+    motion = permitted_motion(row, t.work.X_WO, X_WE)
     if row[6] == SLIDE:
         force = linear(motion)
         f = join(force, cross(rotated(t.work.X_WO, row), force))
     else:
         f = scaled(_LEVER, join(ZERO_3, (motion[3], motion[4], motion[5])))
-    return reading_of(t, scaled(size, f), pair.first)
+    return reading_of_wrench(t, scaled(size, f), pair.first)
 
 
 @inner

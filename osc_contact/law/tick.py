@@ -31,8 +31,8 @@ from osc_contact.law.bars import internal_forces
 from osc_contact.law.ceilings import watch_ceilings
 from osc_contact.law.chain import OBJECT_UNKNOWN, solve_chain
 from osc_contact.law.columns import (
-    answer_bodies,
     choose_columns,
+    compute_body_responses,
     keep_columns,
     project_bodies,
     spread_magnitudes,
@@ -56,7 +56,7 @@ from osc_contact.law.commands import (
 from osc_contact.law.contact import place_contacts
 from osc_contact.law.jit import entry, inner, leaf, local, prefetch
 from osc_contact.law.joint_friction import compensate_friction
-from osc_contact.law.normals import take_turns
+from osc_contact.law.normals import load_normal_estimates
 from osc_contact.law.plausibility import check_readings
 from osc_contact.law.reading import (
     add_friction,
@@ -107,7 +107,7 @@ from osc_contact.law.vectors import (
     turned_back,
     wrench_to_world,
 )
-from osc_contact.law.witness import witness_contacts
+from osc_contact.law.witness import measure_approached_forces
 
 BAD_INPUT = declare_reason("BAD_INPUT", 1, "")
 DEGENERATE_PAIR = declare_reason(
@@ -251,10 +251,20 @@ def take_in(t, engaged, moving):
 
 @inner
 def measure(t):
-    """Compute N, n_γ, the touched bodies along N and measured contact forces; return a reason.
+    """Compute geometry and measured forces of the contacts.
 
-    Fills `mu`, `more_friction`, `slid`, `speed` (NᵀV_rel of the kept columns, m/s), `f_c` = Nα_meas
-    (at O), and the fields that the functions called here fill.
+    Reads the measured state and wrist readings of INPUT, and the active contacts (`chosen`,
+    `count`). Fills in WORK the coefficient of friction `mu`, `more_friction` and `slid` of MEMORY,
+    `speed` (NᵀV_rel of the kept columns; m/s, rad/s) and `f_c` = N α_meas (at O, world axes; N,
+    N m). The functions called here state the fields that they fill: N and n_γ of each column, the
+    kept columns, motion of the touched bodies along N, readings, and α_meas.
+
+    Args:
+        t: Tick.
+
+    Returns:
+        `NO_REASON`; `DEGENERATE_PAIR` if a pair has no N in this pose; `BLIND` if the wrists cannot
+        measure a contact force; or the reason of `keep_columns` or `require_reachable`.
     """
     model = t.model
     work = t.work
@@ -262,11 +272,11 @@ def measure(t):
     work.more_friction = t.memory.more_friction
     work.slid = t.memory.slid
     if work.count > 0:
-        take_turns(t)
+        load_normal_estimates(t)
         if not place_contacts(t):
             return DEGENERATE_PAIR
         if work.moving:
-            answer_bodies(t)
+            compute_body_responses(t)
     reason = keep_columns(t)
     if reason != NO_REASON:
         return reason
@@ -292,7 +302,7 @@ def measure(t):
     if model.phased:
         compare_speeds(t)
         if model.reading == LEAST_SQUARES:
-            witness_contacts(t)
+            measure_approached_forces(t)
     spread_magnitudes(t)
     return require_reachable(t)
 
@@ -338,7 +348,18 @@ def set_desired_forces(t, flags):
 
 @inner
 def compare_poses(t):
-    """Compute the pose error at O and the part of it that the contacts permit; return a reason."""
+    """Compute the pose error at O and the part of it that the contacts permit.
+
+    Reads `X_WD` of INPUT and `X_WO`. Fills in WORK `error` (from measured to desired pose, at O in
+    world axes; m, rad), the fields of `set_metric`, and `motion_next` and `free_error` of
+    `permit_error`.
+
+    Args:
+        t: Tick.
+
+    Returns:
+        `NO_REASON`, or `BAD_METRIC` if the metric is not positive definite.
+    """
     work = t.work
     set_metric(t)
     fill(work.error, pose_error(t.input.X_WD, work.X_WO))
@@ -346,12 +367,17 @@ def compare_poses(t):
 
 
 @inner
-def hand_over(t):
+def transfer_integral(t):
     """Convert the motion integral along free directions into a constant wrench.
 
     The wrench S⁻ᵀΛ_S P_T K_i∫e is added to `f_bias`, so that weight errors stay balanced in
-    directions that are no longer controlled by the motion law. The integral is reset to zero. Reads
-    `Lambda`, `N_t` and its factors.
+    directions that are no longer controlled by the motion law.
+
+    Reads `Lambda`, `N_t` and its factors in WORK. Changes in MEMORY `f_bias` (at C in world axes;
+    N, N m), and `motion_sum` (∫e), which is reset to zero.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     memory = t.memory
@@ -377,13 +403,17 @@ def hand_over(t):
 
 @inner
 def command(t, flags):
-    """Evaluate force law, motion law, motion filter and control structure; return a reason.
+    """Evaluate force law, motion law, motion filter and control structure.
 
     Changes `motion_next` from the permitted error to the motion integral after this tick. Fills the
     fields that the functions called here fill.
 
     Args:
-        t: Tick. flags: OWN_FORCE and OWN_MOTION, if α_u or a_u are already given.
+        t: Tick. flags: sum of OWN_FORCE, if α_u is already given in `alpha_u`, and of OWN_MOTION,
+            if a_u is already given.
+
+    Returns:
+        `NO_REASON`, or the reason of `filter_motion`.
     """
     model = t.model
     work = t.work
@@ -400,7 +430,7 @@ def command(t, flags):
         command_force(t)
     if memory.hand_over:
         memory.hand_over = 0
-        hand_over(t)
+        transfer_integral(t)
     most = model.integral_motion / model.integral if model.integral > 0.0 else inf
     for i in range(6):
         s = memory.motion_sum[i] + work.motion_next[i] * work.dt
@@ -509,7 +539,7 @@ def _row(t, flags, begin, stop):
     memory = t.memory
     work = t.work
     if begin == HAND_OVER:
-        hand_over(t)
+        transfer_integral(t)
         return work.status
     reason = work.reason if work.status == HELD else NO_REASON
     if begin == LOOK:
@@ -536,7 +566,12 @@ def _row(t, flags, begin, stop):
 
 @leaf
 def _copy(x, start, fits, out):
-    """Copy x[start:] to `out`, or fill it with NaN if `fits` is false (x has a wrong size)."""
+    """Copy elements of x to `out`, or fill it with NaN if x has a wrong size.
+
+    Args:
+        x: numbers of all rows in sequence. start: index of the first element. fits: False if x has
+            a wrong size. out: filled.
+    """
     for i in range(len(out)):
         out[i] = x[start + i] if fits else nan
 

@@ -177,6 +177,14 @@ class Unit:
         return sha256("\n".join(map(str, made_of)).encode()).hexdigest()
 
     def _translate(self, kinds: tuple[Type, ...], symbol: str) -> Part:
+        """Translate the function, for arguments of given types, into a module of LLVM bitcode.
+
+        Args:
+            kinds: numba types of the arguments. symbol: name of the function in the module.
+
+        Returns:
+            The part: bitcode of the function and its helpers, and the parts that it calls.
+        """
         flags: Any = Flags()
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         flags.error_model = "numpy"
@@ -457,7 +465,7 @@ def _pass_builder(target: llvm.TargetMachine) -> llvm.PassBuilder:
 
 
 def _simplified(linked: llvm.ModuleRef, symbol: str) -> llvm.ModuleRef:
-    """Simplify the function of a part, and keep only the helpers that it calls.
+    """Optimise the function of a part, and keep only the helpers that it calls.
 
     Args:
         linked: module of the part and of helpers of numba. symbol: name of the part's function.
@@ -468,7 +476,10 @@ def _simplified(linked: llvm.ModuleRef, symbol: str) -> llvm.ModuleRef:
 
 
 def _with_own_helpers(linked: llvm.ModuleRef, symbol: str) -> llvm.ModuleRef:
-    """Module of a part with only the helpers that it calls, under names that are unique to it.
+    """Copy the function of a part and the helpers that it calls into a module of their own.
+
+    Helpers get names made of the part's symbol and a number, so that modules of several parts can
+    be linked, and names are the same in every process.
 
     Args:
         linked: module of the part and of helpers of numba. symbol: name of the part's function.

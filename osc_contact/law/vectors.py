@@ -179,6 +179,19 @@ def set_identity(A):
 
 
 @leaf
+def unpack_pose(packed, X):
+    """Fill the upper 3×4 part of a pose X (4, 4) from its elements by rows.
+
+    Args:
+        packed: numbers that begin with the 16 of the pose, such as a row of `touched` of INPUT.
+        X: (4, 4), whose last row is already [0 0 0 1].
+    """
+    for i in range(3):
+        for j in range(4):
+            X[i, j] = packed[4 * i + j]
+
+
+@leaf
 def plus(x, y):
     """Sum x + y of vectors of six numbers."""
     return join(plus3(x, y), plus3(angular(x), angular(y)))
@@ -323,11 +336,15 @@ def cross_motion(V, x):
 
 @inner
 def set_axes(R, roots, axes):
-    """Fill the maps between world axes and energy coordinates.
+    """Fill the four maps between world axes at C and energy coordinates.
+
+    axes[0] = √m Rᵀ and axes[1] = √I Rᵀ convert the linear and angular part of a motion; axes[2] =
+    Rᵀ/√m and axes[3] = Rᵀ/√I convert force and moment of a wrench.
 
     Args:
-        R: (3, 3) principal axes of the object in the world. roots: (4,) √m, √I₁, √I₂, √I₃.
-        axes: (4, 3, 3) of WORK, filled.
+        R: (3, 3) principal axes of the object in the world, as columns.
+        roots: (4,) √m (√kg) and √I₁, √I₂, √I₃ of the principal moments (m √kg).
+        axes: (4, 3, 3), filled.
     """
     for i in range(3):
         root = roots[1 + i]

@@ -25,7 +25,7 @@ from osc_contact.law.jit import inner, local
 from osc_contact.law.phases import APPROACHING, CLOSED
 from osc_contact.law.reading import object_wrench
 from osc_contact.law.records import body_of, contact_of
-from osc_contact.law.tangents import across, has_point, outboard_times, push_on, rub_along
+from osc_contact.law.tangents import across, has_point, outboard_times, reading_of_force, rub_along
 from osc_contact.law.vectors import (
     ZERO,
     ZERO_3,
@@ -54,12 +54,12 @@ _SURE = 3.0  #: standard deviations of α_n that noise hardly ever exceeds
 
 
 @inner
-def witness_contacts(t):
+def measure_approached_forces(t):
     """Compute the measured force of each approached column, and the part that may be none of it.
 
     Reads `alpha_meas`, `reading_e`, `N`, `pushed`, `V_O`, `out_T`, `filtered_twist`, and the fields
-    that `push_on` reads. Fills, of the active columns (N), `touch` (α_n of the reading alone),
-    `touch_inertia` (gᵀΛ_out V̇_O) and `explained` (e + 3σ). All are 0 unless one contact is
+    that `reading_of_force` reads. Fills, of the active columns (N), `touch` (α_n of the reading
+    alone), `touch_inertia` (gᵀΛ_out V̇_O) and `explained` (e + 3σ). All are 0 unless one contact is
     approached while friction may act at another one, and all columns are independent.
     """
     work = t.work
@@ -115,7 +115,7 @@ def _explain(t):
             most = t.model.friction_bound * _pressed(t, a)
             for k in range(_ways(t, column)):
                 add_square(1.0, _friction(t, column, k, most), R)
-    if not cholesky(R, 0, 6, factor) > 0.0:
+    if not cholesky(R, 0, 6, factor) > 0.0:  # also if NaN
         return
     for a in range(r):
         fill(H[a], work.pushed[a])
@@ -212,7 +212,7 @@ def _friction(t, column, k, most):
         most: magnitude of the force before projection (N).
     """
     if has_point(t, column):
-        return push_on(t, scaled3(most, across(t.work.columns[column].N, k)), column)
+        return reading_of_force(t, scaled3(most, across(t.work.columns[column].N, k)), column)
     return rub_along(t, most, k, t.model.columns[column].contact)
 
 

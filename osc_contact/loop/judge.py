@@ -61,38 +61,47 @@ class Truths:
 
 
 class ReadsTruth(Protocol):
-    """Computes the truth from notes of many instants."""
+    """Computation of the true states and forces from the rows that a `TruthLog` recorded."""
 
     def truths(self, noted: Array) -> Truths:
-        """The truth at k instants.
+        """True states and contact forces at k instants.
 
         Args:
-            noted: (k, m) numbers of `TruthLog.noted`.
+            noted: (k, m) rows returned by `TruthLog.noted`.
         """
 
 
 class TruthLog(ReadsTruth, Protocol):
-    """Notes the state of a plant; the truth is computed from the notes of many instants."""
+    """Record of the states of a plant, from which true values at many instants are computed."""
 
     def note(self) -> None:
-        """Keep this instant."""
+        """Append the present state."""
 
     def noted(self, start: int = 0) -> Array:
-        """(k, m) numbers of the instants since `clear`, from one of them on; m is constant."""
+        """Recorded states (k, m), one row for each `note` since the last `clear`.
+
+        Args:
+            start: index of the first row returned.
+        """
 
     def clear(self) -> None:
-        """Forget the instants noted so far."""
+        """Delete the recorded states."""
 
 
 class NotedTruths:
-    """The truth from the notes of `Watched`."""
+    """True states and forces, computed from the rows that `Watched` records."""
 
     def __init__(self, contacts: Sequence[ContactPair]) -> None:
-        """Read notes of these contacts."""
+        """Set the contacts, in the order of the controller's."""
         self._contacts = contacts
 
     def truths(self, noted: Array) -> Truths:
-        """See `ReadsTruth.truths`."""
+        """True states and contact forces at k instants.
+
+        Args:
+            noted: (k, m) rows returned by `Watched.noted`: X_WO and each X_WE (3×4 by rows), V_O, 1
+                if bodies move, then for each contact 1 if closed, then the magnitudes α.
+        """
         c = len(self._contacts)
         poses, V_O, moving, closed, alpha = np.split(
             noted, np.cumsum([12 * (1 + c), 6, 1, c]), axis=1
@@ -105,16 +114,16 @@ class NotedTruths:
 
 
 class Watched(NotedTruths):
-    """The log of a judge whose `truth` costs little beside a tick."""
+    """Record of the truth by calls of `Judge.truth`, for a judge whose `truth` is fast."""
 
     def __init__(self, judge: Judge, contacts: Sequence[ContactPair]) -> None:
-        """Watch a judge of these contacts."""
+        """Set the judge whose truth is recorded, and the contacts of the controller."""
         super().__init__(contacts)
         self._judge = judge
         self._noted: list[Array] = []
 
     def note(self) -> None:
-        """Keep the truth of this instant."""
+        """Append the judge's present truth."""
         truth = self._judge.truth()
         faces = truth.X_WE or (pin.SE3.Identity(),) * len(self._contacts)
         poses = [X.homogeneous[:3] for X in (truth.X_WO, *faces)]
@@ -122,11 +131,15 @@ class Watched(NotedTruths):
         self._noted.append(np.concatenate((*poses, *numbers), axis=None))
 
     def noted(self, start: int = 0) -> Array:
-        """(k, m): X_WO and X_WE, V_O, 1 if faces move, closed, alpha."""
+        """Recorded rows (k, m): X_WO and each X_WE (3×4 by rows), V_O, 1 if bodies move, closed, α.
+
+        Args:
+            start: index of the first row returned.
+        """
         return np.array(self._noted[start:])
 
     def clear(self) -> None:
-        """Forget the instants noted so far."""
+        """Delete the recorded rows."""
         self._noted.clear()
 
 
@@ -140,13 +153,13 @@ class Judge(Protocol):
     """
 
     def truth(self) -> Truth:
-        """The truth now."""
+        """True state of object and contacts at the present instant."""
 
     def poses(self) -> Array:
-        """(1 + arms, 4, 4) of the object and of the arms' tips, as they really are."""
+        """True poses (1 + arms, 4, 4) in the world of the object, then of each arm's tip."""
 
     def log(self) -> TruthLog:
-        """A log of the truth, nothing noted yet."""
+        """New, empty record of the truth."""
 
 
 @runtime_checkable

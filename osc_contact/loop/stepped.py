@@ -38,10 +38,12 @@ class StopCalls:
         self.log: Callable[..., None] = getattr(recorder, "log", _ignore_event)
 
     def follow(self, controller: Controls) -> None:
-        """Stop the robot in the tick of a safe stop, and again once it needs mechanical brakes.
+        """Call `stop` when the controller enters a safe stop, and again if brakes become necessary.
+
+        Mechanical brakes are necessary once the controller names a joint in `unbraked`.
 
         Args:
-            controller: its `state`, `reason` and `unbraked` are read where it has them.
+            controller: its attributes `state`, `reason` and `unbraked` are read if it has them.
         """
         before = (self._stopped, self._needs_brakes)
         self._stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
@@ -51,10 +53,13 @@ class StopCalls:
             self.call(getattr(controller, "reason", ""))
 
     def call(self, reason: str) -> Exception | None:
-        """Stop the robot.
+        """Call the robot's `stop` and log the call.
+
+        Args:
+            reason: sentence that is passed to `stop`.
 
         Returns:
-            The error that `stop` raised, which is logged; None where it succeeded.
+            The error that `stop` raised, which is logged, too; None if it succeeded.
         """
         facts = {"reason": reason}
         failure = None

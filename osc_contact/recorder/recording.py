@@ -120,7 +120,7 @@ _UNREADABLE = (
 
 
 @contextmanager
-def _written(target: Path) -> Iterator[IO[bytes]]:
+def _completed_file(target: Path) -> Iterator[IO[bytes]]:
     """Open a file that gets its final name only when it is complete; else an older one is kept.
 
     Raises:
@@ -146,7 +146,7 @@ def write_archive(target: Path, text: str, arrays: Mapping[str, Any]) -> None:
     Raises:
         RecordingError: the file cannot be written.
     """
-    with _written(target) as file:
+    with _completed_file(target) as file:
         np.savez(file, **arrays, meta=np.array(text))
 
 
@@ -409,7 +409,7 @@ class Recording:
         events = events_beside(target)
         if self.events:
             lines = [{"event": "recording", "of": checksum(target)}, *self.events]
-            with _written(events) as file:
+            with _completed_file(events) as file:
                 file.write("".join(map(to_line, lines)).encode())
         else:
             events.unlink(missing_ok=True)
@@ -432,7 +432,7 @@ class Recording:
             raise RecordingError(
                 f"cannot export to {path}: give a name that ends in .npz, .csv or .mcap"
             )
-        with _written(target) as file:
+        with _completed_file(target) as file:
             write(self, file)
         return target
 

@@ -46,17 +46,20 @@ def load(
     inertias: Inertias = "possible",
     package_dirs: Sequence[Path | str] = (),
 ) -> Loaded:
-    """Load a URDF as `load_model` does; return the document as well as the model.
+    """Load and check a URDF; return its model and the document from which it was built.
 
-    A file whose content has passed before is not checked again: studies build thousands of rigs
-    from the same files.
+    A file whose content has passed before is not checked again, since studies build thousands of
+    rigs from the same files.
 
     Args:
         path: the URDF.
-        limits, inertias, package_dirs: see `load_model`.
+        limits: limits that replace those of the file, by joint name or pattern.
+        inertias: level of the check of inertias.
+        package_dirs: folders in which `package://` paths of meshes are searched.
 
     Raises:
-        ModelError, InvalidInputError: see `load_model`.
+        ModelError: the file cannot be read, or the robot has errors.
+        InvalidInputError: a limit belongs to no joint, or the level does not exist.
     """
     file = Path(path)
     digest = sha256(read_bytes(file)).digest()
@@ -78,11 +81,11 @@ def _loaded(
 
     Args:
         file: the URDF.
-        place: its absolute path, part of the cache's key.
+        place: absolute path of the file, part of the cache's key.
         digest: hash of its content, part of the cache's key.
-        limits: joint names or patterns with their limits by hand.
+        limits: joint names or patterns with the limits that replace those of the file.
         inertias: level of the check of inertias.
-        folders: folders of its meshes.
+        folders: folders in which its meshes are searched.
     """
     require_level(inertias)
     document = _sound(file, folders)

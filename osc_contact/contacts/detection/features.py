@@ -86,6 +86,11 @@ class CollisionShape:
     solid: Solid = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        """Compute the solid of the shape in the frame of its body.
+
+        Raises:
+            InvalidInputError: the shape has a swept-sphere radius, or is of an unknown kind.
+        """
         swept = self.shape.getSweptSphereRadius()
         if swept > 0.0:
             raise InvalidInputError(
@@ -342,7 +347,7 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
         angle: largest inclination (rad).
     """
     if solid.axis is not None:
-        return _of_cylinder(solid, solid.axis, d, margin, angle)
+        return _cylinder_feature(solid, solid.axis, d, margin, angle)
     heights = solid.corners @ d
     top = heights.argmax()
     drop = heights[top] - heights
@@ -363,8 +368,15 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
     return Feature("cylinder" if solid.radius > 0.0 else "edge", 1, ends, solid.radius)
 
 
-def _of_cylinder(solid: Solid, axis: Array, d: Array, margin: float, angle: float) -> Feature:
-    """Feature of a cylinder that is foremost along d: face, side or rim; see `foremost`."""
+def _cylinder_feature(solid: Solid, axis: Array, d: Array, margin: float, angle: float) -> Feature:
+    """Feature of a cylinder that lies foremost along a direction: end face, side line or rim point.
+
+    Args:
+        solid: the cylinder, whose two corners are the centres of its end faces (m).
+        axis: (3,) unit vector along its axis. d: (3,) unit direction.
+        margin: distance along d within which points count as foremost (m).
+        angle: angle of a face or side from its ideal direction up to which it counts (rad).
+    """
     along = float(axis @ d)
     radial = d - along * axis
     sine = norm(radial)

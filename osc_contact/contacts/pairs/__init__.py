@@ -28,6 +28,7 @@ def load_pairs() -> dict[str, type[ContactPair]]:
 
 
 def __getattr__(name: str) -> Any:
+    """Return `PAIRS` or the class of a pair by its name, importing the pairs on first use."""
     if name == "PAIRS":
         return load_pairs()
     if name[:1].isupper() and name in load_pairs():

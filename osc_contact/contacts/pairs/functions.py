@@ -206,6 +206,14 @@ def _entry(function: Callable[..., None], forces: int, count: int) -> tuple[int,
     part = source if PLAIN_PYTHON else numba.njit(error_model="numpy")(source)
 
     def evaluate(X_WO: Any, V_O: Any, X_WE: Any, V_E: Any, parameters: Any, evaluated: Any) -> None:
+        """Evaluate the pair for the law, which passes addresses of arrays.
+
+        Args:
+            X_WO, X_WE: (4, 4) poses of object and body. V_O, V_E: (6,) twists at O.
+            parameters: (count,) parameters of the pair. evaluated: (forces, 11), filled: each row
+                has a column of N (6), n_γ, the gap, and the point of contact from O (3); N is NaN
+                where the function does not fill it.
+        """
         pose = carray(X_WO, (4, 4))
         body = carray(X_WE, (4, 4))
         given = carray(parameters, (count,))

@@ -143,6 +143,18 @@ class LawPair(PackagedPair):
     def _columns(
         self, A: _Elements, E: _Elements, V_O: Array = AT_REST, V_E: Array = AT_REST
     ) -> list[Any]:
+        """Evaluate the pair by the functions of the law.
+
+        Args:
+            A, E: elements of the poses of object and body in the environment.
+            V_O, V_E: (6,) twists of object and body at O (m/s, rad/s).
+
+        Returns:
+            A row for each force, with N (6,) at O and n_γ; elements are arrays for poses over time.
+
+        Raises:
+            ContactError: edges are parallel, or the nearest place of a surface is not unique.
+        """
         head, shapes = self._numbers
         columns = [
             SimpleNamespace(N=[0.0] * 6, n_gamma=0.0, turn=(0.0, 0.0, 0.0), believed=[0.0] * 3)

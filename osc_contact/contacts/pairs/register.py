@@ -95,6 +95,7 @@ def register_pair(forces: int | None = None) -> Callable[[Pair], Pair]:
     """
 
     def enter(pair: Pair) -> Pair:
+        """Register a class of pairs by its name; a packaged one is made a dataclass."""
         if issubclass(pair, PackagedPair) and "__dataclass_fields__" not in vars(pair):
             geometry(pair)
             _show_plain_types(pair)

@@ -49,6 +49,11 @@ class SphereOnSurface(LawPair):
     X_ES: SE3 = field(init=False, repr=False)
 
     def _make(self) -> None:
+        """Compute the pose of the surface in its body, and make the pair's rows of the law.
+
+        Raises:
+            InvalidInputError: the x axis of the surface is along its z axis.
+        """
         y = cross(self.surface_axis, self.surface_x)
         sine = norm(y)
         if sine < 1e-6:

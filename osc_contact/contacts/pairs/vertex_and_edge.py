@@ -98,6 +98,11 @@ class EdgeOnEdge(LawPair):
     pushes = True
 
     def _make(self) -> None:
+        """Validate `edge_outward`, ±1 or a vector, and make the pair's row of the law.
+
+        Raises:
+            InvalidInputError: `edge_outward` is another number, or a vector of zero length.
+        """
         out = self.edge_outward
         if np.ndim(out) > 0:
             out = unit_vector(f"{self.name}.edge_outward", out)

@@ -77,7 +77,11 @@ def pose(
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Show the pose of tip or object in a posture; with --xyz, --rpy the posture for a pose."""
+    """Show the pose of tip or object in a posture; with --xyz, --rpy the posture for a pose.
+
+    Without --posture the joints are as the robot or scenario declares them. The pose is in world
+    axes (m, rad); the posture has one number for each joint (m, rad).
+    """
     chain, q, X = _start(what, tip, set_)
     if posture is not None:
         q = poses.numbers("posture", posture)

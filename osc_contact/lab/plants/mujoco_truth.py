@@ -155,7 +155,7 @@ class MujocoTruth(MujocoNotes):
         self._points: list[Array] = []
 
     def note(self) -> None:
-        """Keep where the object and bodies on rails are, and each contact with its force."""
+        """Append the present poses of object and rails, and MuJoCo's contacts with their forces."""
         data = self._plant.data
         self._states.append(np.concatenate((*self._parts, data.qpos.take(self._plant.face_q))))
         if data.ncon != self._seen:  # contacts stand at the start of MuJoCo's arena at every step
@@ -168,9 +168,15 @@ class MujocoTruth(MujocoNotes):
         self._points.append(np.concatenate((*self._contact, normal), axis=1))
 
     def noted(self, start: int = 0) -> Array:
-        """(k, m): R, p and twist of the object, where bodies on rails are, and of each body
+        """States of object and environment at the k instants recorded since `start`, (k, m).
 
-        the wrench into it at O and whether it is touched.
+        The m columns are: R of the object by rows (9), its position p (3, m), its twist at O in
+        world axes (6; m/s, rad/s), the positions of the bodies on rails (m), then for each body the
+        wrench that the object exerts on it at O (6; N, N m), then for each body 1 if the object
+        touches it, else 0.
+
+        Args:
+            start: index of the first instant.
         """
         p, R, velocity, centre, travelled = np.split(
             np.array(self._states[start:]).T, [3, 12, 18, 21]
@@ -185,7 +191,16 @@ class MujocoTruth(MujocoNotes):
         return np.concatenate(parts).T
 
     def _wrenches(self, O: Array, start: int) -> tuple[Array, Array]:  # noqa: E741
-        """Into each body: (6 bodies, k) at O (3, k), and whether it is touched (bodies, k)."""
+        """Wrenches that the object exerts on the bodies of the environment.
+
+        Args:
+            O: (3, k) positions of the operational point, world (m).
+            start: index of the first instant.
+
+        Returns:
+            (6 bodies, k) wrenches at O in world axes (N, N m), and (bodies, k) True where a body is
+            touched.
+        """
         k = O.shape[1]
         bodies = len(self._plant.faces.rails)
         pushed = np.zeros((bodies, k, 6))

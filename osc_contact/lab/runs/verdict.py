@@ -419,6 +419,7 @@ def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[J
 
 
 def _tick(recording: Recording) -> dict[str, float | None]:
+    """Percentiles and maximum of the tick's computing time (µs); None if it was not recorded."""
     keys = ("p50", "p99", "p99_9", "max")
     if "tick_s" not in recording:  # its times were not kept beside it
         return dict.fromkeys(keys)

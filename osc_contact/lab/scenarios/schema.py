@@ -57,6 +57,7 @@ _UNIT_VECTOR: TypeAdapter[tuple[float, float, float]] = TypeAdapter(UnitVec3)
 
 
 def _direction(value: Any) -> Any:
+    """Validate a direction [x, y, z] as a unit vector; the word common_tangent is left as it is."""
     if value == "common_tangent":
         return value
     if isinstance(value, str):
@@ -65,6 +66,7 @@ def _direction(value: Any) -> Any:
 
 
 def _no_common_tangent(value: Any) -> Any:
+    """Refuse the word common_tangent, which is no axis of an angular move; return other values."""
     if value == "common_tangent":
         raise refuse(
             "common_tangent is a direction of linear moves only; give the axis of an angular move "
@@ -74,13 +76,14 @@ def _no_common_tangent(value: Any) -> Any:
 
 
 def _take_laws(value: Any) -> Any:
+    """Accept None, a function or `osc.Laws`, which only scenarios made in Python can have."""
     if value is None or callable(value) or hasattr(value, "structure"):
         return value
     raise refuse(f"expected osc.Laws, or a function that makes them; got {value!r}; no file can")
 
 
 def _plain(value: Any) -> Any:
-    """Lists for arrays and tuples, all the way down."""
+    """Copy of nested values in which arrays and tuples are lists, as YAML and JSON write them."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

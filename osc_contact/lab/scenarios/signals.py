@@ -111,6 +111,12 @@ class Points(OfQuantity, Generic[Q]):
     @field_validator("points", mode="before")
     @classmethod
     def _from_file(cls, points: Any, info: ValidationInfo) -> Any:
+        """Read points from a CSV file if its name is given; return other values as they are.
+
+        Args:
+            points: list of [time, value], or name of a file with such lines, in SI units.
+            info: its context has `folder`, relative to which the name is resolved.
+        """
         if not isinstance(points, str):
             return points
         file = ((info.context or {}).get("folder") or Path()) / points
@@ -122,6 +128,13 @@ class Points(OfQuantity, Generic[Q]):
     @field_validator("points")
     @classmethod
     def _spaced_well(cls, points: tuple[tuple[float, Q], ...]) -> Any:
+        """Refuse times that do not increase, and neighbouring intervals of very different length.
+
+        Intervals on both sides of a point without a stop may differ by a factor of 10 at most.
+
+        Args:
+            points: (time in s, value) of each point.
+        """
         t, values = zip(*points, strict=True)
         for before, after in pairwise(t):
             if not after - before >= 1e-6:
@@ -148,10 +161,10 @@ class Points(OfQuantity, Generic[Q]):
 def jerk_limited(
     points: tuple[float, ...], start: float, velocity: float, acceleration: float, jerk: float
 ) -> Polynomials:
-    """The fastest way from rest at each of `points` to rest at the next one, from `start` on.
+    """Fastest motion with limited jerk that starts at rest and rests at each point in turn.
 
     Args:
-        points: to rest at. start: where it begins.
+        points: value at the start, then the values at which it rests. start: time of the start (s).
         velocity, acceleration, jerk: limits, in units of the points per s, s², s³.
     """
     from scipy.interpolate import PPoly

@@ -478,14 +478,23 @@ class SweepStudy:
         return self._in_block(number)
 
     def _in_block(self, number: int) -> Array:
-        """Point (dims,) of a sample of designs other than the grid."""
+        """Sample point (dims,), between 0 and 1, of a design other than the grid, by its number."""
         block, place = divmod(number, _BLOCK)
         if block not in self._points:
             self._points[block] = self._block(block)
         return self._points[block][place]
 
     def _block(self, block: int) -> Array:
-        """Points (_BLOCK, dims) of a block, by its number; "saltelli": (_BLOCK, 2 dims)."""
+        """Sample points of one block of the design, coordinates between 0 and 1.
+
+        Args:
+            block: index of the block; block i has the points i `_BLOCK` … (i + 1) `_BLOCK` − 1 of
+                the sequence.
+
+        Returns:
+            (_BLOCK, dims) points, dims the number of varied values; for "saltelli" (_BLOCK, 2 dims)
+            with the points A and B side by side.
+        """
         dims = len(self._levels)
         if not dims or self.design == "random":
             return np.random.default_rng([self.seed, block]).random((_BLOCK, dims))

@@ -314,10 +314,10 @@ def write_gif(
     Args:
         page: file written by `write_scene`.
         path: the GIF; it appears complete or not at all.
-        begin, end: of what it shows (s).
-        size: of the picture, pixels.
-        camera: whole, contacts, from above or other side.
-        most: frames.
+        begin, end: first and last time of the recording to show (s).
+        size: width and height of the picture (pixels).
+        camera: view: "whole", "contacts", "from above" or "other side".
+        most: largest number of frames.
 
     Raises:
         ViewerError: no browser, or it gave no picture.
@@ -338,15 +338,18 @@ def write_mp4(
     end: float,
     size: tuple[int, int] = SIZE,
 ) -> Path:
-    """Write a video (H.264) of a page that plays a recording; returns its path.
+    """Write a video (H.264, 25 frames per second) of a page that plays a recording.
 
-    It has 25 frames per second in real time; what lasts longer than 30 s is played faster.
+    It plays in real time; an interval longer than 30 s is played faster, within 30 s.
 
     Args:
-        page: file written by `write_scene`.
-        path: the video; it appears complete or not at all.
-        begin, end: of what it shows (s).
-        size: of the picture, pixels, even numbers.
+        page: HTML file written by `write_scene`.
+        path: file of the video; it appears when it is complete.
+        begin, end: first and last time of the recording to show (s).
+        size: width and height of the picture (pixels, even numbers).
+
+    Returns:
+        Path of the video.
 
     Raises:
         ViewerError: no browser, or it gave no picture.

@@ -105,7 +105,9 @@ class Part(Protocol):
 
 
 def animate(scene: Visualizer, animation: Animation, frames: Frames) -> None:
-    """Set all nodes to their first frames, and append key frames of properties that change.
+    """Set all nodes to their states in the first frame, and append key frames of their properties.
+
+    Poses, scales and visibility of a node are animated if its states have them.
 
     Args:
         scene: root of the scene.
@@ -128,11 +130,11 @@ def animate(scene: Visualizer, animation: Animation, frames: Frames) -> None:
 
 
 def changes(scene: Visualizer, before: Frames, after: Frames) -> None:
-    """Send commands for the nodes whose state differs from that before.
+    """Send the new matrix or visibility of each node whose state changed between two ticks.
 
     Args:
         scene: root of the scene.
-        before: states at one tick; empty: all nodes are sent.
+        before: states at the earlier tick; if empty, all nodes are sent.
         after: states of the same nodes at a later tick.
     """
     for path, states in after.items():
