@@ -374,7 +374,13 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
     space, so the sines change by restᵀ(1 − SSᵀ)GS.
 
     Args:
-        E, p, chosen, rest: see `sines`.
+        E: (B, 3, 3) triads.
+        p: (B, 3) origins, over the size.
+        chosen: (B, 6) selected axes, which span S.
+        rest: (6, 6−r) orthonormal complement of N, the space that S approximates.
+
+    Returns:
+        Triads and origins after the steps.
     """
     damping = np.full(len(E), 1e-3)
     E = E.copy()

@@ -163,11 +163,11 @@ class Surface:
 
         Args:
             file: mesh in a format that coal reads, such as STL and OBJ (m).
-            cells: see `fitted`.
+            cells: number of cells of the fitted grid along x and along y.
 
         Raises:
             ModelError: the mesh cannot be read.
-            InvalidInputError: see `fitted`.
+            InvalidInputError: the corners do not suffice for the grid.
         """
         import coal
 
@@ -183,7 +183,7 @@ class Surface:
         return cls.fitted(np.unique(corners[np.unique(triangles[up])], axis=0), cells)
 
     def rows(self, ball: Array, radius: float, X_ES: pin.SE3) -> tuple[Array, ...]:
-        """SHAPE rows of a ball on this surface, see `law.surfaces`.
+        """Rows of 16 numbers that the law reads for a ball of the object on this surface.
 
         Args:
             ball: (3,) centre of the ball in A (m).

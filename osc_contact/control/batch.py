@@ -172,7 +172,14 @@ class BatchController:
         return np.array(self._torques)
 
     def _command_squeeze(self, squeeze_d: npt.ArrayLike | None) -> int:
-        """Write desired internal forces, see `tick`; return the switch of the law for them."""
+        """Write the desired internal forces to the rows.
+
+        Args:
+            squeeze_d: one number for each row and bar (N); None: zeros.
+
+        Returns:
+            `COMMANDED` if more than two arms are commanded by it, else 0.
+        """
         self._squeeze[:] = 0.0
         if squeeze_d is None:
             return 0
@@ -215,7 +222,13 @@ class BatchController:
                 self._relieve(lo - 1, thread, args)
 
     def _relieve(self, i: int, thread: int, args: tuple[Array, ...]) -> None:
-        """Torques within the limits for a row that has just ended SATURATED."""
+        """Compute torques within the motor limits for a row whose tick ended SATURATED.
+
+        If the quadratic program has no solution, the row's tick is run again with switch MISFIT.
+
+        Args:
+            i: number of the row. thread: number of its thread. args: arrays of inputs of all rows.
+        """
         rows = TickRecords(self._bytes, i, thread)
         if i not in self._limits:
             self._limits[i] = MotorLimits(self._settings[i], rows.model)
@@ -280,12 +293,12 @@ class BatchController:
 
     @property
     def status(self) -> Array:
-        """(B,) how each row's last tick ended, see `Status`."""
+        """Status (B,) of the last tick of each row, as integers of `Status`."""
         return self._codes.copy()
 
     @property
     def state(self) -> Array:
-        """(B,) whether each row runs, holds a posture or has stopped; see `SafetyState`."""
+        """State (B,) of each row, as integers of `SafetyState`: running, holding or stopped."""
         return np.array(self._memories["state"])
 
     @property
@@ -330,9 +343,17 @@ def _structure_of(controller: Controller) -> dict[str, int]:
 
 
 def _table(name: str, x: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
-    """x of this shape, what is of all rows one behind the other; None: zeros.
+    """Input of a batch as an array in which the values of all rows follow each other.
 
-    Its numbers need not be finite.
+    Args:
+        name: name of the input, for messages. x: numbers, which need not be finite; None: zeros.
+        shape: (rows, values of each row, …) that x must have.
+
+    Returns:
+        Array whose first two axes are joined.
+
+    Raises:
+        InvalidInputError: x has another shape.
     """
     array = np.zeros(shape) if x is None else np.ascontiguousarray(x, dtype=float)
     if array.shape != shape:

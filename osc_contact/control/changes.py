@@ -124,10 +124,13 @@ class Changes:
 
 
 def changed_settings(before: Settings, now: Settings) -> dict[str, list[Any]]:
-    """Keys of settings that differ, such as safety.contact_force: [30.0, 50.0].
+    """Settings that differ between two controllers, such as safety.contact_force: [30.0, 50.0].
 
     Args:
-        before, now: of two controllers.
+        before, now: settings of the earlier and of the later controller.
+
+    Returns:
+        For each differing key [earlier value, later value].
     """
     found: dict[str, list[Any]] = {}
     for group in ("gains", "safety", "friction", "life", "posture_task", "joint_friction"):

@@ -169,7 +169,12 @@ class Controller(ControllerState):
         self._begin_contacts(engaged=engaged, in_contact=in_contact)
 
     def _begin_contacts(self, *, engaged: bool, in_contact: bool) -> None:
-        """Set the contacts in a new MEMORY; for the arguments see `__init__`."""
+        """Set phases, gains and flags of the contacts in a new MEMORY.
+
+        Args:
+            engaged: True if contacts take part in the law from the first tick on.
+            in_contact: False if the object begins in the air, its contacts not made.
+        """
         memory = self.records.memory
         life = self.settings.life
         force = self.settings.gains.force
@@ -190,7 +195,12 @@ class Controller(ControllerState):
             memory.columns.closed[:] = 0
 
     def _begin(self, settings: Settings, laws: Laws, start: StartCheck, model: Bytes) -> None:
-        """Set settings and parts of a new controller, with the bytes of its MODEL."""
+        """Set the attributes of a new controller.
+
+        Args:
+            settings: its settings. laws: its laws. start: check of the first ticks.
+            model: bytes of its MODEL.
+        """
         records = TickRecords(model)
         self.__dict__.update(
             settings=settings,
@@ -265,7 +275,14 @@ class Controller(ControllerState):
             memory.late = min(max(0.0, late / self.dt + 0.5), HISTORY)
 
     def _refuse(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
-        """Torques (n_a,) of a tick whose inputs the law cannot take, which raised `error`."""
+        """Torques (n_a,) of a tick that cannot use its inputs, by the safety layer.
+
+        Args:
+            measurement, reference: inputs of the tick. error: exception that they raised.
+
+        Raises:
+            InvalidInputError: in the first tick, for arrays of wrong shapes.
+        """
         if not self.records.memory.ticked:
             require_shapes(measurement, reference, self.settings)
         try:
@@ -288,8 +305,8 @@ class Controller(ControllerState):
         """Torques (n_a,) of a tick of the law, within the motors' limits.
 
         Args:
-            measurement, reference: of the tick.
-            error: raised in it outside the law, by custom code.
+            measurement, reference: inputs of the tick.
+            error: exception of custom code in this tick, or None.
         """
         if self.idle.waiting and self.idle.count(self.settings, reference.alpha_d):
             _log.warning("%s", self.idle.sentence(self.settings))

@@ -40,8 +40,8 @@ class Laws:
         force: α_u = force(α_d, α_meas), (r,) magnitudes of the independent columns of N (N).
         motion: p̈_u = motion(reference, X_WO, V_O), classical acceleration (6,) of the object at O
             in world axes (m/s², rad/s²), from the reference, the object's pose and twist.
-        structure: (η̇_c, f_S) = structure(signals), (d,) each, in place of the motion filter and the
-            control structure, eqs. 24 and 21; `signals` are those of the tick up to there.
+        structure: (η̇_c, f_S) = structure(signals), (d,) each, in place of the motion filter and
+            the control structure, eqs. 24 and 21; `signals` are those of the tick up to there.
 
     Example:
         >>> from numpy.typing import NDArray
@@ -167,8 +167,8 @@ class CustomParts:
         """Compute one tick; torques and status go to the records.
 
         Args:
-            parts: of the tick, none of which was run yet.
-            measurement, reference: of the tick.
+            parts: stages of the tick, none of which was run yet.
+            measurement, reference: inputs of the tick.
             replace: called with new records of the controller where custom pairs have changed
                 their number of columns.
 

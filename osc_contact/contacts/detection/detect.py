@@ -294,7 +294,12 @@ def merged(
 
 
 def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
-    """Return whether two contacts have the same tangent plane; for the arguments see `merged`."""
+    """Return whether two contacts have the same tangent plane.
+
+    Args:
+        a, b: detected contacts. margin: largest distance of points of `a` from the plane of b (m).
+        angle: largest angle between the normals (rad).
+    """
     inclined = norm(cross(a.normal, b.normal))
     if inclined > angle or a.normal @ b.normal < 0.0:
         return False
@@ -388,7 +393,8 @@ def _classified(
         X_WO: pose of the object.
         e: shape of the environment's body.
         X_WE: pose of that body.
-        margin, angle: see `detect`.
+        margin: largest distance at which shapes count as touching (m).
+        angle: largest inclination at which edges and faces count as touching along them (rad).
     """
     near = nearest(a.shape, X_WO * a.placement, e.shape, X_WE * e.placement)
     if near.distance > margin:
@@ -437,7 +443,11 @@ def _kind(a: Feature, e: Feature) -> str:
 
 
 def _lifted(feature: Feature, patch: Array, n: Array) -> Array:
-    """Points (k, 3) of a feature that are above those of a patch (k, 3), see `Feature.lift`."""
+    """Points (k, 3) of a feature that lie above given points along a direction.
+
+    Args:
+        feature: feature of a shape. patch: (k, 3) points (m). n: (3,) unit direction.
+    """
     return np.array([feature.lift(point, n) for point in patch])
 
 

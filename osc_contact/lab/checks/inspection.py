@@ -129,6 +129,12 @@ def _free_motions(state: ChainState, contact: Contact) -> Array:
 
 
 def _redundancy(arms: int, internal: int, own: int) -> Iterator[str]:
+    """Sentences on internal forces and null-space motions.
+
+    Args:
+        arms: number of arms. internal: number of internal forces. own: number of null-space
+            motions.
+    """
     if internal or arms > 1:
         yield (
             f"{internal} internal force(s) can be set without moving the object or pressing harder"
@@ -139,6 +145,7 @@ def _redundancy(arms: int, internal: int, own: int) -> Iterator[str]:
 
 
 def _contact_lines(rig: Rig) -> Iterator[str]:
+    """Sentences on each contact of a rig: directions, points and signs of its forces."""
     X = rig.state.X_WO
     for i, pair in enumerate(rig.pairs):
         points, directions = feet(pair, X)
@@ -203,6 +210,7 @@ def _twist_words(twist: Array) -> str:
 
 
 def _wrench_words(wrench: Array) -> str:
+    """Words for a wrench (6,) up to its size: a direction of force, or of a couple, or both."""
     force, couple = np.split(wrench, 2)
     if norm(force) < 1e-6 * norm(couple):
         return f"couple about {_vector(couple / norm(couple))}"

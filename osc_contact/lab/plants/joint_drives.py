@@ -36,6 +36,12 @@ class FlexibleJoints:
     motor_inertia: Array
 
     def __post_init__(self) -> None:
+        """Convert stiffness, damping and motor inertia to arrays with one number for each motor.
+
+        Raises:
+            PlantError: wrong number of values, negative damping, or another value that is not
+                positive.
+        """
         for name in ("stiffness", "damping", "motor_inertia"):
             value = as_array(name, getattr(self, name), np.asarray(self.stiffness).shape)
             least = 0.0 if name == "damping" else 1e-9

@@ -210,6 +210,11 @@ class MujocoPlant:
         self._mj.mj_forward(self.model, self.data)
 
     def _send(self, tau: Array) -> None:
+        """Write motor torques to MuJoCo's controls, with the motors' errors if these are modelled.
+
+        Args:
+            tau: (n_a,) torques (N m, N).
+        """
         known = type(tau) is np.ndarray and tau.shape == self._ctrl.shape
         if not (known and isfinite(tau.dot(tau))):  # four times faster than to convert it
             tau = as_array("tau", tau, self._ctrl.shape)
@@ -328,6 +333,11 @@ class MujocoPlant:
         return round(period / self._step) or 1
 
     def _push(self, push: Push, force: Array) -> None:
+        """Apply a disturbance at the wrist sensor of an arm.
+
+        Args:
+            push: disturbance, which names the arm. force: (3,) present force in world axes (N).
+        """
         sensor = self.model.site(f"{push.arm}/wrist")
         body = int(self.model.body_parentid[int(sensor.bodyid[0])])
         arm = self.data.site_xpos[sensor.id] - self.data.xipos[body]

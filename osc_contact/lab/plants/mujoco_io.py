@@ -25,6 +25,14 @@ class TorqueInputs:
     """
 
     def __init__(self, mj: Any, joints: Array) -> None:
+        """Find the motor of each joint whose force is proportional to its control.
+
+        Other actuators of these joints are switched off, and torques are applied to the joint
+        directly.
+
+        Args:
+            mj: MuJoCo's model, changed. joints: indices of the joints.
+        """
         kinds = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
         per_torque = mj.actuator_gear[:, 0] * mj.actuator_gainprm[:, 0]
         plain = (per_torque != 0.0) & ~np.any(kinds, axis=0)  # force is gain × control, at once

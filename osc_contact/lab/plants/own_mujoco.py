@@ -124,6 +124,11 @@ def require_whole_steps(duration: float, step: float) -> None:
 
 
 def _nearest(model: MjModel, data: MjData, pairs: list[tuple[int, int]]) -> tuple[float, str]:
+    """Least distance between pairs of geoms in the present state.
+
+    Returns:
+        The distance (m; inf beyond `FAR_M`), and the name of the second geom of the nearest pair.
+    """
     from mujoco import mj_geomDistance
 
     ends = np.zeros(6)

@@ -368,6 +368,7 @@ class RigidPlant:
         )
 
     def _object(self) -> tuple[pin.SE3, Array]:
+        """Pose of the object and its twist (6,) at O, world axes."""
         leader = self.chain.leader
         if leader is None:
             return self._X, self._V

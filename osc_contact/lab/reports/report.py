@@ -123,6 +123,7 @@ def _share(ratio: float | None) -> str:
 
 
 def _over(step: Json) -> str:
+    """Words for the overshoot of a force step."""
     if not step["overshoot_N"]:
         return "no overshoot"
     return (

@@ -132,6 +132,7 @@ def require_drawable(recording: Recording, shown: Content, source: str) -> None:
 
 
 def _content_of_rig(rig: Rig) -> Content:
+    """Parts of the scene of a rig: arms, object, bodies of the environment."""
     scenario = rig.scenario
     source = scenario.folder
     arms = [

@@ -368,6 +368,7 @@ def register_plant(
     """
 
     def enter(make: MakesPlant) -> MakesPlant:
+        """Register a function that makes a plant, under the name given to the decorator."""
         PLANTS[name] = make
         if truths is not None:
             TRUTHS[name] = truths
@@ -387,6 +388,11 @@ def _rigid(rig: Rig, seed: int) -> Plant:
 
 
 def _noted_by_mujoco(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTruth:
+    """Computation of the truth from rows recorded by the MuJoCo plant of a scenario.
+
+    Args:
+        scenario: the scenario. pairs: its contacts.
+    """
     bodies = environment_bodies(scenario)
     faces = Faces(rails(bodies), touched_bodies(bodies, len(pairs)), len(pairs))
     held = held_object(scenario, _true(scenario.model_error))
@@ -396,6 +402,7 @@ def _noted_by_mujoco(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsT
 
 @register_plant("mujoco", truths=_noted_by_mujoco)
 def _mujoco(rig: Rig, seed: int) -> Plant:
+    """MuJoCo plant of a rig, with disturbances drawn by a seed."""
     scenario = rig.scenario
     return MujocoPlant(
         rig.chain,

@@ -170,6 +170,14 @@ def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = No
 
 
 def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
+    """Largest errors of the grasps at a posture.
+
+    Args:
+        chain: model of the arms. q: (n,) joint positions. X_WO: pose of the object.
+
+    Returns:
+        Distance (m) and angle (rad) between the object and where the arms hold it.
+    """
     pin.forwardKinematics(chain.model, chain.data, q)
     away = []
     for tip, grasp in zip(chain.tip_poses(), chain.grasps, strict=True):

@@ -27,15 +27,17 @@ REPEATED = 6
 
 
 class Tape:
-    """Ticks of a controller as they come: what was given, what was answered.
+    """Record of a controller's ticks, each with its inputs and torques.
 
-    What the program around it changes between ticks (contacts engaged, a tare) is noted too.
+    Changes of MEMORY between ticks by the surrounding program (contacts engaged, a tare) are
+    recorded, too.
 
     Attributes:
-        count: of ticks.
+        count: number of recorded ticks.
     """
 
     def __init__(self, controller: Controller) -> None:
+        """Replace `tick` of a controller by a function that also records inputs and torques."""
         self.count = 0
         self._ticks: list[bytes] = []
         self._controller = controller

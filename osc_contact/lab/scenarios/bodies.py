@@ -71,6 +71,7 @@ class GraspSpec(PoseSpec):
 
     @model_validator(mode="after")
     def _has_its_axis(self) -> GraspSpec:
+        """Refuse a hinge without an axis, and an axis of a grasp that has none."""
         if GRASPS[self.type].has_axis and self.axis is None:
             raise refuse(
                 f"a {self.type} needs an axis [x, y, z] in the tip frame; add axis: [0, 1, 0]"

@@ -80,6 +80,7 @@ class OwnContactSpec(OnBodySpec):
     @model_validator(mode="before")
     @classmethod
     def _named_as_the_pair(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Check the methods of a custom pair, and take its name."""
         pair = data["pair"]
         missing = [key for key in ("name", "contact", "gaps") if not hasattr(pair, key)]
         if missing:
@@ -221,6 +222,7 @@ def make_pair(spec: ContactSpec, X_WB: pin.SE3, folder: Path | None = None) -> C
 
 
 def _validate(value: Any) -> Any:
+    """Validate the entry of a contact: a mapping by its `type`, or a custom pair made in Python."""
     if isinstance(value, OwnContactSpec):
         return value
     if isinstance(value, dict) and hasattr(value.get("pair"), "contact"):

@@ -125,6 +125,11 @@ class ScenarioDocument:
         self.origins.setdefault((), 1)
 
     def _read(self, node: yaml.Node, key: Key) -> Any:
+        """Convert a YAML node to plain values; record the line of each key in `origins`.
+
+        Args:
+            node: node of the document. key: path of the node.
+        """
         self.origins.setdefault(key, node.start_mark.line + 1)
         if isinstance(node, yaml.SequenceNode):
             return [self._read(item, (*key, index)) for index, item in enumerate(node.value)]
@@ -219,6 +224,7 @@ class ScenarioDocument:
         return self.origins[next(parent for parent in parents if parent in self.origins)]
 
     def _named(self, key: Key) -> Key:
+        """Path in which numbers of items are replaced by their names."""
         shown: list[str | int] = []
         holder = self.data
         for part in key:
@@ -229,6 +235,14 @@ class ScenarioDocument:
 
 
 def _item(items: Sequence[Any], part: str, where: str) -> int:
+    """Index of an item in a list, by its name or number.
+
+    Args:
+        items: the list. part: name or number. where: path of the list, for messages.
+
+    Raises:
+        ScenarioError: no such item.
+    """
     names = [item.get("name") if isinstance(item, dict) else None for item in items]
     if part in names:
         return names.index(part)
@@ -244,6 +258,7 @@ def _dotted(key: Key, end: str = ": ") -> str:
 
 
 def _child(holder: Any, part: str | int) -> Any:
+    """Value of a key of a mapping or item of a list; None if it does not exist."""
     if isinstance(holder, dict):
         return holder.get(str(part))
     if isinstance(holder, list) and isinstance(part, int) and part < len(holder):

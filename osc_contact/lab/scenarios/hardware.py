@@ -52,6 +52,7 @@ class FlexibleJointsSpec(Spec):
 
     @model_validator(mode="after")
     def _one_of_two(self) -> Self:
+        """Refuse both or neither of `frequency` and `stiffness`."""
         if (self.frequency is None) == (self.stiffness is None):
             raise refuse(
                 "expected either frequency, such as 5 Hz, or stiffness, by arm and motor; "
@@ -88,6 +89,7 @@ class Push(Spec):
 
     @model_validator(mode="after")
     def _ends_before_the_next(self) -> Self:
+        """Refuse a repeated disturbance that lasts longer than its period."""
         if 0.0 < self.every <= self.duration:
             raise refuse(
                 f"duration = {self.duration:g} s, every = {self.every:g} s; give every longer than "

@@ -327,6 +327,7 @@ class Scenario(Spec):
 
     @model_validator(mode="after")
     def _check_across(self) -> Scenario:
+        """Refuse values that contradict each other, with the path of each."""
         found = [
             InitErrorDetails(type=refuse(text), loc=key, input=None)
             for key, text in problems_across(dict(self))
