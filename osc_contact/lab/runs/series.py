@@ -8,9 +8,10 @@ from osc_contact.spatial import Array
 
 
 class Series:
-    """Sums over the ticks of one or several numbers, piece after piece.
+    """Mean, root mean square and peak of m signals over the ticks, updated piece by piece.
 
-    What is not finite was not computed, or is not judged, and is left out; None where all is.
+    NaN and infinite values are excluded: they were not computed, or are not judged. The statistics
+    of a signal without finite values are None.
     """
 
     def __init__(self) -> None:
@@ -18,7 +19,11 @@ class Series:
         self._counts = self._sums = self._squares = self._peaks = np.zeros(1)
 
     def add(self, values: Array) -> None:
-        """Ticks (k,) or (k, m)."""
+        """Include k further ticks.
+
+        Args:
+            values: (k,) samples of one signal, or (k, m) of m signals.
+        """
         rows = np.array(values if values.ndim > 1 else values[:, None], dtype=float)
         finite = np.isfinite(rows)
         rows[~finite] = 0.0
@@ -28,18 +33,19 @@ class Series:
         self._peaks = np.maximum(self._peaks, np.abs(rows).max(axis=0, initial=0.0))
 
     def mean(self) -> list[float | None]:
-        """Mean of each number."""
+        """Mean of each signal over its finite values."""
         return self._where_counted(self._sums / np.maximum(self._counts, 1))
 
     def rms(self) -> list[float | None]:
-        """Root mean square of each number."""
+        """Root mean square of each signal over its finite values."""
         return self._where_counted(np.sqrt(self._squares / np.maximum(self._counts, 1)))
 
     def peak(self) -> list[float | None]:
-        """Largest magnitude of each number."""
+        """Largest magnitude of each signal among its finite values."""
         return self._where_counted(self._peaks)
 
     def _where_counted(self, values: Array) -> list[float | None]:
+        """List of (m,) values, with None for signals without a finite value."""
         return [float(x) if n else None for x, n in zip(values, self._counts, strict=True)]
 
 
