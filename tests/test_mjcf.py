@@ -35,6 +35,7 @@ ARM = """
             <site name="wrist" pos="0 0 -0.02"/> <site name="tip" pos="0 0 0.1" euler="0.2 0 0"/>
             <body name="finger" pos="0.05 0 0.05">
               <joint name="grip" type="slide" axis="1 0 0"/> <geom size="0.01" mass="0.05"/>
+              <body name="pad" pos="0 0 0.02"><geom size="0.01" mass="0.02"/></body>
             </body>
           </body>
         </body>
@@ -101,7 +102,7 @@ def test_an_arm_has_its_rotors_and_a_link_may_be_called_as_its_joint(tmp_path):
     assert chain.joint_names == ["a/turn", "a/slide", "a/bend"]  # the finger is locked
     assert_array_equal(chain.model.armature, [0.1, 2.0, 0.1])
     own = chain.outboard[0][0].inertia
-    assert own.mass == approx(0.45)  # hand and finger, what MuJoCo's sensor there weighs
+    assert own.mass == approx(0.47)  # hand, finger and pad: what MuJoCo's sensor there weighs
     named = osc.Arm.from_mjcf(file, name="a", tip="turn")
     assert osc.ClosedChain([named]).joint_names == ["a/turn"]
 

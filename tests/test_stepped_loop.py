@@ -364,6 +364,13 @@ def test_goals_of_unknown_contacts_and_no_poses_are_refused_and_the_former_stay(
     assert reference.X_WD.isApprox(pin.SE3.Identity()) and not reference.alpha_d.any()
 
 
+def test_goals_are_approached_below_the_speed_at_which_arms_are_stopped():
+    goals = osc.GoalFollower([], pin.SE3.Identity(), 1e-3)
+    goals.aim(pin.SE3(np.eye(3), np.ones(3)))  # along the diagonal every axis has its limit
+    fastest = max(np.linalg.norm(goals.step().V_D[:3]) for _ in range(2000))
+    assert fastest < 0.9 * osc.SafetySettings().speed_ceiling
+
+
 def test_a_loop_without_contacts_moves_only(caplog):
     caplog.set_level(logging.WARNING)
     goals = osc.GoalFollower([], pin.SE3.Identity(), 1e-3)

@@ -15,8 +15,9 @@ from osc_contact.interface import Reference
 from osc_contact.jerk_limits import JerkLimits
 from osc_contact.spatial import Array, as_array
 
-#: Limits of a goal follower where none are given.
-LINEAR = JerkLimits(velocity=0.3, acceleration=2.0, jerk=40.0)  # m/s, m/s², m/s³
+#: Limits of a goal follower where none are given; along the diagonal of three axes its speed stays
+#: below the default `speed_ceiling` of `SafetySettings`.
+LINEAR = JerkLimits(velocity=0.25, acceleration=2.0, jerk=40.0)  # m/s, m/s², m/s³
 ANGULAR = JerkLimits(velocity=1.0, acceleration=8.0, jerk=150.0)  # rad/s, rad/s², rad/s³
 FORCE = JerkLimits(velocity=200.0, acceleration=4e3, jerk=2e5)  # N/s, N/s², N/s³
 

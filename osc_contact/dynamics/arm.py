@@ -411,9 +411,25 @@ def _path_to(model: pin.Model, tip: int, held: Mapping[str, float]) -> pin.Model
     for frame in reduced.frames:  # Pinocchio 4.1 leaves some frames their own parents
         original = model.frames[model.getFrameId(frame.name)]
         frame.parentFrame = reduced.getFrameId(model.frames[original.parentFrame].name)
+        if original.type == pin.FrameType.JOINT and frame.type == pin.FrameType.FIXED_JOINT:
+            frame.inertia = _own_inertia(model, original.parentJoint)
     for frame in reduced.frames:
         frame.name = names[frame.name]
     return reduced
+
+
+def _own_inertia(model: pin.Model, joint: int) -> pin.Inertia:
+    """Inertia of the link that a joint moves, in the joint's frame, without links welded to it.
+
+    Pinocchio adds welded links to the inertia of their joint, and keeps a copy at their frames.
+    """
+    whole = model.inertias[joint]
+    welded = pin.Inertia.Zero()
+    for frame in model.frames:
+        if frame.parentJoint == joint:
+            welded = welded + frame.placement.act(frame.inertia)
+    massless = welded.mass > (1.0 - 1e-12) * whole.mass
+    return pin.Inertia.Zero() if massless else whole - welded
 
 
 def with_distinct_frames(model: pin.Model) -> dict[str, str]:
