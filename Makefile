@@ -7,7 +7,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Even where it is set: hundreds of processes of the tests would compile all they import, 3 s each.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv browser demo check test test-all test-plain oldest-numba aarch64 versions peers \
+.PHONY: venv browser demo check test test-all test-plain oldest-numba aarch64 versions peers worlds \
 	coverage mutants docs gallery dist bench clean
 
 venv: .venv/.installed
@@ -124,6 +124,22 @@ peers: .venv-peers/.installed
 	@echo "installing into .venv-peers"
 	@set -o pipefail; .venv-peers/bin/pip install -q -c constraints-peers.txt \
 		-e '.[law,scenarios,sim]' torch newton mjlab robosuite pytest pytest-timeout 2>&1 \
+		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
+	@touch $@
+
+# Tries the package in a simulation of others, robosuite, in an environment with it (1 GB): its tests
+# and a comparison of controllers on SEEDS tables; CPU only, some minutes. The tables of
+# docs/baselines.md: make worlds SEEDS=30.
+SEEDS ?= 3
+worlds: .venv-robosuite/.installed
+	.venv-robosuite/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_robosuite.py
+	.venv-robosuite/bin/python -W ignore -m benchmarks.wiping --seeds $(SEEDS)
+
+.venv-robosuite/.installed: pyproject.toml constraints-robosuite.txt
+	@test -x .venv-robosuite/bin/pip || $(PYTHON) -m venv .venv-robosuite
+	@echo "installing into .venv-robosuite"
+	@set -o pipefail; .venv-robosuite/bin/pip install -q -c constraints-robosuite.txt \
+		-e '.[robosuite,scenarios,plot]' pytest pytest-timeout 2>&1 \
 		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
 	@touch $@
 

@@ -58,8 +58,9 @@ def table_rows(page, heading):
 
 
 def programs():
-    """All but those that need mjlab, which `make peers` runs."""
-    return [b for b in blocks("python") if "osc_contact.learn" not in b.values[1]]
+    """All but those that need mjlab or robosuite, which have environments of their own."""
+    elsewhere = ("osc_contact.learn", "osc_contact.robosuite")  # `make peers`, `make worlds`
+    return [b for b in blocks("python") if not any(one in b.values[1] for one in elsewhere)]
 
 
 @parametrize("page, code, shown", programs())

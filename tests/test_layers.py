@@ -20,7 +20,7 @@ SOURCES = ROOT / PACKAGE
 #: Of other software: what the core does without.
 NOT_BELOW = {"yaml", "mujoco", "matplotlib", "meshcat", "tornado", "rich", "typer", "PIL"}
 #: The doors themselves, and the list of old names.
-DOORS = {"__init__", "__main__", "learn", "moved"}
+DOORS = {"__init__", "__main__", "learn", "moved", "robosuite"}
 
 
 def layers():

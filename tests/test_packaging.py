@@ -29,7 +29,8 @@ def yaml_of(name):
 
 SETTINGS = tomllib.loads(text_of("pyproject.toml"))
 PROJECT = SETTINGS["project"]
-EXTRAS = [name for name in PROJECT["optional-dependencies"] if name != "mutation"]
+ELSEWHERE = ("mutation", "robosuite")  #: extras that no other environment has
+EXTRAS = [name for name in PROJECT["optional-dependencies"] if name not in ELSEWHERE]
 
 
 def wheel_of(source, folder):
