@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.errors import InvalidInputError, OscContactError, PlantError
+from osc_contact.errors import InvalidInputError, OscContactError, PlantError, missing
 from osc_contact.files import Json, hold, whole_file
 from osc_contact.lab.checks.preflight import judge_rig, require_ready
 from osc_contact.lab.rig.rig import Rig, build_chain, build_rig
@@ -476,7 +476,10 @@ def run_study(
         study: study to run.
         out, workers, scheduler, progress: see `sweep`.
     """
-    from pyarrow import parquet  # a missing package is reported before the runs
+    try:
+        from pyarrow import parquet  # a missing package is reported before the runs
+    except ImportError as error:
+        raise InvalidInputError(missing(error)) from error
 
     file = None if out is None else Path(out) / ROWS
     done = run_rows(study, file, workers=workers, scheduler=scheduler, progress=progress)
