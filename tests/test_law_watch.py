@@ -475,7 +475,6 @@ def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest(state
     assert sensors.until(**STILL) == (12, FROZEN)
     assert (sensors.joints.faulty == 3).all(), "no reading of it is sound"
     assert sensors.memory.unbraked == 1
-    assert noisy(state).until(**STILL | {"wrench": None}, most=60) == (0, NO_REASON)
     for joints in ((), (0,), (1,)):  # ideal or coarse sensors read the same at rest
         assert noisy(state, joints).until(**STILL, most=60) == (0, NO_REASON)
     for j in range(2):
@@ -490,10 +489,28 @@ def test_a_packet_that_repeats_itself_is_distinguished_from_joints_at_rest(state
     assert sensors.memory.frozen == 0
 
 
+@parametrize("state", [at.RUN, at.SAFE_STOP])
+def test_joints_whose_noise_ends_have_died_although_wrists_go_on(state):
+    """Noise in most readings does not end; that between two steps of coarse encoders does."""
+    sensors = noisy(state)
+    assert sensors.until(**STILL | {"wrench": None}) == (12, FROZEN)
+    assert (sensors.joints.faulty == 3).all() and sensors.memory.unbraked == 1
+    for joints in ((), (0,), (1,)):
+        assert noisy(state, joints).until(**STILL | {"wrench": None}, most=60) == (0, NO_REASON)
+    sensors = noisy(state)
+    q = np.ones(2)
+    for k in range(300):  # one joint at a time, now and then
+        q[k % 2] += 1e-5 * (-1) ** (k // 2) if k % 5 == 0 else 0.0
+        assert sensors.tick(**STILL | {"q": q.copy(), "wrench": None}) == NO_REASON
+    assert sensors.until(**STILL | {"q": q, "wrench": None}, most=60) == (0, NO_REASON)
+    assert sensors.until(**STILL | {"q": q}) == (12, FROZEN)
+
+
 def test_a_wrist_out_of_range_is_none_that_repeats_itself():
     """It reads something else than it did; one that is not read leaves the evidence as it is."""
     for beyond, ends in ((1e7, (0, NO_REASON)), (np.nan, (12, FROZEN))):
         sensors = noisy()
+        sensors.memory.lively = 0.0  # else joints are evidence enough
         assert sensors.until(**STILL | {"wrench": np.full((1, 6), beyond)}, most=60) == ends
 
 

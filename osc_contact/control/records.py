@@ -27,6 +27,7 @@ FORGOTTEN = (
     "compared",
     "frozen",
     "still",
+    "lively",
     "wrench_age",
     "old_joints",
     "old_wrists",

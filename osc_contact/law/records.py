@@ -301,6 +301,7 @@ _MEMORY = _record(
         "ending",  # s of a joint near an end stop
         "still",  # s of identical readings of all joints
         "frozen",  # s of identical readings of joints and wrists
+        "lively",  # share of readings that changed a position, low-passed; kept while none does
         "apart",  # s of arms that place the object differently
         "mixed",  # s of several joints that jump in one packet
         "tested",  # s since the holds of a stop were last moved

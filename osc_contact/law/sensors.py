@@ -35,8 +35,8 @@ STUCK = declare_reason(
 FROZEN = declare_reason(
     "FROZEN",
     56,
-    "all readings are the very same for {safety.frozen_time:g} s, and were noisy before: a packet "
-    "repeats itself",
+    "the readings of all joints are the very same for {safety.frozen_time:g} s, and were noisy "
+    "before: a packet repeats itself",
 )
 WRIST_FROZEN = declare_reason(
     "WRIST_FROZEN",
@@ -72,6 +72,9 @@ _SLID = 0.1  #: s of motion after which a joint has shown its friction
 _FINE = 1e-9  #: rad, m, change of a position below which it is rounding
 _TURNING = 0.1  #: s, time constant of the share of changes that reverse the one before
 _NOISY = 0.2  #: share of reversals above which a position is noisy; pure noise has two thirds
+# Share of readings that change a position, above which their noise cannot end. Positions that only
+# change between two steps of coarse encoders change less and less as the arms come to rest.
+_LIVELY = 0.5
 _SAME = 0.03  #: s for which a stopped joint may have identical positions and a speed
 # Holds of stopped joints are moved back and forth, each time for _SETTLES/ω, ω being the
 # `hold_rate`. In this time a joint without friction moves 0.8 of the distance, which encoders of 17
@@ -95,7 +98,8 @@ def check_sensors(t):
 
     The integral is not checked if speeds are estimated from positions, because it would contain
     lasting errors of the model. WRIST_FROZEN: a wrist in contact is constant for too long. FROZEN:
-    all readings are, which were noisy before. MIXED: several joints jump in one packet.
+    the readings of all joints are, which were noisy before; and those of the wrists are, too, or
+    the noise was in most readings of the joints. MIXED: several joints jump in one packet.
 
     Δt is the time since the position was last read. Missing, repeated and implausible readings do
     not change the evidence. If positions of several joints jump in one packet, none of its readings
@@ -126,6 +130,7 @@ def check_sensors(t):
     same_joints = compared
     elapsed = model.period
     shares = _shares(elapsed)
+    changed = 0
     for j in range(model.n_joints):
         known = memory.joints[j]
         joint = model.joints[j]
@@ -138,6 +143,7 @@ def check_sensors(t):
             if elapsed != model.period * (1 + known.unread_q):
                 elapsed = model.period * (1 + known.unread_q)
                 shares = _shares(elapsed)
+            changed += 1 if step != 0.0 else 0
             same_joints = same_joints and step == 0.0 and credible and v[j] == known.v
             if compared and credible:
                 found = _check_joint(t, known, joint.speed_max, step, v[j], elapsed, shares)
@@ -155,13 +161,18 @@ def check_sensors(t):
         known.unread_v = 0 if credible else known.unread_v + 1
     if complete:
         memory.compared = 1
+        if not same_joints:
+            span = memory.still + elapsed
+            share = changed * elapsed / (model.n_joints * span)
+            memory.lively += span / (_TURNING + span) * (share - memory.lively)
         memory.still = memory.still + elapsed if same_joints else 0.0
         memory.frozen = memory.frozen + elapsed if same_joints and same_wrenches else 0.0
         for j in range(model.n_joints if memory.still > model.frozen_time else 0):
             if abs(memory.joints[j].v) * memory.still > _RESOLUTION:
                 reason = DISAGREE
                 culprit = j
-        if memory.frozen > model.frozen_time and _were_noisy(t):
+        silent = memory.still > model.frozen_time and memory.lively > _LIVELY
+        if (silent or memory.frozen > model.frozen_time) and _were_noisy(t):
             reason = FROZEN
         if memory.state == SAFE_STOP and memory.settled == SETTLED:
             _test_encoders(t, elapsed)
