@@ -37,13 +37,14 @@ class Fault(NamedTuple):
         limited: whether contact forces are judged: not where the reference commands a collision.
         torque: changes the torques on their way to the motors; or None.
         world: changes the simulated robot or what acts on it, before each control period; or None.
-        unsound: names of the readings of all joints that it makes worthless, of `Measurement`, and
-            "tau" where a motor does not give its torque: with "q" and "v", or with "tau", brakes
-            may be requested.
+        unsound: names of the readings that it makes worthless, of `Measurement`, and "tau" where a
+            motor does not give its torque: with "q" and "v", or with "tau", brakes may be
+            requested; with "q" alone where speeds are estimated from positions.
         arms: least number of arms that it takes.
         stiffness: N/m, of an obstacle: forces grow with it until the arm is stopped.
         pulls: whether it moves an arm that is stopped, and at rest.
         hangs: whether the object hangs on its first arm alone then.
+        mirrors: whether a contact force f reads as -f, which makes the force loop unstable.
     """
 
     change: Change | None = None
@@ -57,6 +58,7 @@ class Fault(NamedTuple):
     stiffness: float = 0.0
     pulls: bool = False
     hangs: bool = False
+    mirrors: bool = False
 
 
 @dataclass
@@ -294,12 +296,17 @@ class _Forearm:
 
 
 def _post(t: Trial, plant: MujocoPlant) -> None:
-    """A post that the forearm touches when the fault begins, in the direction of its motion."""
+    """A post that the forearm touches when the fault begins, in the direction of its motion.
+
+    `kept["speed"]` is the largest speed at which the forearm has moved into it (m/s): an arm at
+    rest meets it later.
+    """
     arm = _Forearm(t, plant)
     speed = float(np.linalg.norm(arm.v))
     n = t.first("into", arm.v / speed if speed > 1e-3 else t.direction())
     depth = float(n @ (arm.p - t.first("post", arm.p)))
-    t.first("speed", speed)
+    into = float(n @ arm.v) if depth >= 0.0 else 0.0
+    t.kept["speed"] = max(t.kept.get("speed", 0.0), into)
     arm.push(-max(0.0, POST * depth + 0.002 * POST * float(n @ arm.v)) * n * (depth > 0.0))
 
 
@@ -317,6 +324,7 @@ def _hand(t: Trial, plant: MujocoPlant) -> None:
 
 _angles, _speeds, _wrists = (partial(_reading, name) for name in ("q", "v", "wrenches"))
 _STOPS = (SAFE_STOP,)
+_ENCODER = ("q",)
 _JOINTS = ("q", "v")
 _MOTOR = ("tau",)
 _ON = (RUN, DEGRADED)
@@ -333,7 +341,7 @@ FAULTS: dict[str, Fault] = {
     "encoder spike of 1 rad, one tick": Fault(_angles(_motor, offset=1.0), _TICK, _ON),
     "encoder jumps by 1 rad": Fault(_angles(_motor, offset=1.0), ends=_STOPS),
     "encoder 1e200": Fault(_angles(_motor, 0.0, 1e200), ends=_STOPS),
-    "encoder stuck": Fault(_angles(_motor, stuck=True)),
+    "encoder stuck": Fault(_angles(_motor, stuck=True), unsound=_ENCODER),
     "encoders stuck, speeds too": Fault(
         _packet(lambda t, m: replace(m, q=t.first("q", m.q), v=t.first("v", m.v))),
         ends=_STOPS,
@@ -342,9 +350,9 @@ FAULTS: dict[str, Fault] = {
     "encoders stuck, speeds zero": Fault(
         _packet(lambda t, m: replace(m, q=t.first("q", m.q), v=0.0 * m.v)), unsound=_JOINTS
     ),
-    "encoder mirrored": Fault(_angles(_motor, -1.0)),
-    "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=0.2)),
-    "encoder offset of 1 degree": Fault(_angles(_motor, offset=np.deg2rad(1.0))),
+    "encoder mirrored": Fault(_angles(_motor, -1.0), unsound=_ENCODER),
+    "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=0.2), unsound=_ENCODER),
+    "encoder offset of 1 degree": Fault(_angles(_motor, offset=np.deg2rad(1.0)), unsound=_ENCODER),
     "joints swapped": Fault(_packet(_swapped_joints), unsound=_JOINTS),
     "speeds swapped": Fault(_packet(_swapped_speeds)),
     "arms swapped": Fault(_packet(_swapped_arms), unsound=_JOINTS, arms=2),
@@ -366,8 +374,8 @@ FAULTS: dict[str, Fault] = {
     "wrists read zero": Fault(_wrists(gain=0.0)),
     "one wrist reads zero": Fault(_wrists(_row, 0.0)),
     "one wrist stuck": Fault(_wrists(_row, stuck=True)),
-    "wrists mirrored": Fault(_wrists(gain=-1.0)),
-    "one wrist mirrored": Fault(_wrists(_row, -1.0)),
+    "wrists mirrored": Fault(_wrists(gain=-1.0), mirrors=True),
+    "one wrist mirrored": Fault(_wrists(_row, -1.0), mirrors=True),
     "wrist offset of 20 N": Fault(_wrists(_one, offset=20.0)),
     "wrists times 0.3": Fault(_wrists(gain=0.3)),
     "wrist gain drifts by 20 %/s": Fault(_wrists(gain_drift=0.2)),

@@ -58,6 +58,23 @@ def test_every_kind_of_fault_in_contact_and_some_elsewhere(where):
     assert not verdict.wrong, verdict
 
 
+@parametrize(
+    "name, case",
+    [
+        ("encoders stuck, speeds zero", Case(scenario="panda_wrist", seed=1129)),
+        ("encoder stuck", Case("approach", every=2, seed=1129)),
+        ("one wrist mirrored", Case(scenario="ur5_wipe", every=3, seed=1131)),
+        ("a post at the forearm", Case(scenario="three_arm_plate", every=3, seed=1129)),
+    ],
+    ids=str,
+)
+def test_drawn_moments_that_were_once_found_wrong(name, case):
+    """A quiet arm; speeds that end with their encoder; what grows until the stop."""
+    verdict = try_fault(name, case, fault_for=2.0, stopped_for=0.6)
+    assert not verdict.wrong, verdict
+    assert verdict.state is SAFE_STOP
+
+
 @parametrize("where", first(LET_GO, 2), ids=str)
 def test_arms_of_which_one_has_let_go_of_the_object_come_to_rest(where):
     """The one that holds it carries all of it, the other one nothing."""
@@ -104,6 +121,18 @@ def test_a_fault_is_found_wrong_where_the_limits_are_off(monkeypatch):
     monkeypatch.setattr(osc.Controller, "phases", lambda self: closed)
     found = try_fault("faces vanish", Case(), IN_CONTACT, **SHORT).wrong
     assert any("open for" in one for one in found), found
+
+
+def test_the_limit_of_a_post_is_that_of_the_speed_at_which_it_is_met():
+    """Arms that are at rest when the post appears meet it later."""
+    run = Run(Case(scenario="three_arm_plate", every=3, seed=1129), "a post at the forearm")
+    seen = Verdict("no fault", run.case)
+    speeds = []
+    while run.k < 450:
+        run.step(seen, FAULTS["a post at the forearm"] if run.k >= run.first else None)
+        speeds.append(run.trial.kept.get("speed", 0.0))
+    assert speeds[run.first] < 1e-3 < speeds[-1]
+    assert (np.diff(speeds) >= 0.0).all()
 
 
 def test_moments_are_drawn_from_the_whole_run_and_are_the_same_again():
