@@ -159,6 +159,24 @@ def test_rotors_that_the_model_lacks_do_not_mislead_the_velocities():
     assert recording.meta["end_state"] == "RUN"
 
 
+def test_rotors_that_the_model_lacks_do_not_make_a_contact_on_a_spring_oscillate():
+    """The brake of a UR3 with rotors of ten times its wrist's links was a tenth of what K_i needs.
+
+    It bounced off the wall with up to ten times its command, and stopped at 1.05 s.
+    """
+    task = draw(101, 1)
+    task = replace(task, changes=[*task.changes, "duration=3 s"])
+    scenario = task.load()
+    recording = osc.run(scenario, seed=1, check=lambda rig: [])
+    assert recording.meta["end_state"] == "RUN"
+    late = recording["t"] > 2.0
+    command = recording["alpha_cmd"][late, 0]
+    error = recording["alpha_true"][late, 0] - command
+    assert np.sqrt(np.mean(error**2)) < 0.2 * np.mean(command)
+    rotors = np.array(scenario.arms[0].armature)
+    assert (np.array(recording.meta["missing_inertia"])[:3] > 0.5 * rotors[:3]).all()
+
+
 # --- MuJoCo ---------------------------------------------------------------------------------------
 
 

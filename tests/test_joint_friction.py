@@ -10,6 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
 from rigs import (
+    PANDA_Q,
     UNLIMITED,
     assert_near,
     largest,
@@ -191,6 +192,52 @@ def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase
         applied.append(joint_friction.believed_friction(t, 0))
     steps = np.arange(1, 101) if phase == CLOSED else np.full(100, 100)
     assert_near(applied, -8.0 * steps / 100)
+
+
+@parametrize("missing, certain", {0.5: 0.3, -0.5: -0.3, 0.15: 0.0})
+def test_the_inertia_takes_in_what_is_certain_of_a_learned_rotor(missing, certain):
+    """All but two standard deviations, within 0.1 s; what is forgotten leaves it again."""
+    t = records(1, 1, 1, friction_learning=1)
+    t.memory.contacts.phase = CLOSED
+    t.memory.friction_known[0] = joint_friction.LEARNED
+    row = t.memory.friction[0]
+    row.applied = 1.0
+    row.theta[2] = missing
+    row.P[2, 2] = 0.1**2
+    joint = t.memory.joints[0]
+    for n in range(1, 301):
+        learn(t)
+        assert joint.rotor == approx(certain * (1.0 - 1.01**-n))
+    t.memory.friction_known[0] = joint_friction.MODEL_ONLY
+    for _ in range(1000):
+        learn(t)
+    assert abs(joint.rotor) < 1e-4
+
+
+def test_a_rotor_that_is_taken_in_acts_as_one_of_the_model():
+    """Torques are those of a model that has it, and its torque is not compensated once more."""
+    rng = default_rng(4)
+    observes_none = osc.JointFriction(share=0.0)
+    dry = {"friction": DRY, "damping": 0.0}
+    known, lacking = (
+        osc.Controller(
+            strong(panda(**joints)), [], GAINS, safety=UNLIMITED, joint_friction=observes_none
+        )
+        for joints in ({"armature": ROTORS, **dry}, dry)
+    )
+    memory = lacking.records.memory
+    memory.friction_known[:] = joint_friction.LEARNED
+    memory.friction.applied = 1.0
+    memory.friction.theta[:, 0] = DRY
+    memory.friction.theta[:, 2] = ROTORS
+    memory.joints.rotor = ROTORS
+    for _ in range(5):
+        q, v = PANDA_Q, 0.1 * rng.standard_normal(7)
+        desired = osc.Reference(one_panda().state(q, v).X_WO, 0.1 * np.arange(6.0), np.ones(6))
+        tau = [ticked(controller, unloaded(q, v), desired) for controller in (known, lacking)]
+        assert_near(tau[1], tau[0], atol=1e-6)
+        memory.joints.rotor = ROTORS
+        memory.friction_known[:] = joint_friction.LEARNED
 
 
 @parametrize("sign", [1.0, -1.0])

@@ -191,7 +191,7 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
             m = dot6(work[k].column, momentum)
             w.M[k - arm.first] = m
             work[k].M[j - arm.first] = m
-        w.M[j - arm.first] += joints[j].armature
+        w.M[j - arm.first] += joints[j].armature + t.memory.joints[j].rotor
         if j <= arm.outer_joint:
             momentum = _times(outer, w.column)
         fill(w.outboard, momentum)

@@ -18,6 +18,9 @@ model has no friction, F, D and A keep the model's values until the estimate dif
 from them, or until a joint rests for long although it is commanded to move with the speed s. The
 friction of such a joint is at least |r|, so F is increased by the excess of r over F + D |s|.
 
+What is certain of A is added to M (`rotor`), because gains of forces and motions are accelerations,
+and f compensates the rest of it.
+
 Friction is identified at the measured speed of a joint, and compensated at the speed s that the
 contacts permit, J̄ P V_D with P = Ω_m(Λ_o⁻¹) of eq. 4, which contains neither measurement noise nor
 the motion of the posture task. sign s is s/√(s² + s_0²), averaged over the tick, so that the
@@ -86,6 +89,8 @@ _SCATTER = 0.5  #: s, time constant of R, the variance of the residuals that θ 
 _QUIET = 0.1  #: least √R, as a share of the noise assumed at the start
 _SEEN = 3.0  #: multiple of the noise that an element of φ must cause for its past to be forgotten
 _FASTEST = 1e6  #: rad/s, m/s; speed limit of joints without one, so that squares are finite
+_CERTAIN = 2.0  #: standard deviations of A that M leaves out
+_TAKEN_IN = 0.1  #: s in which M follows A
 _SUDDEN = 0.05  #: s; the rate of s is bounded by the speed limit divided by this
 
 _SIZE = 5  #: length of θ
@@ -218,9 +223,12 @@ def _learn(t, j, sound, rate, inertial, dt):
     if state == LEARNED or (state == SUSPECTED and t.model.friction_errors):
         aim = missing if row.unbalanced == 0.0 else 0.0  # an error of the wrist sensor is suspected
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
+    _take_in_rotor(row, learned, state == LEARNED, dt)
     k = dt / (_SMOOTH + dt)
     smooth = learned.smooth
-    shown = (row.residual, means[SIGN], means[SPEED], means[V], rate, means[WEIGHT] + inertial)
+    own = row.rotor * rate  # M has it
+    torque = row.residual + own
+    shown = (torque, means[SIGN], means[SPEED], means[V], rate, means[WEIGHT] + inertial - own)
     for i in range(len(shown)):
         smooth[i] += k * (shown[i] - smooth[i])
     least = _MOVES * (SLIDES if joint.slides else 1.0)
@@ -238,6 +246,25 @@ def _learn(t, j, sound, rate, inertial, dt):
     settled = t.memory.balanced * dt > _SETTLED
     if t.model.friction_learning and settled and abs(smooth[SIGN]) > _FULL:
         _estimate(t, j, moves, min(_TURNS * k, 1.0), _TURNS * dt)
+
+
+@leaf
+def _take_in_rotor(row, learned, is_learned, dt):
+    """Update the inertia that M has of a joint beside the model's by what is certain of A.
+
+    Gains of forces and motions are of accelerations: a rotor that M lacks reduces them all, and the
+    brake of a contact below what its integral needs. Certain is A less two standard deviations.
+
+    Args:
+        row: JOINT_MEMORY. learned: its FRICTION. is_learned: whether its estimate is in use.
+        dt: time since the last computed tick (s).
+    """
+    certain = 0.0
+    if is_learned:
+        A = learned.applied * learned.theta[2]
+        doubt = _CERTAIN * sqrt(max(learned.P[2, 2], 0.0))
+        certain = A - min(max(A, -doubt), doubt)
+    row.rotor += dt / (_TAKEN_IN + dt) * (certain - row.rotor)
 
 
 @leaf
@@ -499,13 +526,16 @@ def _compensation(t, j):
 
 @leaf
 def _theta(t, j):
-    """F, D and A of joint j: identified ones, as far as they are phased in, or the model's."""
+    """F, D and A of joint j: identified ones, as far as they are phased in, or the model's.
+
+    What M has of A is left out.
+    """
     known = t.model.joints[j].theta
     theta = linear(known)
     if t.memory.friction_known[j] == LEARNED:
         learned = t.memory.friction[j]
         theta = add3(theta, learned.applied, minus3(learned.theta, known))
-    return theta
+    return theta[0], theta[1], theta[2] - t.memory.joints[j].rotor
 
 
 @leaf

@@ -443,6 +443,7 @@ JOINT_MEMORY = _record(
         "turn",  # ṡ
         "friction",  # compensated friction f
         "unlearned",  # e
+        "rotor",  # inertia that M has beside the model's
         # see `agreement`
         "unexplained",  # residual less identified friction, low-passed
         "usual",  # its mean over a longer time
