@@ -9,7 +9,7 @@ from samples import parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
-from osc_contact.control.status import SafetyState
+from osc_contact.control.status import Phase, SafetyState
 from osc_contact.plan import ends, motions
 from osc_contact.plan.plan import Outcome
 from osc_contact.plan.sensed import Sensed
@@ -163,6 +163,16 @@ def test_motions_are_permitted_by_contacts():
         assert_allclose(misfit, 0.0, atol=1e-9)
 
 
+def test_what_contacts_do_not_permit_is_taken_from_the_position():
+    """A light body would turn by degrees for each millimetre in its own metric."""
+    face = np.array([[0, 0, -1.0, 0.014, -0.014, 0]]).T  # a corner beside the origin
+    d = motions.permitted_displacement(face, np.array([1e-3, 0, 2e-3, 0, 0, 0]))
+    assert_allclose(d, [1e-3, 0, 0, 0, 0, 0], atol=1e-12)
+    e = np.array([1e-3, 2e-3, 0, 0.01, 0.02, 0.03])
+    assert_allclose(motions.permitted_displacement(face, e)[3:], e[3:], atol=1e-12)
+    assert_allclose(face.T @ motions.permitted_displacement(face, e), 0.0, atol=1e-12)
+
+
 def test_a_blocked_motion_is_left_out():
     """Three points on a face, of which rounding leaves 1e-16 of a way along its normal."""
     n = pin.exp3(np.array([0.4, 0.3, 0.0])) @ UP
@@ -220,6 +230,19 @@ def test_conditions_last_without_interruption():
     assert met(pressed, series) == 0
     assert met(pressed.lasting(0.04), series) == 7
     assert met(pressed.lasting(0.06), series) is None
+
+
+@parametrize("closed, index", [([0] * 9, 5), ([1] * 9, None), ([0, 0, 0, 1, 0, 0, 0, 0, 0], 5)])
+def test_a_contact_that_flickers_is_lost(closed, index):
+    """Closed for 10 ms it is not regained; for 60 ms it is."""
+    series = []
+    for one in closed:
+        now = sensed()
+        now.phases = {"a": Phase.CLOSED if one else Phase.OPEN}
+        series.append(now)
+    assert met(ends.lost("a", lasting=0.06), series) == index
+    regained = [*series[:3], *[now for now in series if now.phases["a"] == Phase.CLOSED] * 6]
+    assert met(ends.lost("a", lasting=0.06), regained) is None
 
 
 def test_conditions_are_joined():
@@ -308,6 +331,12 @@ def test_a_failure_leads_to_the_stage_that_follows_it(rig):
         ("rest", False),
         ("try", True),
     ]
+
+
+def test_a_stage_fails_by_a_condition_of_its_own(rig):
+    plan = osc.Plan([press(until=ends.after(1.0), unless=ends.after(0.05))])
+    run(rig, plan)
+    assert (plan.outcome, plan.reason) == (Outcome.FAILED, "stage 'press': after 0.05 s")
 
 
 def test_a_force_above_the_largest_is_a_failure(rig):
@@ -511,6 +540,7 @@ def test_plans_are_refused_where_they_are_made(make, words):
         (stage(forces={"corner 9": 1.0}), "no contact 'corner 9'; did you mean"),
         (stage(forces={"corner 0": [1.0, 2.0]}), "has 1 columns"),
         (stage(until=ends.made("corner 0")), "ends by contact 'corner 0', which is not active"),
+        (stage(unless=ends.lost("corner 0")), "ends by contact 'corner 0', which is not active"),
         (stage(places={"hole": pin.SE3.Identity()}), "no contact 'hole'"),
         (
             stage(
@@ -539,6 +569,11 @@ def test_forces_above_a_ceiling_are_refused(rig):
     controller = controller_of(rig, safety=osc.SafetySettings(contact_ceiling=7.0))
     with invalid_input("above safety.contact_ceiling = 7 N"):
         run(rig, osc.Plan([press()]), controller)
+
+
+def test_contacts_of_a_plan():
+    plan = osc.Plan([stage(forces={"a": 1.0, "b": 2.0}), stage("two", {"b": 1.0, "c": 0.0})])
+    assert plan.contacts == ("a", "b", "c")
 
 
 def test_a_plan_runs_once(rig):

@@ -75,11 +75,12 @@ def require_plan(
 
 def _require_contacts(stage: Stage, names: Sequence[str]) -> None:
     """Refuse conditions on contacts that are not active in the stage, and unknown contacts."""
-    assert isinstance(stage.until, End)  # the stage made it one
-    for name in (*stage.until.contacts, *stage.places):
+    conditions = [one for one in (stage.until, stage.unless) if isinstance(one, End)]
+    asked = [name for one in conditions for name in one.contacts]
+    for name in (*asked, *stage.places):
         if name not in names:
             raise InvalidInputError(f"there is no contact {name!r}; {did_you_mean(name, names)}")
-    for name in stage.until.contacts:
+    for name in asked:
         if name not in stage.forces:
             raise InvalidInputError(
                 f"it ends by contact {name!r}, which is not active in it; add it to its forces, "

@@ -119,19 +119,27 @@ def made(*contacts: str, lasting: float = MADE_FOR) -> End:
 
 
 def lost(*contacts: str, lasting: float = MADE_FOR) -> End:
-    """One of these contacts is not closed.
+    """One of these contacts is not closed, or closed for moments only.
 
     Args:
         contacts: their names.
-        lasting: s for which it must not be closed.
+        lasting: s for which it must not be closed, except for less than 50 ms at a time.
     """
 
-    def test(now: Sensed) -> bool:
-        return any(now.phases[name] != Phase.CLOSED for name in contacts)
+    def begin(now: Sensed) -> Watch:
+        held = dict.fromkeys(contacts, 0.0)
+        lost_for = dict.fromkeys(contacts, 0.0)
 
-    words = f"{' or '.join(contacts)} lost"
-    end = End(lambda now: lambda now, dt: test(now), words, contacts)
-    return _renamed(end.lasting(lasting), words)
+        def met(now: Sensed, dt: float) -> bool:
+            for name in contacts:
+                closed = now.phases[name] == Phase.CLOSED
+                held[name] = held[name] + dt if closed else 0.0
+                lost_for[name] = 0.0 if held[name] >= MADE_FOR else lost_for[name] + dt
+            return max(lost_for.values()) >= lasting
+
+        return met
+
+    return End(begin, f"{' or '.join(contacts)} lost", contacts)
 
 
 def _renamed(end: End, words: str) -> End:

@@ -9,7 +9,7 @@ Motions are added by &: `turn_to(axis, up, 0.1) & along(down, 5e-3, yields=6.0)`
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import cos, hypot, inf, pi, sin, sqrt
 from typing import Literal
@@ -411,20 +411,41 @@ def permitted_twist(N: Array, demand: Demand) -> tuple[Array, Array]:
         N: (6, r) directions of force of the active contacts.
         demand: S and s.
     """
+    open_ones = ((_ANGULAR, np.zeros(3)), (_LINEAR, np.zeros(3)))
+    V = _permitted(N, ((demand.rows, demand.values), *open_ones))
+    return V, demand.rows @ V - demand.values
+
+
+def permitted_displacement(N: Array, e: Array) -> Array:
+    """Displacement (6,) with Nᵀd = 0 next to e: its angles as far as possible, then its position.
+
+    A small body is turned easily: the projection Ω_m in its own metric would make a rotation of
+    most of what contacts do not permit.
+
+    Args:
+        N: (6, r) directions of force of the active contacts.
+        e: (6,) displacement at O (m, rad).
+    """
+    return _permitted(N, ((_ANGULAR, e[3:]), (_LINEAR, e[:3])))
+
+
+def _permitted(N: Array, wanted: Iterable[tuple[Array, Array]]) -> Array:
+    """Vector V (6,) with NᵀV = 0 that meets A V = b, by least squares, each within those before.
+
+    Args:
+        N: (6, r).
+        wanted: A (k, 6) and b (k,), the most important one first.
+    """
     V = np.zeros(6)
     Z = _null_space(N.T)
-    for rows, values in (
-        (demand.rows, demand.values),
-        (_ANGULAR, np.zeros(3)),
-        (_LINEAR, np.zeros(3)),
-    ):
+    for rows, values in wanted:
         if len(rows) > 0 and Z.shape[1] > 0:
             left, sizes, right = np.linalg.svd(rows @ Z)
             k = int(np.sum(sizes > _INDEPENDENT))
             y = left[:, :k].T @ (values - rows @ V) / sizes[:k]
             V = V + Z @ (right[:k].T @ y)
             Z = Z @ right[k:].T
-    return V, demand.rows @ V - demand.values
+    return V
 
 
 _INDEPENDENT = 1e-6  #: least singular value of independent rows of about unit length

@@ -23,11 +23,12 @@ from osc_contact.plan.motions import (
     CHANGES,
     LINEAR_ACCELERATION,
     Course,
+    permitted_displacement,
     permitted_twist,
 )
 from osc_contact.plan.sensed import Sensed, Senses, forces_of
 from osc_contact.plan.stage import Stage, StageVerdict
-from osc_contact.spatial import Array
+from osc_contact.spatial import Array, pose_error
 
 SETTLED = 0.1  #: s from the beginning of a stage that tares, whose readings are not averaged
 BRAKED = 1.0  #: s after a stop for which a plan still gives references, while the arms are braked
@@ -51,8 +52,8 @@ _OVER = (Outcome.DONE, Outcome.FAILED, Outcome.ABORTED)
 class Plan:
     """Sequence of stages, in place of the references of `run_loop` or of a `SteppedLoop`.
 
-    The reference follows the object in directions that contacts and arms do not permit, so that
-    contacts can be released without a jump. After a failure, an abort and a stop the object is held
+    The reference follows the object in directions that contacts do not permit, so that contacts can
+    be released without a jump. After a failure, an abort and a stop the object is held
     where it is, without contacts; after the last stage its forces remain.
 
     Args:
@@ -170,6 +171,11 @@ class Plan:
         return self.outcome in _OVER
 
     @property
+    def contacts(self) -> tuple[str, ...]:
+        """Names of all contacts of its stages, each once."""
+        return tuple(dict.fromkeys(name for stage in self.stages for name in stage.forces))
+
+    @property
     def stage(self) -> Stage:
         """The present stage, or the last one."""
         return self.stages[self._k]
@@ -241,16 +247,19 @@ class Plan:
         until = stage.until
         assert isinstance(until, End)  # the stage made it one
         self._watch: Watch = until.begin(now)
+        self._alarm: Watch | None = None
+        if isinstance(stage.unless, End):
+            self._alarm = stage.unless.begin(now)
         self._squares, self._ticks = 0.0, 0
         self._residual, self._weighed = np.zeros(6), 0
         self._verdict = StageVerdict(stage.name, self._time)
         self._note("stage", name=stage.name, number=k)
 
     def _follow(self) -> None:
-        """Take from the reference what contacts and arms do not permit."""
+        """Take from the reference what contacts do not permit, of its angles the least possible."""
         if self._controller.records.memory.ticked and self._controller.status is not Status.HELD:
             X = self._senses.now.X
-            e = self._senses.free_error()
+            e = permitted_displacement(self._senses.now.N, pose_error(self._aim, X))
             self._aim = pin.SE3(pin.exp3(e[3:]) @ X.rotation, X.translation + e[:3])
 
     def _judge(self, now: Sensed) -> None:
@@ -270,8 +279,12 @@ class Plan:
         most = min(stage.largest, self.largest)
         until = stage.until
         assert isinstance(until, End)
+        alarmed = self._alarm is not None and self._alarm(now, dt)
         if force > most:
             self._fail(f"{force:.1f} N, more than {most:g} N")
+        elif alarmed:
+            assert isinstance(stage.unless, End)
+            self._fail(stage.unless.words)
         elif self._watch(now, dt):
             self._end_stage(until.words, failed=False)
             if self._weighed:

@@ -115,10 +115,6 @@ class Senses:
         now.N = result.columns.N[controller.records.kept()].T.copy()
         return now
 
-    def free_error(self) -> Array:
-        """Part (6,) of the pose error that contacts and arms permitted in the last tick."""
-        return np.array(self._controller.result().free_error)
-
     def force_error(self, alpha_d: Array) -> float:
         """Sum over the closed contacts of the squared errors of their forces (N²).
 

@@ -24,6 +24,7 @@ class Stage:
             columns of N, or a force for each column. With a force of 0 a contact is active, too.
         motion: motion in what these contacts permit.
         until: condition that ends the stage, or a function of the signals.
+        unless: condition with which the stage has failed.
         within: time after which the stage has failed (s).
         then: name of the stage that follows; None: the next one of the plan, after the last one the
             plan is done.
@@ -46,6 +47,7 @@ class Stage:
     motion: Motion = field(default_factory=dwell)
     until: End | Callable[[Sensed], bool] = field(kw_only=True)
     within: float = field(kw_only=True)
+    unless: End | Callable[[Sensed], bool] | None = field(default=None, kw_only=True)
     then: str | None = field(default=None, kw_only=True)
     fails: str | None = field(default=None, kw_only=True)
     largest: float = field(default=inf, kw_only=True)
@@ -57,6 +59,8 @@ class Stage:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "until", as_end(self.until))
+        if self.unless is not None:
+            object.__setattr__(self, "unless", as_end(self.unless))
         if not isinstance(self.motion, Motion):
             raise InvalidInputError(
                 f"stage {self.name!r}: motion={self.motion!r}; give a motion such as "

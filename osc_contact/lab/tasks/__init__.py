@@ -1,0 +1,1 @@
+"""Packaged tasks that scenarios do not describe: worlds with plans."""

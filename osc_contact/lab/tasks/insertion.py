@@ -1,0 +1,297 @@
+"""World of a peg and a hole whose place is not known exactly, with sensors that err.
+
+A Panda holds a peg above a hole in a block. The hole is elsewhere than the controller is told, by a
+displacement drawn for each seed. Sensors, joints and masses err as `World` states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import pi
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pinocchio as pin
+
+from osc_contact import robots
+from osc_contact.contacts.insertion import Hole, Peg
+from osc_contact.dynamics.arm import Arm
+from osc_contact.dynamics.assembly import reach
+from osc_contact.dynamics.chain_state import RigidObject
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.dynamics.grasp import Grasp
+from osc_contact.interface import Measurement
+from osc_contact.lab.plants.joint_drives import JointDrives
+from osc_contact.lab.plants.mujoco import MujocoPlant
+from osc_contact.lab.plants.sensors import SensedPlant, SensorErrors, Sensors
+from osc_contact.lab.scenarios.hardware import Clock, PlantSpec
+from osc_contact.sensing.velocity_estimate import VelocityEstimate
+from osc_contact.settings.control import EstimateSpec
+from osc_contact.spatial import Array
+
+PERIOD = 1e-3  #: s, of control
+FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+WIDTH = 0.02  #: m, of the peg
+LENGTH = 0.06  #: m, of the peg
+DEPTH = 0.03  #: m, of the hole
+WALL = 0.04  #: m, of the block around the hole
+BELIEVED = pin.SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.5, 0.0, 0.3]))  #: pose of the hole
+POSTURE = (0.0, 0.1, 0.0, -2.1, 0.0, 2.2, 0.785)
+TCP = 0.1034  #: m, from the hand to its tip frame
+BASE = 0.10  #: m, from the hand to the base of the peg
+SECTORS = 32  #: boxes of which a round hole is made
+
+
+@dataclass(frozen=True)
+class World:
+    """Errors of sensors, joints, masses and geometry.
+
+    Attributes:
+        force_noise, torque_noise: standard deviations of the wrist (N, N m).
+        encoder_bits: resolution of the encoders.
+        joint_friction: Coulomb friction of the joints, a share of their torque limits.
+        friction: coefficient between peg and hole, which the controller is not told.
+        masses: largest relative error of the masses of arm and peg.
+        clearance_error: largest error of the clearance that the plan is told (m).
+        solref, solimp: softness of MuJoCo's contacts.
+    """
+
+    force_noise: float = 0.2
+    torque_noise: float = 0.01
+    encoder_bits: int = 18
+    joint_friction: float = 0.01
+    friction: float = 0.2
+    step: float = 2.5e-4
+    masses: float = 0.05
+    clearance_error: float = 20e-6
+    solref: tuple[float, float] = (0.003, 1.0)
+    solimp: tuple[float, float, float] = (0.6, 0.95, 2e-4)
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """Peg and hole of one seed: what is true, and what the plan is told.
+
+    Attributes:
+        peg: true peg. clearance: of the true hole (m).
+        seed: of displacement, noise and errors.
+        offset: largest displacement of the hole along each axis (m).
+        tilt: largest displacement of the hole about each axis (rad).
+        world: errors of everything else.
+    """
+
+    peg: Peg
+    clearance: float
+    seed: int
+    offset: float = 2e-3
+    tilt: float = np.radians(2.0)
+    world: World = field(default_factory=World)
+
+    @cached_property
+    def drawn(self) -> Array:
+        """Nine numbers within ±1: displacement (6), clearance, masses of arm and of peg."""
+        return np.random.default_rng([self.seed, 61]).uniform(-1.0, 1.0, 9)
+
+    @property
+    def displacement(self) -> Array:
+        """Displacement (6,) of the hole, world axes at its mouth (m, rad)."""
+        return self.drawn[:6] * np.repeat([self.offset, self.tilt], 3)
+
+    @property
+    def hole(self) -> Hole:
+        """Hole as the plan is told, in the world."""
+        told = self.clearance + self.drawn[6] * self.world.clearance_error
+        return Hole(self.peg.shape, self.peg.width + told, DEPTH, BELIEVED)
+
+    @property
+    def true_hole(self) -> Hole:
+        """Hole as it is, in the world."""
+        d = self.displacement
+        pose = pin.SE3(pin.exp3(d[3:]) @ BELIEVED.rotation, BELIEVED.translation + d[:3])
+        return Hole(self.peg.shape, self.peg.width + self.clearance, DEPTH, pose)
+
+    def chain(self, mass: float = 1.0, held: float = 1.0) -> ClosedChain:
+        """Arm and peg.
+
+        Args:
+            mass: factor of the masses of the arm. held: of the mass of the peg.
+        """
+        arm = Arm.from_urdf(
+            robots.find_robot("panda")[0],
+            name="panda",
+            tip="panda_hand_tcp",
+            wrist_sensor="panda_hand",
+            locked=dict.fromkeys(FINGERS, 0.01),
+            mass_factor=mass,
+        )
+        with TemporaryDirectory() as folder:
+            inertia = robots.load_body(_written(folder, "peg.urdf", peg_urdf(self.peg)))
+        grasp = Grasp.rigid(pin.SE3(np.eye(3), np.array([0.0, 0.0, BASE + LENGTH - TCP])))
+        return ClosedChain([arm], [grasp], RigidObject(inertia).scaled(held))
+
+    @cached_property
+    def model(self) -> ClosedChain:
+        """Arm and peg as the controller is told."""
+        mass, held = 1.0 + self.world.masses * self.drawn[7:]
+        return self.chain(float(mass), float(held))
+
+    def robot(self, start: pin.SE3) -> InsertionRobot:
+        """Robot at rest with the peg at a pose."""
+        return InsertionRobot(self, start)
+
+
+class InsertionRobot:
+    """Simulated Panda with a peg, with sensors that err, and its judge.
+
+    Args:
+        task: peg, hole and errors.
+        start: pose of the peg at first.
+
+    Attributes:
+        task: as given. chain: true arm and peg.
+        plant: MuJoCo, without errors of sensors.
+        largest_sum: largest norm of the sum of contact forces so far (N).
+        largest_single: largest force of a single contact so far (N).
+    """
+
+    def __init__(self, task: Insertion, start: pin.SE3) -> None:
+        world = task.world
+        self.task = task
+        self.chain = chain = task.chain()
+        with TemporaryDirectory() as folder:
+            self.plant = MujocoPlant(
+                chain,
+                [robots.find_robot("panda")[0]],
+                _written(folder, "peg.urdf", peg_urdf(task.peg)),
+                [],
+                [(_written(folder, "hole.urdf", hole_urdf(task.true_hole)), task.true_hole.pose)],
+                options=PlantSpec(
+                    step=world.step,
+                    solref=world.solref,
+                    solimp=world.solimp,
+                ),
+                drives=JointDrives(friction=world.joint_friction * chain.tau_max),
+            )
+        self._rub(world.friction)
+        clock = Clock(rate=1.0 / PERIOD)
+        resolution = 2.0 * pi / 2**world.encoder_bits
+        noise = np.repeat([world.force_noise, world.torque_noise], 3)
+        sensors = Sensors(
+            encoders=(clock, SensorErrors(resolution=resolution)),
+            wrists=(clock, SensorErrors(noise=noise)),
+        )
+        self._sensed = SensedPlant(self.plant, sensors, task.seed)
+        self.q_start = reach(chain, np.array(POSTURE), start)
+        self._sensed.reset(self.q_start)
+        model = chain.model
+        weight = pin.computeGeneralizedGravity(model, model.createData(), self.q_start)
+        self._sensed.hold(weight[chain.actuated])
+        error = np.full(chain.nq, resolution / np.sqrt(12.0))
+        unknown = np.full(chain.nq, EstimateSpec().joint_angular)
+        self._velocities = VelocityEstimate.optimal(error, unknown, PERIOD, PERIOD)
+        self.largest_sum = 0.0
+        self.largest_single = 0.0
+
+    def measure(self) -> Measurement:
+        """Read encoders and wrist; velocities are estimated."""
+        read = self._sensed.measure()
+        q, v = self._velocities.update(read.q)
+        return replace(read, q=np.array(q), v=np.array(v), estimated=True)
+
+    def command(self, tau: Array, duration: float) -> None:
+        """Apply torques for a period, and note the true forces at its end."""
+        self._sensed.command(tau, duration)
+        forces = self.contact_forces()
+        self.largest_sum = max(self.largest_sum, float(np.linalg.norm(forces.sum(axis=0))))
+        single = np.linalg.norm(forces, axis=1).max(initial=0.0)
+        self.largest_single = max(self.largest_single, float(single))
+
+    def stop(self, reason: str = "") -> None:
+        """Do nothing: it is a simulation."""
+
+    def _rub(self, friction: float) -> None:
+        """Set the coefficient of friction of the hole, with MuJoCo's own cone.
+
+        The friction of `PlantSpec` is made for contacts that slide; a peg wedged between two walls
+        chatters with it at the rate of the steps.
+        """
+        model = self.plant.model
+        hole = model.geom_contype != 0
+        model.geom_condim[hole] = 3
+        model.geom_friction[hole] = [friction, 0.0, 0.0]
+
+    def contact_forces(self) -> Array:
+        """True forces (k, 3) of the k contacts between peg and hole, world axes (N)."""
+        import mujoco
+
+        model, data = self.plant.model, self.plant.data
+        forces = np.zeros((data.ncon, 3))
+        wrench = np.zeros(6)
+        for k in range(data.ncon):
+            mujoco.mj_contactForce(model, data, k, wrench)
+            forces[k] = data.contact[k].frame.reshape(3, 3).T @ wrench[:3]
+        return forces
+
+    def speed(self) -> float:
+        """True speed of the tip of the peg (m/s)."""
+        return float(np.linalg.norm(self.plant.truth().V_O[:3]))
+
+    def in_hole(self) -> pin.SE3:
+        """True pose of the peg in the frame of the true hole."""
+        X_WO = pin.SE3(self.plant.poses()[0])
+        return self.task.true_hole.pose.actInv(X_WO)
+
+
+def _written(folder: str, name: str, text: str) -> Path:
+    """Path of a new file with a text."""
+    path = Path(folder) / name
+    path.write_text(text)
+    return path
+
+
+def peg_urdf(peg: Peg) -> str:
+    """URDF of a peg in its frame; its base is held."""
+    half = 0.5 * peg.width
+    if peg.shape == "square":
+        shape = f'<box size="{peg.width} {peg.width} {LENGTH}"/>'
+        across = peg.width**2 / 6.0
+        bending = (peg.width**2 + LENGTH**2) / 12.0
+    else:
+        shape = f'<cylinder radius="{half}" length="{LENGTH}"/>'
+        across = half**2 / 2.0
+        bending = (3.0 * half**2 + LENGTH**2) / 12.0
+    mass = 0.2
+    body = f'<origin xyz="0 0 {-LENGTH / 2}"/><geometry>{shape}</geometry>'
+    return (
+        f'<robot name="peg"><link name="peg"><inertial><origin xyz="0 0 {-LENGTH / 2}"/>'
+        f'<mass value="{mass}"/><inertia ixx="{mass * bending}" ixy="0" ixz="0" '
+        f'iyy="{mass * bending}" iyz="0" izz="{mass * across}"/></inertial>'
+        f"<visual>{body}</visual><collision>{body}</collision></link></robot>"
+    )
+
+
+def hole_urdf(hole: Hole) -> str:
+    """URDF of a block with a hole in the frame of the hole."""
+    half = 0.5 * hole.width
+    thick = 0.5 * WALL
+    boxes = [((0.0, 0.0, hole.depth + 0.005), (3.0 * WALL, 3.0 * WALL, 0.01), 0.0)]
+    middle = 0.5 * hole.depth
+    if hole.shape == "square":
+        out = half + thick
+        for x, y in ((out, 0.0), (-out, 0.0)):
+            boxes.append(((x, y, middle), (WALL, 2.0 * half + 2.0 * WALL, hole.depth), 0.0))
+        for x, y in ((0.0, out), (0.0, -out)):
+            boxes.append(((x, y, middle), (2.0 * half, WALL, hole.depth), 0.0))
+    else:
+        width = 2.0 * (half + WALL) * np.tan(pi / SECTORS)
+        for angle in np.arange(SECTORS) * (2.0 * pi / SECTORS):
+            at = (half + thick) * np.array([np.cos(angle), np.sin(angle)])
+            boxes.append(((*at.tolist(), middle), (WALL, width, hole.depth), float(angle)))
+    parts = []
+    for (x, y, z), size, yaw in boxes:
+        shape = f'<geometry><box size="{" ".join(map(str, size))}"/></geometry>'
+        body = f'<origin xyz="{x} {y} {z}" rpy="0 0 {yaw}"/>{shape}'
+        parts.append(f"<visual>{body}</visual><collision>{body}</collision>")
+    return f'<robot name="hole"><link name="hole">{"".join(parts)}</link></robot>'

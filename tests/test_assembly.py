@@ -1,0 +1,109 @@
+"""Insertion of a peg: the world, what is drawn for a seed, the judge, and a whole plan."""
+
+import numpy as np
+import pinocchio as pin
+from numpy.testing import assert_allclose
+from pytest import approx, fixture
+from samples import parametrize
+
+import osc_contact as osc
+from benchmarks.assembly import summary
+from osc_contact.lab.tasks.insertion import DEPTH, PERIOD, WIDTH, Insertion, World
+from osc_contact.lab.tasks.pegs import (
+    Inserted,
+    controller_of,
+    insert,
+    square_peg,
+    square_peg_start,
+)
+
+PEG = osc.Peg("square", WIDTH)
+
+
+def task_of(seed=3, shape="square", **options):
+    return Insertion(osc.Peg(shape, WIDTH), 2e-4, seed, **options)
+
+
+@fixture(scope="module")
+def robot():
+    """Robot that holds its peg above the hole."""
+    task = task_of()
+    return task.robot(square_peg_start(task.peg, task.hole))
+
+
+def test_displacements_are_drawn_by_seed():
+    drawn = np.array([task_of(seed).displacement for seed in range(400)])
+    most = np.repeat([2e-3, np.radians(2.0)], 3)
+    assert (np.abs(drawn) <= most).all()
+    assert (np.abs(drawn).max(axis=0) > 0.97 * most).all()
+    assert_allclose(drawn[7], task_of(7).displacement)
+    told = np.array([task_of(seed).hole.width for seed in range(400)]) - WIDTH
+    assert 18e-6 < np.abs(told - 2e-4).max() <= 20e-6
+
+
+def test_the_plan_is_not_told_where_the_hole_is():
+    one, two = task_of(1), task_of(2)
+    assert_allclose(one.hole.pose.homogeneous, two.hole.pose.homogeneous)
+    apart = one.true_hole.pose.translation - one.hole.pose.translation
+    assert_allclose(apart, one.displacement[:3])
+    masses = [task.model.arms[0].model.inertias[3].mass for task in (one, two)]
+    assert masses[0] != masses[1]
+
+
+def test_the_peg_begins_where_it_was_put(robot):
+    """Encoders of 18 bits place it within some hundredths of a millimetre."""
+    task = robot.task
+    X = robot.chain.state(robot.measure().q).X_WO
+    assert_allclose(X.translation, square_peg_start(PEG, task.hole).translation, atol=5e-5)
+    seen = task.true_hole.pose * robot.in_hole()
+    assert_allclose(seen.homogeneous, X.homogeneous, atol=5e-5)
+
+
+def test_sensors_err_as_stated():
+    task = task_of(world=World(force_noise=0.2, torque_noise=0.01))
+    robot = task.robot(square_peg_start(task.peg, task.hole))
+    model = robot.chain.model
+    tau = pin.computeGeneralizedGravity(model, model.createData(), robot.q_start)
+    read = []
+    for _ in range(400):
+        robot.command(tau, PERIOD)
+        read.append(robot.measure().wrenches[0])
+    noise = np.std(read, axis=0)
+    assert_allclose(noise[:3], 0.2, rtol=0.2)
+    assert_allclose(noise[3:], 0.01, rtol=0.2)
+    assert robot.largest_sum == 0.0  # it is in the air
+    assert robot.speed() < 1e-4
+
+
+@parametrize("shape", ["square", "round"])
+def test_the_hole_is_as_wide_and_as_deep_as_stated(shape):
+    """A peg that is put into it upright touches nothing; one 0.15 mm aside touches a wall."""
+    for aside, touched in ((0.0, False), (1.5e-4, True)):
+        task = task_of(shape=shape, offset=0.0, tilt=0.0)
+        place = pin.SE3(np.eye(3), np.array([aside, 0.0, 0.5 * DEPTH]))
+        robot = task.robot(task.true_hole.pose * place)
+        robot.command(np.zeros(robot.chain.n_a), PERIOD)
+        assert (np.abs(robot.contact_forces()).max(initial=0.0) > 1.0) == touched
+
+
+def test_a_peg_is_inserted():
+    result = insert(task_of(0))
+    assert result.success, result
+    assert result.depth == approx(DEPTH, abs=1e-3)
+    assert result.tries == 1
+    assert 8.0 < result.largest_sum < 60.0
+
+
+def test_contacts_of_the_plan_are_those_of_the_controller(robot):
+    task = robot.task
+    plan = square_peg(task.peg, task.hole)
+    controller = controller_of(task, plan, robot)
+    assert [pair.name for pair in controller.contacts] == list(plan.contacts)
+    plan.begin(controller, robot.measure())  # which checks it
+    assert plan.stage.name == "weigh"
+
+
+def test_summary():
+    done = Inserted(True, "", 0.03, 0.0, 9.0, 1, 20.0, 15.0)
+    jammed = Inserted(False, "stage 'insert': time", 0.01, 0.1, 30.0, 3, 60.0, 50.0)
+    assert summary([done, done, jammed]).startswith("2 of 3; time of these: median 9.0 s; peak")
