@@ -242,7 +242,7 @@ def test_a_contact_that_flickers_is_lost(closed, index):
         series.append(now)
     assert met(ends.lost("a", lasting=0.06), series) == index
     regained = [*series[:3], *[now for now in series if now.phases["a"] == Phase.CLOSED] * 6]
-    assert met(ends.lost("a", lasting=0.06), regained) is None
+    assert met(ends.lost("a", lasting=0.09), regained) is None
 
 
 def test_conditions_are_joined():
