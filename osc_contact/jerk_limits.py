@@ -50,6 +50,7 @@ class JerkLimits:
     jerk: ArrayLike
 
     def __post_init__(self) -> None:
+        """Refuse limits that are not finite and positive (`InvalidInputError`)."""
         for key, value in vars(self).items():
             try:
                 bound = np.asarray(value, dtype=np.float64)

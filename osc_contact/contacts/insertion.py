@@ -43,8 +43,8 @@ class Peg:
     """Straight peg. Its frame: origin in the middle of its tip, z out of the tip.
 
     Attributes:
-        shape: of its cross section. A square one has its sides along x and y.
-        width: of its sides, or its diameter (m).
+        shape: shape of its cross section. A square one has its sides along x and y.
+        width: width of its sides, or its diameter (m).
 
     Raises:
         InvalidInputError: a width that is not positive.
@@ -66,10 +66,10 @@ class Hole:
     """Straight hole in a flat face. Its frame: origin in the middle of its mouth, z into it.
 
     Attributes:
-        shape: of its cross section. A square one has its walls along x and y.
+        shape: shape of its cross section. A square one has its walls along x and y.
         width: between opposite walls, or its diameter (m).
         depth: m.
-        pose: of its frame in the frame of the body that it is in.
+        pose: pose of its frame in the frame of the body that it is in.
 
     Raises:
         InvalidInputError: a size that is not positive.

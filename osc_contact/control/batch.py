@@ -268,7 +268,8 @@ class BatchController:
         """Let a row continue as another controller, from where that one is.
 
         Args:
-            row: its number. controller: of the batch's structure; it is not touched afterwards.
+            row: its number. controller: controller of the batch's structure; it is not touched
+                afterwards.
 
         Raises:
             InvalidInputError: another structure, or no such row.

@@ -109,7 +109,7 @@ class TickParts:
     """Parts of one tick, which are run one after the other.
 
     Attributes:
-        records: of the controller.
+        records: records of the controller.
         given, switches: arguments of the law, see `inputs.read_tick`.
     """
 

@@ -43,8 +43,8 @@ class TickEnd:
         """Bring the torques of a saturated tick within the motors' limits.
 
         Args:
-            records: of the tick; its torques are replaced.
-            settings: of the controller.
+            records: records of the tick; its torques are replaced.
+            settings: settings of the controller.
             custom_structure: whether a custom control structure made the torques. Of it nothing is
                 known, so all torques are scaled by one factor; else the quadratic program is
                 solved that loses least.
@@ -63,7 +63,7 @@ class TickEnd:
         """Cost of the motor limits in the last saturated tick, or None.
 
         Args:
-            records: of that tick.
+            records: records of that tick.
         """
         if self._loss is None and self._limits is not None:
             self._loss = self._limits.given_up(records)

@@ -33,7 +33,7 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
     """Refuse what no tick can take in.
 
     Args:
-        measurement, reference: of the tick. settings: of the controller.
+        measurement, reference: inputs of the tick. settings: settings of the controller.
 
     Raises:
         InvalidInputError: with what is wrong.
@@ -67,7 +67,7 @@ def require_shapes(measurement: object, reference: object, settings: Settings) -
     """Refuse arrays of numbers that no tick of this controller will ever take.
 
     Args:
-        measurement, reference: of the tick. settings: of the controller.
+        measurement, reference: inputs of the tick. settings: settings of the controller.
 
     Raises:
         InvalidInputError: with both shapes.

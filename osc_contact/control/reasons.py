@@ -80,7 +80,7 @@ def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
     another reason: what is at fault belongs to that cause.
 
     Args:
-        records: of the tick. settings: of the controller.
+        records: records of the tick. settings: settings of the controller.
         ended: inputs of a tick that ended HELD, and the error of Python code called in it.
     """
     failure = ended.failure

@@ -39,7 +39,7 @@ class SetPoint:
 
     Args:
         start: where it rests at first: a number, or (n,).
-        limits: of velocity, acceleration and jerk.
+        limits: limits of velocity, acceleration and jerk.
         dt: period of `step` (s).
 
     Raises:

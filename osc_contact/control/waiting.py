@@ -33,7 +33,7 @@ class Idle:
         """Take in a tick without engaged contacts; returns whether this is to be logged now.
 
         Args:
-            settings: of the controller. alpha_d: (r,) desired magnitudes (N).
+            settings: settings of the controller. alpha_d: (r,) desired magnitudes (N).
         """
         desired = len(settings.contacts) > 0 and bool(np.any(np.asarray(alpha_d) > 0.0))
         self.ticks = self.ticks + 1 if desired else 0
@@ -57,7 +57,7 @@ def explained_approaches(records: TickRecords, settings: Settings) -> str:
     """Which approached contacts push no more than friction of the closed ones may explain.
 
     Args:
-        records: `TickRecords` of the last tick. settings: of the controller.
+        records: `TickRecords` of the last tick. settings: settings of the controller.
     """
     if settings.life is None:
         return ""

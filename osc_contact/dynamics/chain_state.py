@@ -42,6 +42,12 @@ class RigidObject:
     inertia: pin.Inertia
 
     def __post_init__(self) -> None:
+        """Refuse an inertia that no rigid body has.
+
+        Raises:
+            ModelError: NaN, mass or a principal inertia not positive, or triangle inequality
+                violated.
+        """
         matrix = self.inertia.matrix()
         if not np.isfinite(matrix).all():
             raise ModelError("object inertia holds a NaN or inf; check mass, lever and inertia")

@@ -99,8 +99,8 @@ class ClosedChain:
 
         Args:
             arms: one arm, or several with different names.
-            grasps: for each arm the pose X_TO of the object in its tip frame, held rigidly, or a
-                `Grasp` that permits motions (default: the tip's own frame, rigidly).
+            grasps: for each arm the pose X_TO of the object in its tip frame, held rigidly,
+                or a `Grasp` that permits motions (default: the tip's own frame, rigidly).
             payload: the held object, or its inertia in the object's frame (kg, m); None: no object,
                 the last link only.
             rank_tolerance: a direction of an arm counts as locked if the inertia of arm and object

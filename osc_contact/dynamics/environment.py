@@ -421,6 +421,11 @@ class Rail:
     preload: float = 0.0
 
     def __post_init__(self) -> None:
+        """Convert the vectors to arrays and normalise direction and axis.
+
+        Raises:
+            InvalidInputError: inertia not positive, stiffness or damping negative, or NaN.
+        """
         for name in ("direction", "axis", "through"):
             value = as_array(f"rail.{name}", getattr(self, name), (3,))
             if name != "through" and value.any():

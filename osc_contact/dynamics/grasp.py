@@ -47,6 +47,12 @@ class Grasp:
     N: Array = field(init=False)
 
     def __post_init__(self) -> None:
+        """Check that T is a basis of a group of motions, and compute N, a basis of its complement.
+
+        Raises:
+            InvalidInputError: T is not (6, k) of rank k, or a motion followed by another leaves its
+                span.
+        """
         if not isinstance(self.X_TO, SE3):
             raise InvalidInputError(f"X_TO: expected a pin.SE3, got {type(self.X_TO).__name__}")
         T = as_array("T of the grasp", self.T, (6, None))

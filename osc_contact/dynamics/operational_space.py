@@ -61,15 +61,7 @@ class OperationalSpace:
     rank: Array  #: () motions of the tip
 
     def __init__(self, arm: Arm, *rows: int) -> None:
-        """Allocate memory for the terms of an arm.
-
-        Args:
-            arm: the arm.
-            rows: number of states; none for a single state q (n,).
-
-        Raises:
-            ModelError: an arm that the law does not support.
-        """
+        """Lay out the results of one arm as a row of numbers, and allocate the law's records."""
         self._arm = _compiled_arm(arm)
         self._rows = rows
         self._numbers = np.empty((rows[0] if rows else 1, self._arm.size))

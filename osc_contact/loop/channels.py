@@ -182,6 +182,12 @@ def _feet(of: Subject, truth: Truths, k: int) -> Array:
 
 
 def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
+    """Poses (k, contacts, 7) of the touched bodies in the world: x y z (m), quaternion x y z w.
+
+    Args:
+        of: rig with its contacts and the placements of the bodies. truth: truth at k instants.
+        k: number of instants.
+    """
     out = np.zeros((k, len(of.pairs), 7))
     for i, (X_WB, X_WE) in enumerate(zip(of.placements, truth.X_WE, strict=True)):
         R = X_WB[:3, :3, None]

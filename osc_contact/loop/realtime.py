@@ -210,6 +210,7 @@ class SideWork:
         self._thread.shutdown()
 
     def _make(self, call: Callable[[], object]) -> None:
+        """Call a function of the side thread; log its exception, and store the first one."""
         try:
             call()
         except Exception as error:

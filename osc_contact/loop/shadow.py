@@ -193,6 +193,12 @@ class Shadow:
         return over / under if under > FELT**2 * felt.size else float("nan")
 
     def _joint(self, j: int, v: Array, a: Array, torque: Array) -> JointFinding:
+        """Fit friction, offset and inertia of a joint to the torque beyond the model.
+
+        Args:
+            j: index of the joint. v, a: (k,) its speeds and accelerations. torque: (k,) torque
+                beyond the model's (N m, N).
+        """
         moved = bool(np.abs(v).max() > FASTEST)
         columns = _columns(v, a)
         found = np.linalg.lstsq(columns, torque)[0]

@@ -85,6 +85,7 @@ class Drawing:
     """
 
     def __init__(self, viewer: Shows | None, recorder: Records | None) -> None:
+        """Set viewer and recorder; a viewer needs a recorder (`InvalidInputError`)."""
         if viewer is not None and recorder is None:
             raise InvalidInputError(
                 "a viewer shows what is recorded; give the loop a recorder, too"

@@ -49,9 +49,9 @@ def require_plan(
     """Refuse stages that a controller cannot carry out; contacts are judged in the start pose.
 
     Args:
-        stages: of the plan.
+        stages: stages of the plan.
         largest: measured force that ends a stage (N).
-        controller: of the run.
+        controller: controller of the run.
         X: pose of the object at the start.
 
     Raises:

@@ -81,7 +81,7 @@ def when(test: Callable[[Sensed], bool], words: str = "") -> End:
 
     Args:
         test: whether it is met, by the signals of a tick.
-        words: for verdicts; empty: the function's name.
+        words: words for verdicts; empty: the function's name.
     """
     return End(lambda now: lambda now, dt: bool(test(now)), words or getattr(test, "__name__", "?"))
 

@@ -223,7 +223,7 @@ def to(pose: pin.SE3 | Callable[[Sensed], pin.SE3], speed: float, rate: float = 
     """Straight way of the object's origin to a pose, and the shortest turn meanwhile.
 
     Args:
-        pose: of the object, or a function of the signals when the stage begins.
+        pose: pose of the object, or a function of the signals when the stage begins.
         speed: m/s.
         rate: rad/s.
 
@@ -297,8 +297,8 @@ def raster(
     Args:
         along: (3,) direction of the lines in the world.
         across: (3,) direction from line to line.
-        length: of the lines (m).
-        width: of all of them together (m).
+        length: length of the lines (m).
+        width: width of the area that they fill (m).
         pitch: from line to line (m).
         speed: m/s.
 

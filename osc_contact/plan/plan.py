@@ -226,7 +226,7 @@ class Plan:
         """End the plan; the object is held where it is, without contacts.
 
         Args:
-            reason: for reports.
+            reason: reason for reports.
         """
         if self.outcome not in _OVER:
             self._end_stage(reason, failed=True)

@@ -274,6 +274,7 @@ class Meta(dict[str, Any]):
     """Meta data of a recording; access to a missing key raises a `RecordingError`."""
 
     def __missing__(self, key: str) -> Any:
+        """Raise a `RecordingError` that lists the keys that exist."""
         known = ", ".join(self) or "nothing"
         raise RecordingError(
             f"the recording's meta has no {key!r}, but {known}; "
@@ -304,6 +305,15 @@ class Recording:
     """
 
     def __init__(self, meta: Mapping[str, Any], channels: Mapping[str, npt.ArrayLike]) -> None:
+        """Check names, types and lengths of the channels.
+
+        Args:
+            meta: facts on the run, of JSON's types. channels: arrays by name, the tick as first
+                axis.
+
+        Raises:
+            RecordingError: a name, type or length is not valid, or `meta` is not JSON.
+        """
         try:
             self.meta: Json = Meta(json.loads(json.dumps(dict(meta), allow_nan=False)))
         except (TypeError, ValueError) as error:

@@ -43,6 +43,7 @@ class JointLimits:
     velocity: float | None = None
 
     def __post_init__(self) -> None:
+        """Refuse limits that are not positive and an empty range of positions."""
         for key in ("effort", "velocity"):
             value = getattr(self, key)
             if value is not None and not 0 < value < math.inf:

@@ -60,6 +60,7 @@ class ModelFinding:
     cure: str
 
     def __str__(self) -> str:
+        """Message with file, line, element, reason and cure."""
         place = f"{self.file}:{self.line}:{self.column}" if self.line else f"{self.file}"
         text = ": ".join(part for part in (place, self.element, self.reason) if part)
         if self.cure:

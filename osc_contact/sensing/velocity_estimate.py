@@ -62,6 +62,11 @@ class VelocityEstimate:
     scatter: Array | float = np.inf
 
     def __post_init__(self) -> None:
+        """Convert the gains to arrays with one number for each coordinate, and reset the states.
+
+        Raises:
+            InvalidInputError: the filter is unstable, or a period is not positive.
+        """
         self.alpha = np.atleast_1d(self.alpha)
         self.beta = np.atleast_1d(self.beta)
         self.gamma = np.zeros(len(self.alpha)) + self.gamma

@@ -81,6 +81,11 @@ class Registration:
     X: SE3 = field(default_factory=SE3.Identity)
 
     def __post_init__(self) -> None:
+        """Set the covariance to the prior's.
+
+        Raises:
+            InvalidInputError: noise or prior not positive, or drift negative.
+        """
         sizes = (self.position, self.orientation, *self.prior)
         if not (min(sizes) > 0.0 and min(self.drift) >= 0.0 and np.isfinite(sizes).all()):
             raise InvalidInputError(

@@ -67,6 +67,7 @@ class _GainsOfOneLoop(OrderedSpec):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
+        """Compute the values that are not given from those that are; refuse both kinds together."""
         values = {key: getattr(self, key) for key in self.model_fields_set}
         chosen = [key for key in self.serving if key in values]
         beside = [key for key in self.numbers if key in values]
@@ -81,7 +82,16 @@ class _GainsOfOneLoop(OrderedSpec):
 
     @abstractmethod
     def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
-        """Compute the gains that are not given; given ones take precedence."""
+        """Gains of the motion law from design values, or design values from gains.
+
+        Args:
+            serves_every_mass: True if design values (frequency, damping ratio) determine the gains.
+            given: values given by the user.
+
+        Returns:
+            Values of all fields: K (1/s²), D (1/s), K_i (1/s³), frequency (Hz), damping ratio, time
+            (s).
+        """
 
     @model_serializer(mode="wrap")
     def _as_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -123,6 +133,7 @@ class MotionGains(_GainsOfOneLoop):
 
     @model_validator(mode="after")
     def _is_stable(self) -> Self:
+        """Refuse gains whose third-order error dynamics are unstable (Routh)."""
         if self.integral > 0.0 and self.integral >= self.stiffness * self.damping:
             raise refuse(
                 f"integral = {self.integral:g} 1/s³ is not below stiffness × damping = "
@@ -132,6 +143,12 @@ class MotionGains(_GainsOfOneLoop):
         return self
 
     def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
+        """Gains of the force law from bandwidth and damping ratio, or the reverse.
+
+        Args:
+            serves_every_mass: True if bandwidth and damping ratio determine the gains.
+            given: values given by the user.
+        """
         if serves_every_mass:
             omega = 2.0 * pi * given.get("frequency", 10.0 / pi)
             K = omega**2
@@ -249,6 +266,7 @@ class MonitorLimits(OrderedSpec):
 
     @model_validator(mode="after")
     def _has_hysteresis(self) -> Self:
+        """Refuse a force at which a contact opens that is not below the one at which it closes."""
         if not self.force_on > self.force_off:
             raise refuse(
                 f"force_on = {self.force_on:g} N, force_off = {self.force_off:g} N; give force_on "
@@ -305,6 +323,7 @@ class PhaseSettings(MonitorLimits):
 
     @model_validator(mode="after")
     def _pushes_enough(self) -> Self:
+        """Refuse an approach whose force on impact is not above `force_on`."""
         if not self.push > self.force_on:
             raise refuse(
                 f"an approach at {self.speed:g} m/s with {self.damping:g} N s/m pushes with "
@@ -427,6 +446,7 @@ class SafetySettings(OrderedSpec):
 
     @model_validator(mode="after")
     def _stops_after_repeats(self) -> Self:
+        """Refuse `repeats` that are not below `stop_after`."""
         if self.repeats >= self.stop_after:
             raise refuse(
                 f"repeats = {self.repeats}, stop_after = {self.stop_after}; give repeats < "

@@ -264,6 +264,7 @@ class Dimension:
         return number
 
     def _parse_text(self, text: str) -> float:
+        """Convert text with a number and a unit, such as "5 mm", to SI."""
         match = _QUANTITY.fullmatch(text)
         if match is None:
             raise refuse(f"expected {self.expected}; got {text!r}, which is no number")
@@ -370,6 +371,8 @@ def may_be_infinite(field: FieldInfo) -> bool:
 
 
 def _three(what: str) -> BeforeValidator:
+    """Validator that refuses values other than sequences of three items."""
+
     def check(value: object) -> object:
         if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 3:
             raise refuse(f"expected {what}; got {value!r}")

@@ -96,7 +96,7 @@ def preflight(
     Args:
         task: a scenario, see `build_rig`; or a robot at rest where the run will start, which is
             measured once.
-        controller: of the robot; it is not changed.
+        controller: controller of the robot; it is not changed.
         references: of the run, as for `run_loop`, which needs them anew; at most the first 100,000
             are looked at.
 
@@ -123,7 +123,7 @@ def require_ready(rig: Rig, robot: Sequence[Finding] | None = None) -> list[str]
     """The doubts about a task, which are logged too.
 
     Args:
-        rig: of the task. robot: what `judge_rig` has found, if it was called before.
+        rig: rig of the task. robot: what `judge_rig` has found, if it was called before.
 
     Raises:
         ScenarioError: it cannot run; with everything that `preflight` refuses.

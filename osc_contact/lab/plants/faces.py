@@ -43,7 +43,7 @@ class Faces:
     """The bodies of an environment, where they are on their rails, and what touches them.
 
     Attributes:
-        rails: of each body. on: the body of each contact.
+        rails: rail of each body. on: the body of each contact.
         s, rates, second: (bodies, 2) coordinates and derivatives; of `second` that of drives.
         driven: motions by body. moving: whether any body has a joint, driven or free.
         free: numbers of the bodies that follow the contact force, and of the joint of each.
@@ -58,7 +58,7 @@ class Faces:
         """Every body in its assembled pose.
 
         Args:
-            rails: of each body; default: all rest. on: the body of each contact; default: each
+            rails: rail of each body; default: all rest. on: the body of each contact; default: each
                 has its own. contacts: their number.
         """
         self.on = tuple(range(contacts) if on is None else on)

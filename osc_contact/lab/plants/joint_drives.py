@@ -116,7 +116,7 @@ def set_dry_friction(joint: MjsJoint, friction: float, step: float) -> None:
     friction that turns round 10 ms before they do.
 
     Args:
-        joint: of a scene. friction: N m, N. step: of the engine (s).
+        joint: joint of a scene. friction: N m, N. step: of the engine (s).
     """
     joint.frictionloss = friction
     joint.solref_friction = [2 * step, 1.0]
@@ -130,7 +130,7 @@ def add_drives(spec: MjSpec, names: Sequence[str], drives: JointDrives) -> None:
     sprung joint about the same axis follows it in the same body.
 
     Args:
-        spec: the scene. names: of the driven joints. drives: what to add.
+        spec: the scene. names: names of the driven joints. drives: what to add.
     """
     for i, name in enumerate(names):
         joint = spec.joint(name)

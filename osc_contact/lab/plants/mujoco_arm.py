@@ -52,7 +52,7 @@ class MujocoArm:
             is computed from MuJoCo's internal forces, at the cost of one `mj_forward` for each
             measurement. None: no sensor, and so no contacts.
         payload: object held by the tip, beyond the links of the model; None: nothing.
-        name: of the arm.
+        name: name of the arm.
         locked: positions of other joints of its tree (m, rad), fingers for example; default: where
             they are now.
 

@@ -127,7 +127,7 @@ def require_name(kind: str, name: str, known: Sequence[str]) -> None:
     """Refuse a name that a MuJoCo model does not have.
 
     Args:
-        kind: of the named element, for the message.
+        kind: kind of the named element, for the message.
         name: to be found.
         known: names of all elements of that kind.
 

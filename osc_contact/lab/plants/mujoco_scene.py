@@ -57,8 +57,8 @@ def scene(
     """The uncompiled specification, see `MujocoPlant`.
 
     Args:
-        chain: of the arms. arm_urdfs, object_urdf: their files.
-        bodies: URDF and pose of each body touched. options: of the plant.
+        chain: model of the arms. arm_urdfs, object_urdf: their files.
+        bodies: URDF and pose of each body touched. options: options of the plant.
         rails: how each body moves.
     """
     import mujoco
@@ -117,7 +117,7 @@ def _place_bodies(
         spec: scene, which is changed.
         bodies: URDF and pose of each body touched.
         rails: how each body moves.
-        options: of the plant.
+        options: options of the plant.
     """
     for i, ((file, placement), rail) in enumerate(zip(bodies, rails, strict=True)):
         part, root = _read_body(file)

@@ -66,7 +66,8 @@ class MujocoScene:
 
         Args:
             model, data: MuJoCo's. tool: its geoms. others: geoms that are not the arm's.
-            chain: of the arm, as it is in the scene. loose: kg beyond joints that nothing holds.
+            chain: model of the arm, as it is in the scene. loose: kg beyond joints that nothing
+                holds.
         """
         self.moved_mass = chain.moved_mass
         self.carried_mass = chain.outboard_mass
@@ -194,7 +195,8 @@ class MujocoRobot(MujocoPlant):
             tip: body or site at the operational point. The sensor's body and all beyond it are
                 the tool; without a sensor the tip's body.
             wrist_sensor: site with a <force> and a <torque> sensor; contact forces need one.
-            contacts: in world axes, where the tool touches what is not the arm. name: of the arm.
+            contacts: in world axes, where the tool touches what is not the arm. name: name of the
+                arm.
             locked, passive_joints: see `Arm.from_urdf`.
             keyframe: where the rest of the scene starts; default: where the file puts it.
 

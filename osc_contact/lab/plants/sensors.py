@@ -31,7 +31,7 @@ class SensorErrors:
 
     Attributes:
         noise: standard deviation of each sample. bias: drawn once, uniform within ±bias.
-        resolution: of the quantisation, after bias and noise; 0: none.
+        resolution: resolution of the quantisation, after bias and noise; 0: none.
     """
 
     noise: Array | float = 0.0
@@ -45,7 +45,7 @@ class Sensor:
 
     Attributes:
         clock: when. sample: what it reads of a value, as parts of a measurement by their names.
-        rng: for lost samples.
+        rng: random generator for lost samples.
     """
 
     clock: Clock

@@ -29,7 +29,7 @@ def packed_files(contents: Mapping[str, str | bytes]) -> str:
     """A script element that holds all files of a page and begins its worker with them.
 
     Args:
-        contents: of the files by name, three modules of JavaScript among them.
+        contents: text of each file by name, three modules of JavaScript among them.
 
     Raises:
         OscContactError: a module has what a classic script cannot have.

@@ -246,7 +246,7 @@ def write_report(
     """Write metrics.json, recording.npz, the figures and scene.html; returns the metrics.
 
     Args:
-        recording: of the run. scenario: that was run. folder: for the files.
+        recording: recording of the run. scenario: that was run. folder: folder for the files.
         figures: draws them meanwhile; None: this process draws them.
     """
     folder.mkdir(parents=True, exist_ok=True)

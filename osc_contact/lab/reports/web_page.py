@@ -65,7 +65,7 @@ class Hindrance(NamedTuple):
     """Feature of a scenario that Python computes in every step, so that a page cannot have it.
 
     Attributes:
-        name: for `without`. words: what it is. found: whether a scenario has it.
+        name: word for it in `without`. words: what it is. found: whether a scenario has it.
         left_out: keys of the scenario that leave it out; None: that cannot be.
     """
 
@@ -115,7 +115,7 @@ def playable(scenario: Scenario, without: Collection[str] = ()) -> Scenario:
     """A scenario without what a page cannot have.
 
     Args:
-        scenario: to play. without: names of what is to be left out, of `HINDRANCES`.
+        scenario: scenario to play. without: names of what is to be left out, of `HINDRANCES`.
 
     Raises:
         InvalidInputError: a name that is none, or something else that a page cannot have.
@@ -151,7 +151,7 @@ def write_web_page(
     """Write the page index.html and all its files into a folder.
 
     Args:
-        scenario: to play. folder: is made. without: see `playable`.
+        scenario: scenario to play. folder: is made. without: see `playable`.
         mujoco: the archive of MuJoCo's npm package; None: npm brings it, or brought it before.
         select: the selection law that the page can run beside; None: none.
         one_file: index.html holds all the others and opens from disk.
@@ -360,7 +360,7 @@ class _Drawn:
     """The scene at the start, and how each of its nodes moves with a body of MuJoCo.
 
     Attributes:
-        bodies: of each node that moves, the name of its body.
+        bodies: for each moving node, the name of its body.
     """
 
     def __init__(self, rig: Rig, plant: MujocoPlant, compares: bool) -> None:

@@ -76,7 +76,7 @@ def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
     """Refuse pairs given as objects whose N does not go with their gaps: d gaps/dt = −NᵀV.
 
     Args:
-        scenario: with its contacts. X_WO: pose near which they are to touch.
+        scenario: scenario with its contacts. X_WO: pose near which they are to touch.
 
     Raises:
         ScenarioError: with the gaps' rates, and the cure.
@@ -120,7 +120,7 @@ def misplaced(
     it, and turned by `face_tilt` about an axis across that line, through where it meets the body.
 
     Args:
-        scenario: with its `model_error`. pairs: where they are. bodies: that they are on.
+        scenario: scenario with its `model_error`. pairs: where they are. bodies: that they are on.
         X_WO: pose of the object in contact.
     """
     error = scenario.model_error
@@ -189,7 +189,7 @@ def touched_bodies(bodies: Sequence[EnvironmentBody], count: int) -> tuple[int, 
     """The body of each contact, a number of `bodies`.
 
     Args:
-        bodies: of the environment. count: number of contacts.
+        bodies: bodies of the environment. count: number of contacts.
     """
     of = {i: k for k, body in enumerate(bodies) for i in body.contacts}
     return tuple(of[i] for i in range(count))
@@ -199,7 +199,7 @@ def placements_of(bodies: Sequence[EnvironmentBody], on: Sequence[int]) -> Array
     """(contacts, 4, 4) X_WB at the start, of the body of each contact.
 
     Args:
-        bodies: of the environment. on: the body of each contact.
+        bodies: bodies of the environment. on: the body of each contact.
     """
     return np.reshape([bodies[i].placement.homogeneous for i in on], (-1, 4, 4))
 

@@ -37,7 +37,7 @@ def flexible_joints(
     """The springs of a scenario, at the state from which its first mode is counted.
 
     Args:
-        scenario: with `arms`. chain: of the arms. state: at the start.
+        scenario: scenario with `arms`. chain: model of the arms. state: at the start.
 
     Raises:
         ScenarioError: numbers for an arm that is not there, or not one for each motor.
@@ -67,7 +67,8 @@ def drives(
     """Springs, motor errors and friction of every motor joint.
 
     Args:
-        scenario, chain: as of `flexible_joints`. springs: of it. seed: of the motors' errors.
+        scenario, chain: as of `flexible_joints`. springs: springs of it. seed: seed of the motors'
+            errors.
     """
     spec = scenario.plant
     motors = None
@@ -99,7 +100,7 @@ def sensors(spec: SensorsSpec, chain: ClosedChain, markers: Array) -> Sensors:
     """The plant's sensors with the errors of a scenario.
 
     Args:
-        spec: `plant.sensors`. chain: of the arms.
+        spec: `plant.sensors`. chain: model of the arms.
         markers: (contacts, 4, 4) frames of the bodies that cameras track in E, the world at the
             start.
     """
@@ -149,7 +150,7 @@ def joint_estimate(scenario: Scenario, chain: ClosedChain) -> tuple[VelocityEsti
     """What estimates the velocities of joints, and (n,) the rms error of their readings (rad, m).
 
     Args:
-        scenario: with encoders. chain: of the arms.
+        scenario: scenario with encoders. chain: model of the arms.
     """
     spec = scenario.sensors.encoder
     assert spec is not None
@@ -205,7 +206,7 @@ class ObservedRobot:
         """Set up the estimates from the errors the scenario gives the sensors.
 
         Args:
-            robot: that measures. controller: of it. scenario: with the sensors.
+            robot: that measures. controller: controller of it. scenario: scenario with the sensors.
             markers: as of `sensors`.
         """
         self.robot = robot

@@ -97,7 +97,7 @@ class References:
         """Resolve `common_tangent`, and what moves follow.
 
         Args:
-            scenario: with the signals. X_start: pose of the object at the start.
+            scenario: scenario with the signals. X_start: pose of the object at the start.
             pairs: the contacts. standoff: (contacts,) gaps at the start (m).
             showing: as an attribute; None: zero.
 
@@ -481,7 +481,7 @@ def showing_twist(pairs: Sequence[ContactPair], state: ChainState, N: Array) -> 
     Zero where there is no line between two points, or where nothing can slide along it.
 
     Args:
-        pairs: the contacts. state: of the arms. N: (6, r) of all contacts at O.
+        pairs: the contacts. state: state of the arms. N: (6, r) of all contacts at O.
     """
     found = opposed(pairs, state)
     if found is None:
@@ -496,8 +496,8 @@ def least_motion(state: ChainState, F: Array, power: Array) -> Array:
     """(6,) the motion of least kinetic energy that the arms permit with Fᵀ × it = power.
 
     Args:
-        state: of the arms. F: (6, k) wrenches. power: (k,) of each; least squares where no motion
-            has them all.
+        state: state of the arms. F: (6, k) wrenches. power: (k,) of each; least squares where no
+            motion has them all.
     """
     rows = F.T @ state.S
     mobile = np.linalg.solve(state.S.T @ state.metric @ state.S, rows.T)
@@ -509,7 +509,7 @@ def known_to(pairs: Sequence[ContactPair], state: ChainState, std: float) -> flo
     """Standard deviation of the forces of two points on one another, as a share of their size.
 
     Args:
-        pairs: the contacts. state: of the arms. std: of their normals along the line (rad).
+        pairs: the contacts. state: state of the arms. std: of their normals along the line (rad).
     """
     found = opposed(pairs, state)
     if found is None:

@@ -86,7 +86,7 @@ def given_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE
     """Pose of the object from `object.pose`, or from the posture of an arm with a rigid grasp.
 
     Args:
-        scenario: with or without `object.pose`.
+        scenario: scenario with or without `object.pose`.
         chain: arms and grasps.
         posture: (n,) joint positions (m, rad).
 

@@ -148,7 +148,7 @@ def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = No
     Args:
         chain: the arms; without an object their tip. X_WO: the desired pose.
         start: (n,) where to look first, before random postures between the limits.
-        seed: of these; None: 0. If it is given they come first, and may find other postures.
+        seed: seed of these; None: 0. If it is given they come first, and may find other postures.
     """
     missed = []
     random = robots.random_configurations(chain.model, TRIES, seed or 0)

@@ -29,7 +29,7 @@ def recover(path: StrPath, folder: StrPath | None = None) -> Recording:
 
     Args:
         path: such as unfinished.mcap.
-        folder: of a custom scenario, see `scenario_of`.
+        folder: folder of a custom scenario, see `scenario_of`.
 
     Raises:
         RecordingError: no such file, nothing in it, or not the journal of a scenario's run.
@@ -68,7 +68,8 @@ def scenario_of(meta: Json, path: Path, folder: StrPath | None = None) -> Scenar
     in `folder`, then beside the recording, then in the working folder.
 
     Args:
-        meta: of the recording. path: of its file. folder: in which the scenario's file stands.
+        meta: meta of the recording. path: path of its file. folder: in which the scenario's file
+            stands.
 
     Raises:
         RecordingError: it does not hold a scenario that this version understands, or its URDFs are

@@ -53,7 +53,7 @@ def run(
         scenario: name or path as for `load_scenario`, or a scenario.
         plant: "mujoco" or "rigid" instead of the scenario's own.
         duration: s, instead of the scenario's own.
-        seed: of everything random in the run (sensors and plants without noise use none).
+        seed: seed of everything random in the run (sensors and plants without noise use none).
         progress: called with the simulated time now and then.
         viewer: shows the run while it lasts (see `open_viewer`); it cannot hold the loop up.
         install: puts another control law into each controller of the run.
@@ -124,8 +124,8 @@ def _describe(rig: Rig, seed: int, doubts: list[str]) -> Json:
     """Entries of a recording's `meta` that are known before the run.
 
     Args:
-        rig: of the scenario.
-        seed: of everything random in the run.
+        rig: rig of the scenario.
+        seed: seed of everything random in the run.
         doubts: sentences of the checks before it.
     """
     scenario = rig.scenario
@@ -145,7 +145,7 @@ def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plan
     """Plant and controller of a rig at its start, under the torques that hold it, not limp.
 
     Args:
-        rig: see `build_rig`. seed: of everything random.
+        rig: see `build_rig`. seed: seed of everything random.
         install: puts another control law into each controller.
     """
     plant = rig.plant(seed)

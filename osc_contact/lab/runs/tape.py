@@ -110,7 +110,7 @@ def build(rig: Rig, folder: Path, ticks: int = 10_000, seed: int = 0) -> Tape:
 
     Args:
         rig: see `build_rig`. folder: is made. ticks: of the recording; longer than the task, the
-            last reference stands. seed: of everything random.
+            last reference stands. seed: seed of everything random.
 
     Raises:
         InvalidInputError: pairs, bodies or laws that only Python can evaluate.

@@ -36,12 +36,12 @@ class Rule:
     """One row of the verdict: beyond its limit a quantity gives the run a word.
 
     Attributes:
-        word: for the run.
+        word: word for the run.
         subject: "run", "force", "contact" or "doubt": of what the quantity is.
         quantity: name of the number that is compared.
         limit: key of `VerdictSpec`; a number: this one, in every scenario.
-        sentence: with the numbers of its subject and {limit}; {mm} and {limit_mm} are a thousand
-            times the quantity and its limit.
+        sentence: sentence with the numbers of its subject and {limit}; {mm} and {limit_mm} are a
+            thousand times the quantity and its limit.
         fails: whether the task has failed then.
     """
 
@@ -235,7 +235,7 @@ class _Sums:
         """Go through a recording, piece after piece.
 
         Args:
-            recording: with a judge. least_cycle: see `worst_cycles`.
+            recording: recording with a judge. least_cycle: see `worst_cycles`.
         """
         meta = recording.meta
         self.ticks = JudgedTicks(recording)
@@ -287,7 +287,7 @@ def _numbers(recording: Recording, sums: _Sums) -> Json:
     """All of metrics.json but the task.
 
     Args:
-        recording: of the run. sums: of its ticks.
+        recording: recording of the run. sums: of its ticks.
     """
     meta = recording.meta
     contacts = meta["contact_names"]
@@ -329,7 +329,7 @@ def _learned(losses: Sequence[Json], meta: Json) -> list[Json]:
     """Friction and rotor of each joint as learned, rounded to what is significant.
 
     Args:
-        losses: of the model. meta: of the recording.
+        losses: losses of the model. meta: meta of the recording.
     """
     friction = meta.get("joint_friction", [])
     missing = meta.get("missing_inertia", [0.0] * len(friction))
@@ -440,7 +440,7 @@ def step_answers(recording: Recording, ticks: JudgedTicks) -> list[Json]:
     overshoot = largest (true − desired force) in the direction of the step, within `STEP_WINDOW_S`.
 
     Args:
-        recording: with a judge. ticks: all of it, added.
+        recording: recording with a judge. ticks: all of it, added.
 
     Returns:
         In order of time, of each magnitude that stepped: t_s, force, what ("first contact" or
@@ -511,7 +511,7 @@ def judge_task(
     Args:
         facts: by subject, what is known of each: the quantities of `RULES` and what their
             sentences name. A quantity that is None is not compared.
-        limits: of the scenario. rules: to apply, the gravest first.
+        limits: limits of the scenario. rules: to apply, the gravest first.
 
     Returns:
         {"word": that of the first rule that applies, or OK, "failed": bool, "why":

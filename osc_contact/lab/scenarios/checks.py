@@ -85,7 +85,7 @@ def _entries(
     """Each arm has a grasp, and each force of a contact its signals.
 
     Args:
-        key: of the group. kind: of what it has entries for. given: the group.
+        key: key of the group. kind: kind of its entries. given: the group.
         forces: how many entries each one has, by its name. example: of an entry.
     """
     if not isinstance(given, Mapping) or None in forces.values():

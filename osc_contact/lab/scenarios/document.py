@@ -61,7 +61,7 @@ def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | N
     """Return the node tree; anchors, aliases, tags and deep nesting are refused.
 
     Args:
-        text: of a file. problems: what is wrong with it. loader: of YAML's events.
+        text: text of a file. problems: its errors. loader: loader of YAML's events.
     """
     try:
         depth = 0

@@ -256,7 +256,7 @@ def write_png(
         page: file written by `write_page`.
         path: the PNG; it appears complete or not at all.
         time: s.
-        size: of the window, CSS pixels.
+        size: size of the window, CSS pixels.
         bare: the scene and its labels alone.
         density: picture pixels per CSS pixel.
 

@@ -131,8 +131,8 @@ def write_page(sink: CommandSink, path: str | Path, title: str, config: Json = E
 
     Args:
         sink: what has been drawn.
-        path: to write.
-        title: of the page.
+        path: file to write.
+        title: title of the page.
         config: what the page's scripts need.
 
     Raises:

@@ -204,6 +204,12 @@ class Moving(Part):
     """
 
     def __init__(self, what: Visual, folder: str) -> None:
+        """Load the shapes of a robot, object or body.
+
+        Args:
+            what: its file, base pose, joints and locked joints. folder: path of its nodes in the
+                scene.
+        """
         self.what = what
         self.model, geometry = _shapes(what)
         self.data = self.model.createData()

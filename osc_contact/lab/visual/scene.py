@@ -207,7 +207,7 @@ def samples_at(channels: Mapping[str, Any], ticks: int | slice | NDArray[np.intp
     """The channels at some ticks.
 
     Args:
-        channels: of a recording.
+        channels: channels of a recording.
         ticks: which; None: the channels are those of one tick, without an axis of ticks.
     """
     return {key: np.asarray(value[ticks], dtype=float) for key, value in channels.items()}
@@ -367,7 +367,7 @@ def panels_of(
 
     Args:
         samples: the channels; what is missing has no panel.
-        names: of the contact forces.
+        names: names of the contact forces.
         owners: the contact of each force.
     """
     forces = [
@@ -424,7 +424,7 @@ def thinned(lines: Sequence[Json], channels: Mapping[str, Any]) -> Json:
     Short peaks stay visible this way, however long the recording is.
 
     Args:
-        lines: of the panels.
+        lines: lines of the panels.
         channels: (T, …) of each channel, and the times `t` (T,).
     """
     t = np.asarray(channels["t"], dtype=float)

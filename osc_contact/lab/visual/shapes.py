@@ -110,8 +110,8 @@ def tube(points: ArrayLike, radius: float, sides: int = 6) -> Any:
 
     Args:
         points: (k, 3) the path (m).
-        radius: of the tube (m).
-        sides: of its cross section.
+        radius: radius of the tube (m).
+        sides: sides of its cross section.
     """
     from meshcat.geometry import TriangularMeshGeometry
 
