@@ -73,7 +73,13 @@ def insert(task: Insertion) -> Inserted:
 
 
 def controller_of(task: Insertion, plan: Plan, robot: InsertionRobot) -> Controller:
-    """Controller of the contacts that a plan names, with default safety but for its ceilings."""
+    """Controller of the contacts that a plan names, with default safety but for its ceilings.
+
+    Args:
+        task: what the controller is told of arm, peg and hole.
+        plan: names the contacts.
+        robot: at rest at the start.
+    """
     touch = pairs_between(task.peg, task.hole)
     return Controller(
         task.model,
@@ -89,7 +95,13 @@ def controller_of(task: Insertion, plan: Plan, robot: InsertionRobot) -> Control
 
 
 def judged(task: Insertion, robot: InsertionRobot, plan: Plan) -> Inserted:
-    """Result of a plan that has ended."""
+    """Result of a plan that has ended.
+
+    Args:
+        task: true peg and hole.
+        robot: judge of the run.
+        plan: that has ended.
+    """
     X = robot.in_hole()
     depth = float(X.translation[2])
     tilt = atan2(hypot(X.rotation[0, 2], X.rotation[1, 2]), X.rotation[2, 2])
