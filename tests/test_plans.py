@@ -173,6 +173,19 @@ def test_what_contacts_do_not_permit_is_taken_from_the_position():
     assert_allclose(face.T @ motions.permitted_displacement(face, e), 0.0, atol=1e-12)
 
 
+def test_normals_of_one_face_that_differ_a_little_do_not_turn_shifts():
+    """Their permitted shifts contain turns of some mrad/m, which small angles must not use."""
+    points = np.array([[74, 54, -30], [74, -54, -30], [-74, 0, -30]]) / 1e3
+    tilts = 5e-3 * np.array([[1, 0, 0], [0, 1, 0], [-1, 1, 0]])
+    normals = [pin.exp3(w) @ -UP for w in tilts]
+    N = np.array([np.append(n, np.cross(p, n)) for p, n in zip(points, normals, strict=True)]).T
+    d = motions.permitted_displacement(N, np.array([0, 0, 0, 1e-4, 1e-4, 0]))
+    assert np.abs(d[:3]).max() < 1e-4
+    V, _ = motions.permitted_twist(N, motions.Demand(np.eye(6)[:2], np.array([0.02, 0.0])))
+    assert_allclose(V[:2], [0.02, 0.0], atol=1e-9)
+    assert np.abs(V[3:]).max() < 1e-2
+
+
 def test_a_blocked_motion_is_left_out():
     """Three points on a face, of which rounding leaves 1e-16 of a way along its normal."""
     n = pin.exp3(np.array([0.4, 0.3, 0.0])) @ UP

@@ -441,7 +441,8 @@ def _permitted(N: Array, wanted: Iterable[tuple[Array, Array]]) -> Array:
     for rows, values in wanted:
         if len(rows) > 0 and Z.shape[1] > 0:
             left, sizes, right = np.linalg.svd(rows @ Z)
-            k = int(np.sum(sizes > _INDEPENDENT))
+            least = _LEAST_TURN if rows is _ANGULAR else _LEAST_SHARE
+            k = int(np.sum(sizes > least))
             y = left[:, :k].T @ (values - rows @ V) / sizes[:k]
             V = V + Z @ (right[:k].T @ y)
             Z = Z @ right[k:].T
@@ -449,6 +450,10 @@ def _permitted(N: Array, wanted: Iterable[tuple[Array, Array]]) -> Array:
 
 
 _INDEPENDENT = 1e-6  #: least singular value of independent rows of about unit length
+#: Least singular value with which permitted motions meet a demand: one of which contacts permit
+#: a smaller share is blocked. Normals of one face that are estimated apart differ a little.
+_LEAST_SHARE = 0.02
+_LEAST_TURN = 0.5  #: rad/m, the same of turns: about an axis more than 2 m away a turn is a shift
 
 
 def _null_space(A: Array) -> Array:
