@@ -69,6 +69,7 @@ class Plan:
         InvalidInputError: no stages, equal names, or a stage that follows and does not exist.
 
     Example:
+        >>> from osc_contact.plan import ends, motions
         >>> rig = osc.build_rig("panda_edge")
         >>> controller = rig.controller()
         >>> press = osc.Stage("press", {"edge": 10.0}, until=ends.after(0.2), within=1.0)

@@ -37,9 +37,10 @@ class Stage:
         tare: whether the wrist readings of the stage, which has no contacts, are zeroed at its end.
 
     Example:
+        >>> from osc_contact.plan import ends
         >>> stage = osc.Stage("press", {"table": 8.0}, until=ends.after(2.0), within=5.0)
-        >>> print(stage.until.words)
-        after 2 s
+        >>> print(stage.name, stage.forces)
+        press {'table': 8.0}
     """
 
     name: str
@@ -87,6 +88,11 @@ class StageVerdict:
         rms: rms error of the forces of its closed contacts (N).
         ended_by: condition that ended it, or why it failed.
         failed: whether it failed.
+
+    Example:
+        >>> verdict = osc.StageVerdict("press", 0.0, 0.3, peak=9.1, rms=0.2, ended_by="after 0.3 s")
+        >>> print(verdict.name, verdict.peak, verdict.failed)
+        press 9.1 False
     """
 
     name: str
