@@ -1,11 +1,11 @@
-"""A square peg into a hole that is elsewhere: successes, times and peak forces.
+"""A square peg into a hole beside the modelled one: successes, times and peak forces.
 
     python -m benchmarks.assembly [--count 10] [--seed 1000]
 
 A Panda inserts a peg of 20 mm into a hole, 30 mm deep, that is displaced by up to `offset` along
-each axis and by up to `tilt` about each axis, unknown to the plan, which is told the clearance
-within 20 µm. Wrist noise 0.2 N and 10 mN m, encoders of 18 bits, joint friction of 1 %, friction
-0.2 of the hole, masses wrong by up to 5 %, default safety with a ceiling of 100 N. MuJoCo's
+each axis and by up to `tilt` about each axis, unknown to the plan; its clearance is known within
+20 µm. Wrist noise 0.2 N and 10 mN m, encoders of 18 bits, joint friction of 1 %, friction 0.2 of
+the hole, masses wrong by up to 5 %, default safety with a ceiling of 100 N. MuJoCo's
 contacts have solref (3 ms, 1) and solimp (0.6, 0.95, 0.2 mm), some 350 N/mm. One row for each seed,
 then the shares and quantiles. Peaks are those of the sum of all contact forces, and of a single
 contact, at the end of each millisecond.

@@ -350,9 +350,9 @@ FAULTS: dict[str, Fault] = {
     "encoders stuck, speeds zero": Fault(
         _packet(lambda t, m: replace(m, q=t.first("q", m.q), v=0.0 * m.v)), unsound=_JOINTS
     ),
-    "encoder mirrored": Fault(_angles(_motor, -1.0), unsound=_ENCODER),
-    "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=0.2), unsound=_ENCODER),
-    "encoder offset of 1 degree": Fault(_angles(_motor, offset=np.deg2rad(1.0)), unsound=_ENCODER),
+    "encoder mirrored": Fault(_angles(_motor, -1.0)),
+    "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=0.2)),
+    "encoder offset of 1 degree": Fault(_angles(_motor, offset=np.deg2rad(1.0))),
     "joints swapped": Fault(_packet(_swapped_joints), unsound=_JOINTS),
     "speeds swapped": Fault(_packet(_swapped_speeds)),
     "arms swapped": Fault(_packet(_swapped_arms), unsound=_JOINTS, arms=2),

@@ -2,8 +2,8 @@
 
     python -m benchmarks.handovers [--seconds 6]
 
-A Panda presses a rounded nose on a floor with 6 N, with friction of the floor that the controller
-is not told; from 1.5 s on another tip of the tool, 15 mm in front of a wall, is commanded to press
+A Panda presses a rounded nose on a floor with 6 N; the friction of the floor is unknown to the
+controller. From 1.5 s on another tip of the tool, 15 mm in front of a wall, is commanded to press
 on it with 2 N. Lines of force that pass 30 mm apart, and lines that meet where the nose touches.
 Wrist noise 0.2 N and 10 mN m, encoders of 18 bits, joint friction of 1 %, default safety. One row
 for each case is printed; the exit code is 1 where a contact is closed in the air.

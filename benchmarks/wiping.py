@@ -199,18 +199,18 @@ class Wiping:
         self._down = pin.rpy.rpyToMatrix(np.pi, 0.0, np.arctan2(along[1], along[0]))
 
     def _watch_forces(self) -> None:
-        """Note the true force after every step of the physics."""
+        """Record the true force after every step of the physics."""
         model = self.env.sim.model._model
         names = [model.geom(k).name for k in range(model.ngeom)]
         tool = np.array(["gripper0" in name for name in names])
         table = np.array(["table" in name for name in names])
         after_step = self.env._update_observables
 
-        def noted(*given: Any, **options: Any) -> Any:
+        def record_force(force: bool = False) -> None:
             self.forces.append(normal_force(model, self.env.sim.data._data, tool, table))
-            return after_step(*given, **options)
+            after_step(force=force)
 
-        self.env._update_observables = noted
+        self.env._update_observables = record_force
 
     def act(self, along: float, height: float, force: float) -> float:
         """Act once: go to a place of the path, at a height.

@@ -12,8 +12,8 @@ low-passed twist V_f. ν is the noise of the wrists, at the sensors and reduced 
 the moment of the closed contacts' forces about points that are known to `_POINT` only. Friction
 changes α_n by at most e = μ_b Σα_j‖gᵀT_j‖, and ν by more than 3σ, σ² = gᵀ(cov ν)g, hardly ever. If
 the lines of action do not meet, g is nearly orthogonal to the friction forces and e is small; if
-they meet, e is μ_b times the force of the closed contact. Contact is made when α_n − e − 3σ,
-low-passed, exceeds `force_on`.
+they meet, e is μ_b times the force of the closed contact. Contact is made when α_n − e, low-passed,
+exceeds both `force_on`, the threshold of an ordinary contact, and 3σ.
 """
 
 from __future__ import annotations
@@ -59,8 +59,9 @@ def measure_approached_forces(t):
 
     Reads `alpha_meas`, `reading_e`, `N`, `pushed`, `V_O`, `out_T`, `filtered_twist`, and the fields
     that `reading_of_force` reads. Fills, of the active columns (N), `touch` (α_n of the reading
-    alone), `touch_inertia` (gᵀΛ_out V̇_O) and `explained` (e + 3σ). All are 0 unless one contact is
-    approached while friction may act at another one, and all columns are independent.
+    alone), `touch_inertia` (gᵀΛ_out V̇_O) and `explained` (e, and what of 3σ is above `force_on`).
+    All are 0 unless one contact is approached while friction may act at another one, and all
+    columns are independent.
     """
     work = t.work
     needed = False
@@ -91,8 +92,9 @@ def _explain(t):
 
     `touch` is gᵀ times the reading less bias, with gᵀ the row of (NᵀR⁻¹N)⁻¹NᵀR⁻¹ for the column;
     `touch_inertia` is gᵀ times the inertial force of the measured acceleration; `explained` is the
-    bound μ_b Σα_j‖gᵀT_j‖ of what friction of other contacts contributes, and three standard
-    deviations of what noise does. R is the covariance of friction and 3² times that of noise.
+    bound μ_b Σα_j‖gᵀT_j‖ of what friction of other contacts contributes, and the part of three
+    standard deviations of the noise of α_n that is above `force_on`. R is the covariance of
+    friction and 3² times that of noise.
     """
     work = t.work
     r = work.rank
@@ -145,7 +147,8 @@ def _explain(t):
                     part = dot6(g, _friction(t, other, k, most))
                     square += part * part
                 own.explained += sqrt(square)
-        own.explained += _SURE * sqrt(max(dot6(g, combined(g, noise, 6)), 0.0))
+        spread = _SURE * sqrt(max(dot6(g, combined(g, noise, 6)), 0.0))
+        own.explained += max(spread - t.model.force_on, 0.0)  # `force_on` covers so much of it
 
 
 @inner

@@ -76,11 +76,11 @@ def require_plan(
 def _require_contacts(stage: Stage, names: Sequence[str]) -> None:
     """Refuse conditions on contacts that are not active in the stage, and unknown contacts."""
     conditions = [one for one in (stage.until, stage.unless) if isinstance(one, End)]
-    asked = [name for one in conditions for name in one.contacts]
-    for name in (*asked, *stage.places):
+    contacts = [name for one in conditions for name in one.contacts]
+    for name in (*contacts, *stage.places):
         if name not in names:
             raise InvalidInputError(f"there is no contact {name!r}; {did_you_mean(name, names)}")
-    for name in asked:
+    for name in contacts:
         if name not in stage.forces:
             raise InvalidInputError(
                 f"it ends by contact {name!r}, which is not active in it; add it to its forces, "
@@ -127,8 +127,8 @@ def _require_motion(stage: Stage, names: Sequence[str], N: Array, dt: float, X: 
     )
     try:
         demand = stage.motion.begin(now)(now, dt)
-    except (InvalidInputError, LookupError):  # it depends on stages before it
-        return
+    except (InvalidInputError, LookupError):
+        return  # its direction follows from stages before it, and is checked when the stage begins
     for kind, rows in (("velocity", slice(0, 3)), ("turn", slice(3, 6))):
         mine = np.flatnonzero(np.any(demand.rows[:, rows] != 0.0, axis=1))
         values = demand.values[mine]

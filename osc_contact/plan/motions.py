@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import cos, hypot, inf, pi, sin, sqrt
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -123,19 +123,7 @@ def along(
     way = _positive("along: distance", distance)
     limit = None if yields is None else _positive("along: yields", yields)
 
-    def begin(now: Sensed) -> Course:
-        gone = 0.0
-
-        def demand(now: Sensed, dt: float) -> Demand:
-            nonlocal gone
-            d = now.aim.rotation @ given if axes == "object" else given
-            gone += dt * float(d @ now.V_D[:3])
-            v = _ending(most, way - gone, LINEAR_ACCELERATION, dt)
-            v *= _yielding(limit, float(d @ now.wrench[:3]))
-            return Demand((d @ _LINEAR)[None], np.array([v]), way - gone < ARRIVED)
-
-        return demand
-
+    begin = _steady(_TRANSLATION, given, axes, most, way, limit)
     return Motion(begin, f"along {_written(given)} at {1e3 * most:g} mm/s")
 
 
@@ -165,19 +153,7 @@ def about(
     way = _positive("about: angle", angle)
     limit = None if yields is None else _positive("about: yields", yields)
 
-    def begin(now: Sensed) -> Course:
-        turned = 0.0
-
-        def demand(now: Sensed, dt: float) -> Demand:
-            nonlocal turned
-            a = now.aim.rotation @ given if axes == "object" else given
-            turned += dt * float(a @ now.V_D[3:])
-            w = _ending(most, way - turned, ANGULAR_ACCELERATION, dt)
-            w *= _yielding(limit, float(a @ now.wrench[3:]))
-            return Demand((a @ _ANGULAR)[None], np.array([w]), way - turned < ARRIVED_ANGLE)
-
-        return demand
-
+    begin = _steady(_ROTATION, given, axes, most, way, limit)
     return Motion(begin, f"about {_written(given)} at {most:g} rad/s")
 
 
@@ -472,6 +448,53 @@ def _turn_between(a: Array, b: Array) -> Array:
     if size < 1e-12:
         return _null_space(a[None])[:, 0] * angle
     return axis * (angle / size)
+
+
+class _Kind(NamedTuple):
+    """Translation or rotation.
+
+    Attributes:
+        rows: (3, 6) of which the product with a twist is its velocity of this kind.
+        deceleration: with which it ends (m/s², rad/s²).
+        arrived: distance from the end at which it has ended (m, rad).
+    """
+
+    rows: Array
+    deceleration: float
+    arrived: float
+
+
+_TRANSLATION = _Kind(_LINEAR, LINEAR_ACCELERATION, ARRIVED)
+_ROTATION = _Kind(_ANGULAR, ANGULAR_ACCELERATION, ARRIVED_ANGLE)
+
+
+def _steady(
+    kind: _Kind, direction: Array, axes: Axes, speed: float, way: float, limit: float | None
+) -> Callable[[Sensed], Course]:
+    """Beginning of a motion along, or about, one direction.
+
+    Args:
+        kind: translation or rotation.
+        direction: (3,) unit vector in world axes, or in the object's, as `axes` states.
+        axes: axes of the direction.
+        speed: largest speed (m/s, rad/s). way: distance at which it ends (m, rad).
+        limit: force or couple against the motion at which it stops (N, N m); None: it never does.
+    """
+
+    def begin(now: Sensed) -> Course:
+        gone = 0.0
+
+        def demand(now: Sensed, dt: float) -> Demand:
+            nonlocal gone
+            row = (now.aim.rotation @ direction if axes == "object" else direction) @ kind.rows
+            gone += dt * float(row @ now.V_D)
+            rate = _ending(speed, way - gone, kind.deceleration, dt)
+            rate *= _yielding(limit, float(row @ now.wrench))
+            return Demand(row[None], np.array([rate]), way - gone < kind.arrived)
+
+        return demand
+
+    return begin
 
 
 def _ending(speed: float, left: float, deceleration: float, dt: float) -> float:

@@ -16,7 +16,10 @@ class Series:
 
     def __init__(self) -> None:
         """Begin before the first tick."""
-        self._counts = self._sums = self._squares = self._peaks = np.zeros(1)
+        self._counts = np.zeros(1)
+        self._sums = np.zeros(1)
+        self._squares = np.zeros(1)
+        self._peaks = np.zeros(1)
 
     def add(self, values: Array) -> None:
         """Include k further ticks.

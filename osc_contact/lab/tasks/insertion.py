@@ -1,6 +1,6 @@
 """World of a peg and a hole whose place is not known exactly, with sensors that err.
 
-A Panda holds a peg above a hole in a block. The hole is elsewhere than the controller is told, by a
+A Panda holds a peg above a hole in a block. The true hole is beside the modelled one, by a
 displacement drawn for each seed. Sensors, joints and masses err as `World` states.
 """
 
@@ -52,9 +52,9 @@ class World:
         force_noise, torque_noise: standard deviations of the wrist (N, N m).
         encoder_bits: resolution of the encoders.
         joint_friction: Coulomb friction of the joints, a share of their torque limits.
-        friction: coefficient between peg and hole, which the controller is not told.
+        friction: coefficient between peg and hole, unknown to the controller.
         masses: largest relative error of the masses of arm and peg.
-        clearance_error: largest error of the clearance that the plan is told (m).
+        clearance_error: largest error of the modelled clearance (m).
         solref, solimp: softness of MuJoCo's contacts.
     """
 
@@ -72,7 +72,7 @@ class World:
 
 @dataclass(frozen=True)
 class Insertion:
-    """Peg and hole of one seed: what is true, and what the plan is told.
+    """Peg and hole of one seed: the true ones, and their models.
 
     Attributes:
         peg: true peg. clearance: of the true hole (m).
@@ -101,9 +101,9 @@ class Insertion:
 
     @property
     def hole(self) -> Hole:
-        """Hole as the plan is told, in the world."""
-        told = self.clearance + self.drawn[6] * self.world.clearance_error
-        return Hole(self.peg.shape, self.peg.width + told, DEPTH, BELIEVED)
+        """Modelled hole, in the world."""
+        clearance = self.clearance + self.drawn[6] * self.world.clearance_error
+        return Hole(self.peg.shape, self.peg.width + clearance, DEPTH, BELIEVED)
 
     @property
     def true_hole(self) -> Hole:
@@ -133,7 +133,7 @@ class Insertion:
 
     @cached_property
     def model(self) -> ClosedChain:
-        """Arm and peg as the controller is told."""
+        """Modelled arm and peg."""
         mass, held = 1.0 + self.world.masses * self.drawn[7:]
         return self.chain(float(mass), float(held))
 

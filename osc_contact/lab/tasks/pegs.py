@@ -76,7 +76,7 @@ def controller_of(task: Insertion, plan: Plan, robot: InsertionRobot) -> Control
     """Controller of the contacts that a plan names, with default safety but for its ceilings.
 
     Args:
-        task: what the controller is told of arm, peg and hole.
+        task: models of arm, peg and hole.
         plan: names the contacts.
         robot: at rest at the start.
     """
