@@ -204,7 +204,11 @@ def test_the_inertia_takes_in_what_is_certain_of_a_learned_rotor(missing, certai
     row.applied = 1.0
     row.theta[2] = missing
     row.P[2, 2] = 0.1**2
+    t.model.priors[0].doubt[2] = 0.9
     joint = t.memory.joints[0]
+    learn(t)
+    assert joint.rotor == 0.0, "the prior has determined it, not motion"
+    t.model.priors[0].doubt[2] = 1.1
     for n in range(1, 301):
         learn(t)
         assert joint.rotor == approx(certain * (1.0 - 1.01**-n))

@@ -90,6 +90,9 @@ _QUIET = 0.1  #: least √R, as a share of the noise assumed at the start
 _SEEN = 3.0  #: multiple of the noise that an element of φ must cause for its past to be forgotten
 _FASTEST = 1e6  #: rad/s, m/s; speed limit of joints without one, so that squares are finite
 _CERTAIN = 2.0  #: standard deviations of A that M leaves out
+#: Largest standard deviation of A, as a share of the prior's, at which motion and not the prior has
+#: determined A. Above it, errors of the model of friction made A wrong by 3.5 deviations.
+_MEASURED = 0.1
 _TAKEN_IN = 0.1  #: s in which M follows A
 _SUDDEN = 0.05  #: s; the rate of s is bounded by the speed limit divided by this
 
@@ -223,7 +226,7 @@ def _learn(t, j, sound, rate, inertial, dt):
     if state == LEARNED or (state == SUSPECTED and t.model.friction_errors):
         aim = missing if row.unbalanced == 0.0 else 0.0  # an error of the wrist sensor is suspected
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
-    _take_in_rotor(row, learned, state == LEARNED, dt)
+    _take_in_rotor(row, learned, t.model.priors[j], state == LEARNED, dt)
     k = dt / (_SMOOTH + dt)
     smooth = learned.smooth
     own = row.rotor * rate  # M has it
@@ -249,20 +252,23 @@ def _learn(t, j, sound, rate, inertial, dt):
 
 
 @leaf
-def _take_in_rotor(row, learned, is_learned, dt):
+def _take_in_rotor(row, learned, prior, is_learned, dt):
     """Update the inertia that M has of a joint beside the model's by what is certain of A.
 
     Gains of forces and motions are of accelerations: a rotor that M lacks reduces them all, and the
-    brake of a contact below what its integral needs. Certain is A less two standard deviations.
+    brake of a contact below what its integral needs. Certain is A less two standard deviations,
+    once these are a small share of the prior's.
 
     Args:
-        row: JOINT_MEMORY. learned: its FRICTION. is_learned: whether its estimate is in use.
+        row: JOINT_MEMORY. learned: its FRICTION. prior: its PRIOR.
+        is_learned: whether its estimate is in use.
         dt: time since the last computed tick (s).
     """
     certain = 0.0
-    if is_learned:
+    deviation = sqrt(max(learned.P[2, 2], 0.0))
+    if is_learned and deviation <= _MEASURED * prior.doubt[2]:
         A = learned.applied * learned.theta[2]
-        doubt = _CERTAIN * sqrt(max(learned.P[2, 2], 0.0))
+        doubt = _CERTAIN * deviation
         certain = A - min(max(A, -doubt), doubt)
     row.rotor += dt / (_TAKEN_IN + dt) * (certain - row.rotor)
 
