@@ -46,7 +46,7 @@ def measure(count: int) -> dict[str, Rows]:
     rows = []
     with TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"
-        for package in ("osc_contact", "benchmarks", "paper"):
+        for package in ("osc_contact", "benchmarks", "paper", "urdf"):
             source = Path(osc_contact.__file__).parents[1] / package
             shutil.copytree(source, copy / package)
         rows.append({"what": "whole", **timed_python(COMPILE, copy, f"{folder}/whole")})

@@ -4,6 +4,8 @@ import { Controller, SetPoint, loadLaw } from "./controller.mjs";
 
 const LAG = 6; // 1/s, of the filter between sliders and what they move
 const BUSY_MS = 25; // of ticks at a stretch, so that messages are read in between
+const IN_STEP_S = 0.05; // behind the clock, above which a picture waits: to draw it takes the time of ticks
+const PICTURE_MS = 500; // longest wait of a picture, and longest delay that ticks make up for
 const SETTLED_S = 0.5; // after a change or a jump of a desired force, from which on errors are counted
 const JUMP = 0.1; // of a desired force from tick to tick
 const TEXTS = ["plant.xml", "task.json"];
@@ -342,7 +344,7 @@ class Task {
 // --- Messages ----------------------------------------------------------------------------------
 
 let task, beside = null; // the task, and the same under a selection law
-let made, samples = [], settings = new Map(), timer = 0, from = 0, begin = 0, running = false;
+let made, samples = [], settings = new Map(), timer = 0, from = 0, begin = 0, shown = 0, running = false;
 
 const tasks = () => (beside ? [task, beside] : [task]);
 
@@ -370,6 +372,7 @@ const forcesOf = ({ true: known, controller }) => known.map((value, i) => value 
 
 function show() {
   const { plant } = task;
+  shown = performance.now();
   postMessage({
     kind: "picture", places: plant.places(), walls: plant.walls.map((wall) => wall.tilt.state[0]), samples,
     ...sample(), ...task.shown(), beside: beside?.shown() ?? null,
@@ -422,13 +425,17 @@ async function open(files) {
   show();
 }
 
-/** As many ticks as time has passed; what is too slow does not run after it. */
+/**
+ * As many ticks as time has passed. Behind the clock pictures become rarer, as their drawing shares the
+ * processor with the ticks; a delay of more than PICTURE_MS is dropped.
+ */
 function turn() {
   const until = performance.now() + BUSY_MS;
   const due = () => begin + 1e-3 * (performance.now() - from);
   while (task.time < due() && performance.now() < until) tick();
-  if (task.time < due() - 0.1) pace();
-  show();
+  const behind = due() - task.time;
+  if (behind > 1e-3 * PICTURE_MS) pace();
+  if (behind < IN_STEP_S || performance.now() > shown + PICTURE_MS) show();
 }
 
 function pace() {
