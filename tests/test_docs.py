@@ -5,6 +5,8 @@ import re
 import runpy
 import shlex
 import shutil
+import sys
+from inspect import isfunction, signature
 from itertools import pairwise
 from textwrap import indent
 
@@ -457,6 +459,18 @@ def test_what_is_left_out_is_found():
     assert unexplained(text.replace("x, start", "x, start, end")) == []
     assert unexplained(text.replace("carry", "_carry")) == []
     assert unexplained(f"class Body:\n{indent(text, '    ')}") == ["carry: end"]
+
+
+def test_help_shows_types_of_arguments_as_they_are_written():
+    shown = {
+        f"{name}.{function.__name__}": str(signature(function))
+        for name, module in sys.modules.items()
+        if name.startswith("osc_contact")
+        for function in vars(module).values()
+        if isfunction(function) and function.__module__ == name
+    }
+    assert "q: 'ArrayLike'" in shown["osc_contact.dynamics.assembly.reach"]
+    assert [name for name, text in shown.items() if "numpy._typing" in text] == []
 
 
 def test_options_of_commands_have_their_help():

@@ -91,7 +91,7 @@ MISTAKES = {
     "a circle of 5 Hz": (
         "np.pi, 0.05",
         "10 * np.pi, 0.1",
-        "the motion would need more than the motors give: arm/turn: 439.6 of ±150 desired",
+        "need more than the motors give (desired torques: arm/turn 439.6 of ±150, arm/shoulder",
         "command a smaller or slower motion",
     ),
     "settings as a truth value": (

@@ -15,7 +15,7 @@ from scenario_runs import rig_of, verdict_of
 
 import osc_contact as osc
 from osc_contact import robots
-from osc_contact.dynamics.assembly import outside_limits, reach
+from osc_contact.dynamics.assembly import close, outside_limits, reach
 from osc_contact.lab.runs import poses
 from osc_contact.lab.runs.poses import Press, _text
 
@@ -197,6 +197,14 @@ def test_inverse_kinematics_keeps_joint_limits_and_finds_postures_all_the_same()
         pin.framesForwardKinematics(chain.model, chain.data, q)
         missed.append(norm(chain.object_pose().translation - X.translation))
     assert np.mean(np.array(missed) < 1e-4) > 0.3  # the rest would have to go round end stops
+
+
+@parametrize("positions", [reach, close])
+def test_a_guess_with_too_few_joints_is_refused_with_their_number(positions):
+    rig = rig_of("panda_edge")
+    more = (rig.state.X_WO,) if positions is reach else ()
+    with invalid_input(r"q: expected shape \(7\), got \(3,\)"):
+        positions(rig.chain, [0.0, 0.5, 0.0], *more)
 
 
 @parametrize("name", ["two_contact_rod", "ur5_wipe", "three_arm_plate"])

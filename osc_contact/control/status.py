@@ -76,11 +76,12 @@ class LimitLoss:
     def __str__(self) -> str:
         """Sentence with the torques beyond their limits, and the motion and forces given up."""
         motors = ", ".join(
-            f"{name}: {desired:.4g} of ±{limit:.4g} desired"
+            f"{name} {desired:.4g} of ±{limit:.4g}"
             for name, desired, limit in zip(self.joints, self.desired, self.limits, strict=True)
         )
         linear, angular = (norm(part) for part in np.split(self.acceleration, 2))
-        text = f"{motors}; given up: motion {linear:.3f} m/s², {angular:.3f} rad/s²"
+        text = f"desired torques: {motors} N m or N; "
+        text += f"given up: motion {linear:.3f} m/s², {angular:.3f} rad/s²"
         if len(self.force):
             text += f", contact force {np.round(self.force, 3) + 0.0} N"
         if len(self.squeeze):

@@ -1,5 +1,7 @@
 """Joint positions that reach a pose, close the loops and contacts, or are within their limits."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from functools import partial
 
@@ -12,7 +14,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain, columns_at
 from osc_contact.dynamics.grasp import moved
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.robots.model import position_limits
-from osc_contact.spatial import Array, block_diagonal, pose_error
+from osc_contact.spatial import Array, as_array, block_diagonal, pose_error
 
 #: Function of the object's pose that returns the gaps (r,) (m, rad) of the contacts and a function
 #: that returns the columns N (6, r) in that pose. A motion of the object along a column closes its
@@ -53,11 +55,12 @@ def reach(chain: ClosedChain, q: ArrayLike, X_WO: SE3, tolerance: float = 1e-6) 
         tolerance: largest joint displacement of the last step (m, rad).
 
     Raises:
+        InvalidInputError: q has another shape, or is not finite.
         ModelError: no convergence; the pose is probably out of reach.
     """
     L = np.linalg.cholesky(chain.reference_inertia(X_WO))
     limits = position_limits(chain.model)
-    here: Array = np.clip(np.array(q, dtype=float), *limits)
+    here: Array = np.clip(as_array("q", q, (chain.nq,)), *limits)
     damping = 1e-3
     cost, step = _reach_step(chain, here, X_WO, L, damping)
     for _ in range(300):
@@ -83,7 +86,7 @@ CLOSED = 1e-13  #: largest remaining error of loops and contacts (m, rad)
 MOST_STEPS = 30  #: most steps of Newton's method
 
 
-def close(chain: ClosedChain, q: Array, gaps: Gaps | None = None) -> Array:
+def close(chain: ClosedChain, q: ArrayLike, gaps: Gaps | None = None) -> Array:
     """Nearest joint positions (n,), in the arms' inertia metric, with closed loops and zero gaps.
 
     Args:
@@ -92,9 +95,10 @@ def close(chain: ClosedChain, q: Array, gaps: Gaps | None = None) -> Array:
         gaps: gaps of the contacts and their N at an object pose; None: no contacts.
 
     Raises:
+        InvalidInputError: q has another shape, or is not finite.
         ModelError: Newton's method does not converge from here.
     """
-    return closed(chain, q, None, gaps)[0]
+    return closed(chain, as_array("q", q, (chain.nq,)), None, gaps)[0]
 
 
 def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) -> tuple[Array, SE3]:

@@ -345,7 +345,10 @@ def joints(task: Task) -> Values:
         return
     if first and task.gains.motion.stiffness > 0.0:
         off = float(np.sqrt(lost.max() / ticks)) / task.gains.motion.stiffness
-        why = f"need more than the motors give: {first}, and follow {off:.3g} m or rad off X_WD"
+        why = (
+            f"need more than the motors give ({first}) and put the object {off:.2g} m or rad (rms) "
+            "off X_WD"
+        )
         yield off, {"at": began, "why": why}
 
 

@@ -4,6 +4,8 @@
 "Your own driver" of the documentation for the contract that it checks.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from itertools import combinations
 

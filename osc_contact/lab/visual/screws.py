@@ -7,6 +7,8 @@ couple or a pure translation. Axis and pitch depend neither on units nor on the 
 (R. S. Ball, A Treatise on the Theory of Screws, 1900).
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
