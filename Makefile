@@ -21,7 +21,7 @@ install = set -o pipefail; OSC_CONTACT_LAW=jit $(BIN)/pip install -q --no-compil
 
 .venv/.installed .venv/.demo: pyproject.toml constraints.txt
 	@test -x $(BIN)/pip || $(PYTHON) -m venv .venv
-	@echo "installing into .venv"
+	@echo "installing packages into .venv and compiling the law: 1 to 2 minutes on two idle cores"
 	@$(call install,numba)
 	@$(BIN)/python -m osc_contact.law.c_object & \
 		{ $(call install,-e '.[$(EXTRAS)]'); } && wait $$!
@@ -33,8 +33,9 @@ demo:
 	@mkdir -p out
 	@{ $(chromium); } > out/chromium.txt 2>&1 & chromium=$$!; set -e; \
 		$(demo_venv); \
+		echo "running the README's task: some seconds"; \
 		$(BIN)/osc-contact run two_contact_rod --out out/two_contact_rod; \
-		echo "look at out/two_contact_rod/scene.html; the paper's figures follow"; \
+		echo "look at out/two_contact_rod/scene.html; the paper's figures follow: 1 to 2 minutes"; \
 		wait $$chromium || cat out/chromium.txt; \
 		$(BIN)/osc-contact reproduce all --out out/figures
 	@echo "look at out/two_contact_rod/scene.html and out/figures/report.html"
@@ -121,7 +122,7 @@ peers: .venv-peers/.installed
 
 .venv-peers/.installed: pyproject.toml constraints-peers.txt
 	@test -x .venv-peers/bin/pip || $(PYTHON) -m venv .venv-peers
-	@echo "installing into .venv-peers"
+	@echo "installing packages into .venv-peers, some GB: 5 minutes and more"
 	@set -o pipefail; .venv-peers/bin/pip install -q -c constraints-peers.txt \
 		-e '.[law,scenarios,sim]' torch newton mjlab robosuite pytest pytest-timeout 2>&1 \
 		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
@@ -137,7 +138,7 @@ worlds: .venv-robosuite/.installed
 
 .venv-robosuite/.installed: pyproject.toml constraints-robosuite.txt
 	@test -x .venv-robosuite/bin/pip || $(PYTHON) -m venv .venv-robosuite
-	@echo "installing into .venv-robosuite"
+	@echo "installing packages into .venv-robosuite, 1 GB: some minutes"
 	@set -o pipefail; .venv-robosuite/bin/pip install -q -c constraints-robosuite.txt \
 		-e '.[robosuite,scenarios,plot]' pytest pytest-timeout 2>&1 \
 		| { grep -v "is ignored: it is neither a file nor a directory" || true; }

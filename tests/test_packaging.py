@@ -186,6 +186,20 @@ def test_the_demo_shows_its_task_before_it_waits_for_anything():
     assert recipe.index("& chromium=$$!") < steps[1], "it is installed beside the rest"
 
 
+def test_what_takes_minutes_in_silence_is_announced_with_its_time():
+    makefile = text_of("Makefile")
+    installing = [block for block in makefile.split("\n\n") if "\t@touch $@" in block]
+    assert len(installing) == 3, "of demo and tests, of the peers, of robosuite"
+    for recipe in installing:
+        words = recipe.index('@echo "installing')
+        begins = re.search("/pip install|call install", recipe)
+        assert begins and words < begins.start(), recipe
+        assert "minutes" in recipe[words : recipe.index("\n", words)], recipe
+    (demo,) = re.findall(r"^demo:\n((?:\t.*\n)+)", makefile, re.M)
+    for step, time in (("osc-contact run", "seconds"), ("reproduce all", "minutes")):
+        assert time in demo[: demo.index(step)].rpartition("echo ")[2], step
+
+
 def test_a_browser_is_looked_for_without_any_package(tmp_path):
     program = [sys.executable, "-S", "-m", "osc_contact.lab.visual.browser"]
     nothing = {"PATH": str(tmp_path), "PYTHONPATH": str(ROOT)}
