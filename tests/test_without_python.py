@@ -253,6 +253,8 @@ def created(library, folder, controller):
 def test_the_header_gives_the_unit_and_the_meaning_of_each_gain(library):
     text = (library / "osc_controller.h").read_text()
     assert " *   force.damping: N s/m; gain K_v of the normal velocity" in text
+    comments = re.findall(r"/\*.*?\*/", text, re.DOTALL)
+    assert [c for c in comments if re.search(r"\n(?! *\*)", c)] == [], "each line has its asterisk"
 
 
 @parametrize("name, integral", {"two_contact_rod": 30.0, "limited_rod": 0.0})

@@ -162,7 +162,7 @@ def refuse(text: str) -> PydanticCustomError:
 
 
 def meaning(owner: type, key: str) -> str | None:
-    """The docstring of a model's key, read from its source when it is needed."""
+    """The docstring of a model's key in one line, read from its source when it is needed."""
     for base in (*owner.__mro__, getattr(owner, "describes", object)):
         if key not in inspect.get_annotations(base):
             continue
@@ -173,7 +173,7 @@ def meaning(owner: type, key: str) -> str | None:
         for line, after in pairwise(getattr(tree, "body", [])):
             match line, after:
                 case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(text)) if name == key:
-                    return inspect.cleandoc(str(text))
+                    return " ".join(str(text).split())
     return None
 
 
