@@ -16,6 +16,7 @@ from samples import ROOT, module_fixture, parametrize
 
 from hatch_build import absolute
 from osc_contact.control import web_assembly
+from osc_contact.lab.cli.app import PAGES
 from osc_contact.law import jit, library
 
 
@@ -77,6 +78,11 @@ def test_wheel_carries(wheel, pattern):
     for file in files:
         name = file.relative_to(ROOT).as_posix().removeprefix("osc_contact/")
         assert wheel.read(f"osc_contact/{name}") == file.read_bytes()
+
+
+def test_wheel_carries_the_pages_whose_programs_are_written(wheel):
+    carried = {name for name in wheel.namelist() if name.startswith("osc_contact/docs/")}
+    assert carried == {f"osc_contact/docs/{page}" for page in PAGES}
 
 
 def test_wheel_carries_nothing_else(wheel):
