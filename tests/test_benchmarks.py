@@ -116,6 +116,12 @@ def test_false_stops_finds_a_stop_and_keeps_it(monkeypatch, tmp_path):
     assert Kept(tmp_path, false_stops.read_ended).found == {some: ended}
 
 
+def test_friction_and_noise_do_not_stop_the_step_of_limited_rod():
+    """On the way back from 5 cm its tips move at 0.52 m/s, above the default ceiling."""
+    errors = false_stops.Errors("limited_rod", 0.02, 20, True)
+    assert try_errors(errors, duration=6.3) == false_stops.Ended(errors)
+
+
 @mark.slow
 def test_many_runs_program(monkeypatch):
     monkeypatch.setattr(many_runs, "DURATION", 1.05)
