@@ -131,21 +131,21 @@ def paced(page: Browser) -> tuple[float, float]:
 def errors_in(page: Browser, ticks: int) -> Array:
     """Error of each true force (N) in each of the next ticks: (ticks, forces).
 
-    Zero in the SETTLED ticks after a jump of a desired force.
+    NaN in the SETTLED ticks after a jump of a desired force: they are not counted.
     """
     found = run_ticks(page, ticks, note=True)
     true, commanded = np.reshape(found["truths"], (ticks, 2, -1)).swapaxes(0, 1)
     error: Array = true - commanded
     jumps = np.abs(np.diff(commanded, axis=0)).max(axis=1) > JUMP_N
     for k in np.flatnonzero(jumps):
-        error[k + 1 : k + 1 + SETTLED] = 0.0
+        error[k + 1 : k + 1 + SETTLED] = np.nan
     return error
 
 
 def errors_of(page: Browser, ticks: int) -> tuple[Array, Array]:
-    """rms and largest error of each true force (N) in the next ticks."""
+    """rms and largest error of each true force (N) in the next ticks, see `errors_in`."""
     error = errors_in(page, ticks)
-    return np.sqrt((error**2).mean(axis=0)), np.abs(error).max(axis=0)
+    return np.sqrt(np.nanmean(error**2, axis=0)), np.nanmax(np.abs(error), axis=0)
 
 
 def press_harder(page: Browser) -> str:
@@ -183,7 +183,7 @@ def roughen(page: Browser) -> str:
     turning = np.abs(errors_in(page, 1000)).max(axis=1)
     return (
         f"forces: {1e3 * wiping.max():.0f} mN rms while it wipes; where the motion turns round "
-        f"{turning.max():.1f} N at most, above 1 N for {(turning > 1.0).sum()} ms"
+        f"{np.nanmax(turning):.1f} N at most, above 1 N for {(turning > 1.0).sum()} ms"
     )
 
 
