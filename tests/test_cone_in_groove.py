@@ -30,6 +30,12 @@ def short_run():
     return cg.run(0.62, (0.51, 0.53, 0.55, 0.57))
 
 
+def test_the_simulation_before_the_start_learns_no_joint_friction():
+    """Its wrists read zero: taken for a rotor, this ended the motion of fig. 2 in a stop."""
+    whole = osc.build_rig(cg.cone_scenario(SEAT, 5.0))
+    assert osc.preflight(whole) == ()
+
+
 def pose_at(turn, slide):
     """The cone turned about its axis and moved along the groove, by products of poses."""
     X = rig().state.X_WO

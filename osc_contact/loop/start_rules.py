@@ -27,7 +27,7 @@ from osc_contact.loop.rules import Finding, Task, Values, doubt, findings, round
 from osc_contact.loop.scene_rules import SCENE_RULES
 from osc_contact.recorder.recording import column_names
 from osc_contact.robots.model import position_limits
-from osc_contact.settings.control import SafetySettings
+from osc_contact.settings.control import JointFriction, SafetySettings
 from osc_contact.spatial import Array, norm
 
 LOOKS = 400  #: number of evenly spaced references that are checked, in addition to extreme ones
@@ -325,7 +325,16 @@ def joints(task: Task) -> Values:
     began = 0.0
     ticks = 0
     try:
-        controller = Controller(chain, (), task.gains, dt=dt, posture=task.posture, safety=safety)
+        # The model's friction only: from wrists that read zero, more of it would be identified.
+        controller = Controller(
+            chain,
+            (),
+            task.gains,
+            dt=dt,
+            posture=task.posture,
+            safety=safety,
+            joint_friction=JointFriction(learning=False, share=0.0, errors=False),
+        )
         for desired in islice(task.every(dt), task.rehearsed):
             motion = Reference(desired.X_WD, desired.V_D, desired.A_D)
             controller.tick(Measurement(q.copy(), v.copy(), still), motion)
