@@ -324,16 +324,18 @@ def best_selection(
     return min(found, key=lambda law: instant.coupling(law).cost)
 
 
-def selection_of(rig: Rig) -> dict[str, Any]:
+def selection_of(rig: Rig, restarts: int = 4) -> dict[str, Any]:
     """The best selection of Khatib's law at the start of a rig, as `Selection.as_dict`.
 
     Args:
         rig: see `build_rig`.
+        restarts: see `best_frames`.
 
     Raises:
         ContactError: with no selection does the law keep control of forces and motions.
     """
-    return best_selection(Instant(rig.state, rig.contact), BASELINES["khatib"]).selection.as_dict()
+    instant = Instant(rig.state, rig.contact)
+    return best_selection(instant, BASELINES["khatib"], restarts=restarts).selection.as_dict()
 
 
 def best_frames(

@@ -1,6 +1,7 @@
 """Quantities of a scenario file: a number in SI or a string with a unit that must fit."""
 
 import ast
+import functools
 import inspect
 import math
 import re
@@ -164,17 +165,24 @@ def refuse(text: str) -> PydanticCustomError:
 def meaning(owner: type, key: str) -> str | None:
     """The docstring of a model's key in one line, read from its source when it is needed."""
     for base in (*owner.__mro__, getattr(owner, "describes", object)):
-        if key not in inspect.get_annotations(base):
-            continue
-        try:
-            (tree,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
-        except (OSError, TypeError, SyntaxError):
-            continue  # made without a file, or for a quantity: an ancestor has the source
-        for line, after in pairwise(getattr(tree, "body", [])):
-            match line, after:
-                case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(text)) if name == key:
-                    return " ".join(str(text).split())
-    return None
+        if key in inspect.get_annotations(base) and key in (texts := _docstrings_of_keys(base)):
+            return texts[key]
+    return None  # made without a file, or for a quantity, and no ancestor has the source
+
+
+@functools.cache  # a class's source is found by parsing its whole file
+def _docstrings_of_keys(model: type) -> Mapping[str, str]:
+    """The docstring below each annotated name of a class, in one line; empty without a source."""
+    try:
+        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
+    except (OSError, TypeError, SyntaxError):
+        return {}
+    texts = {}
+    for line, after in pairwise(getattr(tree, "body", [])):
+        match line, after:
+            case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(text)):
+                texts[name] = " ".join(str(text).split())
+    return texts
 
 
 def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:

@@ -5,7 +5,8 @@ import { Controller, SetPoint, loadLaw } from "./controller.mjs";
 const LAG = 6; // 1/s, of the filter between sliders and what they move
 const BUSY_MS = 25; // of ticks at a stretch, so that messages are read in between
 const IN_STEP_S = 0.05; // behind the clock, above which a picture waits: to draw it takes the time of ticks
-const PICTURE_MS = 500; // longest wait of a picture, and longest delay that ticks make up for
+const PICTURE_MS = 500; // longest wait of a picture
+const DELAY_S = 0.5; // behind the clock, above which the delay is dropped instead of made up for
 const SETTLED_S = 0.5; // after a change or a jump of a desired force, from which on errors are counted
 const JUMP = 0.1; // of a desired force from tick to tick
 const TEXTS = ["plant.xml", "task.json"];
@@ -427,14 +428,14 @@ async function open(files) {
 
 /**
  * As many ticks as time has passed. Behind the clock pictures become rarer, as their drawing shares the
- * processor with the ticks; a delay of more than PICTURE_MS is dropped.
+ * processor with the ticks; a delay of more than DELAY_S is dropped.
  */
 function turn() {
   const until = performance.now() + BUSY_MS;
   const due = () => begin + 1e-3 * (performance.now() - from);
   while (task.time < due() && performance.now() < until) tick();
   const behind = due() - task.time;
-  if (behind > 1e-3 * PICTURE_MS) pace();
+  if (behind > DELAY_S) pace();
   if (behind < IN_STEP_S || performance.now() > shown + PICTURE_MS) show();
 }
 
