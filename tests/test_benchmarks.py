@@ -101,6 +101,12 @@ def test_programs_write_what_they_measure(judge, tmp_path):
                 assert row["p50"] <= row["p99"] <= row["p99_9"] <= row["max"]
 
 
+def test_a_late_wrist_is_compared_with_whole_weights_from_the_first_tick():
+    """The mean of two ticks began with half of the first weight: a stop at 0.125 s."""
+    some = false_stops.Errors("limited_rod", 0.02, 0, True)
+    assert try_errors(some, duration=0.2) == false_stops.Ended(some)
+
+
 def test_false_stops_finds_a_stop_and_keeps_it(monkeypatch, tmp_path):
     """Wrists that lose a fifth of their readings are too much for a limit of 1 %."""
     some = false_stops.Errors("two_contact_rod", 0.01, 16, True)

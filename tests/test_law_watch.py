@@ -8,7 +8,16 @@ from math import inf
 
 import numpy as np
 import pinocchio as pin
-from law_calls import agreement, isolation, plausibility, records, safety, sensors, write
+from law_calls import (
+    agreement,
+    holding,
+    isolation,
+    plausibility,
+    records,
+    safety,
+    sensors,
+    write,
+)
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx
@@ -922,3 +931,26 @@ def test_a_state_counts_its_ticks_and_a_hold_begins_unsettled():
             assert (memory.state, memory.age) == (after, 8 if before == after else 1)
             begins = after >= at.HOLD > before
             assert memory.settled == (0 if begins else 1)
+
+
+@parametrize("light_for, gone", [(40, False), (60, True)])
+def test_a_stopped_arm_has_let_go_once_its_load_is_light_for_20_ms(light_for, gone):
+    """The low-pass of 20 ms falls below a quarter of the share after 28 ms without load."""
+    t = records(arms=2, joints=2, period=DT, held=1, gravity=(0.0, 0.0, -9.81))
+    t.model.principal[0] = 2.0  # kg
+    t.memory.state = at.SAFE_STOP
+    rigid = np.eye(3).ravel()
+    write(t.work.joints, R=np.eye(3), p=np.zeros(3))
+    write(t.model.arms, sensor_joint=[0, 1])
+    t.model.arms.sensor[:, :9] = rigid
+    share = vector(0.0, 0.0, 9.81)
+
+    def weigh(force, ticks):
+        t.memory.wrenches[0, :3] = force
+        for _ in range(ticks):
+            holding._weigh(t, 0, np.zeros(3), np.zeros(6))
+
+    weigh(share, 5)
+    weigh(np.zeros(3), light_for)
+    weigh(share, 100)
+    assert t.memory.arms[0].let_go == gone

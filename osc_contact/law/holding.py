@@ -1,8 +1,8 @@
 """Braking and holding of arms by joint torques, without the control law.
 
 The torques of each arm carry the arm and its share of the object, and brake it in proportion to the
-joint-space inertia of both. An arm with almost no load on its wrist is assumed to have let go of
-the object; then the other arms carry it.
+joint-space inertia of both. An arm with almost no load on its wrist for `LET_GO_TIME` is assumed to
+have let go of the object; then the other arms carry it.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ _LEAST = 0.1  #: least share of the braking torques where motors can hardly carr
 BRAKE_RATE = 40.0  #: 1/s, rate of the torques of a hold, as a multiple of their limits
 _HASTE = 4.0  #: factor of that rate if a joint is above its speed limit
 _LIGHT = 0.25  #: share of its part of the object's weight below which an arm has let go
+LET_GO_TIME = 0.02  #: s for which the load has to be below that share until an arm has let go
 _HEAVY = 0.5  #: share of its part above which an arm holds the object, if no other arm does
 _SHAKES = 0.02  #: s, time constant of the low-pass of the load of a wrist
 
@@ -187,10 +188,11 @@ def _weight_share(t):
 def _weigh(t, k, world, outboard):
     """Low-pass the load on the wrist of a stopped arm k, and detect whether it has let go.
 
-    An arm whose load falls below `_LIGHT` times its share of the object's weight has let go; this
-    is not revoked until the next stop as long as other arms hold the object, because vibrations or
-    errors of the sensor may look like a load later. Fills `load`, `weighed` and `let_go` of the arm
-    in MEMORY.
+    An arm whose load is below `_LIGHT` times its share of the object's weight for `LET_GO_TIME` has
+    let go; this is not revoked until the next stop as long as other arms hold the object, because
+    vibrations or errors of the sensor may look like a load later. The load of an arm that holds
+    passes zero, too, as braking shakes the object: in a few milliseconds. Fills `load`, `light`,
+    `weighed` and `let_go` of the arm in MEMORY.
 
     Args:
         t: Tick after `move_arm`. k: arm. world: (3,) origin of the world, reference point of the
@@ -206,10 +208,13 @@ def _weigh(t, k, world, outboard):
     share = model.period / (_SHAKES + model.period) if own.weighed else 1.0
     if own.weighed == 0:
         own.let_go = own.holds = 0
+        own.light = 0.0
     own.weighed = 1
     load = add3(own.load, share, minus3(minus3(wrench, outboard), own.load))
     fill3(own.load, load)
-    if own.holds == 0 and sqrt(dot3(load, load)) < _LIGHT * _weight_share(t):
+    is_light = own.holds == 0 and sqrt(dot3(load, load)) < _LIGHT * _weight_share(t)
+    own.light = own.light + model.period if is_light else 0.0
+    if own.light > LET_GO_TIME:
         own.let_go = 1
 
 

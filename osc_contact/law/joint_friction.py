@@ -150,6 +150,8 @@ def observe_arm(t, arm, own, sound, dt):
         for i in range(arm.first, arm.end):
             inertial += joints[j].M[i - arm.first] * known[i].rate
         weight = joints[j].h + dot6(joints[j].column, beyond)
+        if begins:
+            row.past_weight = weight
         held = 0.5 * (weight + row.past_weight)
         row.past_weight = weight
         torque = t.memory.torques[joint.motor] - held
