@@ -32,6 +32,9 @@ def update_contacts(t):
 
     If the set of contacts in N changes, `hand_over` is set, so that the motion integral is
     converted, and `by_column`, so that force integrals are taken by column.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     memory = t.memory
@@ -59,6 +62,12 @@ def update_contacts(t):
 @inner
 def _take_set(t):
     """Open contacts that are not active, and close or approach those that are.
+
+    Reads `chosen_set` and `active` of INPUT, and `dt`. Updates `phase`, `since` (s) and `held` of
+    the contacts in MEMORY.
+
+    Args:
+        t: Tick.
 
     Returns:
         True if the set of contacts in N changes.
@@ -88,8 +97,10 @@ def _take_set(t):
 def _begin_columns(t, c, phase):
     """Reset the contact detection of a contact's columns when it becomes active or inactive.
 
+    Changes fields of `phases.monitor` and `safety` of the columns in MEMORY, and `here` of WORK.
+
     Args:
-        t: Tick. c: contact. phase: its new phase.
+        t: Tick. c: index of the contact. phase: its new phase (OPEN, APPROACHING or CLOSED).
     """
     for j in range(t.model.n_columns):
         if t.model.columns[j].contact == c:
@@ -105,7 +116,12 @@ def _begin_columns(t, c, phase):
 def separate_integrals(t):
     """Set `by_column` if the columns in N change; reset integrals of columns that do not remain.
 
-    Reads `here`, which is 1 for columns that remain in N without returning to an earlier phase.
+    Reads `here` of WORK, which is 1 for columns that remain in N without returning to an earlier
+    phase, and `phase` and `active` (whether it was in N in the last tick) of the contacts in
+    MEMORY. Changes `by_column`, and `integral` (N) of the columns in MEMORY.
+
+    Args:
+        t: Tick.
     """
     same = True
     for j in range(t.model.n_columns):
@@ -121,7 +137,15 @@ def separate_integrals(t):
 
 @inner
 def keep_integrals(t):
-    """Store the force integrals `force_sum` of the kept columns by column, too."""
+    """Store the force integrals of the independent columns under the numbers of all columns, too.
+
+    From these values the integrals of another set of contacts are computed later. Reads `force_sum`
+    (N), `rank` and `kept`; fills `force_rank`, `by_column` (0) and `integral` of the columns in
+    MEMORY.
+
+    Args:
+        t: Tick.
+    """
     work = t.work
     memory = t.memory
     memory.force_rank = work.rank

@@ -53,6 +53,9 @@ def compare_speeds(t):
     An approach with speed sensors that read too little would accelerate towards its face. The
     twist from positions is computed from X_WO of the last tick and of this one, and low-passed.
     Changes `speed`; fills `velocity_from_positions` and `velocity_from_encoders` of the columns.
+
+    Args:
+        t: Tick.
     """
     memory = t.memory
     work = t.work
@@ -81,6 +84,9 @@ def check_arms(t):
 
     The motor residual less friction (`joint_friction`) must stay within `wrist_error` times the
     torque limit of its long-term mean, and within twice that bound of zero.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     memory = t.memory
@@ -154,7 +160,16 @@ def _balance_arm(t, k, dt):
 
 @leaf
 def _find_apart(t):
-    """Arm whose grasp point deviates by more than `closure_error` from the object, or −1."""
+    """Find an arm whose grasp point deviates by more than `closure_error` (m) from the object.
+
+    Reads `X_WO`, and R and p of the joints. Arms with grasps of the kind OTHER are not compared.
+
+    Args:
+        t: Tick.
+
+    Returns:
+        Index of the last such arm, or −1; −1 also for a single arm.
+    """
     model = t.model
     X = t.work.X_WO
     apart = -1

@@ -47,6 +47,9 @@ _DOUBTFUL = 1e-6  #: relative pivot below which a pivot is computed a second tim
 def factor_effort(t):
     """Factorise the block G R⁻¹Gᵀ of Z, from `effort` to `factor`.
 
+    Args:
+        t: Tick.
+
     Returns:
         False if the motors cannot drive all free motions of the object.
     """
@@ -206,6 +209,9 @@ def command_object(t):
     f_S = Λ_S η̇_c + b_S + Sᵀ(N_μ(α_u + α_f) + f_bias), where α_f is `reaction`, the loss of contact
     force by tangential forces. Reads `Lambda`, `acceleration_t`, `chain_bias`, `pushed_t`,
     `alpha_u`; fills `f_S` (6,).
+
+    Args:
+        t: Tick.
     """
     work = t.work
     bias = turned(work, wrench_to_energy(work, t.memory.f_bias))
@@ -221,6 +227,9 @@ def predict_joints(t):
 
     Reads `acceleration_t`, and J̄, `offset`, `h`, M of the joints; fills `acceleration` and
     `inertial` of the joints.
+
+    Args:
+        t: Tick.
     """
     joints = t.work.joints
     a = turned_back(t.work, t.work.acceleration_t)
@@ -243,6 +252,9 @@ def allocate_torques(t):
     Reads `f_S`, `effort`, `locked`, and the terms of arms and joints. Fills `rest` (τ_0) and `tau`
     of the joints, `n_internal`, `extra`, `weighed`, `factor`, `sides`, and the fields that
     `internal_rows` fills.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     arms = model.arms
@@ -440,6 +452,9 @@ def _add_torques(t, arm, own, y):
 @leaf
 def limit_torques(t):
     """Copy the torques of the joints to the motors, unless one exceeds its limit or is not finite.
+
+    Args:
+        t: Tick.
 
     Returns:
         Whether a torque exceeds its limit, and whether all torques are finite.

@@ -118,10 +118,14 @@ def _place_body(w, C, link, body):
 
 @leaf
 def _times(b, x):
-    """Product of inertia and motion (six numbers): momentum of a twist, wrench of an acceleration.
+    """Multiply the inertia of a body with a motion: momentum of a twist, wrench of an acceleration.
 
     Args:
-        b: (13,) mass, mass × centre, inertia about C by rows. x: (6,) motion at C.
+        b: (13,) mass (kg), mass × centre of mass (kg m), inertia about C by rows (kg m²).
+        x: (6,) motion at C, in world axes.
+
+    Returns:
+        Six numbers at C, in world axes.
     """
     force = plus3(scaled3(b[0], x), cross(x[3:], b[1:]))
     return join(force, plus3(rotated9(b[4:], x[3:]), cross(b[1:], x)))
@@ -129,12 +133,12 @@ def _times(b, x):
 
 @leaf
 def _force_on(b, V, a, gravity):
-    """Wrench I(a − g) + V ×* IV (six numbers, at C) that moves a body.
+    """Compute the wrench I(a − g) + V ×* IV (six numbers, at C) that moves a body.
 
     Args:
         b: (13,) mass (kg), mass × centre of mass (kg m), inertia about C by rows (kg m²).
-            V: (6,) twist at C (m/s, rad/s).
-            a: (6,) spatial acceleration at C. gravity: (3,) g (m/s²).
+        V: (6,) twist at C (m/s, rad/s). a: (6,) spatial acceleration at C (m/s², rad/s²).
+        gravity: (3,) g (m/s²).
     """
     f = _times(b, join(minus3(a, gravity), angular(a)))
     p = _times(b, V)

@@ -329,6 +329,9 @@ def internal_forces(t):
 
     Reads `levers`, and `tau`, `friction` and `inertial` of the joints. The forces are zero if no
     internal force is commanded.
+
+    Args:
+        t: Tick.
     """
     joints = t.work.joints
     out = t.work.bars

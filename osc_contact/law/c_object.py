@@ -78,11 +78,16 @@ def osc_law_rows(raw, at, arrays, sizes):
 
 
 def osc_law_terms(raw, q, v, out, sizes):
-    """Run `operational.operational_space`.
+    """Run `operational.operational_space`, Λ, μ, p and further terms of one arm, called from C.
 
     Args:
-        raw, q, v, out: addresses of its arguments. sizes: address of four integers: columns of
-            `out`, elements of q and of v, rows of `out`.
+        raw: address of the bytes of `records.Rows`.
+        q, v: addresses of joint positions and velocities (float64).
+        out: address of the matrix (rows, columns) of results (float64).
+        sizes: address of four integers: columns of `out`, elements of q and of v, rows of `out`.
+
+    Returns:
+        Number of rows that were filled.
     """
     n = words_at(sizes, 4)
     return _terms(
@@ -91,11 +96,14 @@ def osc_law_terms(raw, q, v, out, sizes):
 
 
 def osc_law_fill(raw, at, i, program):
-    """Run `limits.fill_program`; return k, the number of forces that must not pull.
+    """Run `limits.fill_program`, which fills the program of a saturated tick, called from C.
 
     Args:
         raw: address of the bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated
             tick. program: address of the bytes of PROGRAM.
+
+    Returns:
+        k, the number of contact forces that must not pull.
     """
     data = bytes_at(program)
     _fill(bytes_at(raw), at, i, data)
@@ -103,29 +111,38 @@ def osc_law_fill(raw, at, i, program):
 
 
 def osc_law_prepare(program, slack):
-    """Run `limits.prepare`.
+    """Run `limits.prepare`, which makes the quadratic program of the motor limits, called from C.
 
     Args:
         program: address of the bytes of PROGRAM. slack: number of slack variables.
+
+    Returns:
+        1, or 0 if the response of the chain to the motors is singular.
     """
     return int(_prepare(bytes_at(program), slack))
 
 
 def osc_law_finish(program, slack):
-    """Run `limits.finish`.
+    """Run `limits.finish`, which computes torques from the solver's answer, called from C.
 
     Args:
         program: address of the bytes of PROGRAM. slack: number of slack variables.
+
+    Returns:
+        1 if the torques are finite, else 0.
     """
     return int(_finish(bytes_at(program), slack))
 
 
 def osc_law_settle(raw, at, i, program):
-    """Run `limits.settle`.
+    """Run `limits.settle`, which applies the torques of a solved program to a row, called from C.
 
     Args:
         raw: address of the bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated
             tick. program: address of the bytes of PROGRAM.
+
+    Returns:
+        0.
     """
     _settle(bytes_at(raw), at, i, bytes_at(program))
     return 0
@@ -172,7 +189,17 @@ def make() -> Any:
 
 
 def _make(folder: Path) -> Any:
-    """Make a complete folder with object file, library and checksum; load the library."""
+    """Make a complete folder with object file, library and checksum; load the library.
+
+    Args:
+        folder: the folder, which appears complete or not at all; a damaged one is replaced.
+
+    Returns:
+        The module of the library.
+
+    Raises:
+        OscContactError: the C compiler fails, or Python cannot load the library.
+    """
     with announced() as show, TemporaryDirectory(dir=folder.parent) as unfinished:
         new = Path(unfinished) / folder.name
         new.mkdir(mode=0o700)
@@ -213,6 +240,11 @@ class Progress:
     """
 
     def __init__(self, show: Callable[[float], None]) -> None:
+        """Start the clock of the compilation.
+
+        Args:
+            show: called with the completed share of the work, 0 … 1.
+        """
         self._show = show
         self._began = perf_counter()
         self._shown = 0.0
@@ -238,12 +270,20 @@ class Progress:
         self._raise_to((self._translated + share * MACHINE_CODE) / whole)
 
     def _raise_to(self, share: float) -> None:
+        """Show a completed share (0 … 1), or the largest one so far, so that it never falls."""
         self._shown = max(self._shown, min(share, 1.0))
         self._show(self._shown)
 
 
 def _translated(entry: Any) -> Any:
-    """Translate an entry; return its `units.Part`."""
+    """Translate an entry for the types of its arguments in ENTRIES.
+
+    Args:
+        entry: a function of ENTRIES.
+
+    Returns:
+        The `units.Part` of the entry.
+    """
     from numba import types
 
     kinds = {"p": types.uintp, "i": types.int64}
@@ -285,6 +325,7 @@ class _Assistant:
             )
 
     def __enter__(self) -> Self:
+        """Enter a block in which the process may be started."""
         return self
 
     def __exit__(self, *error: object) -> None:

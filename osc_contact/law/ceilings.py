@@ -52,6 +52,9 @@ def watch_ceilings(t):
 
     Time below a ceiling is subtracted from the time above it, as for the limits of `safety`. If
     wrists were not read in this tick, their time does not change.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     memory = t.memory
@@ -90,7 +93,13 @@ def _stop(memory, reason, culprit, reached, ceiling):
 
 @leaf
 def _note_commands(t):
-    """Update the largest command so far (N) of one contact or squeeze, and of their sum."""
+    """Update `largest_force` and `largest_sum` (N) of MEMORY, the largest commands so far.
+
+    The first is of one contact or squeeze, the second of the sum of all; ceilings rise with them.
+
+    Args:
+        t: Tick, of which `alpha_d` of the columns and the desired `squeeze` are read.
+    """
     memory = t.memory
     total = 0.0
     for j in range(t.model.n_columns):
@@ -106,7 +115,15 @@ def _note_commands(t):
 
 @leaf
 def _largest_force(t):
-    """Column of N with the largest measured force, and this force (N)."""
+    """Find the column of N with the largest magnitude of its measured force `alpha_meas`.
+
+    Args:
+        t: Tick.
+
+    Returns:
+        Index of the column among all columns of the model, and the magnitude (N); 0 and 0 if no
+        contact is active.
+    """
     column = 0
     largest = 0.0
     for a in range(t.work.rank):
@@ -123,6 +140,9 @@ def _follow_centre(t):
 
     It is the difference quotient of the velocity, with the low-pass of the joint accelerations in
     `joint_friction`.
+
+    Args:
+        t: Tick.
     """
     memory = t.memory
     velocity = linear(t.work.V_C)
@@ -162,7 +182,16 @@ def _largest_load(t, rate):
 
 @leaf
 def _fastest_tip(t):
-    """Arm with the fastest tip, and the speed of the tip (m/s)."""
+    """Find the arm with the fastest tip.
+
+    Reads V of the arms (twists at C), `p_C`, and R and p of the joints.
+
+    Args:
+        t: Tick.
+
+    Returns:
+        Index of the arm, and the speed of its tip (m/s).
+    """
     work = t.work
     arm = 0
     fastest = 0.0

@@ -73,6 +73,9 @@ def solve_chain(t):
     coordinates that are turned if `locked` > 0, `Lambda`, `effort`, `chain_bias`, `sigma`,
     `reflectors`, `beta`, `locked`; of all bodies beyond the wrist sensors `out_T`, `bias_e`,
     `bias_out`; `n_lost`; and ARM_WORK and JOINT_WORK of all arms.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     memory = t.memory
@@ -145,6 +148,9 @@ def _combine_twists(t):
         K = P (P + G_i)⁻¹,   V ← V + K (V_i − V),   P ← P − K P
 
     Reads `axes`, V of the arms and J of the joints. Updates `V_C` and `V_O`.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     P = local(6, 6)
@@ -195,9 +201,9 @@ def _add_covariance(t, k, G):
 def _add_arm(t, arm, own, row):
     """Compute the terms of one arm and add them to the sums over all arms.
 
-    Reads `axes` and `V_C`. Fills ARM_WORK, J, J̄, `offset` and `h` of its joints, and `locked_rows`.
-    Adds to `Lambda`, `effort`, `chain_bias`, and for the bodies beyond its wrist sensor to `out_T`,
-    `bias_e` and `bias_links`.
+    Reads `axes` and `V_C`. Fills ARM_WORK, J, J̄, `offset` and `h` of its joints, and
+    `locked_rows`. Adds to `Lambda`, `effort`, `chain_bias`, and for the bodies beyond its wrist
+    sensor to `out_T`, `bias_e` and `bias_links`.
 
     Args:
         t: Tick. arm: ARM row. own: its ARM_WORK. row: first free row of `locked_rows`.
@@ -277,6 +283,9 @@ def _add_object(t):
     In energy coordinates Λ_o = 1 and, along the principal axes of the object,
     μ_o + p_o = [√m (ω × v − g); (ω × Iω)/√I]. Reads `axes`, `V_C`, `bias_links`. Adds to `Lambda`,
     `chain_bias`, `out_T`, `bias_e`; fills `bias_out`.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     work = t.work

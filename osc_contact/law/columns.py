@@ -126,6 +126,9 @@ def _reduce(t):
     Each step selects the first column whose part outside the span of the selected ones is at least
     0.3 times the largest such part. Reads `energy` and `extent` of the columns. Fills `rank`,
     `kept`, and `rest` and `share` of the columns.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     columns = work.columns
@@ -163,7 +166,13 @@ def _reduce(t):
 
 @inner
 def _remove(t, first):
-    """Remove the direction of column `first` from `rest` of all columns (twice, for accuracy)."""
+    """Remove the direction of one column from `rest` of all others, and zero its own `rest`.
+
+    The projection is done twice, for accuracy (energy coordinates).
+
+    Args:
+        t: Tick. first: index of the column among all columns of the model.
+    """
     columns = t.work.columns
     q = columns[first].rest
     length = sqrt(dot6(q, q))
@@ -181,6 +190,9 @@ def _express(t):
     """Express each active column as a combination of the kept ones, N_all = N share.
 
     Reads `rank`, `kept`, and `energy` and `extent` of the columns; fills `share` (r,) of each.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     columns = work.columns
@@ -211,6 +223,9 @@ def _consistent(t):
 
     Reads `n_gamma`, `share`, `extent` of the columns. If one does not, fills `where` (the column)
     and `reason_amount` (n_γ of this column as implied by the others).
+
+    Args:
+        t: Tick.
     """
     work = t.work
     columns = work.columns
@@ -238,6 +253,9 @@ def _same_body(t):
     """Return a reason unless all active columns are on one body, or on unyielding bodies in unison.
 
     Bodies are in unison if their bias and twist are equal. Reads `answer` of the bodies.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     first = body_of(t, work.chosen[0]).same
@@ -260,6 +278,9 @@ def spread_magnitudes(t):
     The distribution of dependent columns has the least sum of squares: α_all = Rᵀ(RRᵀ)⁻¹α, where R
     has the shares. The speeds are Rᵀ times those of the kept columns. Reads `alpha_meas`, `speed`
     and `share`; fills `alpha` (N) and `speeds` (m/s).
+
+    Args:
+        t: Tick.
     """
     work = t.work
     r = work.rank
@@ -337,6 +358,9 @@ def compute_body_responses(t):
     """Compute inverse inertia Φ_e, bias b_e and twist V_e at O of every touched body.
 
     Reads `p_O` and `touched` of INPUT; fills `answer` of the bodies.
+
+    Args:
+        t: Tick.
     """
     for c in range(t.model.n_contacts):
         body = t.model.bodies[c]
@@ -352,6 +376,9 @@ def project_bodies(t):
     Reads `answer` of the bodies and `friction_wrenches`. Fills `Phi_mu` = NᵀΦ_eN_μ (r, r), `b_N` =
     Nᵀb_e (r,), `V_N` = NᵀV_e (r,) and `yields` = NᵀΦ_e (r, 6) at O. Without measured motions of
     bodies the first three are zero.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     work.b_N[:] = 0.0

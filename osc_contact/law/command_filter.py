@@ -69,7 +69,11 @@ _GONE = 1e-6  #: least mobility of the chain along a lost direction, relative to
 
 @inner
 def reflect_columns(t):
-    """Turn the columns of N and N_μ: fill `N_t` and `pushed_t` from `N_e` and `pushed`."""
+    """Turn the columns of N and N_μ: fill `N_t` and `pushed_t` from `N_e` and `pushed`.
+
+    Args:
+        t: Tick.
+    """
     work = t.work
     for a in range(work.rank):
         fill(work.N_t[a], turned(work, work.N_e[a]))
@@ -83,6 +87,9 @@ def require_reachable(t):
     Since 1 ≤ Λ_S ≤ trace, NᵀΦ₀N is between NᵀN / trace and NᵀN, so that for most contacts N alone
     is sufficient. Reads `N_t`, `locked` (m), `Lambda`. Fills `N_factor_t` and `N_basis_t` of N_t,
     over the elements m … 5.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     r = work.rank
@@ -108,6 +115,9 @@ def _judge_reach(t):
 
     Reads `N_t`, `locked`, `Lambda`. Fills `where` (the column) and `reason_amount` (its relative
     mobility, or the least part of a column outside the span of the others).
+
+    Args:
+        t: Tick.
     """
     work = t.work
     r = work.rank
@@ -145,6 +155,9 @@ def permit_error(t):
     projected in the metric of the object. For `free_error` the locked axes are removed first,
     because Ω_m would turn a displacement along N (a yielding contact) into motions that the arms
     cannot execute.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     r = work.rank
@@ -211,6 +224,9 @@ def reduce_motion(t):
 
     Reads the lost directions of the arms (`mode`, `chi`, `lost`, `share`, `gone`), their `gamma`,
     and `N_t`. Updates `acceleration_t` (a).
+
+    Args:
+        t: Tick.
     """
     work = t.work
     m = work.locked
@@ -252,6 +268,9 @@ def set_metric(t):
 
     Reads `Lambda`, or B⁻¹ of MODEL. If B⁻¹ is the object's inertia, which is the identity,
     `B_inv_t` is not filled.
+
+    Args:
+        t: Tick.
     """
     if t.model.metric == BY_OBJECT:
         return
@@ -280,6 +299,9 @@ def filter_motion(t):
 
     Reads `a_u`, `sigma`, `alpha_u`, `brake`, `n_gamma`, `b_N`, `Phi_mu`, `N_t` and its factors,
     `B_inv_t`. Fills `acceleration_t`; returns a reason.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     r = work.rank

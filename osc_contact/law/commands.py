@@ -74,6 +74,9 @@ def command_motion(t):
 
     a_u = a_D + K_d(V_D − V) + K_p e + K_i ∫Ω_m e dt − [ω × v; 0]. Reads `error` e and
     `motion_next` ∫Ω_m e dt.
+
+    Args:
+        t: Tick.
     """
     V_O = t.work.V_O
     a = add(t.input.A_D, t.model.damping, minus(t.input.V_D, V_O))
@@ -137,7 +140,7 @@ def shape_steps(t, own):
     factor of the integral gain, which is 0 while a large part of a step remains.
 
     Args:
-        own: whether the force law is the user's own, for which steps are not shaped.
+        t: Tick. own: whether the force law is the user's own, for which steps are not shaped.
     """
     memory = t.memory
     work = t.work
@@ -196,6 +199,9 @@ def shape_squeeze(t):
     from there begins at zero force, and a step to there reaches zero before least effort takes
     over. Fills `goal`, `scale` and `to_come` of `internal`, `squeeze_left` and `squeeze_time`; sets
     `commanded` while a step lasts.
+
+    Args:
+        t: Tick.
     """
     memory = t.memory
     work = t.work
@@ -283,6 +289,9 @@ def brake_contacts(t):
 
     The result is a deceleration, in m/s² for columns that are forces. On a yielding face it is
     b = κ(u + (K_i − w) p) − s α̈_s.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     for a in range(work.rank):
@@ -302,13 +311,24 @@ def brake_contacts(t):
 
 @leaf
 def _washout(t):
-    """Rate w (1/s) of v̄ and of the high-passes in the estimate of the compliance."""
+    """Compute the rate w (1/s) of v̄ and of the high-passes in the estimate of the compliance.
+
+    Args:
+        t: Tick.
+    """
     return t.model.drift_share / t.model.period
 
 
 @leaf
 def _compliance(t, j):
-    """Estimated compliance s (m/N) of the yielding face that column j presses on."""
+    """Estimate the compliance s (m/N) of the yielding face that a column presses on.
+
+    s = (∫x̃ α̃_s + w_0 s_0) / (∫α̃ α̃_s + w_0), within 0 and `_SOFTEST` s_0.
+
+    Args:
+        t: Tick, with `correlation`, `excitation` and `scale` of the column in MEMORY.
+        j: index of the column among all columns of the model.
+    """
     row = t.memory.columns[j]
     s = body_of(t, j).parameters[0]
     weight = _PRIOR * row.scale * row.scale
@@ -341,7 +361,11 @@ def _deflection(t, a, j):
 
 @leaf
 def _keep_deflections(t):
-    """Update the states of v̂, p, α̇_s and s of yielding faces in MEMORY."""
+    """Update the states of v̂, p, α̇_s and s of yielding faces in MEMORY.
+
+    Args:
+        t: Tick.
+    """
     work = t.work
     dt = work.dt
     w = _washout(t)
@@ -369,7 +393,14 @@ def _keep_deflections(t):
 
 @leaf
 def _keep_squeeze(t):
-    """Keep the steps of the internal forces for the next tick."""
+    """Store the steps of the internal forces in MEMORY for the next tick.
+
+    Reads `squeeze_left`, `squeeze_time`, and `scale` and `to_come` of `internal`; fills the fields
+    of the same names in MEMORY, and `desired` (N).
+
+    Args:
+        t: Tick.
+    """
     memory = t.memory
     work = t.work
     memory.squeeze_left = work.squeeze_left
@@ -388,6 +419,9 @@ def keep_steps(t):
 
     Columns that are not in N are reset. Where active contacts are named by the user, the turn and
     its covariance are retained for the next contact with the same face.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     _keep_deflections(t)  # reads `has_desired`, which is overwritten below

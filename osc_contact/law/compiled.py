@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 def _nowhere(share: float) -> None:
-    """Ignore progress, until a display is set."""
+    """Ignore the completed share of a compilation (0 … 1), until a display is set."""
 
 
 _shown: list[Callable[[float], None]] = [_nowhere]
@@ -88,11 +88,19 @@ def announced() -> Iterator[Callable[[float], None]]:
 
 
 class _Listener(logging.Handler):
+    """Handler of a logger that passes messages to a function."""
+
     def __init__(self, say: Callable[[str], None]) -> None:
+        """Make the handler.
+
+        Args:
+            say: called with the text of each message.
+        """
         super().__init__()
         self.say = say
 
     def emit(self, record: logging.LogRecord) -> None:
+        """Pass the text of a log record to the function."""
         self.say(record.getMessage())
 
 

@@ -39,6 +39,9 @@ def place_contacts(t):
     N, n_γ and points of GIVEN pairs were filled by Python before the tick; those of FUNCTION pairs
     are computed by the user's compiled function. The friction wrench is predicted for the time at
     which the torques of this tick act, since friction reverses within milliseconds with the motion.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     shapes = model.shapes
@@ -135,9 +138,13 @@ def _take_evaluated(columns, first, count, evaluated):
 def _slide(V_rel, mu, slip, column):
     """Fill `slip`, s = v_t / √(v_t² + v_0²), and `friction_wrench`, μ [s; p × s], of a column.
 
+    v_t is the tangential velocity at the point of contact p. Both wrench and point are at O, in
+    world axes.
+
     Args:
-        V_rel: (6,) twist relative to the body, at O. mu: coefficient of friction μ. slip: v_0
-            (m/s), below which friction is regularised. column: COLUMN_WORK with N and `point`.
+        V_rel: (6,) twist of the object relative to the body, at O (m/s, rad/s). mu: coefficient of
+            friction μ. slip: v_0 (m/s), below which friction is regularised.
+        column: COLUMN_WORK, of which N and `point` are read.
     """
     v = tangential_part(velocity_at(V_rel, column.point), column.N)
     s = scaled3(1.0 / sqrt(dot3(v, v) + slip * slip), v)

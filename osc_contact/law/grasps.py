@@ -228,7 +228,11 @@ def filter_reading(axes, F, reading):
 
 @inner
 def rotate(X, w):
-    """Rotate the rotation matrix in X (at least 3×3) by a rotation vector w (rad, world axes)."""
+    """Rotate the rotation matrix R in X by a rotation vector w: R ← exp([w×]) R (Rodrigues).
+
+    Args:
+        X: at least (3, 3), changed in its first three rows and columns. w: (3,) rad, world axes.
+    """
     angle = sqrt(dot3(w, w))
     a = 1.0
     b = 0.5
@@ -244,7 +248,13 @@ def rotate(X, w):
 
 @inner
 def _square_up(X):
-    """Orthonormalise the columns of the rotation matrix in X (at least 3×3)."""
+    """Orthonormalise the columns of the rotation matrix in X, against accumulated rounding errors.
+
+    The first column keeps its direction, the second one its plane with the first.
+
+    Args:
+        X: at least (3, 3), changed in its first three rows and columns.
+    """
     x = (X[0, 0], X[1, 0], X[2, 0])
     y = (X[0, 1], X[1, 1], X[2, 1])
     x = divided3(x, sqrt(dot3(x, x)))

@@ -62,6 +62,9 @@ def hold_posture(t):
     or its motor at its torque limit.
 
     Reads q and v of MEMORY. Fills `tau`, `step` and the holds of the joints.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     work = t.work
@@ -134,6 +137,9 @@ def _move_holds(t):
     """Move q_hold of braked joints to their positions, at most by the braking distance.
 
     Sets `settled` to SETTLED when all joints are at rest, or have been braked for `_BRAKING`.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     memory = t.memory
@@ -157,6 +163,9 @@ def _count_holding(t):
     If no arm bears a load, all arms count as holding, because contacts may carry the object. If it
     is falling instead, the first arm whose load exceeds `_HEAVY` times its share of the weight is
     the one that holds it; its `let_go` is revoked and its `holds` set.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     n = model.n_arms
@@ -180,7 +189,11 @@ def _count_holding(t):
 
 @leaf
 def _weight_share(t):
-    """Weight of the object over the number of arms (N)."""
+    """Compute the weight of the object divided by the number of arms (N).
+
+    Args:
+        t: Tick.
+    """
     return t.model.principal[0] * sqrt(dot3(t.model.gravity, t.model.gravity)) / t.model.n_arms
 
 
@@ -266,7 +279,15 @@ def _split_torques(t, arm, part, R, centre, weight):
 
 @leaf
 def _clip_brake(joint, most):
-    """Braking torque `rest` of a joint, limited so that `tau` + `rest` is within ±most (N m, N)."""
+    """Limit the braking torque of a joint so that its sum with the carrying torque is within ±most.
+
+    Args:
+        joint: JOINT_WORK, of which `rest` (braking) and `tau` (carrying) are read (N m, N).
+        most: torque limit of the motor (N m, N).
+
+    Returns:
+        The limited braking torque (N m, N).
+    """
     low = min(-most - joint.tau, 0.0)
     high = max(most - joint.tau, 0.0)
     return min(max(joint.rest, low), high)

@@ -63,6 +63,9 @@ def isolate_packet(t):
 
     The unexplained torque exceeds friction, so the joints must move although their readings have
     been identical for `UNBALANCED_TIME`.
+
+    Args:
+        t: Tick.
     """
     memory = t.memory
     for j in range(t.model.n_joints if memory.still > UNBALANCED_TIME else 0):
@@ -76,6 +79,10 @@ def estimate_joints(t):
     A missing or faulty position is integrated from the speed; a missing or faulty speed is
     estimated from positions and commanded accelerations. Without either reading both are predicted,
     and the joint cannot be braked reliably; `unbraked` of MEMORY is set to such a joint, or −1.
+
+    Args:
+        t: Tick, of which `faulty`, `unread_q`, `unread_v`, `q`, `v` and `acceleration` of the
+            joints in MEMORY are read.
     """
     model = t.model
     table = model.joints

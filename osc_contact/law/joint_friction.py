@@ -175,8 +175,13 @@ def _align(t, row, now, ticks):
     """Store the signals of this tick; return those of the instant at which the wrench was measured.
 
     Args:
-        row: PAST of the joint, changed: the signals are stored for lost ticks, too. now: eight
-            signals of this tick, from TORQUE to INERTIAL. ticks: ticks since the last one stored.
+        t: Tick.
+        row: PAST of the joint, changed: the signals are stored for lost ticks, too.
+        now: eight signals of this tick, from TORQUE to INERTIAL.
+        ticks: ticks since the signals were last stored.
+
+    Returns:
+        Eight signals in the same order.
     """
     memory = t.memory
     for i in range(min(ticks, HISTORY)):
@@ -302,7 +307,11 @@ def _is_contradicted(t, j, missing, moves, dt):
 
 @leaf
 def _all_closed(t):
-    """Whether no contact is being approached; a step of friction would disturb an approach."""
+    """Determine whether no contact is being approached, which a step of friction would disturb.
+
+    Args:
+        t: Tick, of which `phase` of the contacts in MEMORY is read.
+    """
     closed = True
     for c in range(t.model.n_contacts):
         closed = closed and t.memory.contacts[c].phase != APPROACHING
@@ -447,8 +456,8 @@ def _condition(theta, C, i, value):
     """Condition a Gaussian on θ_i = value: θ ← θ − C_i (θ_i − value)/C_ii, C ← C − C_i C_iᵀ/C_ii.
 
     Args:
-        theta: (5,) mean, changed. C: (5, 5) covariance, changed. i: index of the element that is
-            fixed. value: its value.
+        theta: (5,) mean, changed. C: (5, 5) covariance, changed; C_i is its column i. i: index of
+            the element that becomes certain. value: value that it takes.
     """
     beyond = (theta[i] - value) / C[i, i]
     add_scaled(-beyond, C[i], _SIZE, theta)
@@ -470,6 +479,9 @@ def permit_speeds(t):
 
     Reads `V_D`, `V_N`, `alpha_d`, `damping`, the factors of `N_t`, and J̄ of the joints. Fills in
     MEMORY of each joint `speed`, its rate `turn` since the last tick, and its mean sign `sign`.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     x = local(6)
@@ -501,7 +513,13 @@ def permit_speeds(t):
 
 @inner
 def compensate_friction(t):
-    """Add the compensated friction f + g clip(e) (N m, N) to `tau` of the joints with motors."""
+    """Add the compensated friction f + g clip(e) (N m, N) to `tau` of the joints with motors.
+
+    Fills `friction` of these joints, and `speed`, `turn` and `sign` of all joints in MEMORY.
+
+    Args:
+        t: Tick, with the torques of `allocate_torques` in `tau` of the joints.
+    """
     permit_speeds(t)
     for j in range(t.model.n_joints):
         own = t.work.joints[j]
@@ -512,11 +530,17 @@ def compensate_friction(t):
 
 @leaf
 def _compensation(t, j):
-    """Compensated friction f + g clip(e) of joint j (N m, N).
+    """Compute the compensated friction f + g clip(e) of one joint.
 
     A sticking joint keeps e while s reverses. If e then has the sign of the new f, it is set to
     zero, because more than F would act on the joint. With `errors` it is kept, as it contains
-    errors of the links' masses.
+    errors of the links' masses. Changes `friction` f and `unlearned` e of the joint in MEMORY.
+
+    Args:
+        t: Tick. j: index of the joint.
+
+    Returns:
+        Torque or force (N m, N).
     """
     row = t.memory.joints[j]
     before = row.friction
@@ -534,9 +558,15 @@ def _compensation(t, j):
 
 @leaf
 def _theta(t, j):
-    """F, D and A of joint j: identified ones, as far as they are phased in, or the model's.
+    """Return F, D and A of a joint: the identified ones, as far as phased in, or the model's.
 
-    What M has of A is left out.
+    The part of A that is in M already (`rotor`) is subtracted.
+
+    Args:
+        t: Tick. j: index of the joint.
+
+    Returns:
+        F (N m, N), D (N m s/rad, N s/m) and A (kg m², kg).
     """
     known = t.model.joints[j].theta
     theta = linear(known)
@@ -558,11 +588,14 @@ def _friction_along(row, theta):
 
 @leaf
 def believed_friction(t, j):
-    """Friction of joint j in this tick (N m, N), identified or modelled.
+    """Compute the friction of one joint in this tick (N m, N), identified or modelled.
 
     The identified friction may differ from the model's by the bound of e (`wrist_error` τ_max) plus
     the friction that has been identified for a long time (`trusted`). A larger difference may be an
     object that drags at the arm or an error of the wrist sensor.
+
+    Args:
+        t: Tick, with `speed`, `sign` and `turn` of the joint in MEMORY. j: index of the joint.
     """
     row = t.memory.joints[j]
     friction = modelled = _friction_along(row, t.model.joints[j].theta)

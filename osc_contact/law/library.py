@@ -61,7 +61,14 @@ def cache_folder() -> Path:
 
 
 def kept(kind: str = "law") -> Path:
-    """Folder of the files made from the present sources: the library, or numba's cache."""
+    """Folder of the files that are made from the present sources.
+
+    Its name contains the platform and the hash of the sources, so that an edited law has another
+    folder.
+
+    Args:
+        kind: "law" for the library and its object file, "numba" for numba's own cache.
+    """
     return cache_folder() / f"{kind}-{sysconfig.get_platform()}-{law_hash()[:16]}"
 
 
@@ -126,7 +133,11 @@ def found_in(folder: Path) -> Any:
 
 
 def load(path: Path) -> Any:
-    """Load a library; None if it is missing, of another platform, or of other sources."""
+    """Load a library; None if it is missing, of another platform, or of other sources.
+
+    Args:
+        path: file of the library. It is executed only if it contains the hash of these sources.
+    """
     if not path.is_file() or law_hash().encode() not in path.read_bytes():
         return None  # loading a foreign file would execute it
     loader = ExtensionFileLoader("osc_law", str(path))

@@ -235,8 +235,15 @@ def _mobility(p, X, P, D, extent, K):
 def _respond(p):
     """Compute the motion and the contact force caused by `scale` units of each motor's torque.
 
-    Fills `motion` (a, 6), `force` (a, 6), and in `rows` the roots of their energies. Returns False
-    if Λ or the mobility of the contacts is singular.
+    Reads `G`, `Lambda`, `N`, `pushed`, `Phi_e` and `scale` of PROGRAM. Fills `motion` (a, 6), δη̇
+    along the d free axes; `force` (a, 6), δα of the r columns; and in `rows` the square roots of
+    their energies.
+
+    Args:
+        p: PROGRAM.
+
+    Returns:
+        False if Λ or the mobility of the contacts is singular.
     """
     d = p.d
     r = p.r
@@ -416,6 +423,11 @@ class TorqueLimits:
         self.solve()  # no tick has to wait until this is compiled
 
     def __getattr__(self, name: str) -> Any:
+        """Return a field of PROGRAM, such as `tau`, as an attribute of this object.
+
+        Args:
+            name: name of the field.
+        """
         if name in ("raw", "program"):  # not made yet
             raise AttributeError(name)
         return getattr(self.program, name)
@@ -458,9 +470,15 @@ class TorqueLimits:
         )
 
     def __getstate__(self) -> Bytes:
+        """Return the bytes of PROGRAM for pickle: views of them cannot be copied."""
         return self.raw
 
     def __setstate__(self, raw: Bytes) -> None:
+        """Set the program from a copy of its bytes.
+
+        Args:
+            raw: bytes of PROGRAM.
+        """
         self.raw = raw.copy()
         self.program = PROGRAM.view(self.raw)
 

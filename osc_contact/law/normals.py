@@ -58,6 +58,9 @@ def load_normal_estimates(t):
     """Copy v̄ and the turns of the assumed normals from MEMORY to the columns of WORK.
 
     Fills `drift`, `turn`, `turned` (equal to `turn`), and zeroes `slides`, `lever` and `prior`.
+
+    Args:
+        t: Tick.
     """
     for j in range(t.model.n_columns):
         row = t.work.columns[j]
@@ -86,7 +89,7 @@ def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
     `shown`, `lever`, `prior` and `unexplained` of the column.
 
     Args:
-        pair: PAIR row with one column, whose N, `turn` and `drift` are filled.
+        t: Tick. pair: PAIR row with one column, whose N, `turn` and `drift` are filled.
         X_WO: (4, 4) pose of the object.
         X_WE: (4, 4) pose of the touched body.
         V_rel: (6,) measured twist of the object relative to the body, at O.

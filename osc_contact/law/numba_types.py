@@ -33,7 +33,15 @@ class Layout(Protocol):
     tables: dict[str, tuple[np.dtype[Any], list[Any]]]
 
     def slot(self, size: str) -> int:
-        """Number of the word of the layout that holds a count."""
+        """Number of the word of the layout that contains a count, such as the number of arms.
+
+        Args:
+            size: name of the count in the declaration of the record.
+        """
 
     def start(self, table: str) -> int:
-        """Number of the word of the layout that holds where a table begins."""
+        """Number of the word of the layout that contains the offset of a table.
+
+        Args:
+            table: name of the table.
+        """

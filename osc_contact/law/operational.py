@@ -246,8 +246,18 @@ def _qr_tall(A, rows, columns, Q, L):
 def _separate(t, lo, n, m, arm, row):
     """Compute J̄ and Λ of any rank and for any grasp, by the SVD A = N J K⁻ᵀ = UΣVᵀ.
 
-    Returns False if M is not positive definite. Arguments and filled fields are those of
-    `arm_terms`.
+    J̄ = K⁻ᵀA⁺N and Λ = NᵀA⁺ᵀA⁺N, where A⁺ omits the directions that count as locked (see
+    `arm_terms`). Reads J and M of the joints, and `passed` (N). Fills J̄ of the joints and, of the
+    arm, `Lambda`, `kept`, `n_kept` and `n_locked`; rows of `locked_rows`. All in energy
+    coordinates.
+
+    Args:
+        t: Tick. lo: first joint of the arm. n: number of its joints. m: number of independent
+            wrenches that its grasp transmits. arm: ARM_WORK row.
+        row: first row of `locked_rows` for the locked wrenches of this arm.
+
+    Returns:
+        False if M is not positive definite.
     """
     work = t.work
     joints = work.joints
@@ -493,10 +503,15 @@ def _unit_row(X, k, n, chi):
 
 @inner
 def retreat(t, arm, i, damping):
-    """Torque of joint i by the posture law: row i of M q̈, q̈ = −k_d q̇ + k_p (q₀ − q) (N m, N).
+    """Compute the torque of joint i by the posture law: row i of M q̈, q̈ = k_p (q₀ − q) − k_d q̇.
+
+    Reads `posture_stiffness` k_p (1/s²) and `posture` q₀ of MODEL, q and q̇ of INPUT, and M.
 
     Args:
-        t: Tick. arm: ARM row. i: joint. damping: k_d (1/s).
+        t: Tick. arm: ARM row. i: index of the joint. damping: k_d (1/s).
+
+    Returns:
+        Torque or force (N m, N).
     """
     model = t.model
     s = 0.0

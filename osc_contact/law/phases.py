@@ -162,6 +162,9 @@ def advance_phases(t):
     Fills `phase` and `since` of the contacts, `here` of the columns in WORK, `gap` and
     `time_since_loss` of the columns in MEMORY.
 
+    Args:
+        t: Tick.
+
     Returns:
         True if the set of contacts in N differs from that of the last tick.
     """
@@ -234,6 +237,9 @@ def set_goals(t):
     Fills `active`, `gain`, `damping`, `brake` and `least` of each contact in MEMORY. The goal of an
     approaching contact is K_a v; that of a closed one rises from there to the desired force within
     `rise`.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     goal = t.work.goal
@@ -269,7 +275,11 @@ def set_goals(t):
 
 @inner
 def max_speed_ratio(t):
-    """Largest ratio |v|/v_max of a joint's speed to its limit."""
+    """Compute the largest ratio |v|/v_max of a joint's speed to its limit, over all joints.
+
+    Args:
+        t: Tick, of which v of the joints is read.
+    """
     most = 0.0
     for j in range(t.model.n_joints):
         most = max(most, abs(t.work.joints[j].v) / t.model.joints[j].speed_max)
@@ -284,7 +294,7 @@ def torque_rate(t, share):
     would make a joint deviate from its path.
 
     Args:
-        share: largest ratio of a joint's speed to its limit, from `max_speed_ratio`.
+        t: Tick. share: largest ratio of a joint's speed to its limit, from `max_speed_ratio`.
     """
     model = t.model
     rate = model.torque_rate
@@ -305,6 +315,7 @@ def limit_changes(t, begun):
     """Limit the change of `tau` since the last tick to the torque rate; store it as the last one.
 
     Args:
+        t: Tick.
         begun: whether torques of a last tick exist; without them `tau` is stored unchanged.
     """
     work = t.work
@@ -340,10 +351,15 @@ def slew(tau, last, step, begun):
 
 @leaf
 def collect(seconds, dt, violated):
-    """Return the time of evidence (s), increased by dt where a condition is violated, else reduced.
+    """Count the time of evidence for a fault: it grows while a condition is violated, else shrinks.
+
+    A short disturbance therefore causes no stop, but a repeated one does.
 
     Args:
-        seconds: time of evidence before this tick (s). dt: period (s).
+        seconds: time of evidence before this tick (s). dt: time since the last tick (s).
         violated: whether the condition is violated in this tick.
+
+    Returns:
+        Time of evidence (s) after this tick, ≥ 0.
     """
     return seconds + dt if violated else max(seconds - dt, 0.0)

@@ -67,6 +67,9 @@ def check_readings(t):
     """Check the plausibility of readings and reference; return a reason.
 
     Fills `culprit`, and `looked` of WORK once jumps have been searched.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     table = model.joints
@@ -109,6 +112,9 @@ def find_jumps(t):
     (NOT_BARRED, JUMP or EXCHANGED), and `mixed`, the time (s) for which positions or speeds of
     several joints have jumped. Only the reading of a joint that jumps alone is discarded. Without
     a new or a former reading nothing is detected.
+
+    Args:
+        t: Tick.
     """
     memory = t.memory
     work = t.work
@@ -148,7 +154,14 @@ def find_jumps(t):
 
 @leaf
 def _expected(t, j):
-    """Predicted position (m, rad) of joint j, from its position and speed in the last tick."""
+    """Predict the position of a joint from its estimated position and speed of the last tick.
+
+    Args:
+        t: Tick, of which `q`, `v` of MEMORY are read. j: index of the joint.
+
+    Returns:
+        Position (m, rad).
+    """
     return t.memory.q[j] + t.memory.v[j] * t.model.period
 
 
@@ -253,23 +266,43 @@ def _find_exchanged_speeds(t, off):
 
 @leaf
 def _expected_speed(t, j):
-    """Predicted speed (m/s, rad/s) of joint j, from its speed and command in the last tick."""
+    """Predict the speed of a joint from its speed and its commanded acceleration of the last tick.
+
+    Args:
+        t: Tick, of which `v` of MEMORY is read, and `acceleration` of the joint. j: index of the
+            joint.
+
+    Returns:
+        Speed (m/s, rad/s).
+    """
     return t.memory.v[j] + t.memory.joints[j].acceleration * t.model.period
 
 
 @leaf
 def _speed_room(t, j):
-    """Change of speed (m/s, rad/s) of joint j that is a jump."""
+    """Compute the change of a joint's speed from which on it counts as a jump.
+
+    It is `speed_error` times the speed limit, for each tick since the position was last read.
+
+    Args:
+        t: Tick. j: index of the joint.
+
+    Returns:
+        Change of speed (m/s, rad/s).
+    """
     unread = t.memory.joints[j].unread_q
     return t.model.speed_error * t.model.joints[j].speed_max * (1 + unread)
 
 
 @leaf
 def _changes_speed(t, j):
-    """Whether the speed of joint j differs from the last and from the predicted one.
+    """Determine whether the speed of a joint differs from the last and from the predicted one.
 
-    Speeds that are estimated from positions are not checked, because they jump together with the
-    positions.
+    Differences below `_SLIGHT` times a jump are attributed to noise. Speeds that are estimated from
+    positions are not checked, because they jump together with the positions.
+
+    Args:
+        t: Tick. j: index of the joint.
     """
     if t.memory.derived:
         return False
@@ -280,10 +313,13 @@ def _changes_speed(t, j):
 
 @leaf
 def _speed_jumps(t, j):
-    """Whether the speed of joint j jumps out of the range from the last speed to the commanded one.
+    """Determine whether a joint's speed is far out of the range from last to commanded speed.
 
     The last speed is permitted because a joint that is blocked, or whose motor is weak, changes its
     speed less than commanded.
+
+    Args:
+        t: Tick. j: index of the joint.
     """
     room = _speed_room(t, j)
     last = t.memory.v[j]
@@ -294,7 +330,11 @@ def _speed_jumps(t, j):
 
 @leaf
 def is_measurable(t, k):
-    """Whether the reading of wrist k is finite and within the range of its sensor."""
+    """Determine whether the reading of a wrist is finite and within the range of its sensor.
+
+    Args:
+        t: Tick, of which `wrenches` of INPUT are read. k: index of the arm.
+    """
     fits = True
     for i in range(6):
         fits = fits and abs(t.input.wrenches[k, i]) <= (
@@ -305,7 +345,13 @@ def is_measurable(t, k):
 
 @leaf
 def _is_rotation(X):
-    """Whether the first 3×3 block R of X satisfies R Rᵀ = 1 within `_ROUND`, and det R > 0."""
+    """Determine whether the first 3×3 block R of X is a rotation matrix.
+
+    R Rᵀ = 1 must hold within `_ROUND`, and det R > 0. R is compared by rows.
+
+    Args:
+        X: at least (3, 3), such as a pose.
+    """
     worst = 0.0
     for i in range(3):
         for j in range(i + 1):

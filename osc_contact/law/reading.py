@@ -72,6 +72,9 @@ def add_friction(t):
 
     Reads `N_e`, and `share` and `friction_wrench` of the active columns. Fills `friction_wrenches`
     (r, 6; at O, in world axes) and `pushed`, N_μ in energy coordinates (r, 6).
+
+    Args:
+        t: Tick.
     """
     work = t.work
     for a in range(work.rank):
@@ -121,6 +124,9 @@ def sum_readings(t):
 
     Reads `wrenches` of INPUT, `filter` of the arms and `bias_e`. Fills `f_meas` (the sum less tare,
     at O, in world axes) and `reading_e`, f_meas − bias_out in energy coordinates.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     total = ZERO
@@ -139,6 +145,9 @@ def measure_magnitudes(t):
     `Phi_mu`, `n_gamma`, `b_N`. Fills `alpha_meas` (r,), `mobility` (D) and `weightless`, which is 1
     if no inertia is between sensors and contacts. An arm without an object is handled by
     `_measure_at_tip`.
+
+    Args:
+        t: Tick.
 
     Returns:
         False if Λ_out is singular.
@@ -216,6 +225,9 @@ def _measure_at_tip(t):
     inertia outboard of the sensor, the reading is the contact wrench. Reads `sigma` and `locked`,
     and the fields that `measure_magnitudes` reads; fills the same fields.
 
+    Args:
+        t: Tick.
+
     Returns:
         False if the outboard inertia along S, or D, is singular.
     """
@@ -258,10 +270,13 @@ def _measure_at_tip(t):
 
 @leaf
 def integral_room(most, desired):
-    """Bound of the force integral (N).
+    """Bound of a force integral: `_WINDUP` times the desired force, at least `most`.
 
     Args:
-        most: `integral_force` (N). desired: force (N).
+        most: setting `integral_force` (N). desired: desired force (N).
+
+    Returns:
+        Bound (N).
     """
     return max(_WINDUP * abs(desired), most)
 
@@ -293,6 +308,9 @@ def command_force(t):
     is larger. The second bound of the floor permits a force to rise from zero. Reads `alpha_d`,
     `felt`, `speed`, `gain`, `damping`, `least`. Fills `alpha_u` (N) and `force_next`, the integral
     after this tick (N).
+
+    Args:
+        t: Tick.
     """
     work = t.work
     for a in range(work.rank):
@@ -317,6 +335,9 @@ def contact_laws(t):
     Dependent columns all get the smallest gain, the largest damping and the largest brake of the
     active contacts, and no floor. Fills `gain` (1/s), `damping` (N s/m), `brake` κ (1/s) and
     `least`, the least command (N).
+
+    Args:
+        t: Tick.
     """
     work = t.work
     dependent = work.rank < work.count
@@ -375,6 +396,9 @@ def weigh_magnitudes(t):
     an object that moves with a yielding body. Reads `reading_e`, `pushed`, `Phi_mu`, and the fields
     that `desired_inertia_force` and `_likely_errors` read. Fills `alpha_meas` (r,), `reading_rest`
     R⁻¹(f − Hα) (6,), `weightless` and, with contact phases, `mobility`.
+
+    Args:
+        t: Tick.
 
     Returns:
         False if R is not positive definite, or if columns of H are dependent.
@@ -461,6 +485,9 @@ def learn_friction(t):
 
     Reads `alpha_meas`, `reading_rest` and `slip`, `prior` of the active columns. Updates
     `more_friction` and `slid` (T).
+
+    Args:
+        t: Tick.
     """
     model = t.model
     work = t.work
@@ -494,7 +521,14 @@ def learn_friction(t):
 
 @leaf
 def _likely_force(work, chosen):
-    """Typical size w_j (N) of the force of a column of N: its desired force, at least 1 N."""
+    """Typical size w_j (N) of the force of a column of N: its desired force, at least 1 N.
+
+    It is the unit in which friction forces of the contact are weighted in least squares.
+
+    Args:
+        work: WORK, of which `goal` is read. chosen: index of the column among all columns of the
+            model.
+    """
     return max(abs(work.goal[chosen]), _LEAST_FORCE)
 
 
@@ -510,6 +544,9 @@ def oppose_friction(t):
     Reads `N_t`, `pushed_t`, `Lambda`, `Phi_mu`, `yields`, `reading_rest`, `alpha_d`, and
     `tangential` of MEMORY. Fills `reaction` (r,) in N, and `tangential` of the columns for the next
     tick.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     m = work.locked
@@ -582,6 +619,9 @@ def desired_inertia_force(t):
 
     a is the desired acceleration, projected on the motions that the contacts permit. Reads `A_D`,
     `V_O`, `n_gamma`, `b_N`, `N_factor`, `N_basis`, `out_T`.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     a = local(6)
@@ -635,11 +675,11 @@ def _likely_errors(t, R):
 
 @inner
 def _add_hold(t, chosen, w, R):
-    """Add to R the likely friction along the freedoms of a pair without points of contact.
+    """Add to R the likely friction along the freedoms of a pair without known points of contact.
 
     Args:
-        t: Tick. chosen: column of N of the pair. w: expected size of its magnitude (N). R: (6, 6),
-            changed.
+        t: Tick. chosen: index of a column of N of the pair. w: typical size of its force (N).
+        R: (6, 6) covariance of wrist readings in energy coordinates, changed.
     """
     c = t.model.columns[chosen].contact
     for k in range(t.model.pairs[c].freedoms):

@@ -83,6 +83,9 @@ def watch_joints(t):
     The stopping distance of a joint is |q̇|(t_r + |q̇|/(2a)), where t_r is the time until the
     brakes act. Joints beyond the end of their range are excluded, because braking cannot keep them
     in it.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     memory = t.memory
@@ -120,6 +123,9 @@ def watch_contacts(t):
     lost (or its sensor is faulty) if less than a fifth of its command is measured or if its force
     integral is at its bound; with contact phases, if it is not regained within `regain_time`. It is
     overloaded above three times its command or above `contact_force`, whichever is larger.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     work = t.work
@@ -225,7 +231,11 @@ def guard(t, reason):
 
 @inner
 def _note_accelerations(t):
-    """Store the commanded accelerations, and `driven` of joints with constant positions."""
+    """Store the commanded accelerations, and `driven` of joints with constant positions.
+
+    Args:
+        t: Tick.
+    """
     dead = stop_at_once(t)
     for k in range(t.model.n_arms):
         arm = t.model.arms[k]
@@ -237,7 +247,11 @@ def _note_accelerations(t):
 
 @leaf
 def count_computed(t):
-    """Reset the count of consecutive faults after a computed tick, and reduce `lost` by one."""
+    """Reset the count of consecutive faults after a computed tick, and reduce `lost` by one.
+
+    Args:
+        t: Tick.
+    """
     memory = t.memory
     memory.faults = 0
     memory.lost = max(memory.lost - 1, 0)

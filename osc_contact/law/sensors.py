@@ -104,6 +104,9 @@ def check_sensors(t):
     Δt is the time since the position was last read. Missing, repeated and implausible readings do
     not change the evidence. If positions of several joints jump in one packet, none of its readings
     is used; if speeds do, none of its speeds.
+
+    Args:
+        t: Tick.
     """
     model = t.model
     memory = t.memory
@@ -188,7 +191,15 @@ def check_sensors(t):
 
 @leaf
 def _shares(dt):
-    """Shares dt/(T + dt) of a step dt (s) in the low-passes of predictions, errors, reversals."""
+    """Compute the shares dt/(T + dt) of one step in the low-passes of a joint's evidence.
+
+    Args:
+        dt: step (s).
+
+    Returns:
+        Shares for predictions of speeds (T = `_MODEL`), errors of speeds (`_LAG`) and reversals
+        (`_TURNING`).
+    """
     return dt / (_MODEL + dt), dt / (_LAG + dt), dt / (_TURNING + dt)
 
 
@@ -298,7 +309,11 @@ def _check_wrists(t):
 
 @leaf
 def _exceeds(t, k):
-    """Whether the reading of wrist k is beyond the range of its sensor; false for NaN."""
+    """Determine whether the reading of a wrist is beyond the range of its sensor; false for NaN.
+
+    Args:
+        t: Tick, of which `wrenches` of INPUT are read. k: index of the arm.
+    """
     exceeds = False
     for i in range(6):
         most = t.model.force_range if i < 3 else t.model.torque_range
@@ -308,7 +323,13 @@ def _exceeds(t, k):
 
 @leaf
 def _were_noisy(t):
-    """Whether the positions of all joints were noisy when they last changed."""
+    """Determine whether the positions of all joints were noisy when they last changed.
+
+    Noise shows in the share of changes that reverse the one before (`turning`).
+
+    Args:
+        t: Tick.
+    """
     noisy = True
     for j in range(t.model.n_joints):
         if t.memory.joints[j].turning <= _NOISY:
@@ -352,10 +373,13 @@ def _test_encoders(t, dt):
 
 @inner
 def stop_at_once(t):
-    """Whether constant readings of all joints began with a stop that no friction can cause.
+    """Determine whether constant readings of all joints began with a stop no friction can cause.
 
     The deceleration of some joint from one packet to the next then needs more than twice the torque
     of unknown friction (`_HELD` times the motor limit, and its known friction).
+
+    Args:
+        t: Tick, of which `still`, and `halted` of the joints in MEMORY are read, and M.
     """
     if t.memory.still <= DEAD:
         return False
@@ -372,10 +396,16 @@ def stop_at_once(t):
 
 @leaf
 def _dry_friction_bound(t, j):
-    """Upper bound of the dry friction of joint j: twice its known value (N m, N).
+    """Bound the dry friction of a joint from above by twice its known value.
 
     The known value is the larger one of the model's and the estimated one. It is doubled because it
     may also be compensated with the wrong sign.
+
+    Args:
+        t: Tick. j: index of the joint.
+
+    Returns:
+        Torque or force (N m, N).
     """
     return 2.0 * max(t.model.joints[j].theta[0], t.memory.joints[j].trusted[0])
 

@@ -19,6 +19,11 @@ _DIGEST = 32  #: bytes
 
 
 def _digest(key: str, content: bytes) -> bytes:
+    """Checksum of a stored result, with which its file begins.
+
+    Args:
+        key: key of the result. content: its bytes.
+    """
     return sha256(key.encode() + content).digest()
 
 

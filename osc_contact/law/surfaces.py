@@ -122,7 +122,14 @@ def nearest(shapes, at, p):
 
 @leaf
 def _times(M, v):
-    """Product of a symmetric matrix, given as (xx, xy, yy, zz), and a vector."""
+    """Multiply a symmetric matrix with a vector whose z axis is not coupled to x and y.
+
+    Args:
+        M: four elements (xx, xy, yy, zz) of the matrix; xz and yz are zero. v: (3,).
+
+    Returns:
+        Three numbers.
+    """
     return M[0] * v[0] + M[1] * v[1], M[1] * v[0] + M[2] * v[1], M[3] * v[2]
 
 

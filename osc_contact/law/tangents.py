@@ -37,13 +37,27 @@ _LEVER = 0.01  #: m, lever of friction about an axis
 
 @leaf
 def has_point(t, column):
-    """Whether a column of N is a force at a known point of contact."""
+    """Determine whether a column of N is a force at a known point of contact.
+
+    Args:
+        t: Tick. column: index of the column among all columns of the model.
+    """
     return t.model.pairs[t.model.columns[column].contact].has_friction != 0
 
 
 @inner
 def across(N, k):
-    """Column k of the projection 1 − nnᵀ (three numbers), n the unit normal of a column of N."""
+    """Compute column k of the projection 1 − nnᵀ on the tangential plane of a contact.
+
+    It is the part of the world's axis k along the face.
+
+    Args:
+        N: (6,) column of N, whose linear part is along the normal n. k: axis of the world (0, 1,
+            2).
+
+    Returns:
+        Three numbers, dimensionless.
+    """
     n = divided3(N, sqrt(dot3(N, N)))
     return add3(axis3(k), -n[k], n)
 
@@ -116,7 +130,14 @@ def rub_along(t, size, k, c):
 
 @inner
 def outboard_times(work, x):
-    """Product Λ_out x (six numbers) with a motion x (6,), both in energy coordinates."""
+    """Multiply the inertia Λ_out beyond the wrist sensors with a motion, in energy coordinates.
+
+    Args:
+        work: WORK, of which `out_T` (Λ_out transposed) is read. x: (6,) motion.
+
+    Returns:
+        Wrench Λ_out x (six numbers).
+    """
     return combined(x, work.out_T, 6)
 
 

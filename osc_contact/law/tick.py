@@ -451,7 +451,14 @@ def command(t, flags):
 
 @inner
 def watch(t):
-    """Check the limits of the robot, and sensors by the computed commands; return a reason."""
+    """Check the limits of the robot, and the sensors by means of the computed commands.
+
+    Args:
+        t: Tick after `command`.
+
+    Returns:
+        `NO_REASON`, or the reason of the first rule that is violated; it stops the arms.
+    """
     reason = watch_joints(t)
     if reason == NO_REASON and t.model.guarded:
         reason = check_arms(t)
@@ -467,7 +474,18 @@ def watch(t):
 
 @inner
 def finish(t):
-    """Compute motor torques and status of a tick and update MEMORY; return a reason."""
+    """Compute motor torques and status of a tick, and update MEMORY.
+
+    Fills `tau` of the motors, `status` (OK, DEGRADED or SATURATED) and the fields that the
+    functions called here fill.
+
+    Args:
+        t: Tick after `command`.
+
+    Returns:
+        `NO_REASON`; the reason of `allocate_torques`; or `NOT_FINITE` if torques or integrals are
+        not finite. MEMORY is not changed then.
+    """
     model = t.model
     work = t.work
     predict_joints(t)
@@ -497,6 +515,9 @@ def remember(t):
 
     Integrals keep their values where motors are saturated; the motion integral also where commands
     are reduced.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     memory = t.memory

@@ -79,13 +79,21 @@ def divided3(x, s):
 
 @leaf
 def linear(x):
-    """Linear part of a motion or wrench: its first three numbers."""
+    """Return the linear part of a motion or wrench: its first three numbers.
+
+    Args:
+        x: (6,), or at least its first three numbers.
+    """
     return (x[0], x[1], x[2])
 
 
 @leaf
 def angular(x):
-    """Angular part of a motion or wrench: its last three numbers."""
+    """Return the angular part of a motion or wrench: its last three numbers.
+
+    Args:
+        x: (6,).
+    """
     return (x[3], x[4], x[5])
 
 
@@ -131,7 +139,7 @@ def add(t, s, x):
     """Sum t + s x of vectors of six numbers.
 
     Args:
-        t, x: (6,). s: factor.
+        t: Tick. t, x: (6,). s: factor.
     """
     return join(add3(t, s, x), add3(angular(t), s, angular(x)))
 
@@ -246,9 +254,13 @@ def copy_rows(X, out):
 
 @inner
 def reflect_sides(work, A):
-    """Transform a symmetric matrix A (6, 6) to H A Hᵀ, with H of `turned`; fill both triangles.
+    """Transform a symmetric matrix A to H A Hᵀ, with H of `turned`; fill both triangles.
 
-    (1 − β v vᵀ) A (1 − β v vᵀ) = A − v wᵀ − w vᵀ,  w = p − ½β(vᵀp) v,  p = β A v.
+    For each reflector (1 − β v vᵀ) A (1 − β v vᵀ) = A − v wᵀ − w vᵀ, w = p − ½β(vᵀp) v, p = β A v.
+
+    Args:
+        work: WORK, of which `locked`, `reflectors` and `beta` are read. A: (6, 6) in energy
+            coordinates, overwritten.
     """
     for k in range(work.locked):
         v = six(work.reflectors[k])
@@ -261,13 +273,21 @@ def reflect_sides(work, A):
 
 @leaf
 def row3(R, i):
-    """First three numbers of row i of a matrix."""
+    """Return the first three numbers of row i of a matrix.
+
+    Args:
+        R: at least (i + 1, 3), such as a rotation matrix or a pose. i: index of the row.
+    """
     return (R[i, 0], R[i, 1], R[i, 2])
 
 
 @leaf
 def column3(R, i):
-    """First three numbers of column i of a matrix."""
+    """Return the first three numbers of column i of a matrix.
+
+    Args:
+        R: at least (3, i + 1), such as a rotation matrix or a pose. i: index of the column.
+    """
     return (R[0, i], R[1, i], R[2, i])
 
 
@@ -285,13 +305,21 @@ def rotated_back(R, x):
 
 @leaf
 def rotated9(R, x):
-    """Product R x of a rotation, given by rows as nine numbers, and a vector."""
+    """Product R x of a rotation, given by rows as nine numbers, and a vector.
+
+    Args:
+        R: array with the nine elements at its front. x: (3,).
+    """
     return (dot3(R, x), dot3(R[3:], x), dot3(R[6:], x))
 
 
 @leaf
 def rotated9_back(R, x):
-    """Product Rᵀ x with the inverse of a rotation that is given by rows as nine numbers."""
+    """Product Rᵀ x with the inverse of a rotation that is given by rows as nine numbers.
+
+    Args:
+        R: array with the nine elements at its front. x: (3,).
+    """
     return add3(add3(scaled3(x[0], R), x[1], R[3:]), x[2], R[6:])
 
 
@@ -324,7 +352,12 @@ def velocity_at(V, p):
 
 @leaf
 def cross_motion(V, x):
-    """Spatial cross product V × x: rate of a motion vector x that is fixed to a body of twist V."""
+    """Spatial cross product V × x (six numbers): rate of a motion vector x that moves with a body.
+
+    Args:
+        V: (6,) twist of the body. x: (6,) motion vector that is constant in its axes; both at one
+            point.
+    """
     return join(plus3(cross(V[3:], x), cross(V, x[3:])), cross(V[3:], x[3:]))
 
 
@@ -402,33 +435,68 @@ def carry_wrench(f, start, end):
 
 @leaf
 def motion_to_energy(work, x):
-    """Convert a motion x (6,) at O in world axes to energy coordinates (six numbers)."""
+    """Convert a motion at O in world axes to energy coordinates.
+
+    Args:
+        work: WORK, of which `axes`, `p_O` and `p_C` are read. x: (6,) motion.
+
+    Returns:
+        Six numbers.
+    """
     return energy_motion(work.axes, carry_motion(x, work.p_O, work.p_C))
 
 
 @leaf
 def wrench_to_energy(work, f):
-    """Convert a wrench f (6,) at O in world axes to energy coordinates (six numbers)."""
+    """Convert a wrench at O in world axes to energy coordinates.
+
+    Args:
+        work: WORK, of which `axes`, `p_O` and `p_C` are read. f: (6,) wrench (N, N m).
+
+    Returns:
+        Six numbers.
+    """
     return energy_wrench(work.axes, carry_wrench(f, work.p_O, work.p_C))
 
 
 @leaf
 def motion_to_world(work, x):
-    """Convert a motion x (6,) in energy coordinates to world axes at O (six numbers)."""
+    """Convert a motion in energy coordinates to world axes at O.
+
+    Args:
+        work: WORK, of which `axes`, `p_O` and `p_C` are read. x: (6,) motion.
+
+    Returns:
+        Six numbers.
+    """
     return carry_motion(world_motion(work.axes, x), work.p_C, work.p_O)
 
 
 @leaf
 def wrench_to_world(work, f):
-    """Convert a wrench f (6,) in energy coordinates to world axes at O (six numbers)."""
+    """Convert a wrench in energy coordinates to world axes at O.
+
+    Args:
+        work: WORK, of which `axes`, `p_O` and `p_C` are read. f: (6,) wrench.
+
+    Returns:
+        Six numbers (N, N m).
+    """
     return carry_wrench(world_wrench(work.axes, f), work.p_C, work.p_O)
 
 
 @leaf
 def turned(work, x):
-    """Turn energy coordinates x (6,) so that their first m axes are the locked ones.
+    """Turn energy coordinates so that their first m axes are those that the arms lock.
 
-    Returns H x (six numbers) with H = H_m … H_1, the product of the reflectors of WORK.
+    H x with H = H_m … H_1, the product of the reflectors H_k = 1 − β_k v_k v_kᵀ.
+
+    Args:
+        work: WORK, of which `locked` (m), `reflectors` (v_k) and `beta` are read. x: (6,) motion or
+            wrench in energy coordinates.
+
+    Returns:
+        Six numbers.
     """
     y = six(x)
     for k in range(work.locked):
@@ -442,7 +510,8 @@ def fill_free(x, work, y):
     """Fill x with y in turned energy coordinates, with zeros along the locked axes.
 
     Args:
-        x: (6,), filled. work: WORK. y: (6,) in energy coordinates.
+        x: (6,), filled. work: WORK, of which `locked`, `reflectors` and `beta` are read.
+        y: (6,) motion or wrench in energy coordinates.
     """
     fill(x, turned(work, y))
     for i in range(work.locked):
@@ -451,7 +520,14 @@ def fill_free(x, work, y):
 
 @leaf
 def turned_back(work, x):
-    """Convert turned coordinates x (6,) back to energy coordinates: the inverse of `turned`."""
+    """Convert turned coordinates back to energy coordinates: Hᵀx, the inverse of `turned`.
+
+    Args:
+        work: WORK, of which `locked`, `reflectors` and `beta` are read. x: (6,) motion or wrench.
+
+    Returns:
+        Six numbers.
+    """
     y = six(x)
     for k in range(work.locked - 1, -1, -1):
         v = work.reflectors[k]
@@ -465,20 +541,34 @@ def turned_back(work, x):
 
 
 def motions(work: View) -> NDArray[np.float64]:
-    """Matrix L⁻ᵀ (6, 6) from energy coordinates to motions at O in world axes."""
+    """Matrix L⁻ᵀ (6, 6) from energy coordinates to motions at O in world axes.
+
+    Args:
+        work: WORK after the first part of a tick.
+    """
     out = _blocks(work, 2)
     out[:3, 3:] = _lever(work) @ out[3:, 3:]
     return out
 
 
 def wrenches(work: View) -> NDArray[np.float64]:
-    """Matrix L (6, 6) from energy coordinates to wrenches at O in world axes."""
+    """Matrix L (6, 6) from energy coordinates to wrenches at O in world axes.
+
+    Args:
+        work: WORK after the first part of a tick.
+    """
     out = _blocks(work, 0)
     out[3:, :3] = _lever(work) @ out[:3, :3]
     return out
 
 
 def _blocks(work: View, k: int) -> NDArray[np.float64]:
+    """Block-diagonal matrix (6, 6) of two transposed maps of `axes`: linear, then angular part.
+
+    Args:
+        work: WORK after the first part of a tick. k: index of the first of both maps in `axes` (0
+            for wrenches, 2 for motions).
+    """
     out = np.zeros((6, 6))
     out[:3, :3] = work["axes"][k].T
     out[3:, 3:] = work["axes"][k + 1].T
@@ -486,7 +576,11 @@ def _blocks(work: View, k: int) -> NDArray[np.float64]:
 
 
 def reflection(work: View) -> NDArray[np.float64]:
-    """Orthogonal matrix (6, 6) that turns energy coordinates to locked axes first."""
+    """Orthogonal matrix H (6, 6) that turns energy coordinates to locked axes first (`turned`).
+
+    Args:
+        work: WORK after the first part of a tick.
+    """
     reflection = np.eye(6)
     for k in range(int(work["locked"])):
         v = work["reflectors"][k]
@@ -495,6 +589,10 @@ def reflection(work: View) -> NDArray[np.float64]:
 
 
 def _lever(work: View) -> NDArray[np.float64]:
-    """Cross-product matrix (3, 3) of the vector from O to C."""
+    """Cross-product matrix (3, 3) of the vector from O to C, r: [r×] y = r × y (m).
+
+    Args:
+        work: WORK after the first part of a tick.
+    """
     x, y, z = (work["p_C"] - work["p_O"]).tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

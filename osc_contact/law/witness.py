@@ -62,6 +62,9 @@ def measure_approached_forces(t):
     alone), `touch_inertia` (gᵀΛ_out V̇_O) and `explained` (e, and what of 3σ is above `force_on`).
     All are 0 unless one contact is approached while friction may act at another one, and all
     columns are independent.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     needed = False
@@ -77,7 +80,11 @@ def measure_approached_forces(t):
 
 @inner
 def _beside(t, column):
-    """Whether friction may act at another contact than that of a column of N."""
+    """Determine whether friction may act at another contact than that of a column of N.
+
+    Args:
+        t: Tick. column: index of the column among all columns of the model.
+    """
     found = False
     for i in range(t.work.count):
         other = t.work.chosen[i]
@@ -95,6 +102,9 @@ def _explain(t):
     bound μ_b Σα_j‖gᵀT_j‖ of what friction of other contacts contributes, and the part of three
     standard deviations of the noise of α_n that is above `force_on`. R is the covariance of
     friction and 3² times that of noise.
+
+    Args:
+        t: Tick.
     """
     work = t.work
     r = work.rank
@@ -153,7 +163,16 @@ def _explain(t):
 
 @inner
 def _measured_inertia_force(t):
-    """Inertial force Λ_out V̇_O (six numbers, energy coordinates) of the low-passed acceleration."""
+    """Compute the inertial force Λ_out V̇_O of the measured, low-passed acceleration of the object.
+
+    Reads `V_O` and `out_T` of WORK, and `filtered_twist` of MEMORY.
+
+    Args:
+        t: Tick.
+
+    Returns:
+        Six numbers in energy coordinates.
+    """
     work = t.work
     V = work.V_O
     a = local(6)
@@ -191,7 +210,11 @@ def _add_noise(t, noise):
 
 @inner
 def _may_rub(t, column):
-    """Whether friction of a contact may act: it is closed, or was lost and is approached again."""
+    """Determine whether friction of a contact may act: it is closed, or returns after its loss.
+
+    Args:
+        t: Tick. column: index of a column of N of the contact.
+    """
     phase = contact_of(t, column).phase
     lost = t.memory.columns[column].time_since_loss > 0.0
     return phase == CLOSED or (phase == APPROACHING and lost)
@@ -199,7 +222,14 @@ def _may_rub(t, column):
 
 @inner
 def _ways(t, column):
-    """Number of directions in which friction of a contact may act."""
+    """Number of directions in which friction of a contact may act.
+
+    It is 3, the axes of the world projected on the face, at a point of contact; else the number of
+    motions that the pair permits.
+
+    Args:
+        t: Tick. column: index of a column of N of the contact.
+    """
     if has_point(t, column):
         return 3
     return t.model.pairs[t.model.columns[column].contact].freedoms
@@ -221,6 +251,10 @@ def _friction(t, column, k, most):
 
 @inner
 def _pressed(t, a):
-    """Magnitude (N) of the force of kept column a; 0 of a pair that can only push and reads < 0."""
+    """Measured force (N) of a kept column, as a magnitude; 0 if it can only push and reads below 0.
+
+    Args:
+        t: Tick, of which `alpha_meas` is read. a: index of the column among the kept ones.
+    """
     alpha = t.work.alpha_meas[a]
     return max(alpha, 0.0) if body_of(t, t.work.chosen[a]).pushes else abs(alpha)
