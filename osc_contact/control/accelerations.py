@@ -13,17 +13,18 @@ _SWINGS = 0.01  #: s, 1/ω of contacts
 
 
 def expected_acceleration(controller: Controller) -> Array:
-    """(n,) q̈ of all joints, which an estimate of their velocities takes as known (rad/s², m/s²).
+    """Predict the joint accelerations (n,) after a tick (rad/s², m/s²), for a velocity estimate.
 
-    The law commands η̇_c and expects the contact forces α_u. Where they are α_meas instead the chain
-    answers with η̇_c + Λ_S⁻¹SᵀN_μ(α_u − α_meas): of a contact that swings the wrist sensors show its
-    acceleration. Without that part where nothing was commanded of contacts, or near singular
-    postures. What friction and a wrong model push beside it is left to the estimate.
+    The law commands η̇_c and assumes the contact forces α_u. If the measured forces α_meas differ
+    from them, the object accelerates by η̇_c + Λ_S⁻¹SᵀN_μ(α_u − α_meas) instead; the second term
+    follows oscillations of a contact. It is omitted if no contact force was commanded, if the tick
+    was held, and near singular postures. Accelerations by friction and model errors are not
+    included; the velocity estimate has to track them.
 
     See docs/tuning.md#estimated-velocities.
 
     Args:
-        controller: after a tick.
+        controller: controller after a tick.
 
     Example:
         >>> rig = osc.build_rig(osc.load_scenario("ur5_wipe"))
@@ -38,18 +39,24 @@ def expected_acceleration(controller: Controller) -> Array:
     if r == 0 or work.status == HELD or work.n_lost > 0:
         return commanded
     locked = int(work.locked)
-    back = np.eye(6)  # from axes of which the arms lock the first
+    # transposed product of the reflectors 1 − β v vᵀ: from locked axes to energy coordinates
+    from_locked_axes = np.eye(6)
     for k in reversed(range(locked)):
         v = work.reflectors[k]
-        back -= work.beta[k] * np.outer(v, v @ back)
-    free = back[:, locked:]
-    moves = work.joints.J_bar @ free
-    inertia = work.Lambda[locked:, locked:] + moves.T @ (_dragged(controller) * moves.T).T
+        from_locked_axes -= work.beta[k] * np.outer(v, v @ from_locked_axes)
+    free_axes = from_locked_axes[:, locked:]
+    J_bar_free = work.joints.J_bar @ free_axes
+    friction = _friction_inertia(controller)
+    inertia = work.Lambda[locked:, locked:] + J_bar_free.T @ (friction * J_bar_free.T).T
     push = (work.alpha_u[:r] - work.alpha_meas[:r]) @ work.pushed_t[:r]
-    return commanded + np.asarray(moves @ np.linalg.solve(inertia, push[locked:]))
+    return commanded + np.asarray(J_bar_free @ np.linalg.solve(inertia, push[locked:]))
 
 
-def _dragged(controller: Controller) -> Array:
-    """(n,) what friction of the joints, as known so far, adds to their inertia while they swing."""
+def _friction_inertia(controller: Controller) -> Array:
+    """Express the identified joint friction as an additional inertia (n,) (kg m², kg).
+
+    A joint that oscillates with a contact at the time constant `_SWINGS` and the speed `_SLOW` is
+    slowed by friction as by this inertia.
+    """
     dry, viscous = controller.joint_friction.T
     return np.asarray((viscous + dry / _SLOW) * _SWINGS)

@@ -24,15 +24,15 @@ from osc_contact.spatial import Array
 
 
 class BatchController:
-    """B controllers of one structure, ticked by one call; a row's answer is its single tick's.
+    """B controllers of one structure in one call; each row is bit-equal to a single controller.
 
-    One structure: as many arms, joints, motors, contacts and columns of N, the same kinds of
-    grasps. Masses, gains, contacts, friction, limits and memory are each row's own.
+    The structure comprises the numbers of arms, joints, motors, contacts and columns of N, and the
+    kinds of grasps. Masses, gains, contacts, friction, limits and memory may differ between rows.
 
     Attributes:
-        rows: B, how many controllers.
-        threads: how many share a tick.
-        status: (B,) of `Status`, of the last tick.
+        rows: B, number of controllers.
+        threads: number of threads that share a tick.
+        status: (B,) `Status` of the last tick of each row.
 
     Example:
         >>> rig = osc.build_rig(osc.load_scenario("two_contact_rod"))
@@ -43,22 +43,22 @@ class BatchController:
     """
 
     def __init__(self, controllers: Sequence[Controller], threads: int = 1) -> None:
-        """Take over models and memories; the controllers themselves are not touched afterwards.
+        """Copy models and memories of the controllers, which are not changed afterwards.
 
         Args:
-            controllers: one for each row (the same one again is copied).
-            threads: each works on a part of the rows.
+            controllers: a controller for each row; the same controller may occur several times.
+            threads: number of threads, each of which computes a part of the rows.
 
         Raises:
-            InvalidInputError: none, different structures, or pairs, bodies or laws that only
-                Python can evaluate.
+            InvalidInputError: no controller, no thread, different structures, or pairs, bodies or
+                laws that only Python can evaluate.
         """
         if not controllers or threads < 1:
             raise InvalidInputError(f"{len(controllers)} controllers, {threads} threads: give ≥ 1")
         first = controllers[0]
         self._structure = _structure_of(first)
-        for i, one in enumerate(controllers):
-            self._require_fitting(i, one)
+        for i, controller in enumerate(controllers):
+            self._require_fitting(i, controller)
         self.rows = len(controllers)
         self.threads = threads
         self._settings = [c.settings for c in controllers]
@@ -68,49 +68,54 @@ class BatchController:
             threads,
         )
         self._start = self._bytes.memory.copy()
-        self._look()
+        self._make_views()
         self._codes[:] = Status.OK
         self._limits: dict[int, MotorLimits] = {}
         self._pool = ThreadPoolExecutor(threads)
 
-    def _require_fitting(self, i: int, one: Controller) -> None:
+    def _require_fitting(self, i: int, controller: Controller) -> None:
         """Refuse a controller that cannot be a row of the batch.
 
         Args:
-            i: number of the row. one: its controller.
+            i: number of the row. controller: controller of this row.
 
         Raises:
             InvalidInputError: its structure differs from that of row 0, or it needs Python in the
                 tick.
         """
-        found = _structure_of(one)
-        differing = [name for name, size in self._structure.items() if found[name] != size]
+        structure = _structure_of(controller)
+        differing = [name for name, size in self._structure.items() if structure[name] != size]
         if differing:
             raise InvalidInputError(
                 f"row {i} differs from row 0 in {', '.join(differing)}; a batch has one "
                 "structure: make one batch for each"
             )
-        if one.needs_python:
+        if controller.needs_python:
             raise InvalidInputError(
                 f"row {i} has pairs, bodies or laws that only Python can evaluate; a batch "
                 "runs the packaged ones"
             )
 
-    def _look(self) -> None:
-        """Heads of all memories, (B, …) their columns, torques and squeezes; JOB of each thread."""
-        memory = self._bytes.memory
-        one = at.MEMORY.view(memory[0])
-        starts = dict(zip(at.MEMORY.tables, one.layout.tolist(), strict=False))
+    def _make_views(self) -> None:
+        """Make views of the bytes in `_bytes`: of MEMORY of all rows, and of JOB of each thread.
 
-        def table(name: str) -> Array:
-            rows = getattr(one, name)
+        Sets `_memories` (B,), the heads of the MEMORY records, `_codes` (B,), their status, and
+        `_columns`, `_torques` and `_squeeze`, the tables of these names with B rows.
+        """
+        memory = self._bytes.memory
+        first = at.MEMORY.view(memory[0])
+        starts = dict(zip(at.MEMORY.tables, first.layout.tolist(), strict=False))
+
+        def view_table(name: str) -> Array:
+            """View (B, …) of a table of MEMORY, which is at the same place in all rows."""
+            rows = getattr(first, name)
             return memory[:, starts[name] :][:, : rows.nbytes].view(rows.dtype)
 
         self._memories = memory[:, : at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)[:, 0]
         self._codes = self._memories["status"]
-        self._columns = table("columns")
-        self._torques = table("torques")
-        self._squeeze = table("squeeze")
+        self._columns = view_table("columns")
+        self._torques = view_table("torques")
+        self._squeeze = view_table("squeeze")
         self._jobs = [at.JOB.view(raw) for raw in self._bytes.jobs]
 
     def tick(
@@ -128,21 +133,29 @@ class BatchController:
         active: npt.ArrayLike | None = None,
         wrench_valid: npt.ArrayLike | None = None,
     ) -> Array:
-        """Motor torques (B, n_a) for one control period; rows as in `Controller.tick`.
+        """Compute the motor torques (B, n_a) of all rows for one control period (N m, N).
+
+        A row has the result of `Controller.tick` with its inputs.
 
         Args:
-            q, v: (B, n) measured. wrenches: (B, arms, 6) of the wrists (N, N m).
-            X_WD: (B, 4, 4) desired pose of the object. V_D, A_D: (B, 6), default 0.
-            alpha_d: (B, r) desired contact forces (N), default 0.
-            squeeze_d: (B,) desired internal force, or (B, bars) with three arms and more; default
-                0 (None leaves bar forces at least effort).
-            touched: (B, contacts, 28) X_WE by rows, V_E, A_E of the touched bodies; None: at rest.
-            active: (B, contacts) which contacts are active, see `Reference`; None: as forces are
-                desired.
-            wrench_valid: (B,) whether wrenches are new ones; rows without it use their last.
+            q, v: (B, n) measured joint positions and velocities (rad, m; rad/s, m/s).
+            wrenches: (B, arms, 6) readings of the wrist sensors (N, N m).
+            X_WD: (B, 4, 4) desired pose of the object.
+            V_D, A_D: (B, 6) desired twist (m/s, rad/s) and classical acceleration (m/s², rad/s²) of
+                the object; None: 0.
+            alpha_d: (B, r) desired contact forces (N); None: 0.
+            squeeze_d: (B,) desired internal force (N), or (B, bars) with three arms or more; None:
+                0, and with three arms or more the bar forces of least effort.
+            touched: (B, contacts, 28) X_WE by rows, V_E and A_E of the touched bodies; None: at
+                rest.
+            active: (B, contacts) mask of the active contacts, see `Reference`; None: contacts with
+                a desired force.
+            wrench_valid: (B,) True where the wrenches are new readings; the other rows use their
+                previous readings.
 
         Raises:
-            InvalidInputError: wrong shapes. Numbers that are not finite end their row HELD.
+            InvalidInputError: an array of the wrong shape. A row with a number that is not finite
+                ends HELD.
         """
         B = self.rows
         n, k, r, c = (
@@ -172,13 +185,13 @@ class BatchController:
         return np.array(self._torques)
 
     def _command_squeeze(self, squeeze_d: npt.ArrayLike | None) -> int:
-        """Write the desired internal forces to the rows.
+        """Write the desired internal forces to MEMORY of the rows.
 
         Args:
-            squeeze_d: one number for each row and bar (N); None: zeros.
+            squeeze_d: (B,) or (B, bars) desired internal forces (N); None: zeros.
 
         Returns:
-            `COMMANDED` if more than two arms are commanded by it, else 0.
+            Switch of the law: `COMMANDED` if more than two arms have commanded bar forces, else 0.
         """
         self._squeeze[:] = 0.0
         if squeeze_d is None:
@@ -187,39 +200,44 @@ class BatchController:
         return law.COMMANDED if self._structure["n_arms"] > 2 else 0
 
     def _run_threads(self, flags: int, args: tuple[Array, ...]) -> None:
-        """Run the ticks of all rows, a part of them in each thread.
+        """Run the ticks of all rows, a part of them in each thread, the first part in this one.
 
         Args:
-            flags, args: switches and arguments of the law.
+            flags: switches of the job, see `law.tick.rows`. args: arrays of inputs of all rows.
+
+        Raises:
+            Exception: raised in one of the threads, after all of them have ended.
         """
         ends = np.linspace(0, self.rows, self.threads + 1).astype(int).tolist()
-        others = [
+        parts = [
             self._pool.submit(self._run, i, ends[i], ends[i + 1], flags, args)
             for i in range(1, self.threads)
         ]
         try:
             self._run(0, 0, ends[1], flags, args)
         finally:
-            wait(others)
-        for part in others:
+            wait(parts)
+        for part in parts:
             part.result()
 
-    def _run(self, thread: int, lo: int, hi: int, flags: int, args: tuple[Array, ...]) -> None:
+    def _run(self, thread: int, first: int, end: int, flags: int, args: tuple[Array, ...]) -> None:
         """Run the ticks of some rows in one thread; rows that saturate are completed in Python.
 
         Args:
-            thread: number of the thread. lo, hi: first row, and the row after the last one.
+            thread: number of the thread. first, end: first row, and the row after the last one.
             flags: switches of the job, see `law.tick.rows`. args: arrays of inputs of all rows.
         """
         job = self._jobs[thread]
         start = self._bytes.starts[thread]
-        while lo < hi:
+        while first < end:
             job.switches = flags
-            job.first = lo
-            job.last = hi
-            lo = law_rows()(self._bytes.raw, start, args) >> 1
-            if self._codes[lo - 1] == Status.SATURATED:
-                self._relieve(lo - 1, thread, args)
+            job.first = first
+            job.last = end
+            # the law stops after a row that saturates and returns twice the number of the next row,
+            # plus 1 if some row is not OK
+            first = law_rows()(self._bytes.raw, start, args) >> 1
+            if self._codes[first - 1] == Status.SATURATED:
+                self._relieve(first - 1, thread, args)
 
     def _relieve(self, i: int, thread: int, args: tuple[Array, ...]) -> None:
         """Compute torques within the motor limits for a row whose tick ended SATURATED.
@@ -238,10 +256,12 @@ class BatchController:
             self._run(thread, i, i + 1, int(self._jobs[thread].switches) | law.MISFIT, args)
 
     def _locate(self, q: Array) -> None:
-        """Find the objects' initial poses from the joints alone, if no arm holds one rigidly.
+        """Compute the objects' initial poses from the joints, if no arm holds its object rigidly.
+
+        Rows whose pose cannot be found keep `located` = 0; the law then ends their tick HELD.
 
         Args:
-            q: (rows, n) joint positions.
+            q: (B, n) joint positions (rad, m).
         """
         if self._settings[0].chain.leader is not None:
             return
@@ -253,23 +273,26 @@ class BatchController:
                 self._memories["located"][i] = 1
 
     def reset(self, mask: npt.ArrayLike | None = None) -> None:
-        """Rows back to the memory they began with.
+        """Restore the memory with which rows began.
 
         Args:
-            mask: (B,) which rows; None: all of them.
+            mask: (B,) True for the rows to reset; None: all of them.
+
+        Raises:
+            InvalidInputError: the mask has another shape.
         """
-        mine = np.ones(self.rows, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
-        if mine.shape != (self.rows,):
-            raise InvalidInputError(f"mask: expected ({self.rows},), got {mine.shape}")
-        self._bytes.memory[mine] = self._start[mine]
-        self._codes[mine] = Status.OK
+        chosen = np.ones(self.rows, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+        if chosen.shape != (self.rows,):
+            raise InvalidInputError(f"mask: expected ({self.rows},), got {chosen.shape}")
+        self._bytes.memory[chosen] = self._start[chosen]
+        self._codes[chosen] = Status.OK
 
     def replace(self, row: int, controller: Controller) -> None:
-        """Let a row continue as another controller, from where that one is.
+        """Replace the controller of a row by another one, which continues with its own memory.
 
         Args:
-            row: its number. controller: controller of the batch's structure; it is not touched
-                afterwards.
+            row: number of the row, 0 … B − 1.
+            controller: controller of the batch's structure, which is copied.
 
         Raises:
             InvalidInputError: another structure, or no such row.
@@ -285,7 +308,7 @@ class BatchController:
             model = model.copy()
             model[row] = records.model_bytes
             self._bytes = Rows(model, self._bytes.memory, self.threads)
-            self._look()
+            self._make_views()
         for memory in (self._bytes.memory, self._start):
             memory[row] = records.memory_bytes
         self._settings[row] = controller.settings
@@ -304,32 +327,36 @@ class BatchController:
 
     @property
     def alpha_meas(self) -> Array:
-        """(B, r) measured contact magnitudes (N) of the last computed tick, 0 out of N."""
+        """Measured contact forces (B, r) of the last computed tick (N); 0 for inactive columns."""
         return np.array(self._columns["alpha"])
 
     @property
     def normal_speed(self) -> Array:
-        """(B, r) NᵀV_rel (m/s) of the last computed tick, 0 out of N."""
+        """Speeds NᵀV_rel (B, r) of the last computed tick (m/s); 0 for inactive columns."""
         return np.array(self._columns["speed"])
 
     def __getstate__(self) -> dict[str, Any]:
-        made = "_pool", "_memories", "_codes", "_columns", "_torques", "_squeeze", "_jobs"
-        own = {name: x for name, x in self.__dict__.items() if name not in made}
-        return {**own, "_bytes": (self._bytes.model, self._bytes.memory)}
+        """State for `pickle`: the attributes without threads and views, and bytes of the records.
+
+        `__setstate__` makes threads and views again.
+        """
+        rebuilt = ("_pool", "_memories", "_codes", "_columns", "_torques", "_squeeze", "_jobs")
+        kept = {name: value for name, value in self.__dict__.items() if name not in rebuilt}
+        return {**kept, "_bytes": (self._bytes.model, self._bytes.memory)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a batch from its pickle: its records, views of them, and its threads."""
         self.__dict__.update(state)
         model, memory = state["_bytes"]
         self._bytes = Rows(model, memory, self.threads)
-        self._look()
+        self._make_views()
         self._pool = ThreadPoolExecutor(self.threads)
 
 
 def _structure_of(controller: Controller) -> dict[str, int]:
     """Sizes and switches of a controller's model that must be equal in all rows of a batch."""
     head = controller.records.model
-    shape = (
+    names = (
         "n_arms",
         "n_joints",
         "n_motors",
@@ -340,7 +367,7 @@ def _structure_of(controller: Controller) -> dict[str, int]:
         "slipping",
         "leader",
     )
-    return {name: int(head[name]) for name in shape}
+    return {name: int(head[name]) for name in names}
 
 
 def _table(name: str, x: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:

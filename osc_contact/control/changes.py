@@ -12,18 +12,19 @@ from osc_contact.control.controller_state import ControllerState
 from osc_contact.control.status import SafetyState
 from osc_contact.law import records as at
 
-Event = tuple[str, dict[str, Any]]  #: kind, and what belongs to it
+Event = tuple[str, dict[str, Any]]  #: kind of the event, and its values by name
 
 RISE = 1.1  #: times the ceiling that was noted last; smaller rises are no event
 _STATES = tuple(SafetyState)
-#: Of MEMORY: fields of which a change is an event, or may be a part of one.
+#: Fields of MEMORY whose change is an event, or may be a part of one.
 _WATCHED = ("state", "engaged", "unbraked", "f_tare", "f_bias", "largest_force", "largest_sum")
-_CEILINGS = {"contact": "largest_force", "wrist": "largest_sum"}  #: and the command of each
+#: Kinds of force ceilings, and the field of MEMORY with the largest command of each.
+_CEILINGS = {"contact": "largest_force", "wrist": "largest_sum"}
 _COMMANDS = set(_CEILINGS.values())
 
 
-def _parts() -> dict[str, slice]:
-    """Place of each watched field among the bytes of all of them."""
+def _field_slices() -> dict[str, slice]:
+    """Compute the place of each watched field in the concatenated bytes of all watched fields."""
     sizes = [at.MEMORY.dtype[name].itemsize for name in _WATCHED]
     ends = np.cumsum(sizes).tolist()
     return {
@@ -31,34 +32,37 @@ def _parts() -> dict[str, slice]:
     }
 
 
-_PARTS = _parts()
+_PARTS = _field_slices()
 
 
-def _field(seen: bytes, name: str) -> np.ndarray[Any, Any]:
-    """Numbers of a watched field.
+def _field(watched: bytes, name: str) -> np.ndarray[Any, Any]:
+    """Numbers of a watched field, as an array of the field's type.
 
     Args:
-        seen: bytes of all watched fields.
+        watched: bytes of all watched fields, one after the other.
         name: name of the field.
     """
-    return np.frombuffer(seen[_PARTS[name]], at.MEMORY.dtype[name].base)
+    return np.frombuffer(watched[_PARTS[name]], at.MEMORY.dtype[name].base)
 
 
 class Changes:
-    """A controller's state, its contacts, tare and ceilings, compared with those at the last look.
+    """Watch on a controller: changes of state, contacts, tare and ceilings between two looks.
 
-    A look at a controller of which nothing has changed compares some bytes and returns at once.
+    `look` is called after each tick; without a change it only compares some bytes.
     """
 
     def __init__(self, controller: ControllerState) -> None:
-        """Begin with the controller as it is."""
+        """Store the present state of the controller; only later changes are events."""
         self._controller = controller
         self._take_records()
         self._ceilings: dict[str, float] = {}
         self._unbraked: str | None = None
 
     def _take_records(self) -> None:
-        """Note where the watched fields stand in the records, and the limits of the ceilings."""
+        """Locate the watched fields in the controller's records, and read the ceilings' settings.
+
+        It is called again after the controller has replaced its records by others of another size.
+        """
         records = self._controller.records
         head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
         self._records = records
@@ -66,16 +70,16 @@ class Changes:
         self._places = records.places(*(head[name] for name in _WATCHED))
         self._headroom = {key: float(records.model[f"{key}_headroom"]) for key in _CEILINGS}
         self._least = {key: float(records.model[f"{key}_ceiling"]) for key in _CEILINGS}
-        self._seen = np.zeros(len(self._places), np.int64)
+        self._buffer = np.zeros(len(self._places), np.int64)
         self._before = self._read()
 
     def _read(self) -> bytes:
-        """Copy the watched fields, one after the other."""
-        self._words.take(self._places, out=self._seen, mode="clip")
-        return self._seen.tobytes()
+        """Copy the bytes of the watched fields, one field after the other."""
+        self._words.take(self._places, out=self._buffer, mode="clip")
+        return self._buffer.tobytes()
 
     def look(self) -> Sequence[Event]:
-        """Events since the last look, the oldest first."""
+        """Compare the controller with its state at the previous look; return the events between."""
         if self._controller.records is not self._records:
             self._take_records()
             return ()
@@ -85,16 +89,16 @@ class Changes:
             return ()
         self._before = now
         changed = {name for name, part in _PARTS.items() if now[part] != before[part]}
-        if changed <= _COMMANDS:  # in every tick of a growing command
-            return tuple(self._risen(now))
+        if changed <= _COMMANDS:  # the frequent case: a command that grows in every tick
+            return tuple(self._raised_ceilings(now))
         return tuple(self._events(changed, before, now))
 
     def _events(self, changed: set[str], before: bytes, now: bytes) -> Iterator[Event]:
-        """Events of the changed fields.
+        """Yield the events that follow from changed fields.
 
         Args:
-            changed: names of the fields.
-            before, now: all watched fields, at the last look and at this one.
+            changed: names of the changed fields.
+            before, now: bytes of all watched fields, at the last look and at this one.
         """
         controller = self._controller
         if "engaged" in changed:
@@ -103,19 +107,26 @@ class Changes:
             if name in changed:
                 yield "setting", {"name": name, "value": _field(now, name).tolist()}
         if "state" in changed:
-            old, new = (_STATES[int(_field(one, "state")[0])] for one in (before, now))
+            old = _STATES[int(_field(before, "state")[0])]
+            new = _STATES[int(_field(now, "state")[0])]
             kind = "reset" if old is SafetyState.SAFE_STOP else "state"
             reason = controller.reason if new is not SafetyState.RUN else ""
             yield kind, {"from": old.name, "to": new.name, "reason": reason}
-        if changed & {"unbraked", "state"}:  # a joint is unbraked where the arms are stopped only
+        if changed & {"unbraked", "state"}:  # `unbraked` is a name only while the arms are stopped
             joint = controller.unbraked
             if joint is not None and joint != self._unbraked:
                 yield "brakes", {"joint": joint, "reason": controller.reason}
             self._unbraked = joint
-        yield from self._risen(now)
+        yield from self._raised_ceilings(now)
 
-    def _risen(self, now: bytes) -> Iterator[Event]:
-        """Ceilings that follow the largest command so far, where they have risen."""
+    def _raised_ceilings(self, now: bytes) -> Iterator[Event]:
+        """Yield an event for each force ceiling (N) that has risen by the factor `RISE`.
+
+        Ceilings that are not set by the user follow the largest command: headroom × command.
+
+        Args:
+            now: bytes of all watched fields.
+        """
         for key, command in _CEILINGS.items():
             ceiling = self._headroom[key] * float(_field(now, command)[0])
             if ceiling > max(RISE * self._ceilings.get(key, 0.0), self._least[key]):
@@ -124,27 +135,35 @@ class Changes:
 
 
 def changed_settings(before: Settings, now: Settings) -> dict[str, list[Any]]:
-    """Settings that differ between two controllers, such as safety.contact_force: [30.0, 50.0].
+    """List the settings that differ between two controllers.
 
     Args:
         before, now: settings of the earlier and of the later controller.
 
     Returns:
-        For each differing key [earlier value, later value].
+        For each differing key [earlier value, later value], such as
+        {"safety.contact_force": [30.0, 50.0]}.
     """
-    found: dict[str, list[Any]] = {}
+    differences: dict[str, list[Any]] = {}
     for group in ("gains", "safety", "friction", "life", "posture_task", "joint_friction"):
-        old, new = (_flat(group, getattr(one, group)) for one in (before, now))
+        old = _flatten(group, getattr(before, group))
+        new = _flatten(group, getattr(now, group))
         for key in {**old, **new}:
             if old.get(key) != new.get(key):
-                found[key] = [old.get(key), new.get(key)]
-    return found
+                differences[key] = [old.get(key), new.get(key)]
+    return differences
 
 
-def _flat(name: str, value: Any) -> dict[str, Any]:
-    """The keys of a group of settings, and of the groups in it, with their paths."""
+def _flatten(path: str, value: Any) -> dict[str, Any]:
+    """Map the path of each key in a group of settings, nested groups included, to its value.
+
+    Args:
+        path: path of the group, such as "gains". value: a group of settings, or a single value.
+    """
     fields = getattr(type(value), "model_fields", None)
     if fields is None:
-        return {name: value}
-    parts = [_flat(f"{name}.{key}", getattr(value, key)) for key in fields]
-    return {key: one for part in parts for key, one in part.items()}
+        return {path: value}
+    flat: dict[str, Any] = {}
+    for key in fields:
+        flat |= _flatten(f"{path}.{key}", getattr(value, key))
+    return flat

@@ -59,6 +59,40 @@ class Controller(ControllerState):
     controller that continues with the present state. Controllers share no mutable state: they can
     be copied, pickled, and used in separate threads.
 
+    Args:
+        chain: model of arms and object.
+        contacts: a pair, or several in the order of alpha_d.
+        gains: gains of both loops.
+        dt: control period (s).
+        B: metric of the motion filter Ω_m(B), eq. 24: "object" (Λ_o⁻¹), "chain"
+            ((ΣΛ_i + Λ_o)⁻¹ within the chain's motions) or a positive definite (6, 6).
+        bodies: dynamics of the touched body at each contact; None: contact forces do not move
+            it, though its motion may be measured. The same object twice: both contacts are on
+            one body.
+        posture: (n,) joint positions to which redundant arms return (default: neutral). This
+            goal may be somewhat outside the joints' limits, since the posture task keeps the
+            joints within them.
+        engaged: whether the law includes the contacts from the start.
+        in_contact: whether contacts that push are closed at the start; False: they are open,
+            and approached once they are active, for which `life` is needed.
+        friction: friction at the contacts that is taken into account; None: none.
+        reading: method of computing contact forces from the wrist readings, 'filter' (fig. 5)
+            or 'least_squares', which is not affected by friction and tilted faces; None: the
+            latter if a contact pushes at a known point (see `law.reading`).
+        life: settings of contact phases, by which contacts are opened, approached and closed
+            one by one; None: all contacts are closed while they are engaged.
+        laws: the user's laws in place of force law, motion law or control structure.
+        posture_task: settings of the posture task of redundant arms.
+        safety: limits of the robot, and conditions of a hold and a stop.
+        joint_friction: settings for identification and compensation of joint friction; True:
+            `JointFriction()`; False: no compensation.
+
+    Raises:
+        InvalidInputError: an argument of another class or unit, an unknown metric, contacts
+            that begin open without `life`, or contacts and an arm without a wrist sensor, so
+            that contact forces cannot be measured.
+        ModelError: an arm that the law does not support.
+
     Attributes:
         settings: all settings. laws: custom laws.
         chain, contacts, gains, dt, B, bodies, posture, friction, life, reading: single settings
@@ -73,7 +107,8 @@ class Controller(ControllerState):
         (8,) OK
     """
 
-    chain: ClosedChain  #: of the settings, as those below; see `__getattr__`
+    # single settings, which `__getattr__` reads from `settings`
+    chain: ClosedChain
     gains: Gains
     dt: float
     life: PhaseSettings | None
@@ -100,41 +135,10 @@ class Controller(ControllerState):
         safety: SafetySettings | None = None,
         joint_friction: JointFriction | bool = True,
     ) -> None:
-        """Make a controller with zero integrals.
-
-        Args:
-            chain: model of arms and object.
-            contacts: a pair, or several in the order of alpha_d.
-            gains: gains of both loops.
-            dt: control period (s).
-            B: metric of the motion filter Ω_m(B), eq. 24: "object" (Λ_o⁻¹), "chain"
-                ((ΣΛ_i + Λ_o)⁻¹ within the chain's motions) or a positive definite (6, 6).
-            bodies: dynamics of the touched body at each contact; None: contact forces do not move
-                it, though its motion may be measured. The same object twice: both contacts are on
-                one body.
-            posture: (n,) joint positions to which redundant arms return (default: neutral). This
-                goal may be somewhat outside the joints' limits, since the posture task keeps the
-                joints within them.
-            engaged: whether the law includes the contacts from the start.
-            in_contact: whether contacts that push are closed at the start; False: they are open,
-                and approached once they are active, for which `life` is needed.
-            friction: friction at the contacts that is taken into account; None: none.
-            reading: method of computing contact forces from the wrist readings, 'filter' (fig. 5)
-                or 'least_squares', which is not affected by friction and tilted faces; None: the
-                latter if a contact pushes at a known point (see `law.reading`).
-            life: settings of contact phases, by which contacts are opened, approached and closed
-                one by one; None: all contacts are closed while they are engaged.
-            laws: the user's laws in place of force law, motion law or control structure.
-            posture_task: settings of the posture task of redundant arms.
-            safety: limits of the robot, and conditions of a hold and a stop.
-            joint_friction: settings for identification and compensation of joint friction; True:
-                `JointFriction()`; False: no compensation.
+        """Check the arguments, which the class's docstring describes, and zero all integrals.
 
         Raises:
-            InvalidInputError: an argument of another class or unit, an unknown metric, contacts
-                that begin open without `life`, or contacts and an arm without a wrist sensor, so
-                that contact forces cannot be measured.
-            ModelError: an arm that the law does not support.
+            InvalidInputError, ModelError: see the class.
         """
         settings = Settings(
             chain,
@@ -151,20 +155,8 @@ class Controller(ControllerState):
             joint_friction,
             reading,
         )
-        if laws is not None:
-            require_kind(
-                "laws=",
-                laws,
-                Laws,
-                "osc.Laws(force=function), osc.Laws(motion=function) or "
-                "osc.Laws(structure=function)",
-            )
-        if life is None and not in_contact:
-            raise InvalidInputError(
-                "in_contact=False begins with open contacts, and without life= none is ever "
-                "approached: give life=osc.PhaseSettings() too"
-            )
-        chain.law_row(led=False)  # checks the arms
+        _require_beginning(laws, life, in_contact=in_contact)
+        chain.law_row(led=False)  # raises ModelError for arms that the law does not support
         self._begin(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))
         self._begin_contacts(engaged=engaged, in_contact=in_contact)
 
@@ -172,8 +164,8 @@ class Controller(ControllerState):
         """Set phases, gains and flags of the contacts in a new MEMORY.
 
         Args:
-            engaged: True if contacts take part in the law from the first tick on.
-            in_contact: False if the object begins in the air, its contacts not made.
+            engaged: True if the law includes the contacts from the first tick on.
+            in_contact: False if the object begins in the air, with contacts that push not made.
         """
         memory = self.records.memory
         life = self.settings.life
@@ -195,11 +187,11 @@ class Controller(ControllerState):
             memory.columns.closed[:] = 0
 
     def _begin(self, settings: Settings, laws: Laws, start: StartCheck, model: Bytes) -> None:
-        """Set the attributes of a new controller.
+        """Set the attributes of a new controller, with a MEMORY of zeros.
 
         Args:
-            settings: its settings. laws: its laws. start: check of the first ticks.
-            model: bytes of its MODEL.
+            settings: settings of the controller. laws: custom laws. start: check of the first
+                ticks. model: bytes of MODEL, packed from the settings.
         """
         records = TickRecords(model)
         self.__dict__.update(
@@ -214,7 +206,7 @@ class Controller(ControllerState):
         )
 
     def _replace_records(self, records: TickRecords) -> None:
-        """Continue with records of other sizes."""
+        """Use new records, in which a custom pair has another number of columns of N."""
         self.__dict__["records"] = records
         self.ended.forget_limits()
 
@@ -250,23 +242,27 @@ class Controller(ControllerState):
         try:
             if measurement.stamps is not None or measurement.sequence is not None:
                 self._note_stamps(measurement)
-            given, switches = read_tick(self.records, measurement, reference)
+            inputs, switches = read_tick(self.records, measurement, reference)
             if not self.start.done:
                 self.start.look(self, measurement)
             error = None
             if self.custom.needed:
-                parts = TickParts(self.records, given, switches)
+                parts = TickParts(self.records, inputs, switches)
                 error = self.custom.tick(parts, measurement, reference, self._replace_records)
                 if error is not None:
                     self._hold(measurement)
-            elif self.records.tick(given, switches) and not self.idle.waiting:
+            elif self.records.tick(inputs, switches) and not self.idle.waiting:
                 return self.records.torques.copy()
             return self._end(measurement, reference, error)
-        except Exception as error:  # nothing that comes in may end the control loop
+        except Exception as error:  # no input may end the control loop
             return self._refuse(measurement, reference, error)
 
     def _note_stamps(self, measurement: Measurement) -> None:
-        """Compare stamps and number of a measurement with those before it."""
+        """Compare the stamps and the sequence number of a measurement with those before it.
+
+        Fills `repeated` (readings that are not new), `stamped` and `late` (ticks by which the wrist
+        readings are older than those of the encoders) of MEMORY.
+        """
         memory = self.records.memory
         memory.repeated = self.freshness.look(measurement)
         if measurement.stamps is not None:
@@ -275,7 +271,7 @@ class Controller(ControllerState):
             memory.late = min(max(0.0, late / self.dt + 0.5), HISTORY)
 
     def _refuse(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
-        """Torques (n_a,) of a tick that cannot use its inputs, by the safety layer.
+        """Compute the torques (n_a,) of a tick with unusable inputs by the safety layer (N m, N).
 
         Args:
             measurement, reference: inputs of the tick. error: exception that they raised.
@@ -287,13 +283,17 @@ class Controller(ControllerState):
             require_shapes(measurement, reference, self.settings)
         try:
             require_sizes(measurement, reference, self.settings)
-        except Exception as why:  # the same in words
-            error = why
+        except Exception as size_error:  # its message names the input, unlike that of `error`
+            error = size_error
         self.ended.note(measurement, reference, error)
         return self._hold(measurement)
 
     def _hold(self, measurement: Measurement) -> Array:
-        """Torques (n_a,) of a tick that failed outside of the law, and is not computed."""
+        """Compute the torques (n_a,) of a tick that failed outside of the law (N m, N).
+
+        The law runs with wrenches of NaN, so that it ends the tick HELD: repeated torques, or a
+        hold or stop by the joint readings, as far as these can be read.
+        """
         n = self.chain.nq
         q, v = (read_joints(getattr(measurement, name, None), n) for name in "qv")
         self.records.hold(q, v)
@@ -302,16 +302,22 @@ class Controller(ControllerState):
     def _end(
         self, measurement: Measurement, reference: Reference, error: Exception | None
     ) -> Array:
-        """Torques (n_a,) of a tick of the law, within the motors' limits.
+        """Complete a tick of the law according to its status; return its torques (n_a,) (N m, N).
+
+        SATURATED: the torques are brought within the motor limits. HELD because the object's pose
+        is unknown: it is computed from the joints, and the tick is repeated.
 
         Args:
             measurement, reference: inputs of the tick.
             error: exception of custom code in this tick, or None.
+
+        Raises:
+            InvalidInputError: in the first tick, for arrays of wrong shapes.
         """
         if self.idle.waiting and self.idle.count(self.settings, reference.alpha_d):
             _log.warning("%s", self.idle.sentence(self.settings))
         code = int(self.records.memory.status)
-        if code in (OK, DEGRADED):  # the law did it all
+        if code in (OK, DEGRADED):  # the torques of the law are final
             return self.last_torques()
         self.ended.note(measurement, reference, error)
         if code == Status.HELD:
@@ -324,15 +330,23 @@ class Controller(ControllerState):
                 self.ended.limit_torques(
                     self.records, self.settings, custom_structure=self.laws.structure is not None
                 )
-            except SolverError as why:
+            except SolverError as solver_error:
                 self._hold(measurement)
-                self.ended.failure = why
+                self.ended.failure = solver_error
         return self.last_torques()
 
     def _locate(self, q: Array) -> bool:
-        """Find the object's pose from the joints alone, as a start for the law; return success."""
+        """Compute the object's pose from the joints, as an initial pose for the law.
+
+        Args:
+            q: (n,) joint positions (rad, m).
+
+        Returns:
+            True if X_WO and `located` of MEMORY were filled; False if an arm holds the object
+            rigidly, the pose was computed in this tick before, or cannot be found.
+        """
         memory = self.records.memory
-        if self.chain.leader is not None or memory.located == 2:  # 2: tried at this tick already
+        if self.chain.leader is not None or memory.located == 2:  # 2: computed in this tick
             memory.located = 0
             return False
         try:
@@ -377,7 +391,7 @@ class Controller(ControllerState):
         write_whole(controller_bytes(self), path)
 
     def with_gains(self, gains: Gains) -> Self:
-        """Another controller with new gains that continues with the present state (bumpless).
+        """Make a controller with new gains that continues with the present state (bumpless).
 
         The force integral, which is a force, does not change. The command of the motion integral
         does not change either: ∫e is scaled by the ratio of the old gain to the new one, or the
@@ -404,18 +418,25 @@ class Controller(ControllerState):
         return other
 
     def with_safety(self, safety: SafetySettings) -> Self:
-        """Another controller with new limits of the robot that continues with the present state."""
+        """Make a controller with new safety limits that continues with the present state."""
         settings = replace(self.settings, safety=safety)
         other = self._another(settings, self.laws)
         pack_safety(settings, other.records.model)
         return other
 
     def with_laws(self, **laws: Callable[..., Any] | None) -> Self:
-        """Another controller with custom laws (`Laws`) that continues with the present state."""
+        """Make a controller with custom laws that continues with the present state.
+
+        Args:
+            **laws: fields of `Laws` to change: force, motion or structure, a function or None.
+        """
         return self._another(self.settings, replace(self.laws, **laws))
 
     def _another(self, settings: Settings, laws: Laws) -> Self:
-        """Copy of the controller with other settings and laws, continuing from its memory."""
+        """Copy the controller with other settings and laws; the copy continues from its memory.
+
+        MODEL is copied, too; the caller packs changed settings into it.
+        """
         other = type(self).__new__(type(self))
         other._begin(settings, laws, deepcopy(self.start), self.records.model_bytes)
         other.records.memory_bytes[:] = self.records.memory_bytes
@@ -424,15 +445,16 @@ class Controller(ControllerState):
         return other
 
     def __deepcopy__(self, memo: dict[int, object]) -> Self:
-        return copy(self)  # shares the immutable settings and laws
+        """Copy the records; settings and laws are immutable and shared with the copy."""
+        return copy(self)
 
     def __getstate__(self) -> dict[str, Any]:
         """State for `pickle` and `copy`: settings, laws, and bytes of the records."""
-        r = self.records
+        records = self.records
         return {
             "parts": (self.settings, self.laws, deepcopy(self.start)),
-            "columns": self.custom.columns(r.model),
-            "bytes": (r.memory_bytes, r.work_bytes),
+            "columns": self.custom.columns(records.model),
+            "bytes": (records.memory_bytes, records.work_bytes),
             "ended": self.ended.lasting(self.given_up),
         }
 
@@ -445,5 +467,33 @@ class Controller(ControllerState):
         self.idle.begin(waiting=not self.engaged)
 
     def _hand_over(self) -> None:
+        """Convert the command of the motion integral to the constant wrench `f_bias` of MEMORY.
+
+        Runs part HAND_OVER of the law, which reads WORK of the last tick and no measurement.
+        """
         zeros = np.zeros(self.chain.nq)
         self.records.hold(zeros, zeros, reading=0.0, begin=HAND_OVER)
+
+
+def _require_beginning(laws: Laws | None, life: PhaseSettings | None, *, in_contact: bool) -> None:
+    """Refuse custom laws of another class, and open contacts that would never be approached.
+
+    Args:
+        laws: custom laws, or None. life: settings of the contact phases, or None.
+        in_contact: False if contacts that push are open at the start.
+
+    Raises:
+        InvalidInputError: one of these.
+    """
+    if laws is not None:
+        require_kind(
+            "laws=",
+            laws,
+            Laws,
+            "osc.Laws(force=function), osc.Laws(motion=function) or osc.Laws(structure=function)",
+        )
+    if life is None and not in_contact:
+        raise InvalidInputError(
+            "in_contact=False begins with open contacts, and without life= none is ever "
+            "approached: give life=osc.PhaseSettings() too"
+        )

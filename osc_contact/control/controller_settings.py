@@ -1,4 +1,4 @@
-"""What a controller is made of: its arguments, validated once and never changed."""
+"""Settings of a controller: its arguments, validated once and never changed."""
 
 from __future__ import annotations
 
@@ -40,15 +40,16 @@ from osc_contact.spatial import Array, as_array
 
 Reading = Literal["filter", "least_squares"]
 
-#: Of a joint's range; how far beyond its limits `posture` may lie. It is a goal that the push away
-#: from the limits keeps the joint from reaching, so a goal just outside does no harm; one that is
-#: further out than this is given in other units (degrees, mm).
+#: Largest distance of `posture` beyond the joints' limits, as a share of a joint's range. Joints
+#: never reach a goal beyond their limits, because the posture task pushes them away from these; a
+#: goal just outside is therefore harmless. A goal farther out is in a wrong unit (degrees, mm).
 GOAL_BEYOND = 1.5
 
 
-#: s; a longer control period is given in another unit: motion at 10 Hz is no control of force.
+#: Longest control period (s); a larger number is in a wrong unit, since forces cannot be controlled
+#: at 10 Hz.
 LONGEST_PERIOD = 0.1
-#: What settings are, and how they are written in a program.
+#: Class of each setting, and an example for messages.
 _KINDS: dict[str, tuple[type, str]] = {
     "gains": (Gains, "osc.Gains(osc.MotionGains(frequency=3.0), osc.ForceGains(bandwidth=5.0))"),
     "posture_task": (PostureTask, "PostureTask(stiffness=10.0)"),
@@ -61,7 +62,9 @@ _KINDS: dict[str, tuple[type, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """All settings of a controller, see `Controller`; a `reading` of None is replaced by a choice.
+    """All settings of a controller, see `Controller`.
+
+    `reading` = None is replaced by the method that `choose_reading` selects.
 
     Raises:
         InvalidInputError: an object of another class, dt not positive or above 0.1 s, an unknown
@@ -85,9 +88,49 @@ class Settings:
     reading: Reading | None
 
     def __post_init__(self) -> None:
+        """Check all settings, and replace lists, numbers and omitted values by checked ones.
+
+        Raises:
+            InvalidInputError, ModelError: see the class.
+        """
         self._require_kinds()
-        chain = self.chain
         self._require_period()
+        self._require_metric()
+        contacts = self._listed_contacts()
+        bodies = self._listed_bodies(contacts)
+        posture = self._checked_posture()
+        for pair in contacts:
+            if self.friction is not None and not knows_where_it_slides(pair):
+                raise InvalidInputError(
+                    f"contact '{pair.name}' is a {type(pair).__name__}, which has no points of "
+                    "contact, so its friction is not known. Leave control.friction out, or give "
+                    "the pair a method points_of_contact(X_WO, X_WE)"
+                )
+        joint_friction = self.joint_friction
+        if isinstance(joint_friction, bool):
+            joint_friction = JointFriction() if joint_friction else None
+        store(
+            self,
+            contacts=contacts,
+            bodies=bodies,
+            posture=posture,
+            joint_friction=joint_friction,
+            reading=choose_reading(self.reading, contacts),
+        )
+        if self.gains.force.integral * self.dt >= 1.0:
+            raise InvalidInputError(
+                f"force gain integral = {self.gains.force.integral:g} 1/s at a period of "
+                f"{self.dt:g} s leaves no stability margin; keep integral × period below 1"
+            )
+        self._require_motors()
+
+    def _require_metric(self) -> None:
+        """Refuse a metric B of eq. 24 that is unknown or not positive definite; store an array.
+
+        Raises:
+            InvalidInputError: another name than "object" or "chain", or a matrix that is not a
+                positive definite (6, 6).
+        """
         if isinstance(self.B, str):
             if self.B not in ("object", "chain"):
                 raise InvalidInputError(
@@ -96,8 +139,18 @@ class Settings:
         else:
             store(self, B=as_array("B", self.B, (6, 6)))
             unit_diagonal(self.B, "the metric B of eq. 24", "an inverse inertia", InvalidInputError)
-        contacts = self._listed_contacts()
-        blind = [arm.name for arm in chain.arms if arm.wrist_sensor is None]
+
+    def _listed_bodies(self, contacts: tuple[ContactPair, ...]) -> tuple[Body | None, ...]:
+        """Return the touched body of each contact as a tuple; require a wrist sensor in each arm.
+
+        Args:
+            contacts: checked contact pairs.
+
+        Raises:
+            InvalidInputError: contacts and an arm without a wrist sensor, or another number of
+                bodies than of contacts.
+        """
+        blind = [arm.name for arm in self.chain.arms if arm.wrist_sensor is None]
         if contacts and blind:
             raise InvalidInputError(
                 "contact forces are measured in the wrists of all arms together, but "
@@ -109,35 +162,32 @@ class Settings:
             raise InvalidInputError(
                 f"{len(contacts)} contacts but {len(bodies)} bodies; give one for each contact"
             )
-        posture = np.zeros(chain.nq)
-        if self.posture is not None:
-            posture = as_array("posture", self.posture, (chain.nq,))
-            lower, upper = position_limits(chain.model)
-            with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
-                beyond = GOAL_BEYOND * (upper - lower)
-            require_in_range("posture", chain, posture, beyond)
-        for pair in contacts:
-            if self.friction is not None and not knows_where_it_slides(pair):
-                raise InvalidInputError(
-                    f"contact '{pair.name}' is a {type(pair).__name__}, which has no points of "
-                    "contact, so its friction is not known. Leave control.friction out, or give "
-                    "the pair a method points_of_contact(X_WO, X_WE)"
-                )
-        how = self.joint_friction
-        store(
-            self,
-            contacts=contacts,
-            bodies=bodies,
-            posture=posture,
-            joint_friction=JointFriction() if how is True else how or None,
-            reading=choose_reading(self.reading, contacts),
-        )
-        if self.gains.force.integral * self.dt >= 1.0:
-            raise InvalidInputError(
-                f"force gain integral = {self.gains.force.integral:g} 1/s at a period of "
-                f"{self.dt:g} s leaves no stability margin; keep integral × period below 1"
-            )
-        for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
+        return bodies
+
+    def _checked_posture(self) -> Array:
+        """Return the goal (n,) of the posture task (rad, m), zeros if it is omitted.
+
+        Raises:
+            InvalidInputError: a goal beyond a joint's limits by more than `GOAL_BEYOND` ranges.
+        """
+        chain = self.chain
+        if self.posture is None:
+            return np.zeros(chain.nq)
+        posture = as_array("posture", self.posture, (chain.nq,))
+        lower, upper = position_limits(chain.model)
+        with np.errstate(over="ignore"):  # limits of ±1.8e308 mean no limit
+            beyond = GOAL_BEYOND * (upper - lower)
+        require_in_range("posture", chain, posture, beyond)
+        return posture
+
+    def _require_motors(self) -> None:
+        """Refuse redundant arms with passive joints, in which posture torques cannot be applied.
+
+        Raises:
+            ModelError: an arm has more joints than its grasp transmits forces, and not all of them
+                have motors.
+        """
+        for arm, grasp in zip(self.chain.arms, self.chain.grasps, strict=True):
             if arm.model.nv > grasp.N.shape[1] and arm.passive_joints:
                 raise ModelError(
                     f"arm '{arm.name}' has {arm.model.nv} joints, {len(arm.passive_joints)} of "
@@ -146,7 +196,11 @@ class Settings:
                 )
 
     def _require_kinds(self) -> None:
-        """Refuse objects of other classes: numbers, truth values, groups of keys."""
+        """Refuse settings of a wrong class, such as a number or a dictionary in place of `Gains`.
+
+        Raises:
+            InvalidInputError: with the setting and an example.
+        """
         require_kind("Controller", self.chain, ClosedChain, "osc.ClosedChain([arm])")
         for name, (kind, example) in _KINDS.items():
             value = getattr(self, name)
@@ -154,7 +208,11 @@ class Settings:
                 require_kind(f"{name}=", value, kind, example)
 
     def _require_period(self) -> None:
-        """Refuse a control period that is not positive, or too long to be in seconds."""
+        """Refuse a control period (s) that is not positive or too long; store it as a float.
+
+        Raises:
+            InvalidInputError: dt is no finite number, not above 0 or above `LONGEST_PERIOD`.
+        """
         try:
             dt = float(self.dt)
         except (TypeError, ValueError):
@@ -171,7 +229,12 @@ class Settings:
         store(self, dt=dt)
 
     def _listed_contacts(self) -> tuple[ContactPair, ...]:
-        """Check the contact pairs and their sizes; return them as a tuple."""
+        """Check the contact pairs and their sizes; return them as a tuple.
+
+        Raises:
+            InvalidInputError: an object that is no pair, or a pair whose points on the object are
+                farther from its origin than the longest arm reaches (metres taken for millimetres).
+        """
         example = "[osc.VertexOnFace([0, 0, 0], point=p, normal=n)]"
         contacts = as_tuple("Controller: contacts", self.contacts, example)
         for pair in contacts:

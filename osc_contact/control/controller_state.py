@@ -1,4 +1,4 @@
-"""What a controller reports after a tick, and which numbers of it can be set between ticks."""
+"""Reports of a controller after a tick, and numbers that can be set between ticks."""
 
 from __future__ import annotations
 
@@ -19,18 +19,24 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.robots.model import joint_names
 from osc_contact.spatial import Array, as_array
 
-# The members of enumerations by their numbers: looked up in every tick.
+# Members of the enumerations by their numbers; indexing a tuple is faster than calling the class.
 _STATUS = tuple(Status)
 _STATES = tuple(SafetyState)
 
 
 def _six_numbers(field: str, doc: str) -> property:
-    """Property of a controller: six numbers of MEMORY that can be set."""
+    """Make a property of a controller for a field of MEMORY with six numbers.
+
+    Args:
+        field: name of the field. doc: docstring of the property.
+    """
 
     def read(controller: ControllerState) -> Array:
+        """Copy (6,) of the field."""
         return np.array(controller.records.memory[field])
 
     def write(controller: ControllerState, value: Array) -> None:
+        """Set the field to six finite numbers; InvalidInputError otherwise."""
         controller.records.memory[field][:] = as_array(field, value, (6,))
 
     return property(read, write, doc=doc)
@@ -41,11 +47,11 @@ class ControllerState:
 
     Attributes:
         settings: arguments of the controller.
-        records: all its numbers, MODEL, MEMORY and WORK (docs/design.md).
-        custom: its code in Python, which is called within ticks.
-        ended: end of the last tick that was not OK.
-        freshness: newest packet and stamps of its readings.
-        idle: ticks that desire forces of contacts that are not engaged.
+        records: all numbers of the controller, MODEL, MEMORY and WORK (docs/design.md).
+        custom: pairs, bodies and laws in Python, which are called within ticks.
+        ended: cause and losses of the last tick that was not OK.
+        freshness: newest packet number and stamps of the readings.
+        idle: count of ticks that desire forces of contacts that are not engaged.
     """
 
     settings: Settings
@@ -71,13 +77,14 @@ class ControllerState:
         """
         if self.status is Status.HELD or self.state is SafetyState.SAFE_STOP:
             return explain(self.records, self.settings, self.ended)
-        lost = str(self.given_up or "; ".join(map(str, self.lost_directions)))
-        if lost or not self.records.memory.ticked:
-            return lost
+        losses = str(self.given_up or "; ".join(map(str, self.lost_directions)))
+        if losses or not self.records.memory.ticked:
+            return losses
         if not self.engaged:
             return self.idle.sentence(self.settings)
-        waiting = (explained_approaches, standing_approaches)
-        return "; ".join(filter(None, (why(self.records, self.settings) for why in waiting)))
+        explained = explained_approaches(self.records, self.settings)
+        standing = standing_approaches(self.records, self.settings)
+        return "; ".join(sentence for sentence in (explained, standing) if sentence)
 
     @property
     def state(self) -> SafetyState:
@@ -109,7 +116,7 @@ class ControllerState:
 
     @property
     def needs_python(self) -> bool:
-        """Whether it has pairs, bodies or laws that only Python can evaluate."""
+        """Whether the controller has pairs, bodies or laws that only Python can evaluate."""
         return self.custom.needed
 
     @property
@@ -148,10 +155,11 @@ class ControllerState:
         return self._result
 
     def require_tick(self) -> None:
-        """Refuse to go on before the first computed tick.
+        """Refuse a call that needs the results of a tick before any tick was computed.
 
         Raises:
-            InvalidInputError: there was no tick yet; with the reason of the last one held.
+            InvalidInputError: no tick was computed; the message has the reason if the last tick was
+                held.
         """
         if not self.records.memory.ticked:
             raise InvalidInputError(
@@ -168,10 +176,11 @@ class ControllerState:
         return np.array(self.records.work.joints.acceleration)
 
     def residual_wrench(self) -> Array:
-        """(6,) wrist reading of the last tick minus what the model predicts at rest, untared.
+        """Wrist reading (6,) of the last tick, without tare, minus the model's prediction at rest.
 
-        Its mean at rest without contact is the tare, to be stored in `f_tare`: weight errors
-        cannot be distinguished from contact forces once contact is made.
+        It is at O in world axes (N, N m). Its mean at rest without contact is the tare, to be
+        stored in `f_tare`: once contact is made, weight errors cannot be distinguished from contact
+        forces.
         """
         result = self.result()
         return result.f_meas + self.f_tare - result.bias_out
@@ -218,19 +227,19 @@ class ControllerState:
         `LearnedFriction.save` and `load` store it in files; `put_on` adds it to the model of an
         arm.
         """
-        found = []
-        for arm, s in zip(self.settings.chain.arms, self.settings.chain.slices, strict=True):
-            friction, damping = self.joint_friction[s].T
-            found.append(
+        result = []
+        for arm, joints in zip(self.settings.chain.arms, self.settings.chain.slices, strict=True):
+            friction, damping = self.joint_friction[joints].T
+            result.append(
                 LearnedFriction(
                     robot=robot_identity(arm.model),
                     joints=tuple(joint_names(arm.model)),
                     friction=tuple(friction.tolist()),
                     damping=tuple(damping.tolist()),
-                    missing_inertia=tuple(self.missing_inertia[s].tolist()),
+                    missing_inertia=tuple(self.missing_inertia[joints].tolist()),
                 )
             )
-        return tuple(found)
+        return tuple(result)
 
     @property
     def normal_covariance(self) -> Array:
@@ -256,6 +265,10 @@ class ControllerState:
 
     @engaged.setter
     def engaged(self, engaged: bool) -> None:
+        """Include the contacts in the law, or not, without a transfer of the integrals.
+
+        Without phases all contacts become active with it. `engage` does it without a jump.
+        """
         self.records.memory.engaged = engaged
         self.idle.begin(waiting=not engaged)
         if self.settings.life is None or not engaged:
@@ -271,6 +284,14 @@ class ControllerState:
 
     @force_integral.setter
     def force_integral(self, value: Array) -> None:
+        """Set the integral of each independent column of N (N).
+
+        It is stored by column, too, if there are as many values as independent columns; otherwise
+        the integrals of the columns are zero.
+
+        Raises:
+            InvalidInputError: more than six values, or a number that is not finite.
+        """
         memory = self.records.memory
         value = as_array("force integral", value, (None,))
         if len(value) > 6:

@@ -58,11 +58,11 @@ class Laws:
 
 
 def _require(law: str, returned: Any, shape: tuple[int, ...], expected: str) -> Array:
-    """Check the result of a custom law.
+    """Check the result of a custom law; return it as an array.
 
     Args:
-        law: name of the law. returned: its result. shape: expected shape. expected: description of
-            the expected result for the message.
+        law: name of the law. returned: result of the user's function. shape: required shape.
+            expected: description of the required result for the message.
 
     Raises:
         InvalidInputError: another shape, or numbers that are not finite.
@@ -80,8 +80,8 @@ def force_law(make: Callable[[], ForceCommand]) -> Callable[[Any], Any]:
     Args:
         make: class, or function without arguments, that is called once for every controller, so
             that laws with a state do not share it. Its result is called in every tick, see
-            `Laws.force`; if the law returns something else, the controller holds the posture, and
-            `Controller.reason` has the cause.
+            `Laws.force`; if this call returns an invalid result, the controller holds the posture,
+            and `Controller.reason` has the cause.
 
     Returns:
         A function from `Controller` to `Controller`, for the argument ``install`` of
@@ -106,15 +106,15 @@ def motion_law(make: Callable[[], MotionCommand]) -> Callable[[Any], Any]:
 
 @dataclass
 class TickParts:
-    """Parts of one tick, which are run one after the other.
+    """Arguments of one tick whose parts are run one after the other.
 
     Attributes:
         records: records of the controller.
-        given, switches: arguments of the law, see `inputs.read_tick`.
+        inputs, switches: arguments of the law, see `inputs.read_tick`.
     """
 
     records: TickRecords
-    given: tuple[Array, ...]
+    inputs: tuple[Array, ...]
     switches: int
 
     def run(self, begin: int, stop: int, more: int = 0) -> bool:
@@ -128,18 +128,24 @@ class TickParts:
         Returns:
             Whether they were computed; else the tick has ended HELD.
         """
-        self.records.run(self.given, self.switches | more, begin, stop)
+        self.records.run(self.inputs, self.switches | more, begin, stop)
         return bool(self.records.memory.status != at.HELD)
 
 
 class CustomParts:
-    """Calls of the parts of a tick, with the user's Python code between them.
+    """Ticks of a controller with the user's Python code, called between the compiled parts.
 
     Attributes:
-        needed: whether a controller has such code.
+        needed: True if the controller has pairs, bodies or laws that only Python can evaluate.
     """
 
     def __init__(self, settings: Settings, laws: Laws, head: View) -> None:
+        """Find the pairs and bodies that the compiled law cannot evaluate.
+
+        Args:
+            settings: settings of the controller. laws: custom laws. head: view of MODEL, in which
+                such pairs have the kind GIVEN and such bodies the kind ELSEWHERE.
+        """
         self.settings = settings
         self.laws = laws
         self._pairs: list[tuple[int, ContactPair]] = [
@@ -169,11 +175,11 @@ class CustomParts:
         Args:
             parts: stages of the tick, none of which was run yet.
             measurement, reference: inputs of the tick.
-            replace: called with new records of the controller where custom pairs have changed
-                their number of columns.
+            replace: function that is called with new records of the controller if a custom pair has
+                changed its number of columns of N.
 
         Returns:
-            An error that custom code raised, so that the tick is to be held, or None.
+            Exception that custom code raised, for which the caller holds the tick, or None.
         """
         if not parts.run(at.LOOK, at.MEASURE, law.PARTIAL if self._pairs else 0):
             return None
@@ -185,7 +191,7 @@ class CustomParts:
                 if not self._command(parts, reference):
                     return None
                 begin = at.ALLOCATE
-        except Exception as error:  # whatever custom code raises ends as a status
+        except Exception as error:  # any exception of custom code becomes a status
             return error
         parts.run(begin, at.END)
         return None
@@ -197,7 +203,15 @@ class CustomParts:
         reference: Reference,
         replace: Callable[[TickRecords], None],
     ) -> bool:
-        """Evaluate custom pairs and bodies into WORK; returns whether the tick can go on."""
+        """Evaluate custom pairs and bodies, and write their results to WORK.
+
+        Fills `N`, `n_gamma` and `point` of the pairs' columns and `answer` of the bodies. If a pair
+        has another number of columns than before, the records are replaced by larger or smaller
+        ones first. Arguments as in `tick`.
+
+        Returns:
+            False if the tick has ended HELD.
+        """
         evaluated = self._evaluate(parts.records, measurement) if self._pairs else {}
         columns = {number: N.shape[1] for number, (N, _, _) in evaluated.items()}
         counts = parts.records.model.pairs.count
@@ -215,12 +229,24 @@ class CustomParts:
             if points is not None:
                 rows.point = points
         if self._bodies and measurement.touched is not None:
-            self._answer(records, measurement.touched)
+            self._evaluate_bodies(records, measurement.touched)
         misfit = np.size(reference.alpha_d) != len(records.work.columns)
-        return not (misfit and records.memory.engaged) or parts.run(at.LOOK, at.MEASURE)
+        if misfit and records.memory.engaged:
+            return parts.run(at.LOOK, at.MEASURE)  # ends the tick HELD, with its reason
+        return True
 
     def _command(self, parts: TickParts, reference: Reference) -> bool:
-        """Compute the commands, custom ones among them; returns whether the tick can go on."""
+        """Run the parts MEASURE and COMMAND of the tick, with custom laws in place of the own ones.
+
+        A custom force law fills `alpha_u` of WORK, a motion law `a_u`, a structure law
+        `acceleration_t` and `f_S`.
+
+        Args:
+            parts: the tick, with contacts placed. reference: reference of the tick.
+
+        Returns:
+            False if the tick has ended HELD.
+        """
         laws = self.laws
         force = law.OWN_FORCE if laws.force else 0
         motion = law.OWN_MOTION if laws.motion else 0
@@ -243,8 +269,21 @@ class CustomParts:
             self._structure(parts.records)
         return True
 
-    def _evaluate(self, records: TickRecords, measurement: Measurement) -> dict[int, Any]:
-        """N (6, r), n_γ (r,) and points (r, 3) from O, if known, of active custom pairs."""
+    def _evaluate(
+        self, records: TickRecords, measurement: Measurement
+    ) -> dict[int, tuple[Array, Array, Array | None]]:
+        """Evaluate the active custom pairs at the object's pose in WORK.
+
+        Args:
+            records: records of the tick. measurement: measurement with the touched bodies' motion.
+
+        Returns:
+            For each pair, by its index, N (6, r), n_γ (r,) and the points of contact (r, 3)
+            relative to O in world axes (m), or None for the points if the pair does not know them.
+
+        Raises:
+            ContactError: N or n_γ is not finite, or there is not one point for each column.
+        """
         X_WO = SE3(records.work.X_WO)
         V_O = records.work.V_O.copy()
         touched = measurement.touched
@@ -274,17 +313,31 @@ class CustomParts:
             evaluated[number] = N, columns[6], points
         return evaluated
 
-    def _answer(self, records: TickRecords, touched: Touched) -> None:
-        O = records.work.p_O.copy()  # noqa: E741
-        for c, body in self._bodies:
-            e = body.environment(SE3(touched.X_WE[c]), touched.V_E[c], touched.A_E[c], O)
-            records.work.bodies.answer[c] = *e.Phi_e.flat, *e.b_e, *e.V_e
-
-    def _repack(self, old: TickRecords, changed: dict[int, int]) -> TickRecords:
-        """Replace the records by new ones with other numbers of columns; retain other states.
+    def _evaluate_bodies(self, records: TickRecords, touched: Touched) -> None:
+        """Evaluate the custom bodies, and write Φ_e, b_e and V_e (eq. 14) to `answer` of WORK.
 
         Args:
-            controller: the `Controller`. changed: new numbers of columns by the index of the pair.
+            records: records of the tick, with the point O (m) in WORK. touched: measured motion of
+                the touched bodies.
+        """
+        p_O = records.work.p_O.copy()
+        for number, body in self._bodies:
+            X_WE = SE3(touched.X_WE[number])
+            environment = body.environment(X_WE, touched.V_E[number], touched.A_E[number], p_O)
+            records.work.bodies.answer[number] = (
+                *environment.Phi_e.flat,
+                *environment.b_e,
+                *environment.V_e,
+            )
+
+    def _repack(self, old: TickRecords, changed: dict[int, int]) -> TickRecords:
+        """Make records with other numbers of columns of N, and copy the states that do not depend.
+
+        Copied is MEMORY from behind its layout to the table of the columns.
+
+        Args:
+            old: records of the controller. changed: new numbers of columns by the index of the
+                pair.
         """
         columns = {**self.columns(old.model), **changed}
         new = TickRecords(pack_model(self.settings, columns))
@@ -310,12 +363,14 @@ class CustomParts:
         words = f"η̇_c and f_S, {state.d} finite numbers each"
         structure: Any = self.laws.structure
         eta, f_S = _require("structure", structure(signals), (2, state.d), words)
-        turn = records.reflection()
-        back = records.motions()
-        records.work.acceleration_t[:] = turn @ np.linalg.solve(back, state.S @ eta + state.sigma)
+        turn = records.reflection()  # energy coordinates to locked axes
+        to_motions = records.motions()  # energy coordinates to motions at O
+        acceleration = state.S @ eta + state.sigma
+        records.work.acceleration_t[:] = turn @ np.linalg.solve(to_motions, acceleration)
+        # the wrench f with Sᵀf = f_S in the metric's image of S
         weighed = state.metric @ state.S
         wrench = weighed @ np.linalg.solve(state.S.T @ weighed, f_S)
-        records.work.f_S[:] = turn @ (back.T @ wrench)
+        records.work.f_S[:] = turn @ (to_motions.T @ wrench)
 
 
 # Impedance and admittance control as `Laws`, for contacts without a model.
@@ -391,13 +446,17 @@ def admittance(
     return Laws(structure=_Admittance(M, D, K, 2.0 * np.pi * float(rate[0])))
 
 
-def _on_axes(name: str, given: npt.ArrayLike, positive: bool = False) -> Array:
-    """Six values, from a linear and an angular one or from all six.
+def _on_axes(name: str, numbers: npt.ArrayLike, positive: bool = False) -> Array:
+    """Expand a parameter of an impedance to (6,): a linear and an angular value, or all six.
+
+    Args:
+        name: name of the parameter, for messages. numbers: two or six numbers. positive: True if 0
+            is not allowed.
 
     Raises:
         InvalidInputError: another number of values, or a value out of bounds.
     """
-    values = as_array(name, given, (None,))
+    values = as_array(name, numbers, (None,))
     if len(values) == 2:
         values = np.repeat(values, 3)
     values = as_array(name, values, (6,))
@@ -425,12 +484,15 @@ class _Structure(ABC):
     def fill(self, records: TickRecords) -> None:
         """Write `acceleration_t` (the expected acceleration) and `f_S` of WORK.
 
+        With the commanded acceleration x and the additional wrench f, damping included,
+        f_S = Λ x + b + f and the expected acceleration is x + Λ⁻¹(f − f_meas), along the free axes.
+
         Args:
-            records: `TickRecords` of the tick.
+            records: records of the tick, whose parts before ALLOCATE have been run.
         """
         work = records.work
         m = int(work.locked)
-        turn = records.reflection() @ records.motions().T  # of wrenches
+        turn = records.reflection() @ records.motions().T  # wrenches at O to locked axes
         Lambda = work.Lambda
         columns = work.columns[work.chosen[: int(work.count)]]
         reading = work.f_meas - work.bias_out
@@ -443,36 +505,49 @@ class _Structure(ABC):
         work.f_S[:] = Lambda @ x + work.chain_bias + f
         x[m:] += np.linalg.solve(Lambda[m:, m:], (f - turn @ reading)[m:])
         work.acceleration_t[:] = x
-        work.force_next[:] = 0.0  # the integrals of the laws that are replaced rest
+        work.force_next[:] = 0.0  # the integrals of the replaced laws stay at zero
         work.motion_next[:] = 0.0
 
     @abstractmethod
     def command(self, work: View, desired: Array, reading: Array) -> tuple[Array, Array]:
-        """Commanded classical acceleration (6,), and an additional wrench (6,), at O.
+        """Compute the commanded motion and the additional wrench, at O in world axes.
 
         Args:
             work: WORK of the tick. desired: (6,) N α_d (N, N m). reading: (6,) wrist reading less
                 bias (N, N m).
+
+        Returns:
+            Classical acceleration (6,) (m/s², rad/s²) and wrench (6,) (N, N m).
         """
 
     def damp(self, Lambda: Array, turn: Array, rate: Array) -> Array:
-        """Damping wrench (d,) for the error rate ė, in turned energy coordinates.
+        """Compute the damping wrench (d,) for the error rate ė, along the free locked axes.
 
         Args:
-            Lambda: (d, d) inertia. turn: (d, 6) map of wrenches from world axes. rate: (d,) ė.
+            Lambda: (d, d) inertia of arms and object. turn: (d, 6) map of wrenches from world axes.
+            rate: (d,) error rate ė.
         """
         return np.zeros(len(rate))
 
 
 @dataclass(eq=False)
 class _Impedance(_Structure):
+    """Structure law of `impedance`.
+
+    Attributes:
+        K: (6,) stiffness along and about the world's axes (N/m, N m/rad).
+        ratio: damping ratio ζ.
+    """
+
     K: Array
     ratio: float
 
     def command(self, work: View, desired: Array, reading: Array) -> tuple[Array, Array]:
+        """Command A_D, and the spring force K e plus N α_d; see `_Structure.command`."""
         return work.A_D, self.K * work.error + desired
 
     def damp(self, Lambda: Array, turn: Array, rate: Array) -> Array:
+        """Compute D ė with D = 2ζ L (L⁻¹ K L⁻ᵀ)^½ Lᵀ, Λ = L Lᵀ; see `_Structure.damp`."""
         L = np.linalg.cholesky(Lambda)
         half = np.linalg.solve(L, turn * np.sqrt(self.K))  # half halfᵀ = L⁻¹ K L⁻ᵀ
         squares, U = np.linalg.eigh(half @ half.T)
@@ -482,15 +557,29 @@ class _Impedance(_Structure):
 
 @dataclass(eq=False)
 class _Admittance(_Structure):
+    """Structure law of `admittance`.
+
+    Attributes:
+        M, D, K: (6,) mass, damping and stiffness along and about the world's axes.
+        omega: ω of the position controller (rad/s).
+        c, rate: (6,) offset of the set point and its rate (m, rad; m/s, rad/s).
+    """
+
     M: Array
     D: Array
     K: Array
     omega: float
 
     def __post_init__(self) -> None:
+        """Begin with an offset of zero, at rest."""
         self.c = self.rate = np.zeros(6)
 
     def command(self, work: View, desired: Array, reading: Array) -> tuple[Array, Array]:
+        """Integrate M c̈ + D ċ + K c = N α_d − f over a tick; command the motion to x_d + c.
+
+        The additional wrench f compensates the reading, so that contact forces do not move the
+        object otherwise. Arguments and result as in `_Structure.command`.
+        """
         dt = float(work.dt)
         before = self.rate
         pushed = self.M * before + dt * (desired - reading - self.K * self.c)

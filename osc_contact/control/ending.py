@@ -1,4 +1,4 @@
-"""How a tick ended that the law did not compute as commanded: its cause, and what limits cost."""
+"""End of a tick that is not OK: cause of the status, and losses by the motor limits."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from osc_contact.interface import Measurement, Reference
 
 
 class TickEnd:
-    """The end of the last tick that did not end OK.
+    """Inputs, error and losses of the last tick whose status was not OK.
 
     Attributes:
         inputs: measurement and reference of that tick; None before the first such tick.
-        failure: error raised outside the law in that tick, or None.
+        failure: error raised outside the compiled law in that tick, or None.
     """
 
     inputs: tuple[Measurement, Reference] | None = None
@@ -31,7 +31,7 @@ class TickEnd:
         Args:
             measurement: readings of the tick.
             reference: desired motion and forces of the tick.
-            failure: error raised by the user's code; None: none.
+            failure: error raised outside the compiled law, or None.
         """
         self.inputs = (measurement, reference)
         self.failure = failure
@@ -45,9 +45,9 @@ class TickEnd:
         Args:
             records: records of the tick; its torques are replaced.
             settings: settings of the controller.
-            custom_structure: whether a custom control structure made the torques. Of it nothing is
-                known, so all torques are scaled by one factor; else the quadratic program is
-                solved that loses least.
+            custom_structure: True if a custom control structure commands the object. The quadratic
+                program of least losses does not apply to it, so all torques are scaled by one
+                factor.
 
         Raises:
             SolverError: no torques within the limits were found.
@@ -74,10 +74,13 @@ class TickEnd:
         self._limits = None
 
     def lasting(self, loss: LimitLoss | None) -> TickEnd:
-        """A copy that can be pickled: errors as their sentences, the loss in place of its program.
+        """Copy without references to records or to exceptions of the user, for `pickle`.
+
+        The error is replaced by an `OscContactError` with the same sentence, and the quadratic
+        program, from which the loss is computed, by the loss.
 
         Args:
-            loss: cost of the motor limits in the last tick.
+            loss: cost of the motor limits in the last tick, or None.
         """
         other = TickEnd()
         other.inputs = self.inputs

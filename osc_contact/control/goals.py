@@ -58,6 +58,16 @@ class GoalFollower:
         angular: JerkLimits = ANGULAR,
         force: JerkLimits = FORCE,
     ) -> None:
+        """Begin at rest at `start` without forces.
+
+        Args:
+            contacts: pairs of the controller, in its order. start: pose of the object. dt: control
+                period (s).
+            linear, angular, force: limits (m/s …, rad/s …, N/s …).
+
+        Raises:
+            InvalidInputError: arguments out of range or of the wrong kind.
+        """
         self._owners = force_owners(contacts)
         self._names = [pair.name for pair in contacts]
         self._pose = PoseSetPoint(start, linear, angular, dt)
@@ -99,7 +109,7 @@ class GoalFollower:
         return self._pose.step(self._goal, forces)
 
     def reset(self, X: pin.SE3) -> None:
-        """Rest at X without forces from now on, for example after a stop."""
+        """Rest at the pose X of the object without forces from now on, for example after a stop."""
         self._pose.reset(X)
         self._goal = X
         self._alpha_d = np.zeros(len(self._owners))

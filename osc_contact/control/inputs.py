@@ -12,31 +12,40 @@ from osc_contact.law import tick as law
 from osc_contact.law.records import JOINTS, OUTDATED, WRISTS
 from osc_contact.spatial import Array, as_array
 
-#: What the law takes for alpha_d where a reference has none: its own array is read-only.
+#: alpha_d for the law if a reference has no forces; the reference's own empty array is read-only.
 NO_FORCES: Array = np.zeros(0)
 
-_NEVER = float("-inf")
+_NEVER = float("-inf")  #: stamp and number before the first ones
+#: Flags of the readings that a stamp or a packet number refers to.
 _READINGS = {"encoders": JOINTS, "wrists": WRISTS, "packet": JOINTS | WRISTS}
 
 
 def _arrays(
     measurement: object, reference: object, settings: Settings
 ) -> Iterator[tuple[str, object, tuple[int, ...]]]:
-    """Names, values and shapes of the arrays that every tick takes."""
+    """Yield name, value and required shape of each array that every tick needs.
+
+    Args:
+        measurement, reference: inputs of the tick, perhaps without some attributes; the value of a
+            missing attribute is None.
+        settings: settings of the controller, which determine the shapes.
+    """
     n = settings.chain.nq
     k = len(settings.chain.arms)
-    for name, shape in {"q": (n,), "v": (n,), "wrenches": (k, 6), "V_D": (6,), "A_D": (6,)}.items():
-        yield name, getattr(measurement, name, getattr(reference, name, None)), shape
+    for name, shape in {"q": (n,), "v": (n,), "wrenches": (k, 6)}.items():
+        yield name, getattr(measurement, name, None), shape
+    for name in ("V_D", "A_D"):
+        yield name, getattr(reference, name, None), (6,)
 
 
 def require_sizes(measurement: Measurement, reference: Reference, settings: Settings) -> None:
-    """Refuse what no tick can take in.
+    """Refuse inputs of wrong sizes, or with numbers that are not finite or out of range.
 
     Args:
         measurement, reference: inputs of the tick. settings: settings of the controller.
 
     Raises:
-        InvalidInputError: with what is wrong.
+        InvalidInputError: with the name of the first such input, its value and the expected one.
     """
     k = len(settings.chain.arms)
     c = len(settings.contacts)
@@ -58,19 +67,26 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
 
 
 def _require_force(name: str, forces: float | Array) -> None:
-    """Refuse forces (N) that the law does not take in: more than 1.8e6 in size."""
+    """Refuse desired forces above 1e6 N in magnitude.
+
+    Args:
+        name: name of the field of the reference, for the message. forces: a force or several (N).
+
+    Raises:
+        InvalidInputError: a force is larger.
+    """
     if np.abs(forces).max(initial=0.0) > 1e6:
         raise InvalidInputError(f"reference {name}: {forces} N; no robot presses with 1e6 N")
 
 
 def require_shapes(measurement: object, reference: object, settings: Settings) -> None:
-    """Refuse arrays of numbers that no tick of this controller will ever take.
+    """Refuse numeric arrays of a wrong shape, which are an error of the program, not of a sensor.
 
     Args:
         measurement, reference: inputs of the tick. settings: settings of the controller.
 
     Raises:
-        InvalidInputError: with both shapes.
+        InvalidInputError: with the expected shape and that of the array.
     """
     for name, value, shape in _arrays(measurement, reference, settings):
         if isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.shape != shape:
@@ -78,7 +94,17 @@ def require_shapes(measurement: object, reference: object, settings: Settings) -
 
 
 def touched_rows(touched: Touched) -> Array:
-    """(contacts, 28) X_WE by rows, V_E, A_E."""
+    """Join the motion of the touched bodies to the table (contacts, 28) that the law reads.
+
+    Each row has the 16 elements of X_WE by rows, V_E (6) and A_E (6).
+
+    Args:
+        touched: pose, twist (m/s, rad/s) and acceleration (m/s², rad/s²) of the body at each
+            contact.
+
+    Raises:
+        InvalidInputError: different numbers of poses, twists and accelerations.
+    """
     count = len(touched.X_WE)
     if len(touched.V_E) != count or len(touched.A_E) != count:
         raise InvalidInputError(f"touched: {count} poses, but other numbers of motions")
@@ -92,10 +118,16 @@ def touched_rows(touched: Touched) -> Array:
 def read_tick(
     records: TickRecords, measurement: Measurement, reference: Reference
 ) -> tuple[tuple[Array, ...], int]:
-    """Arguments of the law's call in a tick, and its switches; the marks of readings go to MEMORY.
+    """Collect the arguments of the law for a tick.
+
+    Fills `derived`, `wrench_missing` and `squeeze` of MEMORY, which are no arguments.
 
     Args:
-        records: records of the controller. measurement, reference: input of the tick.
+        records: records of the controller. measurement, reference: inputs of the tick.
+
+    Returns:
+        Arrays q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active of `law.tick.rows`, and its
+        switches.
     """
     if measurement.estimated:
         records.memory.derived = 1
@@ -104,10 +136,10 @@ def read_tick(
     flags = 0
     squeeze = reference.squeeze_d
     if type(squeeze) is float:
-        records.squeeze.fill(squeeze)  # costs a quarter of an assignment to a slice
+        records.squeeze.fill(squeeze)  # takes a quarter of the time of an assignment to a slice
     else:
         records.squeeze[:] = squeeze
-    # with three arms and more, the number 0 leaves internal forces at least effort
+    # with three arms or more, the number 0 does not command bar forces: they are of least effort
     if len(records.squeeze) > 1 and not (np.ndim(squeeze) == 0 and squeeze == 0.0):
         flags = law.COMMANDED
     table = STILL
@@ -115,7 +147,7 @@ def read_tick(
         table = touched_rows(measurement.touched)
         flags |= law.MOVING
     alpha_d = reference.alpha_d
-    given = (
+    inputs = (
         measurement.q,
         measurement.v,
         measurement.wrenches,
@@ -126,44 +158,54 @@ def read_tick(
         table,
         UNNAMED if reference.active is None else reference.active,
     )
-    return given, flags
+    return inputs, flags
 
 
 def read_joints(x: object, n: int) -> Array:
-    """(n,) numbers, as far as x has them; else all of them NaN."""
+    """Convert joint positions or velocities to an array (n,); all NaN if it is not possible.
+
+    Args:
+        x: any object, such as a list of numbers. n: number of joints.
+    """
     try:
         array = np.array(x, dtype=float)
-    except Exception:  # numbers too large, or warnings made errors, among others
+    except Exception:  # such as numbers too large, or warnings turned into errors
         array = np.zeros(0)
     return array if array.shape == (n,) else np.full(n, np.nan)
 
 
 class Freshness:
-    """The newest packet and stamps so far, of one controller.
+    """Detection of repeated and outdated readings, by their stamps and packet numbers.
 
     Attributes:
-        flags: which readings of the last tick were not new: JOINTS, WRISTS, OUTDATED.
-        repeated: ticks in a row, up to the last one, with readings that were not new.
+        flags: readings of the last tick that were not new, a sum of JOINTS and WRISTS, plus
+            OUTDATED if the packet was older than a previous one.
+        repeated: number of consecutive ticks, up to the last one, with readings that were not new.
     """
 
     def __init__(self) -> None:
-        """Nothing was read yet."""
+        """Begin without any stamp or packet number."""
         self.forget()
 
     def forget(self) -> None:
-        """Begin again."""
+        """Forget all stamps and packet numbers, so that the next measurement counts as new."""
         self._newest = dict.fromkeys(_READINGS, _NEVER)
         self.repeated = self.flags = 0
 
     def look(self, measurement: Measurement) -> int:
-        """Compare a measurement with those before it; returns `flags`."""
+        """Compare stamps and packet number of a measurement with the newest ones; return `flags`.
+
+        Args:
+            measurement: measurement of a tick, with stamps, a packet number or both.
+        """
         stamps = measurement.stamps
-        number = measurement.sequence
-        given = {} if stamps is None else {"encoders": stamps.encoders, "wrists": stamps.wrists}
-        if number is not None:
-            given["packet"] = number
+        marks: dict[str, float] = {}
+        if stamps is not None:
+            marks |= {"encoders": stamps.encoders, "wrists": stamps.wrists}
+        if measurement.sequence is not None:
+            marks["packet"] = measurement.sequence
         self.flags = 0
-        for name, stamp in given.items():
+        for name, stamp in marks.items():
             if stamp > self._newest[name]:
                 self._newest[name] = stamp
                 continue

@@ -1,13 +1,13 @@
-"""The joint torque loop: a flexible joint with an imperfect motor made into a torque source.
+"""Joint torque loop: it makes a torque source of a flexible joint with an imperfect motor.
 
 Section 6 of the paper and its reference [11]: sensors behind the springs read the torque τ that
 reaches the link. With the motor's inertia J_m and the spring K,
 
     τ̈ = K((u − τ)/J_m − q̈),    u = τ_d + k_p(τ_d − τ) − k_d τ̇
 
-moves the resonance from ω = √(K/J_m) to ω√(1 + k_p) and makes motor inertia, bias, ripple and
-friction seem 1 + k_p times smaller. There is no integral: what it would remove is already small,
-and it would wind up in every contact loss. The loop runs at its own, higher rate.
+moves the resonance from ω = √(K/J_m) to ω√(1 + k_p) and reduces the effects of motor inertia, bias,
+ripple and friction by the factor 1 + k_p. There is no integral: the remaining errors are small, and
+it would wind up in every contact loss. The loop runs at a higher rate than the controller.
 """
 
 from dataclasses import dataclass
@@ -19,19 +19,19 @@ from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.settings.control import JointTorqueSpec
 from osc_contact.spatial import Array, as_array
 
-#: The rate τ̇ is estimated with a bandwidth this many times that of the loop.
+#: Bandwidth of the estimate of τ̇, as a multiple of the loop's bandwidth.
 RATE_BANDWIDTH = 6.0
 
 
 @dataclass
 class JointTorqueLoop:
-    """Torque control of every joint by itself, from its torque sensor alone.
+    """Torque control of each joint separately, from its torque sensor.
 
     Attributes:
         stiffness: (n_a,) K of the springs (N m/rad; N/m).
         motor_inertia: (n_a,) J_m (kg m²; kg).
-        tau_max: (n_a,) limits of the motors.
-        settings: rate, gain k_p and damping ratio of the closed loop.
+        tau_max: (n_a,) torque limits of the motors (N m; N).
+        settings: rate (Hz), gain k_p and damping ratio of the closed loop.
         dt: period of the loop (s). gain: k_p. rate_gain: (n_a,) k_d (s).
         bandwidth: (n_a,) ω√(1 + k_p) (rad/s).
 
@@ -73,34 +73,48 @@ class JointTorqueLoop:
             )
 
     def command(self, tau_d: Array, tau: Array, fresh: bool = True) -> Array:
-        """Motor torques u (n_a,), within the limits, for one period.
+        """Compute the motor torques u (n_a,) for one period, within the limits (N m; N).
 
         Args:
-            tau_d: (n_a,) desired joint torques. tau: (n_a,) sensed ones.
-            fresh: whether the sensors have sampled since the last call.
+            tau_d: (n_a,) desired joint torques (N m; N). tau: (n_a,) measured joint torques.
+            fresh: True if the sensors have sampled since the last call.
         """
         _, rate = self._rate.update(tau, fresh=fresh)
         u = tau_d + self.gain * (tau_d - tau) - self.rate_gain * rate
         return np.clip(u, -self.tau_max, self.tau_max)
 
     def spectral_radius(self) -> Array:
-        """(n_a,) largest eigenvalue magnitude of the sampled loop, the link held.
+        """Compute the spectral radius (n_a,) of each sampled loop with the link fixed.
 
-        States τ, τ̇ of the joint (exact over one period, u held) and the two of the estimate.
+        The states are τ and τ̇ of the joint (integrated exactly over one period of constant u) and
+        the two states τ̂, τ̂̇ of the estimate. The loop is stable below 1.
+        """
+        joints = zip(
+            self.stiffness,
+            self.motor_inertia,
+            self.rate_gain,
+            self._rate.alpha,
+            self._rate.beta,
+            strict=True,
+        )
+        return np.array([self._spectral_radius(*joint) for joint in joints])
+
+    def _spectral_radius(self, K: float, J_m: float, k_d: float, a: float, b: float) -> float:
+        """Compute the largest eigenvalue magnitude of the sampled loop of one joint.
+
+        Args:
+            K, J_m: stiffness and motor inertia (N m/rad, kg m²; N/m, kg). k_d: gain of τ̇ (s).
+            a, b: gains of the estimate, of τ and of τ̇ dt.
         """
         dt = self.dt
-        radii = []
-        of_joints = self.stiffness, self.motor_inertia, self.rate_gain
-        for K, J, k_d, a, b in zip(*of_joints, self._rate.alpha, self._rate.beta, strict=True):
-            w = float(np.sqrt(K / J))
-            c = np.cos(w * dt)
-            s = np.sin(w * dt)
-            push = np.array([1.0 - c, w * s])
-            A = np.zeros((4, 4))
-            A[:2, :2] = [[c, s / w], [-w * s, c]]
-            # estimate: x̂⁻ = (τ̂ + τ̂̇ dt, τ̂̇), x̂ = x̂⁻ + (a, b/dt)(τ − τ̂⁻)
-            A[2:] = [[a, 0.0, 1 - a, (1 - a) * dt], [b / dt, 0.0, -b / dt, 1 - b]]
-            # u from the estimate after it has seen τ
-            A[:2] -= np.outer(push, k_d * A[3] + [self.gain, 0.0, 0.0, 0.0])
-            radii.append(np.abs(np.linalg.eigvals(A)).max())
-        return np.array(radii)
+        w = float(np.sqrt(K / J_m))
+        c = np.cos(w * dt)
+        s = np.sin(w * dt)
+        push = np.array([1.0 - c, w * s])  # response of τ, τ̇ to a unit of u over one period
+        A = np.zeros((4, 4))
+        A[:2, :2] = [[c, s / w], [-w * s, c]]
+        # estimate: x̂⁻ = (τ̂ + τ̂̇ dt, τ̂̇), x̂ = x̂⁻ + (a, b/dt)(τ − τ̂⁻)
+        A[2:] = [[a, 0.0, 1 - a, (1 - a) * dt], [b / dt, 0.0, -b / dt, 1 - b]]
+        # u = −k_p τ − k_d τ̂̇, with the estimate updated by τ
+        A[:2] -= np.outer(push, k_d * A[3] + [self.gain, 0.0, 0.0, 0.0])
+        return float(np.abs(np.linalg.eigvals(A)).max())

@@ -31,30 +31,33 @@ _BODIES: dict[type, tuple[int, tuple[str, ...]]] = {
     Yielding: (at.YIELDING, ("compliance",)),
     Guided: (at.CART, ("direction", "inertia", "stiffness", "damping", "preload", "descent")),
 }
-_NEVER = 1e12  #: ticks
-_WHOLE = np.pi  #: rad or m; a larger range of a joint, or one that is open, counts as this much
-#: Speed of a joint from which on its dry friction counts as fully developed (rad/s, m/s).
+_NEVER = 1e12  #: number of ticks that no run reaches
+_WHOLE = np.pi  #: largest range of a joint that counts for the width of its margins (rad, m)
+#: Speed of a joint above which its Coulomb friction counts as fully developed (rad/s).
 SLIP = 3e-4
-SLIDING = 0.3  #: m/rad: of sliding joints
-_UNLIMITED = 100.0  #: N m, N: stands for the torque limit of motors that have none
-_NOISE = 0.003  #: of the torque limit: residuals that are no friction
-_ROUNDING = 2e-4  #: likewise, of a model without errors: of discrete time
-#: where the model has less friction than noise: standard deviations by which residuals must show it
+SLIDING = 0.3  #: ratio of that speed of sliding to that of turning joints (m/rad)
+_UNLIMITED = 100.0  #: torque limit assumed of motors without a limit (N m, N)
+_NOISE = 0.003  #: residuals that are not friction, as a share of the torque limit
+_ROUNDING = 2e-4  #: residuals by discrete time with an exact model, as a share of the torque limit
+#: Standard deviations by which residuals have to exceed zero before friction is compensated in a
+#: joint whose model has less friction than noise.
 _SURELY = 2.0
-#: of F, D, A, bias and wrong masses, where F, and D and A at 1 rad/s and 1 rad/s², are at most 1:
-#: standard deviation at the start, beside half of the model's value; at most; bound
-_DOUBT = np.array([0.07, 0.07, 0.07, 0.017, 0.07])
-_SPREAD = np.array([0.5, 0.5, 0.5, 0.5, 0.2])
-_BOUND = np.array([1.0, 20.0, 20.0, 1.0, 0.5])
+# Priors of the identified parameters F, D, A, bias and mass error of a joint, in a unit in which F,
+# D at 1 rad/s and A at 1 rad/s² are at most 1.
+_DOUBT = np.array(
+    [0.07, 0.07, 0.07, 0.017, 0.07]
+)  #: initial deviation, plus half the model's value
+_SPREAD = np.array([0.5, 0.5, 0.5, 0.5, 0.2])  #: largest standard deviation
+_BOUND = np.array([1.0, 20.0, 20.0, 1.0, 0.5])  #: bound of the magnitude
 
 
 def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
-    """Pack settings into the bytes of MODEL, which also determine the sizes of MEMORY and WORK.
+    """Pack settings into new bytes of MODEL, which also determine the sizes of MEMORY and WORK.
 
     Args:
         settings: settings of the controller.
         columns: number of columns of N of each pair that is evaluated by Python, by the index of
-            the pair; missing ones are 0.
+            the pair; 0 for pairs that are not in it.
     """
     chain = settings.chain
     pairs = [law_row(pair) or _GIVEN for pair in settings.contacts]
@@ -69,30 +72,19 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
     _pack_joints(settings, head)
     first_column = first_shape = 0
     for number, row in enumerate(pairs):
-        r = counts[number]
+        count = counts[number]
         contact = settings.contacts[number]
-        touched = settings.bodies[number]
         pair = head.pairs[number]
-        body = head.bodies[number]
         pair.kind = row.kind
         pair.first = first_column
-        pair.count = r
+        pair.count = count
         pair.shape_at = first_shape
         pair.freedoms = row.freedoms
         pair.address = row.address
         pair.has_friction = knows_where_it_slides(contact)
-        head.columns.contact[first_column : first_column + r] = number
-        body.pushes = pushes_only(contact)
-        body.kind, names = _BODIES.get(type(touched), (at.ELSEWHERE, ()))
-        body.same = number if touched is None else settings.bodies.index(touched)
-        given: Any = touched
-        if isinstance(touched, Guided):
-            given = touched.rail
-            if given.joints == [1]:
-                body.kind = at.ELSEWHERE
-        numbers = np.hstack([[], *(getattr(given, name) for name in names)])
-        body.parameters[: len(numbers)] = numbers
-        first_column += r
+        head.columns.contact[first_column : first_column + count] = number
+        _pack_body(settings, head, number)
+        first_column += count
         first_shape += len(row.shapes)
     head.shapes.row[:] = np.reshape(shapes, (-1, 16))
     pack_gains(settings, head)
@@ -100,7 +92,28 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
     return raw
 
 
-#: Gains as fields of MODEL, and of rows of MEMORY's contacts where phases do not set these.
+def _pack_body(settings: Settings, head: View, number: int) -> None:
+    """Pack the touched body of a contact into its row of `bodies` of MODEL.
+
+    Args:
+        settings: settings of the controller. head: view of MODEL. number: index of the contact.
+    """
+    touched = settings.bodies[number]
+    body = head.bodies[number]
+    body.pushes = pushes_only(settings.contacts[number])
+    body.kind, names = _BODIES.get(type(touched), (at.ELSEWHERE, ()))
+    body.same = number if touched is None else settings.bodies.index(touched)
+    source: Any = touched
+    if isinstance(touched, Guided):
+        source = touched.rail
+        if source.joints == [1]:  # a revolute rail is evaluated by Python
+            body.kind = at.ELSEWHERE
+    numbers = np.hstack([[], *(getattr(source, name) for name in names)])
+    body.parameters[: len(numbers)] = numbers
+
+
+#: Fields of MODEL for each gain, and the fields of MEMORY's contacts for gains of the force law,
+#: which contact phases may change there.
 GAIN_FIELDS: dict[str, tuple[str, str]] = {
     "motion.stiffness": ("stiffness", ""),
     "motion.damping": ("damping", ""),
@@ -150,7 +163,7 @@ def pack_gains(settings: Settings, head: View) -> None:
     head.metric = kinds[B] if isinstance(B, str) else at.BY_MATRIX
     head.B_inv[:] = np.eye(6) if isinstance(B, str) else np.linalg.inv(B)
     head.phased = settings.life is not None
-    # torques go gently after the active set has changed, without phases, too
+    # the limited torque rate after a change of the active set is needed without phases, too
     _copy(settings.life or PhaseSettings(), head, **PHASE_NAMES)
 
 
@@ -158,17 +171,17 @@ def pack_safety(settings: Settings, head: View) -> None:
     """Pack limits of the robot and settings of holds and stops into MODEL."""
     safety = settings.safety
     _copy(safety, head, stop_after="fault_ticks")
-    # s from the decision to stop until the brakes are on, as far as stopping ways are concerned
+    # effective delay (s) from the decision to stop until the brakes act, for stopping distances
     head.reaction = 0.5 / safety.hold_rate + 0.5 / BRAKE_RATE + SURE
-    for key in ("contact", "wrist"):  # a ceiling that is not given follows the commands
-        given = getattr(safety, f"{key}_ceiling")
-        setattr(head, f"{key}_ceiling", LEAST_CEILING if given is None else given)
-        setattr(head, f"{key}_headroom", HEADROOM if given is None else 0.0)
+    for key in ("contact", "wrist"):  # a ceiling that is not set follows the commands
+        ceiling = getattr(safety, f"{key}_ceiling")
+        setattr(head, f"{key}_ceiling", LEAST_CEILING if ceiling is None else ceiling)
+        setattr(head, f"{key}_headroom", HEADROOM if ceiling is None else 0.0)
     head.guarded = 1
     head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER))
     weight = 9.81 * settings.chain.reference.inertia.mass
     head.force_range = max(safety.force_range, 3.0 * weight)
-    head.torque_range = max(safety.torque_range, 3.0 * weight)  # on a lever of 1 m
+    head.torque_range = max(safety.torque_range, 3.0 * weight)  # at a lever arm of 1 m
     model = settings.chain.model
     rows = head.joints
     watched = (rows.motor >= 0) & (safety.brake_time > 0.0)
@@ -201,22 +214,29 @@ def _pack_joints(settings: Settings, head: View) -> None:
 
 
 def _pack_friction(settings: Settings, head: View) -> None:
-    """Pack the friction of the joints in the model, and the priors of its identification."""
-    how: Any = settings.joint_friction
-    if how is None:
+    """Pack the joints' friction of the model, and the priors of its identification, into MODEL.
+
+    Fills `rubs`, the fields friction_… and `priors`, and `slip` and `theta` of the joints. theta
+    has F (N m), D (N m s/rad), A (kg m²), a bias and a mass error of each joint.
+
+    Args:
+        settings: settings of the controller. head: view of MODEL, whose joints have their limits.
+    """
+    friction: Any = settings.joint_friction
+    if friction is None:
         return
     model = settings.chain.model
     rows = head.joints
     known = np.zeros((len(rows), 5))
     known[:, 0] = model.upperDryFrictionLimit
     known[:, 1] = model.damping
-    head.rubs = how.learning or how.errors or known.any()
-    head.friction_learning = how.learning
-    head.friction_errors = bool(how.errors)
-    head.friction_share = how.share
-    head.friction_smoothing = how.smoothing
+    head.rubs = friction.learning or friction.errors or known.any()
+    head.friction_learning = friction.learning
+    head.friction_errors = bool(friction.errors)
+    head.friction_share = friction.share
+    head.friction_smoothing = friction.smoothing
     limit = np.minimum(rows.tau_max, _UNLIMITED)
-    most = how.most * limit
+    most = friction.most * limit
     priors = head.priors
     priors.noise[:] = _NOISE * limit
     priors.rounding[:] = _ROUNDING * limit
@@ -228,7 +248,7 @@ def _pack_friction(settings: Settings, head: View) -> None:
     priors.doubt[:] = 0.5 * known + scale * _DOUBT
     priors.spread[:] = scale * _SPREAD
     priors.high[:] = np.maximum(scale * _BOUND, known)
-    priors.low[:, 2] = -np.array(model.armature)  # F and D cannot be below zero
+    priors.low[:, 2] = -np.array(model.armature)  # rotor inertia ≥ 0 in total; F and D ≥ 0
     priors.low[:, 3:] = -priors.high[:, 3:]
 
 
@@ -249,13 +269,18 @@ def joint_limit_margins(
         Beginning of the lower and of the upper margins (∓inf without a limit), widths w, and k w.
     """
     lower, upper = position_limits(model)
-    with np.errstate(over="ignore"):  # limits of ±1.8e308 stand for none
+    with np.errstate(over="ignore"):  # limits of ±1.8e308 mean no limit
         width = margin * np.minimum(upper - lower, _WHOLE)
     return lower + width, upper - width, width, stiffness * width
 
 
 def _copy(settings: Spec, head: View, **names: str) -> None:
-    """Copy settings into the fields of MODEL with the same names, or with those in `names`."""
+    """Copy settings into fields of MODEL; settings of None, or without a field, are left out.
+
+    Args:
+        settings: group of settings. head: view of MODEL. **names: name of the field for each
+            setting whose field has another name.
+    """
     for key in type(settings).model_fields:
         value = getattr(settings, key)
         if value is not None and (name := names.get(key, key)) in at.MODEL.dtype.names:

@@ -1,4 +1,4 @@
-"""Why a tick was held, in words: sentences of the law, filled in when they are read."""
+"""Sentences on ticks that were held and on stops; their values are filled in when they are read."""
 
 from typing import Any
 
@@ -18,14 +18,29 @@ from osc_contact.law.tick import BAD_INPUT, STOPPED
 
 
 class _Facts(dict[str, Any]):
-    """The values that a sentence names, each found as it is named."""
+    """Values for the names in a sentence of `law.reasons`, looked up as `format_map` asks for them.
+
+    Attributes:
+        rows: records of the tick. settings: settings of the controller.
+    """
 
     def __init__(self, records: TickRecords, settings: Settings) -> None:
+        """Store the sources of the values."""
         self.rows = records
         self.settings = settings
 
     def __missing__(self, name: str) -> Any:
-        """Value of a name in a sentence, for the culprit of a stop or the column of a reason."""
+        """Look up the value of a name in a sentence.
+
+        Joints, arms and contacts are the `culprit` of a stop in MEMORY; columns of N are those at
+        index `where` of WORK.
+
+        Args:
+            name: a name such as "joint", "force" (N) or "column".
+
+        Raises:
+            KeyError: no sentence has this name.
+        """
         rows = self.rows
         chain = self.settings.chain
         i = int(rows.memory.culprit)
@@ -70,14 +85,16 @@ class _Facts(dict[str, Any]):
         raise KeyError(name)
 
     def _contact(self, column: int) -> str:
+        """Name of the contact that a column of N (its index) belongs to."""
         return self.settings.contacts[self.rows.model.columns.contact[column]].name
 
 
 def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
-    """The sentence for a tick that ended HELD, or in which the arms stop.
+    """Sentence on a tick that ended HELD, or on a stop of the arms.
 
-    A sensor found faulty after a tick stops the arms in it, whether it was computed or held for
-    another reason: what is at fault belongs to that cause.
+    WORK has the reason of the tick, MEMORY the cause of a stop. A sensor fault that is detected
+    after a tick stops the arms in this tick, whether it was computed or held for another reason;
+    then the sentence is on the fault.
 
     Args:
         records: records of the tick. settings: settings of the controller.
@@ -98,13 +115,13 @@ def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
     if stopped and code != cause and memory.age == 1:
         return f"{SENTENCES[cause].format_map(facts)}{warning}{_RESET}"
     if code == STOPPED or (stopped and code != cause):
-        why = "a tick could not be computed" if failure is None else str(failure)
-        if cause in (UNREACHABLE, CONTRADICTION):  # where they were is not remembered
-            why = ""
+        sentence = "a tick could not be computed" if failure is None else str(failure)
+        if cause in (UNREACHABLE, CONTRADICTION):  # WORK of that tick, with their column, is gone
+            sentence = ""
         elif cause != BAD_INPUT:
-            why = SENTENCES.get(cause, "").format_map(facts)
-        why = why or "code called in the tick failed"
-        return f"stopped, until reset() is called. Cause: {why}{warning}"
+            sentence = SENTENCES.get(cause, "").format_map(facts)
+        sentence = sentence or "code called in the tick failed"
+        return f"stopped, until reset() is called. Cause: {sentence}{warning}"
     if failure is not None:
         return f"{failure}{warning}"
     if code == BAD_INPUT and ended.inputs is not None:
@@ -119,7 +136,12 @@ _RESET = ". See why, then call reset()"
 def _describe_input(
     records: TickRecords, settings: Settings, measurement: Measurement, reference: Reference
 ) -> str:
-    """Name the inputs of a tick that are not finite or have the wrong size."""
+    """Sentence on the first input of a tick that is not finite or has a wrong size.
+
+    Args:
+        records: records of the tick. settings: settings of the controller.
+        measurement, reference: inputs of the tick.
+    """
     try:
         require_sizes(measurement, reference, settings)
     except OscContactError as error:
@@ -132,7 +154,7 @@ def _describe_input(
 
 
 def unbraked_joint(records: TickRecords, settings: Settings) -> str | None:
-    """A stopped joint without any sound reading, or None."""
+    """Name of a joint of stopped arms whose position and speed sensors are both faulty, or None."""
     joint = int(records.memory.unbraked)
     stopped = joint >= 0 and records.memory.state == at.SAFE_STOP
     return settings.chain.joint_names[joint] if stopped else None

@@ -1,10 +1,10 @@
-"""Ranges of the numbers in a controller's records: what a file may hold, declared once.
+"""Permitted ranges of the numbers in a controller's records, declared once for Python and C.
 
-Whole numbers are indices, counts, kinds and switches: compiled code follows them without a check,
-so that one beyond its range reads or writes anywhere. They are declared as relations such as
-"first + 1 <= end <= n_joints". What is not there must not be in a file: tests compare the
-declaration with the records' fields. `without_python` writes it as C; `require_ranges` reads it
-for Python.
+Whole numbers are indices, counts, kinds and switches. Compiled code uses them without a check, so
+that a number beyond its range would read or write at any address. Their ranges are declared as
+relations such as "first + 1 <= end <= n_joints"; tests require a relation for every such field.
+`without_python` writes them as C for programs that read files; `require_ranges` checks them in
+Python.
 
 A relation compares sums of products, a side for each of <=, ==, != in it; " or " separates
 alternatives. Names are, in this order of precedence,
@@ -19,8 +19,8 @@ alternatives. Names are, in this order of precedence,
 | `surface_shapes` | shapes that a SURFACE pair reads; 0 of others |
 | `n_joints` | a field of MODEL |
 
-Floating-point numbers of MODEL and MEMORY are finite, but for those declared in `NUMBERS`. Those
-of WORK, INPUT and PROGRAM are computed anew from these.
+Floating-point numbers of MODEL and MEMORY are finite, except those declared in `NUMBERS`. Those
+of WORK, INPUT and PROGRAM are computed from these in every tick.
 """
 
 import math
@@ -41,10 +41,10 @@ from osc_contact.law.reasons import CODES
 from osc_contact.settings.control import PhaseSettings, SafetySettings
 from osc_contact.settings.quantities import may_be_infinite
 
-MOST_ARMS = 32  #: that a file may hold
-MOST_ROWS = 4096  #: of contacts, shapes, columns of N
-MOST_TICKS = 1 << 48  #: of any count of ticks: 9000 years at 1 kHz; sums of some do not overflow
-MOST_TORQUE = 1e9  #: N m, N: of torques, so that their differences are finite
+MOST_ARMS = 32  #: largest number of arms in a file
+MOST_ROWS = 4096  #: largest number of contacts, of shapes and of columns of N
+MOST_TICKS = 1 << 48  #: largest count of ticks (9000 years at 1 kHz); sums of a few do not overflow
+MOST_TORQUE = 1e9  #: largest torque (N m, N), so that differences of torques are finite
 
 RECORDS = {
     "JOB": at.JOB,
@@ -57,15 +57,21 @@ RECORDS = {
 
 
 def _each(relation: str, *names: str) -> tuple[str, ...]:
-    """Repeat a relation for several names, each in place of `x`."""
+    """Repeat a relation for several fields.
+
+    Args:
+        relation: relation with x in place of a name. *names: names of the fields.
+    """
     return tuple(re.sub(r"\bx\b", name, relation) for name in names)
 
 
 def _flags(*names: str) -> tuple[str, ...]:
+    """Relations of fields that are 0 or 1."""
     return _each("0 <= x <= 1", *names)
 
 
 def _ticks(*names: str) -> tuple[str, ...]:
+    """Relations of fields that count ticks."""
     return _each(f"0 <= x <= {MOST_TICKS}", *names)
 
 
@@ -74,9 +80,9 @@ _SIX = "0 <= x <= 6"
 _SQUEEZES = ("n_bars == 0 or size_squeezes == n_bars", "n_bars != 0 or size_squeezes == 1")
 
 #: Relations of whole numbers by record and table ("": the head), in the order in which they are
-#: checked: a sum is formed of numbers that were found to be small.
+#: checked: the terms of a sum have been found to be small before, so that it does not overflow.
 RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
-    # Where records begin is compared with their sizes by whoever reads a file.
+    # Readers of a file compare the offsets of the records with their sizes.
     "JOB": {
         "": (
             "switches == 0",
@@ -121,7 +127,7 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
         "pairs": (
             f"{at.POINTS} <= kind <= {at.FUNCTION}",
             f"kind != {at.GIVEN}",  # Python evaluates it
-            f"kind != {at.FUNCTION}",  # of a process: in another one its address is any code
+            f"kind != {at.FUNCTION}",  # its address is valid in the process that made it only
             "0 <= count <= n_columns",
             "first == before_first + before_count",
             f"count == 1 or kind == {at.POINTS} or kind == {at.TANGENTS}",
@@ -219,7 +225,7 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
     },
 }
 
-#: Relations that hold behind the last row of a table.
+#: Relations after the last row of a table, which `before_…` then refers to.
 ENDS: dict[str, dict[str, tuple[str, ...]]] = {
     "MODEL": {
         "arms": ("before_end == n_joints",),
@@ -233,9 +239,9 @@ ENDS: dict[str, dict[str, tuple[str, ...]]] = {
 
 _FINITE = (-float(np.finfo(float).max), float(np.finfo(float).max))
 _NOT_NEGATIVE = (0.0, _FINITE[1])
-_LIMIT = (0.0, math.inf)  #: inf: none
+_LIMIT = (0.0, math.inf)  #: a limit; inf: no limit
 _ANY = (-math.inf, math.inf)
-#: Settings that may be infinite have their names in MODEL.
+#: Ranges of the settings that may be infinite; fields of MODEL have the names of the settings.
 _OPEN = {
     key: _LIMIT
     for settings in (SafetySettings, PhaseSettings)
@@ -266,19 +272,27 @@ NUMBERS: dict[str, dict[str, dict[str, tuple[float, float]]]] = {
 }
 
 
-# --- Relations, read ------------------------------------------------------------------------------
+# --- Parsed relations -----------------------------------------------------------------------------
 
 Sum = list[tuple[int, list[str]]]  #: factor and names of each product
 
 
 @cache
 def read_relation(text: str) -> list[tuple[list[Sum], list[str]]]:
-    """The alternatives of a relation: the sums that it compares, and the signs between them."""
-    found = []
+    """Parse a relation.
+
+    Args:
+        text: relation such as "n_bars == 0 or 0 <= first <= row + 1".
+
+    Returns:
+        For each alternative the sums that it compares, and the signs <=, == and != between them.
+    """
+    alternatives = []
     for alternative in text.split(" or "):
-        parts = re.split(r" (<=|==|!=) ", alternative)
-        found.append(([_read_sum(one) for one in parts[::2]], parts[1::2]))
-    return found
+        parts = re.split(r" (<=|==|!=) ", alternative)  # sum, sign, sum, sign, … , sum
+        sums = [_read_sum(part) for part in parts[::2]]
+        alternatives.append((sums, parts[1::2]))
+    return alternatives
 
 
 def _read_sum(text: str) -> Sum:
@@ -305,27 +319,29 @@ def _read_sum(text: str) -> Sum:
 
 
 def names_in(text: str) -> set[str]:
-    """The names in a relation."""
-    return {
-        name
-        for sums, _ in read_relation(text)
-        for one in sums
-        for _, names in one
-        for name in names
-    }
+    """Set of the names in a relation."""
+    words: set[str] = set()
+    for sums, _ in read_relation(text):
+        for products in sums:
+            for _, names in products:
+                words.update(names)
+    return words
 
 
 def _holds(text: str, value: Callable[[str], int]) -> bool:
     """Whether one of the alternatives of a relation holds.
 
     Args:
-        text: relation, see `read_relation`. value: value of a name.
+        text: relation, see `read_relation`. value: function from a name to its value.
     """
-    signs = {"<=": operator.le, "==": operator.eq, "!=": operator.ne}
-    for sums, between in read_relation(text):
-        numbers = [sum(k * math.prod(map(value, names)) for k, names in one) for one in sums]
-        pairs = zip(pairwise(numbers), between, strict=True)
-        if all(signs[sign](left, right) for (left, right), sign in pairs):
+    compare = {"<=": operator.le, "==": operator.eq, "!=": operator.ne}
+    for sums, signs in read_relation(text):
+        numbers = [
+            sum(factor * math.prod(map(value, names)) for factor, names in products)
+            for products in sums
+        ]
+        neighbours = zip(pairwise(numbers), signs, strict=True)
+        if all(compare[sign](left, right) for (left, right), sign in neighbours):
             return True
     return False
 
@@ -349,11 +365,18 @@ class _Names:
         self.row = self.motors = 0
 
     def begin(self, table: str) -> None:
-        """Go to the first row of a table; "": the head."""
-        self.table, self.row, self.motors, self.before = table, 0, 0, None
+        """Begin a table at its first row; the caller sets `own` to this row.
+
+        Args:
+            table: name of the table; "": the head of the record.
+        """
+        self.table = table
+        self.row = 0
+        self.motors = 0
+        self.before = None
 
     def step(self) -> None:
-        """Go to the next row."""
+        """Make the present row the previous one, and count its motor."""
         self.before = self.own
         if "motor" in (self.own.dtype.names or ()):
             self.motors += int(self.own["motor"] >= 0)
@@ -409,7 +432,7 @@ def _surface_shapes(model: View, pair: np.record) -> int:
 
 
 def broken_relations(name: str, record: View, model: View) -> Iterator[str]:
-    """Clauses, each of which names a field of a record and the relation that it violates.
+    """Yield clauses, each of which names a field of a record and the relation that it violates.
 
     Args:
         name: name of the record in `RECORDS`. record: view of the record. model: view of MODEL,
@@ -424,17 +447,21 @@ def broken_relations(name: str, record: View, model: View) -> Iterator[str]:
             value.row = index
             value.own = row
             place = f"{name}.{table}[{value.row}]" if table else name
-            yield from (f"{place}: {one}" for one in relations if not _holds(one, value))
+            yield from (f"{place}: {text}" for text in relations if not _holds(text, value))
             value.step()
         value.own = None
-        for one in ENDS.get(name, {}).get(table, ()):
-            if not _holds(one, value):
-                yield f"{name}.{table}: {one}"
+        for text in ENDS.get(name, {}).get(table, ()):
+            if not _holds(text, value):
+                yield f"{name}.{table}: {text}"
     yield from _strange_numbers(name, record)
 
 
 def _strange_numbers(name: str, record: View) -> Iterator[str]:
-    """Floating-point numbers out of their ranges, a clause each."""
+    """Yield a clause for each floating-point field with a number out of its range.
+
+    Args:
+        name: name of the record in `RECORDS`. record: view of the record.
+    """
     for table, field, (low, high) in number_ranges(name):
         rows = getattr(record, table).view(np.ndarray) if table else record.head
         values = rows[field] if field in (rows.dtype.names or ()) else rows
@@ -443,7 +470,13 @@ def _strange_numbers(name: str, record: View) -> Iterator[str]:
 
 
 def number_ranges(name: str) -> Iterator[tuple[str, str, tuple[float, float]]]:
-    """Table, field and range of all floating-point numbers that a record's ranges are about."""
+    """Yield table ("": the head), field and range of each floating-point field of a record.
+
+    Records without ranges of floating-point numbers yield nothing.
+
+    Args:
+        name: name of the record in `RECORDS`.
+    """
     if name not in NUMBERS:
         return
     kind = RECORDS[name]
@@ -459,23 +492,29 @@ def broken_ranges(raw: Bytes, program: Bytes) -> list[str]:
     """Clauses that name the fields of a controller's records that are out of their ranges.
 
     Args:
-        raw: JOB, MODEL, MEMORY, WORK and INPUT of one controller, whose layouts are right.
-        program: PROGRAM, likewise.
+        raw: JOB, MODEL, MEMORY, WORK and INPUT of one controller, with correct layouts.
+        program: PROGRAM of its motor limits, with a correct layout.
     """
     job = at.JOB.view(raw)
-    starts = {"JOB": 0, **{one.upper(): int(job[one]) for one in _PLACES}}
+    starts = {"JOB": 0, **{place.upper(): int(job[place]) for place in _PLACES}}
     views = {name: RECORDS[name].view(raw[start:]) for name, start in starts.items()}
     views["PROGRAM"] = PROGRAM.view(program)
     model = views["MODEL"]
-    found = [one for name, view in views.items() for one in broken_relations(name, view, model)]
-    return found + list(_strange_torques(model, views["MEMORY"]))
+    clauses: list[str] = []
+    for name, view in views.items():
+        clauses += broken_relations(name, view, model)
+    return clauses + list(_strange_torques(model, views["MEMORY"]))
 
 
-_PLACES = ("model", "memory", "work", "input")
+_PLACES = ("model", "memory", "work", "input")  #: fields of JOB with the offsets of records
 
 
 def _strange_torques(model: View, memory: View) -> Iterator[str]:
-    """The torques given out last are within the motors' limits, which are above zero."""
+    """Yield a clause if a motor's limit is not above zero, or a last torque is beyond its limit.
+
+    Args:
+        model: view of MODEL, with the limits (N m, N). memory: view of MEMORY, with the torques.
+    """
     joints = model.joints.view(np.ndarray)
     limits = joints["tau_max"][joints["motor"] >= 0]
     if not (limits > 0.0).all():
@@ -485,15 +524,15 @@ def _strange_torques(model: View, memory: View) -> Iterator[str]:
 
 
 def require_ranges(raw: Bytes, program: Bytes) -> None:
-    """Refuse records that a file must not hold.
+    """Refuse records with numbers out of their ranges, which a file must not hold.
 
     Args:
-        raw, program: as of `broken_ranges`.
+        raw, program: bytes of the records, see `broken_ranges`.
 
     Raises:
-        InvalidInputError: some number is out of its range.
+        InvalidInputError: a number is out of its range.
     """
-    if found := broken_ranges(raw, program):
+    if clauses := broken_ranges(raw, program):
         raise InvalidInputError(
-            f"this controller cannot be saved: its numbers do not satisfy {'; '.join(found[:5])}"
+            f"this controller cannot be saved: its numbers do not satisfy {'; '.join(clauses[:5])}"
         )

@@ -1,4 +1,4 @@
-"""One controller's records: views of all its bytes, and the law's calls on them."""
+"""Records of one controller: views of all its bytes, and calls of the law with them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from osc_contact.law.compiled import rows as law_rows
 from osc_contact.law.records import Bytes, Rows, views
 from osc_contact.spatial import Array, norm
 
-STILL = np.zeros((0, 28))  #: motion of the touched bodies where all of them rest
-UNNAMED = np.zeros(0)  #: the active set of a reference that names none
-_ENDED_OK = 2  #: what the law returns for one row whose tick ended OK
-_WHOLE_TICK = 0, at.LOOK, at.END
-#: What `TickRecords.forget` sets to zero: fields of MEMORY, and of the rows of its tables (all of
-#: their fields where none is named).
+STILL = np.zeros((0, 28))  #: motion of the touched bodies if all of them are at rest
+UNNAMED = np.zeros(0)  #: active set of a reference that does not name active contacts
+_ENDED_OK = 2  #: result of the law for a single row whose tick ended OK
+_WHOLE_TICK = (0, at.LOOK, at.END)  #: switches, first part and end of a whole tick
+#: Fields that `TickRecords.forget` sets to zero: of the head of MEMORY, and of the rows of its
+#: tables (an empty tuple: all fields of the table).
 FORGOTTEN = (
     "age",
     "faults",
@@ -59,9 +59,11 @@ class TickRecords:
     """Views of MODEL, MEMORY and WORK of one controller.
 
     Attributes:
-        rows: the bytes; index, thread: which row of them, whose WORK. at: of its JOB.
-        model, memory, work: views, see `law.records`; model_bytes, memory_bytes, work_bytes.
-        torques, squeeze: (n_a,) and (bars,) of MEMORY.
+        rows: bytes of all records. index: row of the controller. at: offset of the JOB (bytes).
+        model, memory, work: views of the records, see `law.records`.
+        model_bytes, memory_bytes, work_bytes: bytes of the records.
+        torques, squeeze: (n_a,) last torques (N m, N) and (bars,) desired internal forces (N), in
+            MEMORY.
     """
 
     def __init__(self, rows: Rows | Bytes, index: int = 0, thread: int = 0) -> None:
@@ -83,13 +85,13 @@ class TickRecords:
         self.squeeze: Array = self.memory.squeeze
 
     def run(
-        self, given: tuple[Array, ...], flags: int = 0, begin: int = at.LOOK, stop: int = at.END
+        self, inputs: tuple[Array, ...], flags: int = 0, begin: int = at.LOOK, stop: int = at.END
     ) -> int:
         """Run parts of a tick.
 
         Args:
-            given: q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active.
-            flags: flags of `law.tick`.
+            inputs: q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active, see `law.tick.rows`.
+            flags: switches of `law.tick`.
             begin, stop: first part, and the part before which to stop.
 
         Returns:
@@ -97,22 +99,22 @@ class TickRecords:
         """
         self._job[:3] = flags, begin, stop
         try:
-            return int(law_rows()(self.rows.raw, 0, given))
+            return int(law_rows()(self.rows.raw, 0, inputs))
         finally:
             self._job[:3] = _WHOLE_TICK
 
-    def tick(self, given: tuple[Array, ...], switches: int = 0) -> bool:
-        """Compute a whole tick of one row; returns whether it ended OK.
+    def tick(self, inputs: tuple[Array, ...], switches: int = 0) -> bool:
+        """Compute a whole tick of one row; return True if it ended OK.
 
         Args:
-            given, switches: see `run`.
+            inputs, switches: arguments of the law, see `run`.
         """
         if switches:
-            return self.run(given, switches) == _ENDED_OK
-        return bool(law_rows()(self.rows.raw, 0, given) == _ENDED_OK)
+            return self.run(inputs, switches) == _ENDED_OK
+        return bool(law_rows()(self.rows.raw, 0, inputs) == _ENDED_OK)
 
     def forget(self) -> None:
-        """Zero what ticks have gathered, but for tare, bias, phases and learned values."""
+        """Zero integrals, counters and histories; keep tare, bias, phases and learned values."""
         for name in FORGOTTEN:
             self.memory.head[name] = 0
         for table, names in FORGOTTEN_TABLES.items():
@@ -126,26 +128,31 @@ class TickRecords:
         """Run a tick, or one part of it, without a reference.
 
         Args:
-            q, v: (n,) joint positions and velocities. reading: value of all wrist readings; NaN
-                makes the tick one that cannot be computed. begin: first part.
+            q, v: (n,) joint positions and velocities (rad, m; rad/s, m/s).
+            reading: value of all wrist readings; with NaN the tick ends HELD.
+            begin: first part.
         """
         wrenches = np.full((len(self.model.arms), 6), reading)
-        six = np.zeros(6)
-        self.run((q, v, wrenches, np.eye(4), six, six, np.zeros(0), STILL, UNNAMED), begin=begin)
+        zeros = np.zeros(6)
+        inputs = (q, v, wrenches, np.eye(4), zeros, zeros, np.zeros(0), STILL, UNNAMED)
+        self.run(inputs, begin=begin)
 
     def places(self, *parts: Array) -> Array:
-        """Indices (k,) in `rows.numbers` of the elements of some views, in sequence.
+        """Compute the indices (k,) in `rows.numbers` of the elements of some views, in sequence.
 
         Args:
             parts: arrays of eight-byte elements that share the memory of `rows`.
         """
-        every = np.arange(len(self.rows.numbers))
+        numbering = np.arange(len(self.rows.numbers))  # each element is its own index
         start = self.rows.raw.ctypes.data
-        own = (
-            np.ndarray(part.shape, every.dtype, every, part.ctypes.data - start, part.strides)
+        # views of the numbering with the offset, shape and strides of each part
+        indices = [
+            np.ndarray(
+                part.shape, numbering.dtype, numbering, part.ctypes.data - start, part.strides
+            )
             for part in parts
-        )
-        return np.concatenate([one.ravel() for one in own])
+        ]
+        return np.concatenate([index.ravel() for index in indices])
 
     def copy(self) -> TickRecords:
         """Copy of the records in separate bytes."""
@@ -157,7 +164,7 @@ class TickRecords:
     # --- energy coordinates, turned, and back ----------------------------------------------------
 
     def reflection(self) -> Array:
-        """Matrix (6, 6) that turns energy coordinates to locked axes first."""
+        """Matrix (6, 6) from energy coordinates to locked axes."""
         return vectors.reflection(self.work)
 
     def motions(self) -> Array:
@@ -169,7 +176,7 @@ class TickRecords:
         return self.motions() @ (self.reflection().T @ self.work.acceleration_t)
 
     def kept(self) -> Array:
-        """Indices (r,) of the independent columns of N among all."""
+        """Indices (r,) of the independent columns of N among all columns."""
         return self.work.kept[: int(self.work.rank)]
 
     def shares(self) -> Array:
@@ -178,19 +185,19 @@ class TickRecords:
         return self.work.columns.share[chosen, : int(self.work.rank)].T.copy()
 
     def lost_directions(self, names: list[str]) -> tuple[LostDirection, ...]:
-        """Directions that arms near singular postures lose.
+        """List the directions of motion that arms lose near singular postures.
 
         Args:
-            names: names of the arms.
+            names: names of the arms, in the order of the chain.
         """
         if not self.work.n_lost:
             return ()
         to_motion = self.motions() / self.model.reference
-        out = []
+        directions = []
         for name, arm in zip(names, self.work.arms, strict=True):
             for e in range(int(arm.n_lost)):
                 twist = to_motion @ arm.lost[e]
-                size = norm(twist[:3]) or norm(twist[3:])
+                size = norm(twist[:3]) or norm(twist[3:])  # turns without a speed of O: 1 rad/s
                 ratio = 1.0 / max(float(arm.chi[e]), 1e-12) ** 2
-                out.append(LostDirection(name, float(arm.share[e]), ratio, twist / size))
-        return tuple(out)
+                directions.append(LostDirection(name, float(arm.share[e]), ratio, twist / size))
+        return tuple(directions)

@@ -1,4 +1,4 @@
-"""Controllers as files: all numbers of one, with a checksum and the law that it was made for."""
+"""File of a controller: all its numbers, the hash of the law that it needs, and a checksum."""
 
 import zlib
 from struct import Struct
@@ -17,11 +17,14 @@ HEAD = _HEAD.size
 
 
 def controller_bytes(controller: ControllerState) -> bytes:
-    """A controller as it is, as the content of a file.
+    """Content of a file with the present records of a controller.
+
+    It has a head (`_HEAD`), the records JOB, MODEL, MEMORY, WORK and INPUT, PROGRAM of the motor
+    limits, and the CRC-32 of all of these.
 
     Raises:
         InvalidInputError: pairs, bodies or laws that only Python can evaluate, pairs whose function
-            is at an address of this process, or a number that no file may hold.
+            is at an address of this process, or a number out of its range (`record_ranges`).
     """
     if controller.needs_python:
         raise InvalidInputError(

@@ -1,4 +1,4 @@
-"""Set points that may be moved at any time: followed within limits, one state each period."""
+"""Set points whose goals may change at any time: one state within the limits each period."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class SetPointState(NamedTuple):
 
 
 class SetPoint:
-    """A number, or several that arrive together, led to goals that may change on the way.
+    """Set point of one or several coordinates, moved to goals that may change on the way.
 
-    The way is the fastest within the limits; from rest it is straight, whatever the number of
-    coordinates. Limits hold for each coordinate.
+    The coordinates arrive together, as fast as the limits of each of them permit. From rest the
+    path is a straight line.
 
     Args:
-        start: where it rests at first: a number, or (n,).
+        start: initial value, at rest: a number, or (n,).
         limits: limits of velocity, acceleration and jerk.
         dt: period of `step` (s).
 
@@ -54,12 +54,11 @@ class SetPoint:
     """
 
     def __init__(self, start: ArrayLike, limits: JerkLimits, dt: float) -> None:
-        """Start at rest.
+        """Begin at rest.
 
         Args:
-            start: number, or array of one number for each coordinate. limits: limits of each
-                coordinate.
-            dt: period (s).
+            start: initial value, a number or (n,). limits: limits of each coordinate. dt: period
+                (s).
 
         Raises:
             InvalidInputError: `start` is empty or not finite, or the period is not positive.
@@ -73,11 +72,14 @@ class SetPoint:
         self.reset(start)
 
     def reset(self, value: ArrayLike) -> None:
-        """Rest at `value` from now on, wherever it was."""
+        """Set the state to rest at `value` (a number or (n,)), which is the goal, too."""
         self._trajectory = Trajectory.rest(self._numbers("start", value), self._bounds)
 
     def step(self, goal: ArrayLike | None = None) -> SetPointState:
-        """The state one period later, on the way to `goal`; None: to the former goal.
+        """Advance by one period on the way to the goal; return the new state.
+
+        Args:
+            goal: new goal, a number or (n,); None: the former goal.
 
         Raises:
             InvalidInputError: the goal is not finite or of the wrong shape; the former one is kept
@@ -92,24 +94,30 @@ class SetPoint:
 
     @property
     def remaining(self) -> float:
-        """Time until it rests at its goal (s); 0: it does."""
+        """Time until the set point rests at its goal (s); 0 at the goal."""
         return self._trajectory.remaining
 
     def _numbers(self, name: str, value: ArrayLike) -> Array:
+        """Check a value or goal and flatten it to (n,).
+
+        Raises:
+            InvalidInputError: a number is not finite, or the shape is not that of the start; `name`
+                is in the message.
+        """
         return as_array(name, value, self._shape).reshape(-1)
 
 
 class PoseSetPoint:
-    """A pose of the object, led to goals that may change on the way; steps give references.
+    """Set point of the object's pose, moved to goals that may change on the way, as references.
 
-    Position moves as a `SetPoint` in world axes. Orientation moves as exp[w]× times what it was
-    when the goal last changed, so every goal is at most half a turn away and reached the short way;
-    position and w arrive together, from rest on a straight line, which is one turn about one axis.
-    Angular limits hold for each coordinate of w and so for ω of such turns; where the axis changes
-    on the way, |ω| ≤ |ẇ| still, and ω̇ differs from ẅ by terms of the size of |ω|²|w|.
+    The position moves like a `SetPoint` in world axes. The orientation is exp[w]× R_0, with R_0 the
+    orientation when the goal last changed and w (3,) a set point in world axes; so each goal is
+    reached by at most half a turn. Position and w arrive together. From rest, w is on a straight
+    line, which is a turn about a fixed axis, and the angular limits of w are limits of ω. If the
+    axis changes on the way, |ω| ≤ |ẇ| holds, and ω̇ differs from ẅ by terms of the order |ω|²|w|.
 
     Args:
-        start: where it rests at first.
+        start: initial pose, at rest.
         linear: limits along each world axis (m/s, m/s², m/s³).
         angular: limits about each world axis (rad/s, rad/s², rad/s³).
         dt: period of `step` (s), the controller's.
@@ -125,13 +133,21 @@ class PoseSetPoint:
     """
 
     def __init__(self, start: SE3, linear: JerkLimits, angular: JerkLimits, dt: float) -> None:
+        """Begin at rest.
+
+        Args:
+            start: initial pose. linear, angular: limits (m/s …, rad/s …). dt: period (s).
+
+        Raises:
+            InvalidInputError: the pose or the period is not valid.
+        """
         self._dt = _period(dt)
         bounds = zip(linear.each(3), angular.each(3), strict=True)
-        self._bounds = tuple(moving + turning for moving, turning in bounds)
+        self._bounds = tuple(position + rotation for position, rotation in bounds)
         self.reset(start)
 
     def reset(self, X: SE3) -> None:
-        """Rest at X from now on, wherever it was: at the start, or after the arm was held."""
+        """Set the state to rest at the pose X, such as at the start or after a hold of the arm."""
         self._goal = _pose("start", X)
         self._base: Array = self._goal.rotation
         self._trajectory = Trajectory.rest(
@@ -144,11 +160,12 @@ class PoseSetPoint:
         alpha_d: ArrayLike = (),
         squeeze_d: float | Array = 0.0,
     ) -> Reference:
-        """The reference one period later, on the way to `goal`; None: to the former goal.
+        """Advance by one period on the way to the goal; return the new reference.
 
         Args:
-            goal: pose of the object. alpha_d, squeeze_d: passed on, see `Reference`. Without forces
-                alpha_d of the reference is empty and read-only: give all of them here.
+            goal: new goal, a pose of the object; None: the former goal.
+            alpha_d, squeeze_d: desired forces of the reference (N), see `Reference`. Without them
+                alpha_d of the reference is empty and read-only.
 
         Raises:
             InvalidInputError: goal or forces are not finite, of the wrong shape, or no pose; the
@@ -170,10 +187,17 @@ class PoseSetPoint:
         )
 
     def _aim(self, goal: SE3) -> None:
-        """Begin a new way at the present state; at w = 0, ẇ = ω and ẅ = ω̇."""
+        """Plan a trajectory from the present state to a new goal.
+
+        The rotation vector w begins at zero again, where ẇ = ω and ẅ = ω̇.
+
+        Args:
+            goal: pose of the object.
+        """
         x, v, a = self._trajectory.state
         R, v[3:], a[3:] = rotation_of(x[3:], v[3:], a[3:])
-        base = pin.Quaternion(R @ self._base).normalized().toRotationMatrix()  # no drift
+        # normalised, so that rounding errors do not accumulate over many goals
+        base = pin.Quaternion(R @ self._base).normalized().toRotationMatrix()
         x[3:] = 0.0
         w = pin.log3(goal.rotation @ base.T)
         trajectory = Trajectory(x, v, a, np.append(goal.translation, w), self._bounds)
@@ -183,11 +207,16 @@ class PoseSetPoint:
 
     @property
     def remaining(self) -> float:
-        """Time until it rests at its goal (s); 0: it does."""
+        """Time until the set point rests at its goal (s); 0 at the goal."""
         return self._trajectory.remaining
 
 
 def _period(dt: float) -> float:
+    """Check the period dt (s) of a set point.
+
+    Raises:
+        InvalidInputError: it is not finite or not positive.
+    """
     period = float(as_array("dt", dt, ()))
     if period <= 0.0:
         raise InvalidInputError(f"dt = {period:g}; give the period of step in seconds, > 0")
@@ -195,13 +224,19 @@ def _period(dt: float) -> float:
 
 
 def _pose(name: str, X: SE3) -> SE3:
+    """Check the pose of a start or goal; return it as a new `pin.SE3`.
+
+    Raises:
+        InvalidInputError: X is no `pin.SE3`, a number is not finite, or its 3×3 part is not a
+            rotation matrix; `name` is in the message.
+    """
     if not isinstance(X, SE3):
         raise InvalidInputError(f"{name}: expected a pin.SE3, got {type(X).__name__}")
     return as_pose(name, X.translation, X.rotation)
 
 
 def rotation_of(w: Array, w_dot: Array, w_ddot: Array) -> tuple[Array, Array, Array]:
-    """R (3, 3), ω and ω̇ (3,) in world axes of the rotation exp[w]× with moving w (3,).
+    """Compute R (3, 3), ω and ω̇ (3,) in world axes of the rotation exp[w]× with moving w (3,).
 
     ω = A ẇ with A = a + b [w]× + c w wᵀ, a = sin θ/θ, b = (1 − cos θ)/θ², c = (θ − sin θ)/θ³;
     ω̇ = A ẅ + Ȧ ẇ.
@@ -221,16 +256,23 @@ def rotation_of(w: Array, w_dot: Array, w_ddot: Array) -> tuple[Array, Array, Ar
     return np.eye(3) + a * W + b * (W @ W), omega, omega_dot
 
 
-_EVEN = np.arange(8)
+_EVEN = np.arange(8)  #: k, exponents of θ² in the series
 #: (3, 8) coefficients of (θ²)ᵏ in a, b, c of `rotation_of`: (−1)ᵏ/(2k + 1)!, /(2k + 2)!, /(2k + 3)!
 _SERIES = np.array(
     [[(-1) ** k / math.factorial(2 * k + first) for k in range(8)] for first in (1, 2, 3)]
 )
+#: (3, 7) coefficients of (θ²)ᵏ in the derivatives of a, b, c by θ, divided by θ.
 _SLOPES = _SERIES[:, 1:] * 2 * _EVEN[1:]
 
 
 def _functions_of_angle(square: float) -> tuple[float, ...]:
-    """a, b, c of `rotation_of` at θ² and their derivatives by θ, divided by θ."""
+    """Compute a, b, c of `rotation_of` and (da/dθ)/θ, (db/dθ)/θ, (dc/dθ)/θ.
+
+    Below θ² = 0.1 they are summed as series, since the closed forms cancel.
+
+    Args:
+        square: θ², squared angle of the rotation (rad²).
+    """
     if square < 0.1:
         powers = square**_EVEN
         return *(_SERIES @ powers).tolist(), *(_SLOPES @ powers[:-1]).tolist()

@@ -21,12 +21,15 @@ def internal_forces(arms: int) -> int:
 
 
 class TickResult:
-    """Views of a controller's records: the next tick overwrites them. At O in world axes.
+    """Results of the last tick as views of a controller's records; the next tick overwrites them.
+
+    Each field of WORK is an attribute. Wrenches (N, N m) and motions (m, rad, s) are at O in world
+    axes.
 
     Attributes:
-        records: where all of it stands.
-        f_meas, bias_out: (6,) wrist readings less tare; what they would be without contact.
-        f_c: (6,) contact force in them. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
+        records: records of the controller.
+        f_meas, bias_out: (6,) sum of the wrist readings less tare; its prediction without contact.
+        f_c: (6,) measured contact wrench. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
         error: (6,) pose error. free_error: (6,) the part of it that arms and contacts permit.
     """
 
@@ -35,58 +38,76 @@ class TickResult:
         self.records = records
 
     def __getattr__(self, name: str) -> Any:
-        if name == "records":  # of a copy that is being made
+        """Return a field or table of WORK as an attribute."""
+        if name == "records":  # `copy` asks before it is set; without this the lookup is endless
             raise AttributeError(name)
         return getattr(self.records.work, name)
 
     @property
     def squeeze(self) -> Array:
-        """(1,) internal force along the grasp line (N), > 0 compresses; with k ≥ 3 arms
-        (k(k − 1)/2,) that between each two grasps, as in `Reference.squeeze_d`, or zeros where none
-        is commanded."""
+        """Internal force (1,) along the grasp line (N), > 0 compresses.
+
+        With k ≥ 3 arms (k(k − 1)/2,): the force between each two grasps, in the order of
+        `Reference.squeeze_d`; zeros if none is commanded.
+        """
         return self.records.work.bars
 
     @property
     def friction(self) -> Array:
-        """(n,) motor torques that compensate friction of the joints."""
+        """Motor torques (n,) that compensate friction of the joints (N m, N)."""
         return self.records.work.joints.friction
 
     @property
     def rank(self) -> int:
-        """r, independent columns of N in force."""
+        """Number r of independent active columns of N."""
         return int(self.records.work.rank)
 
     @property
     def alpha_meas(self) -> Array:
-        """(r,) contact magnitudes measured."""
+        """Measured contact forces (r,) (N)."""
         return self.records.work.alpha_meas[: self.rank]
 
     @property
     def normal_speed(self) -> Array:
-        """(r,) NᵀV_rel (m/s): 0 while the contacts last."""
+        """Speeds NᵀV_rel (r,) (m/s), 0 while the contacts last."""
         return self.records.work.speed[: self.rank]
 
     @property
     def mobility(self) -> Array:
-        """(r, r) D: normal acceleration for each newton on what is outboard of the sensors."""
+        """Mobility D (r, r) of the contacts (1/kg): normal acceleration by contact forces.
+
+        D = Nᵀ(Λ_out⁻¹ + Φ_e)N, with Λ_out the inertia beyond the wrist sensors.
+        """
         r = self.rank
         return self.records.work.mobility[:r, :r]
 
 
 class Signals(TickResult):
-    """The signals of one tick; everything at O in world axes.
+    """Signals of one tick (fig. 4), a copy that later ticks do not change.
 
-    q, v (n,) encoders · wrenches (arms, 6) · touched: motion of the touched bodies · reference ·
-    alpha_d (r_all,) desired contact forces · squeeze_d · state: Λ_S, μ, p, S, σ, G of the closed
-    chain · parts: N, n_γ of each contact in force · contact: of all contacts ·
-    friction_wrenches (6, r): N_μ − N · environment: Φ_e, b_e, V_e · f_meas (6,): sum of
-    the wrist readings, tare removed · f_c_meas (6,): contact force in it · alpha_meas (r,):
-    its magnitudes · alpha_u (r,), f_ccomm (6,): force command · a_u (6,): motion
-    command · eta_c (d,): after its filter · f_S (d,) · tau (n_a,).
+    Wrenches (N, N m) and motions (m, rad, s) are at O in world axes.
+
+    Attributes:
+        q, v: (n,) measured joint positions and velocities. wrenches: (arms, 6) wrist readings.
+        touched: motion of the touched bodies, or None. reference: reference of the tick.
+        alpha_d: (r_all,) desired contact forces (N). squeeze_d: desired internal forces (N).
+        state: Λ_S, μ, p, S, σ, G of the closed chain.
+        parts: N, n_γ of each active contact. contact: N, n_γ of all active contacts together.
+        friction_wrenches: (6, r) N_μ − N. environment: Φ_e, b_e, V_e.
+        f_meas: (6,) sum of the wrist readings, less tare. f_c_meas: (6,) measured contact wrench.
+        alpha_meas: (r,) measured contact forces (N).
+        alpha_u, f_ccomm: (r,), (6,) force command. a_u: (6,) motion command.
+        eta_c: (d,) motion command after its filter. f_S: (d,) generalised force on the object.
+        tau: (n_a,) motor torques (N m, N).
     """
 
     def __init__(self, settings: Settings, records: TickRecords) -> None:
-        """Copy what a tick has left."""
+        """Copy the records of a tick.
+
+        Args:
+            settings: settings of the controller. records: records after the tick, or, for custom
+                laws, between its parts.
+        """
         super().__init__(records.copy())
         self._settings = settings
         self.q = self.joints.q
@@ -95,8 +116,8 @@ class Signals(TickResult):
         self.alpha_d = self.columns.alpha_d
         memory = self.records.memory
         self.tau = memory.torques
-        given = memory.squeeze
-        self.squeeze_d = float(given[0]) if len(given) == 1 else given
+        squeeze_d = memory.squeeze
+        self.squeeze_d = float(squeeze_d[0]) if len(squeeze_d) == 1 else squeeze_d
         self.reference = Reference(SE3(self.X_WD), self.V_D, self.A_D, self.alpha_d, self.squeeze_d)
         self.touched = None
         if self.moving:
@@ -109,32 +130,34 @@ class Signals(TickResult):
 
     @cached_property
     def state(self) -> ChainState:
+        """State of arms and object at q, v, computed by the classes of `osc_contact.dynamics`."""
         chain = self._settings.chain
         motion = () if chain.leader is not None else (SE3(self.X_WO), self.V_O)
         return chain.state(self.q, self.v, *motion, data=chain.model.createData())
 
     @cached_property
     def _active(self) -> list[int]:
-        """Contacts with columns in force, in their order."""
+        """Indices of the contacts that have active columns of N, in the order of the columns."""
         chosen = self.records.work.chosen[: int(self.count)]
         return list(dict.fromkeys(self.records.model.columns.contact[chosen].tolist()))
 
     @cached_property
     def parts(self) -> list[Contact]:
         """Active contacts: N (6, r) at O in world axes, n_γ (r,), and the name of the pair."""
-        out = []
-        for c in self._active:
-            mine = self.columns[self.records.model.columns.contact == c]
-            name = self._settings.contacts[c].name
-            out.append(Contact(mine.N.T, mine.n_gamma, name=name))
-        return out
+        contacts = []
+        for number in self._active:
+            columns = self.columns[self.records.model.columns.contact == number]
+            name = self._settings.contacts[number].name
+            contacts.append(Contact(columns.N.T, columns.n_gamma, name=name))
+        return contacts
 
     @cached_property
     def contact(self) -> Contact:
+        """All active contacts as one: N (6, r) of the independent columns, n_γ (r,), shares R."""
         N = self.columns.N[self.records.kept()].T.copy()
         n_gamma = self.n_gamma[: self.rank]
         R = None if self.rank == self.count else self.records.shares()
-        return Contact.judged(N, n_gamma, R)  # by the tick
+        return Contact.judged(N, n_gamma, R)  # the law has selected independent columns
 
     @cached_property
     def environment(self) -> Environment:
@@ -151,10 +174,12 @@ class Signals(TickResult):
 
     @cached_property
     def f_ccomm(self) -> Array:
+        """Commanded contact wrench (6,) N_μ α_u on the environment (N, N m)."""
         return (self.contact.N + self.friction_wrenches) @ self.alpha_u
 
     @cached_property
     def eta_c(self) -> Array:
+        """Filtered motion command η̇_c (d,) of eq. 24: a − σ = S η̇_c in the chain's metric."""
         S = self.state.S
         weighted = S.T @ self.state.metric
         a = self.records.acceleration() - self.state.sigma
@@ -162,6 +187,7 @@ class Signals(TickResult):
 
     @cached_property
     def f_S(self) -> Array:
+        """Generalised force (d,) on the object, eq. 21, converted from locked axes to axes of S."""
         f = self.records.work.f_S.copy()
         f[: int(self.locked)] = 0.0
         wrench = np.linalg.solve(self.records.motions().T, self.records.reflection().T @ f)

@@ -1,4 +1,4 @@
-"""Checks of a controller at its start: joints against their limits, wrists against their load.
+"""Checks of a controller at its start: joint positions in their limits, wrist readings of the load.
 
 `Measurement.wrenches` includes the weight of the bodies outboard of the sensor. Before any contact
 is made, a reading that differs from this weight is not a contact force: its gravity convention,
@@ -20,10 +20,10 @@ from osc_contact.robots.model import position_limits
 from osc_contact.spatial import Array, norm
 
 RANGE = 0.05  #: permitted start position beyond a joint's limits, as a share of its range
-CLEAR = 1e-3  #: m, rad, gap above which a contact is open
-WINDOW_S = 0.05  #: s of readings whose median is compared
+CLEAR = 1e-3  #: gap above which a contact is open (m, rad)
+WINDOW_S = 0.05  #: duration of the readings whose median is compared (s)
 FEWEST = 5  #: least number of readings
-LEVER = 0.2  #: m, least lever of `load_error` in the limit of the torque
+LEVER = 0.2  #: least lever arm of `load_error` in the limit of the torque (m)
 NOTHING = 1e-9  #: share of the weight below which readings (N, N m) count as exact zeros
 LIKE = 0.25  #: share of the weight within which readings match a likely cause
 
@@ -40,7 +40,7 @@ class StartCheck:
     """
 
     def __init__(self) -> None:
-        """Begin before the first tick."""
+        """Begin before the first tick, without readings."""
         self.done = False
         self.refused = ""
         self.inside = False
@@ -51,8 +51,8 @@ class StartCheck:
         """Check the joints of a measurement, and the wrists of the last computed tick.
 
         Args:
-            controller: the `Controller` with the records of that tick. measurement: the present
-                one.
+            controller: controller with the records of the last tick. measurement: measurement of
+                the present tick.
 
         Returns:
             True once all checks are completed.
@@ -80,7 +80,7 @@ class StartCheck:
                     return False
             elif len(self.readings) < FEWEST:
                 self.readings = []
-            if controller.engaged:  # otherwise `Controller.engage` compares them
+            if controller.engaged:  # otherwise `Controller.engage` calls `judge`
                 self.judge(controller)
             if self.refused:
                 raise InvalidInputError(self.refused)
@@ -134,11 +134,11 @@ def is_clear(settings: Settings, rows: TickRecords) -> bool:
 def judge_load(
     chain: ClosedChain, most: float, error: Array, expected: Array, stepped: bool = False
 ) -> str:
-    """Sentence on wrist readings that differ from the load; empty within the limit.
+    """Sentence on wrist readings that differ from the load, with the likely cause; else empty.
 
     Args:
         chain: model of the arms.
-        most: largest force that the readings may be off (N), `SafetySettings.load_error`.
+        most: largest permitted error of the force (N), `SafetySettings.load_error`.
         error: (6,) readings less the load, at O in world axes (N, N m).
         expected: (6,) load by the model, at O in world axes (N, N m).
         stepped: True if the robot was commanded before, so that exact zeros are readings.
@@ -180,6 +180,7 @@ def judge_load(
 
 
 def _show(wrench: Array) -> str:
+    """Format a wrench (6,) with its units for a message; + 0.0 turns −0.0 into 0.0."""
     force = np.round(wrench[:3], 2) + 0.0
     torque = np.round(wrench[3:], 3) + 0.0
     return f"{force.tolist()} N, {torque.tolist()} N m"

@@ -91,12 +91,13 @@ class LimitLoss:
 
 @dataclass(frozen=True)
 class LostDirection:
-    """A motion of the object that an arm near a singular posture is losing.
+    """Direction of motion of the object that an arm loses near a singular posture.
 
     Attributes:
-        arm: its name. left: share of the motion command that still counts, 0 … 1.
-        inertia_ratio: the arm's apparent inertia there beside object and arm together.
-        twist: (6,) the motion at O in world axes, 1 m/s long (or 1 rad/s, if it only turns).
+        arm: name of the arm. left: remaining share of the motion command along it, 0 … 1.
+        inertia_ratio: apparent inertia of the arm along it, relative to that of object and arm in a
+            regular posture.
+        twist: (6,) unit motion at O in world axes: 1 m/s, or 1 rad/s if O does not move.
     """
 
     arm: str

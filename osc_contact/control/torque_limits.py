@@ -1,4 +1,4 @@
-"""Torques of a saturated tick within the motors' limits, and what that costs."""
+"""Torques of a saturated tick within the motor limits, and the losses of motion and force."""
 
 import numpy as np
 
@@ -11,10 +11,16 @@ from osc_contact.law.nested import View
 
 
 def relieve(program: TorqueLimits, rows: TickRecords) -> None:
-    """Torques within the limits that lose least; the force integral follows.
+    """Replace the torques of a saturated tick by those within the limits that lose least.
+
+    Writes the torques and the corrected force integral to MEMORY.
+
+    Args:
+        program: quadratic program of the controller, which is filled and solved. rows: records of
+            the tick, whose status is SATURATED.
 
     Raises:
-        SolverError: none were found.
+        SolverError: the program has no solution.
     """
     place = (rows.rows.raw, rows.at, rows.index, program.raw)
     fill_program(*place)
@@ -22,11 +28,16 @@ def relieve(program: TorqueLimits, rows: TickRecords) -> None:
     settle(*place)
 
 
-NEAR_SINGULAR = 2  #: motions that a singular posture may add to those of a redundant arm
+#: Joint motions without motion of the object that a singular posture may add in a redundant arm.
+NEAR_SINGULAR = 2
 
 
 class MotorLimits:
-    """The quadratic program of one controller, its arrays made once."""
+    """Quadratic program of the motor limits of one controller, whose arrays are allocated once.
+
+    Attributes:
+        chain: model of the arms. program: the quadratic program.
+    """
 
     def __init__(self, settings: Settings, model: View) -> None:
         """Allocate the quadratic program of the motor limits.
@@ -42,10 +53,10 @@ class MotorLimits:
         self.program.program.mass = chain.reference.inertia.mass
 
     def given_up(self, rows: TickRecords) -> LimitLoss:
-        """Losses in the last call of `relieve`.
+        """Compute the losses of the tick in which `relieve` was called last.
 
         Args:
-            rows: records of the tick.
+            rows: records of this tick.
         """
         program = self.program
         chain = self.chain
@@ -94,8 +105,14 @@ def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
 
 
 def _count_idle(chain: ClosedChain) -> int:
-    """Largest number of joint motions of redundant arms that do not move the object."""
-    counts = [
-        arm.model.nv - grasp.N.shape[1] for arm, grasp in zip(chain.arms, chain.grasps, strict=True)
-    ]
-    return sum(count + NEAR_SINGULAR for count in counts if count > 0)
+    """Largest number of independent joint motions that do not move the object, of all arms.
+
+    A redundant arm has one for each joint more than its grasp transmits forces, and up to
+    `NEAR_SINGULAR` more near singular postures.
+    """
+    total = 0
+    for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
+        surplus = arm.model.nv - grasp.N.shape[1]
+        if surplus > 0:
+            total += surplus + NEAR_SINGULAR
+    return total

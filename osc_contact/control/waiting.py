@@ -1,4 +1,4 @@
-"""Desired contact forces that are not there although every tick is computed: why, in words."""
+"""Sentences on desired contact forces that are absent although every tick is computed."""
 
 import numpy as np
 from pinocchio import SE3
@@ -8,32 +8,40 @@ from osc_contact.control.records import TickRecords
 from osc_contact.control.status import Phase
 from osc_contact.spatial import Array
 
-PATIENCE_S = 2.0  #: s of desired forces without engaged contacts, after which it is logged
+#: Time of desired forces without engaged contacts, after which a warning is logged (s).
+PATIENCE_S = 2.0
 
 
 class Idle:
-    """Ticks with desired contact forces in which the contacts are not engaged.
+    """Count of consecutive ticks with desired contact forces while contacts are not engaged.
 
     Attributes:
-        waiting: whether the contacts are not engaged, so that ticks are counted.
-        ticks: number in a row, up to the last one.
-        logged: whether it was logged.
+        waiting: True while the contacts are not engaged, so that ticks are counted.
+        ticks: number of consecutive ticks, up to the last one.
+        logged: True once the warning was logged.
     """
 
     def __init__(self, *, waiting: bool) -> None:
+        """Begin to count, see `begin`."""
         self.begin(waiting=waiting)
 
     def begin(self, *, waiting: bool) -> None:
-        """Count from zero, where contacts are not engaged (`waiting`)."""
+        """Begin to count at zero.
+
+        Args:
+            waiting: True if the contacts are not engaged.
+        """
         self.waiting = waiting
         self.ticks = 0
         self.logged = False
 
     def count(self, settings: Settings, alpha_d: Array) -> bool:
-        """Take in a tick without engaged contacts; returns whether this is to be logged now.
+        """Count a tick without engaged contacts; return True if the warning is to be logged now.
+
+        A tick without a desired force sets the count to zero.
 
         Args:
-            settings: settings of the controller. alpha_d: (r,) desired magnitudes (N).
+            settings: settings of the controller. alpha_d: (r,) desired contact forces (N).
         """
         desired = len(settings.contacts) > 0 and bool(np.any(np.asarray(alpha_d) > 0.0))
         self.ticks = self.ticks + 1 if desired else 0
@@ -42,7 +50,11 @@ class Idle:
         return due
 
     def sentence(self, settings: Settings) -> str:
-        """Why nothing presses; empty where no force is desired."""
+        """Sentence on forces that are desired without engaged contacts; empty without such forces.
+
+        Args:
+            settings: settings of the controller, with its period.
+        """
         if not self.ticks:
             return ""
         return (
@@ -54,7 +66,10 @@ class Idle:
 
 
 def explained_approaches(records: TickRecords, settings: Settings) -> str:
-    """Which approached contacts push no more than friction of the closed ones may explain.
+    """Sentence on approached contacts whose readings friction of closed contacts may explain.
+
+    Friction of the closed contacts changes the readings in the direction of an approached contact;
+    this contact counts as made only above the part that friction explains.
 
     Args:
         records: `TickRecords` of the last tick. settings: settings of the controller.
@@ -62,23 +77,23 @@ def explained_approaches(records: TickRecords, settings: Settings) -> str:
     if settings.life is None:
         return ""
     life = settings.life
-    owners = records.model.columns.contact
-    found = []
+    contact_of_column = records.model.columns.contact
+    sentences = []
     for number, pair in enumerate(settings.contacts):
         if records.memory.contacts.phase[number] != Phase.APPROACHING:
             continue
-        columns = records.memory.columns[owners == number]
+        columns = records.memory.columns[contact_of_column == number]
         for row in columns:
             least = row.explained + life.force_on
             if row.explained > 0.0 and life.force_on < row.touch < least:
-                found.append(
+                sentences.append(
                     f"contact '{pair.name}' is not made: it reads {row.touch:.3g} N, of which "
                     f"friction of the closed contacts explains {row.explained:.3g} N if their "
                     f"coefficient is friction_bound = {life.friction_bound:g}; it is made above "
                     f"{least:.3g} N. Press more, press less on the others, or lower friction_bound "
                     "(PhaseSettings, control.life)"
                 )
-    return "; ".join(found)
+    return "; ".join(sentences)
 
 
 def standing_approaches(records: TickRecords, settings: Settings) -> str:
@@ -91,17 +106,17 @@ def standing_approaches(records: TickRecords, settings: Settings) -> str:
         return ""
     travel = settings.life.travel
     X_WO = SE3(records.work.X_WO)
-    found = []
+    sentences = []
     rows = zip(settings.contacts, records.memory.contacts, records.work.bodies.motion, strict=False)
     for pair, contact, motion in rows:
         if contact.phase != Phase.APPROACHING or contact.since * settings.life.speed < travel:
             continue
         X_WE = SE3(motion[:16].reshape(4, 4)) if records.work.moving else None
         gap: Array = np.abs(pair.gaps(X_WO, X_WE))
-        found.append(
+        sentences.append(
             f"the approach of contact '{pair.name}' has covered travel = {1e3 * travel:g} mm, met "
             f"nothing and stands still; in the model {1e3 * gap.max():.3g} mm are left. Correct "
             "the place of what it touches, begin nearer, or raise travel (PhaseSettings, "
             "control.life)"
         )
-    return "; ".join(found)
+    return "; ".join(sentences)

@@ -1,9 +1,9 @@
-"""The compiled law as WebAssembly: one module for browsers and Node.js, for every `.osc` file.
+"""WebAssembly module of the compiled law, for browsers and Node.js, which runs every `.osc` file.
 
 law.wasm is the law for 32-bit addresses, with the C sources of `without_python` and web_files. It
-needs nothing from its surroundings. Wheels bring it; elsewhere it is made when it is first wanted,
-and kept in the store of parts under the hash of all that it is made of. The compiler is that of
-the package `ziglang` (extra `web`), or clang with lld and wasi-libc.
+imports no functions. Wheels contain it; otherwise it is compiled when it is first needed, and kept
+in the store of parts under the hash of its sources. The compiler is that of the package `ziglang`
+(extra `web`), or clang with lld and wasi-libc.
 """
 
 from __future__ import annotations
@@ -24,22 +24,25 @@ from osc_contact.errors import OscContactError
 from osc_contact.law import library
 from osc_contact.law.store import Store
 
-MODULE = "law.wasm"  #: beside the library of the law, where a wheel brings it
+MODULE = "law.wasm"  #: file name; in a wheel it is in the folder of the law's library
 TRIPLE = "wasm32-unknown-wasi"
-SOURCES = ("osc_selection.c", "osc_daqp.c", "osc_web.c")  #: the first has osc_controller.c within
-STACK = 1 << 20  #: bytes
+SOURCES = ("osc_selection.c", "osc_daqp.c", "osc_web.c")  #: the first includes osc_controller.c
+STACK = 1 << 20  #: size of the stack (bytes)
 _FLAGS = ("-O2", "-w", "-std=c11", "-mexec-model=reactor", f"-Wl,-z,stack-size={STACK}")
 
 
 def law_wasm() -> bytes:
-    """The module for the law as it lies here: a wheel's, one that was kept, or a new one.
+    """Content of the module for the present sources of the law.
+
+    It is read from the wheel if that is of the same sources, else from the store of parts, or
+    compiled.
 
     Raises:
-        OscContactError: there is none, and no compiler to make it, or the compiler fails.
+        OscContactError: it has to be compiled, and there is no compiler, or the compiler fails.
     """
-    brought = Path(library.__file__).with_name(MODULE)
-    if brought.is_file():
-        content = brought.read_bytes()
+    packaged = Path(library.__file__).with_name(MODULE)
+    if packaged.is_file():
+        content = packaged.read_bytes()
         if library.law_hash().encode() in content:
             return content
     with TemporaryDirectory() as temporary:
@@ -50,25 +53,25 @@ def law_wasm() -> bytes:
                 (folder / item.name).write_bytes(item.read_bytes())
         store = Store(library.cache_folder() / "parts")
         key = f"web-{_hash_of(folder)}"
-        kept = store.find(key)
-        if kept is not None:
-            return kept
-        made = _made(folder)
-    store.keep(key, made)
-    return made
+        stored = store.find(key)
+        if stored is not None:
+            return stored
+        module = _compile(folder)
+    store.keep(key, module)
+    return module
 
 
 def _hash_of(folder: Path) -> str:
     """SHA-256 of the sources in a folder, those of the law, and the options of the compiler."""
-    found = sha256(" ".join((library.law_hash(), TRIPLE, *SOURCES, *_FLAGS)).encode())
+    digest = sha256(" ".join((library.law_hash(), TRIPLE, *SOURCES, *_FLAGS)).encode())
     for path in sorted(folder.rglob("*")):
         if path.is_file():
-            found.update(path.name.encode() + path.read_bytes())
-    return found.hexdigest()
+            digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
-def _made(folder: Path) -> bytes:
-    """The module of the sources in a folder.
+def _compile(folder: Path) -> bytes:
+    """Compile the law and the C sources in a folder to a module; return its content.
 
     Raises:
         OscContactError: there is no compiler, or it fails.
@@ -77,7 +80,7 @@ def _made(folder: Path) -> bytes:
     _run(
         [sys.executable, "-m", "osc_contact.law.c_object", TRIPLE, str(folder / "law.o")],
         folder,
-        OSC_CONTACT_LAW="compile",  # where a library is there, numba would not be loaded
+        OSC_CONTACT_LAW="compile",  # with a ready library of the law, numba would not be loaded
     )
     command = [*compiler, *_FLAGS, "-I.", "-Idaqp/include", *SOURCES, "law.o", "-lm", "-s"]
     cache = str(library.cache_folder() / "zig")
@@ -106,15 +109,15 @@ def _run(command: Sequence[str], folder: Path, **variables: str) -> None:
     """Run a command in a folder.
 
     Args:
-        command: with its words. folder: to run it in. variables: of the environment, besides this
-            process's.
+        command: words of the command. folder: working directory. **variables: environment variables
+            in addition to those of this process.
 
     Raises:
-        OscContactError: it fails.
+        OscContactError: the command fails; with the end of its error output.
     """
     here = str(Path(__file__).resolve().parents[2])
     paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
-    done = subprocess.run(
+    result = subprocess.run(
         command,
         cwd=folder,
         env={**os.environ, "PYTHONPATH": paths, **variables},
@@ -122,13 +125,13 @@ def _run(command: Sequence[str], folder: Path, **variables: str) -> None:
         capture_output=True,
         text=True,
     )
-    if done.returncode != 0:
+    if result.returncode != 0:
         raise OscContactError(
-            f"{MODULE} cannot be made: {' '.join(command[:4])} … ends with {done.returncode}: "
-            f"{done.stderr.strip()[-800:]}"
+            f"{MODULE} cannot be made: {' '.join(command[:4])} … ends with {result.returncode}: "
+            f"{result.stderr.strip()[-800:]}"
         )
 
 
-if __name__ == "__main__":  # FILE: the module for other programs
+if __name__ == "__main__":  # python -m … FILE writes the module to FILE
     if len(sys.argv) == 2:
         Path(sys.argv[1]).write_bytes(law_wasm())
