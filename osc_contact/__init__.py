@@ -209,7 +209,7 @@ __all__ = [
 
 @cache
 def _homes() -> dict[str, str]:
-    """Module of every public name, read from the imports above, which only type checkers run."""
+    """Map every public name to its module, by the imports above, which only type checkers run."""
     source = __spec__.loader.get_source(__name__)  # type: ignore[union-attr]
     block = next(node for node in ast.parse(source).body if isinstance(node, ast.If))
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
@@ -217,7 +217,7 @@ def _homes() -> dict[str, str]:
 
 
 def _imported(name: str) -> Any:
-    """Object of a public name, imported from its module.
+    """Import a public name from its module; return the object.
 
     Raises:
         ModuleNotFoundError: the module needs a package; the message names its extra.
@@ -233,12 +233,17 @@ def _imported(name: str) -> Any:
 
 
 def __getattr__(name: str) -> Any:
+    """Import a public name, a module, or a contact pair on first access, and keep it.
+
+    Raises:
+        AttributeError: there is no such name.
+    """
     if name in _homes():
         value = _imported(name)
     elif find_spec(f"{__name__}.{name}"):
         return import_module(f"{__name__}.{name}")
     elif name[0].isupper() and hasattr(pairs := import_module(_homes()["ContactPair"]), name):
-        value = getattr(pairs, name)  # a file beside other pairs
+        value = getattr(pairs, name)  # a pair whose file was added to the package
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value
@@ -246,4 +251,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
+    """Sorted names of the package, including those that are imported on first access."""
     return sorted({*globals(), *__all__})

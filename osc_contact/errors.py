@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 
-#: Extra that brings a package, by the name under which it is imported.
+#: Extra that installs a package, by the name under which it is imported.
 EXTRAS = {
     "numba": "law",
     "llvmlite": "law",
@@ -40,14 +40,14 @@ def missing(error: ImportError) -> str:
     return f"{package} is not installed: pip install 'osc-contact[{EXTRAS[package]}]'"
 
 
-MANY = 8  #: names that are listed after a guess, at most
-SHOWN = 12  #: names that are listed without a guess, at most
+MANY = 8  #: largest number of known names that are listed after a guess
+SHOWN = 12  #: largest number of known names that are listed without a guess
 
 
 def did_you_mean(word: str, known: Iterable[str], most: int = SHOWN) -> str:
-    """Hint "did you mean 'x'? known: ..." for an unknown word.
+    """Make the hint "did you mean 'x'? known: ..." for an unknown word.
 
-    A long list of known words is left out after a guess, and cut off without one.
+    A long list of known words is left out if there is a guess, and cut off if there is none.
 
     Args:
         word: word that is not among `known`.
@@ -126,8 +126,10 @@ class ScenarioError(OscContactError):
 
 
 class SolverError(OscContactError):
-    """A quadratic program was not solved (a controller that meets it holds its last torques), or no
-    jerk-limited way was found (a set point keeps its former goal).
+    """A quadratic program was not solved, or no jerk-limited trajectory was found.
+
+    In the first case a controller holds its last torques, in the second a set point keeps its
+    former goal.
 
     Example:
         >>> height = osc.SetPoint(0.0, osc.JerkLimits(0.1, 1.0, 10.0), dt=1e-3)

@@ -15,8 +15,8 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-StrPath = str | os.PathLike[str]  #: a file's name, as `open` takes it
-Json = dict[str, Any]  #: an object of a JSON file
+StrPath = str | os.PathLike[str]  #: path of a file, as for `open`
+Json = dict[str, Any]  #: object of a JSON file
 
 
 def hold(descriptor: int, name: StrPath) -> None:
@@ -80,10 +80,10 @@ def require_private(folder: Path) -> None:
     """
     if not hasattr(os, "getuid"):  # Windows
         return
-    found = folder.stat()
-    if found.st_uid not in (0, os.getuid()):
+    status = folder.stat()
+    if status.st_uid not in (0, os.getuid()):
         raise PermissionError(f"{folder} belongs to another user: name a folder of your own")
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise PermissionError(f"other users may write to {folder}: chmod go-w {folder}")
 
 
@@ -134,7 +134,14 @@ def whole_file(path: StrPath) -> Iterator[Path]:
 
 
 def write_whole(content: str | bytes, path: StrPath) -> Path:
-    """Write a file (text as UTF-8) that appears complete or not at all, and return its path."""
+    """Write a file (text as UTF-8) that appears complete or not at all; return its path.
+
+    Args:
+        content: text or bytes. path: name of the file; its folder is made, an older file replaced.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     if isinstance(content, str):
         content = content.encode()
     with whole_file(path) as unfinished:

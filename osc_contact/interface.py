@@ -142,7 +142,7 @@ class Measurement:
         sequence: int | None = None,
         estimated: bool = False,
     ) -> None:
-        """Take the readings; see the class for shapes and units."""
+        """Convert and store the readings; the class's docstring has their shapes and units."""
         self.__dict__.update(
             q=_readable(q),
             v=_readable(v),
@@ -222,7 +222,7 @@ class Robot(Protocol):
 
         Args:
             tau: (n_a,) motor torques, within the limits (N m, N).
-            duration: s, the control period.
+            duration: control period (s).
         """
 
     def stop(self, reason: str = "") -> None:
@@ -286,22 +286,22 @@ class Reference:
         squeeze_d: float | ArrayLike = 0.0,
         active: ArrayLike | None = None,
     ) -> None:
-        """Convert lists, arrays of other types and a plain number for alpha_d.
+        """Convert lists and arrays of other types to arrays of doubles, and a number for alpha_d.
 
-        Numbers need not be finite: a tick with others is held, see `Controller.tick`.
+        Numbers need not be finite: a tick with a NaN or inf is held, see `Controller.tick`.
 
         Args:
             X_WD: `pin.SE3`, or its homogeneous matrix (4, 4).
-            V_D: (6,) m/s, rad/s; None: zero.
-            A_D: (6,) m/s², rad/s²; None: zero.
-            alpha_d: (r,) N; a number if r = 1.
-            squeeze_d: a number, or an array (k(k − 1)/2,) (N).
-            active: (contacts,) of truth values, or None.
+            V_D: (6,) desired twist (m/s, rad/s); None: zero.
+            A_D: (6,) desired classical acceleration (m/s², rad/s²); None: zero.
+            alpha_d: (r,) desired contact forces (N); a number if r = 1.
+            squeeze_d: desired internal force (N), a number or (k(k − 1)/2,).
+            active: (contacts,) flags of active contacts, or None.
 
         Raises:
             InvalidInputError: wrong shapes, no numbers, or a matrix that is not a pose.
         """
-        if squeeze_d.__class__ is not float:  # a float, the usual case, is kept: this costs time
+        if squeeze_d.__class__ is not float:  # the usual case, a float, needs no conversion
             squeeze_d = _number_or_command("squeeze_d", squeeze_d)
         self.__dict__.update(
             X_WD=X_WD if isinstance(X_WD, pin.SE3) else _pose_of(X_WD),
@@ -358,7 +358,10 @@ def _forces(alpha_d: ArrayLike) -> Array:
 
 
 def _number_or_command(name: str, value: float | ArrayLike) -> float | Array:
-    """Return a number as a float, several numbers as an array of doubles; `name`: see `_command`.
+    """Convert a number to a float, several numbers to an array of doubles.
+
+    Args:
+        name: name of the field of the reference, for messages. value: a number, or several.
 
     Raises:
         InvalidInputError: see `_command`.
@@ -368,7 +371,7 @@ def _number_or_command(name: str, value: float | ArrayLike) -> float | Array:
 
 
 def _pose_of(matrix: ArrayLike) -> pin.SE3:
-    """Pose of a homogeneous matrix (4, 4); its numbers need not be finite.
+    """Convert a homogeneous matrix (4, 4) to a pose; its numbers need not be finite.
 
     Raises:
         InvalidInputError: another shape, a last row other than 0, 0, 0, 1, or R not a rotation.
@@ -404,7 +407,7 @@ def pose_reference(
     alpha_d: ArrayLike = (),
     squeeze_d: float | ArrayLike = 0.0,
 ) -> Reference:
-    """Reference from p, R, ṗ, p̈, ω, ω̇ of the object's origin, all in world axes.
+    """Make a reference from p, R, ṗ, p̈, ω, ω̇ of the object's origin, all in world axes.
 
     Args:
         position: (3,) p (m).

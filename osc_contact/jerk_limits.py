@@ -25,7 +25,7 @@ Pieces = tuple[tuple[float, float], ...]
 
 #: Shares of the limits with which ruckig is tried, one after the other.
 _SHARES = (1.0, 1.0 - 1e-9, 1.0 - 1e-6, 0.999)
-#: Largest error at the end of ruckig's trajectory, over its length and that of 1 s at full speed.
+#: Largest error at the end of ruckig's trajectory, relative to its length plus 1 s at full speed.
 _END = 1e-7
 _NO_SHARE = 1e-300  #: coordinates with a smaller share of a straight line do not move
 
@@ -141,15 +141,15 @@ def follow(
 
 
 def rise(t: Any, start: float, duration: float) -> tuple[Any, Any, Any]:
-    """The minimum-jerk rise 10s³ − 15s⁴ + 6s⁵ from 0 to 1, s = (t − start)/duration.
+    """Compute the minimum-jerk rise 10s³ − 15s⁴ + 6s⁵ from 0 to 1, s = (t − start)/duration.
 
     A rise of zero duration is a step whose derivatives are zero.
 
     Args:
-        t: s, or many times (k,). start, duration: s.
+        t: time (s), or several times (k,). start, duration: beginning and duration of the rise (s).
 
     Returns:
-        The value, its first (1/s) and its second derivative (1/s²).
+        Value, first derivative (1/s) and second derivative (1/s²), each a number or (k,).
     """
     if isinstance(t, np.ndarray):
         s = np.where(t >= start + duration, 1.0, np.maximum(t - start, 0.0) / (duration or 1.0))
@@ -159,7 +159,7 @@ def rise(t: Any, start: float, duration: float) -> tuple[Any, Any, Any]:
         return 1.0, 0.0, 0.0
     else:
         s = (t - start) / duration
-    duration = duration or 1.0  # s is 0 or 1 then
+    duration = duration or 1.0  # avoids a division by zero; s is 0 or 1 in this case
     return (
         s**3 * (10.0 - 15.0 * s + 6.0 * s * s),
         30.0 * s * s * (1.0 - s) ** 2 / duration,
@@ -175,10 +175,10 @@ def _duration(pieces: Pieces) -> float:
 class _StopAndGo:
     """Trajectory that brings each coordinate to rest as fast as possible, then moves straight.
 
-    A closed form for any state and any goal; from rest it is time-optimal.
+    It is a closed form for any state and any goal; from rest it is time-optimal.
 
     Attributes:
-        duration: s, of both parts.
+        duration: duration of both parts (s).
     """
 
     def __init__(self, x: Array, v: Array, a: Array, goal: Array, limits: Array) -> None:
@@ -208,7 +208,10 @@ class _StopAndGo:
         self.duration = self._stopped + _duration(self._line)
 
     def _stopping(self, t: float) -> Array:
-        """State (3, n) while the coordinates stop; a coordinate that has stopped is at rest."""
+        """State (3, n) at the time t (s) of the first part, in which coordinates are stopped.
+
+        A coordinate that has stopped is at rest.
+        """
         states = np.array(
             [
                 follow(pieces, time, x, v, a)
@@ -233,7 +236,7 @@ class _Fastest:
     """Time-optimal trajectory by ruckig, from the origin, with velocity limits scaled to 1/s.
 
     Attributes:
-        duration: s.
+        duration: duration of the trajectory (s).
     """
 
     def __init__(self, x: Array, v: Array, a: Array, goal: Array, limits: Array) -> None:
@@ -267,9 +270,9 @@ class _Fastest:
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             raise SolverError(str(result))
         self.duration = float(self._trajectory.duration)
-        off = np.abs(self.at_time(self.duration)[0] - goal)
-        if not (off <= _END * (unit + np.abs(goal - x))).all():
-            raise SolverError(f"ruckig's trajectory ends {off} from the goal")
+        error = np.abs(self.at_time(self.duration)[0] - goal)
+        if not (error <= _END * (unit + np.abs(goal - x))).all():
+            raise SolverError(f"ruckig's trajectory ends {error} from the goal")
 
     def at_time(self, t: float) -> Array:
         """Position, velocity and acceleration (3, n) at the time t (s)."""
@@ -345,7 +348,13 @@ class Trajectory:
 
 
 def _fastest(x: Array, v: Array, a: Array, goal: Array, limits: Array) -> _Fastest | _StopAndGo:
-    """Fastest trajectory that can be computed; for the arguments see `_Fastest`."""
+    """Compute the fastest trajectory: by ruckig with ever lower limits, else in closed form.
+
+    Args:
+        x, v, a: (n,) position, velocity and acceleration at the beginning.
+        goal: (n,) position at the end.
+        limits: (3, n) limits of velocity, acceleration and jerk.
+    """
     if v.any() or a.any():
         for share in _SHARES:
             try:

@@ -1,7 +1,7 @@
-"""Old names of modules, and old places of names, that moved: found for one release, with a warning.
+"""Old names of modules and old places of names, which remain for one release with a warning.
 
 `MOVED` and `MOVED_NAMES` are the only lists of them. A module below an old package is found below
-the new one.
+the new package.
 """
 
 import sys
@@ -16,7 +16,7 @@ from typing import Any
 
 PACKAGE = "osc_contact."
 
-#: Old name of a module or package → new one, both below this package.
+#: New name of each module or package that moved, by its old name, both below this package.
 MOVED = {
     "cli": "lab.cli.app",
     "cli_robots": "lab.cli.robots",
@@ -47,7 +47,7 @@ MOVED = {
     "visual": "lab.visual",
 }
 
-#: Module → names that stood there, and their module now.
+#: Names that moved out of a module, with their present modules, by the old module.
 MOVED_NAMES = {
     "contacts.pairs.pair": {
         "BodyDirection": "contacts.pairs.keys",
@@ -95,31 +95,33 @@ MOVED_NAMES = {
 
 
 def new_name(name: str) -> str | None:
-    """The name that a module has now, or None: it did not move.
+    """Look up the present name of a module; None if it did not move.
 
     Args:
         name: full name, such as osc_contact.visual.plots.
     """
-    old = name.removeprefix(PACKAGE)
-    above, rest = old, ""
-    while name.startswith(PACKAGE) and above:
-        if above in MOVED:
-            return f"{PACKAGE}{MOVED[above]}{rest}"
-        above, _, last = above.rpartition(".")
+    if not name.startswith(PACKAGE):
+        return None
+    package = name.removeprefix(PACKAGE)
+    rest = ""  # the part of the name below the package that moved
+    while package:
+        if package in MOVED:
+            return f"{PACKAGE}{MOVED[package]}{rest}"
+        package, _, last = package.rpartition(".")
         rest = f".{last}{rest}"
     return None
 
 
 class MovedModules(MetaPathFinder, Loader):
-    """Finds a module by its old name: the one module is there under both names."""
+    """Finder and loader of modules by their old names; a module is one object under both names."""
 
     def find_spec(
         self, fullname: str, path: object = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """The spec of a module that moved, or that names have left; None: neither.
+        """Find the spec of a module that moved, or out of which names moved; else None.
 
         Args:
-            fullname: name that is imported. path, target: as of other finders.
+            fullname: name that is imported. path, target: see `importlib.abc.MetaPathFinder`.
         """
         if new_name(fullname) is not None:
             return ModuleSpec(fullname, self, is_package=True)
@@ -130,29 +132,36 @@ class MovedModules(MetaPathFinder, Loader):
         return spec
 
     def exec_module(self, module: ModuleType) -> None:
-        """Put the module of the new name in place of an empty one, and warn."""
+        """Replace an empty module with an old name by the module with the new name, and warn."""
         old = module.__name__
         new = str(new_name(old))
-        found = import_module(new)
+        present = import_module(new)
         warnings.warn(
             f"{old} is now {new}; the old name goes with the next release",
             FutureWarning,
             stacklevel=2,
         )
-        sys.modules[old] = found
+        sys.modules[old] = present
 
 
 def _exec_with_old_names(exec_module: Callable[[ModuleType], None], module: ModuleType) -> None:
-    """Fill a module; names that have left it are looked for where they are now."""
+    """Execute a module, and let it find names that moved out of it in their present modules.
+
+    Args:
+        exec_module: method of its loader. module: the empty module.
+    """
     exec_module(module)
     module.__getattr__ = partial(_name_elsewhere, module.__name__)  # type: ignore[method-assign]
 
 
 def _name_elsewhere(module: str, name: str) -> Any:
-    """A name that has left a module, with a warning.
+    """Import a name that moved out of a module, and warn; return the object.
+
+    Args:
+        module: full name of the old module. name: the name.
 
     Raises:
-        AttributeError: it never stood there.
+        AttributeError: the module never had this name.
     """
     new = MOVED_NAMES[module.removeprefix(PACKAGE)].get(name)
     if new is None:
@@ -166,9 +175,9 @@ def _name_elsewhere(module: str, name: str) -> Any:
 
 
 def find_moved_modules() -> None:
-    """Let Python look for old names first, once.
+    """Register the finder of old names before Python's own finders; repeated calls do nothing.
 
-    An old package is the new one, whose files Python would load a second time under the old name.
+    Python's finders would load a module below an old package a second time under its old name.
     """
     if not any(isinstance(finder, MovedModules) for finder in sys.meta_path):
         sys.meta_path.insert(0, MovedModules())

@@ -71,7 +71,15 @@ def Omega_m_bar(N: Array, B: Array) -> Array:
 
 
 def _onto(columns: Array, metric: Array, subject: str) -> Array:
-    """Projection N (NᵀΦN)⁻¹ NᵀΦ (n, n) onto the range of N; for the arguments see `orthonormal`."""
+    """Compute the projection N (NᵀΦN)⁻¹ NᵀΦ (n, n) onto the range of N.
+
+    Args:
+        columns: N (n, k). metric: Φ (n, n), positive semidefinite. subject: name of the result, for
+            messages.
+
+    Raises:
+        ContactError: see `orthonormal`.
+    """
     E, W, _ = orthonormal(columns, metric, subject)
     return E @ W.T
 
@@ -158,9 +166,9 @@ DEPENDENT = 1e-12
 INDEPENDENT = 1e-10
 #: Least share of a direction in a metric or dual space: 1e-6 … 1 within it, 1e-17 … 1e-10 outside.
 BLOCKED = 1e-8
-#: Over the least singular value of unit columns: error of the direction that they hardly span.
+#: Error of the direction that unit columns hardly span, times their least singular value.
 BLURRED = 1e-13
-#: Least eigenvalue of a scaled metric over the largest; rounding makes 1e-17 … 1e-14 of zero.
+#: Least eigenvalue of a scaled metric relative to the largest; rounding turns 0 into 1e-17 … 1e-14.
 _NO_MOBILITY = 1e-12
 #: Largest difference from symmetry of a scaled metric.
 _ASYMMETRIC = 1e-9
@@ -183,7 +191,7 @@ def scaled_columns(columns: Array, name: str = "N") -> tuple[Array, Array]:
 
 
 def independent(scaled: Array) -> bool:
-    """Return whether columns (6, k) of unit length are independent."""
+    """True if columns (6, k) of unit length are independent."""
     k = scaled.shape[1]
     if k < 2:
         return True
@@ -239,13 +247,16 @@ def span(columns: Array) -> tuple[Array, Array, Array]:
 def unit_diagonal(
     matrix: Array, name: str, cure: str, refusal: type[OscContactError]
 ) -> tuple[Array, Array]:
-    """Scale a positive definite matrix to unit diagonal; return it and the roots (n,) of its own.
+    """Scale a positive definite matrix to unit diagonal.
 
     Args:
         matrix: (n, n).
         name: name of the matrix, for messages.
-        cure: proper input, for messages.
+        cure: description of a valid matrix, for messages.
         refusal: class of the error.
+
+    Returns:
+        The scaled matrix, and the roots (n,) of the diagonal elements of `matrix`.
 
     Raises:
         OscContactError: the matrix is singular up to rounding, asymmetric, or not finite.
@@ -263,9 +274,10 @@ def unit_diagonal(
 
 
 def least(columns: Array) -> tuple[float, list[int]]:
-    """Least singular value of columns (n, k), k ≤ n, scaled to unit length, and its columns.
+    """Compute the least singular value of columns (n, k), k ≤ n, scaled to unit length.
 
-    Those are the indices of columns with a share in the right singular vector.
+    Returns:
+        The singular value, and the indices of the columns that take part in its singular vector.
     """
     _, S, Vt = np.linalg.svd(_unit(columns)[0], full_matrices=False)
     return (float(S[-1]), _large(Vt[-1]))
@@ -309,7 +321,7 @@ def orthonormal(columns: Array, metric: Array, subject: str) -> tuple[Array, Arr
 
 
 def left_inverse(columns: Array, metric: Array, subject: str) -> Array:
-    """Left inverse (NᵀΦN)⁻¹NᵀΦ (k, n) of N by the metric Φ.
+    """Compute the left inverse (NᵀΦN)⁻¹NᵀΦ (k, n) of N by the metric Φ.
 
     Args:
         columns: N (n, k), independent.
@@ -331,16 +343,19 @@ def _refuse(M: Array, X: Array, unseen: Array, subject: str) -> NoReturn:
         X: (m, k) FᵀQ, whose columns are the directions of Q in the metric.
         unseen: (k,) right singular vector of X with the least singular value.
         subject: name of the result that is computed.
+
+    Raises:
+        ContactError: always.
     """
     unit, length = _unit(M)
-    seen = np.linalg.norm(X @ unit, axis=0)
-    column = seen.argmin()
+    mobility = np.linalg.norm(X @ unit, axis=0)
+    column = mobility.argmin()
     independent, which = least(M)
-    if seen[column] < BLOCKED:
+    if mobility[column] < BLOCKED:
         raise ContactError(
-            f"{subject}: column {column} has nᵀΦn = {(seen * length)[column] ** 2:.3g}, its root "
-            f"{seen[column]:.2g} of what it may be (limit {BLOCKED:g}); the metric cannot move "
-            "along it. Drop that contact, or pass a metric that is definite on N."
+            f"{subject}: column {column} has nᵀΦn = {(mobility * length)[column] ** 2:.3g}, its "
+            f"root {mobility[column]:.2g} of what it may be (limit {BLOCKED:g}); the metric cannot "
+            "move along it. Drop that contact, or pass a metric that is definite on N."
         )
     if independent < DEPENDENT:
         raise ContactError(
@@ -357,14 +372,14 @@ def _refuse(M: Array, X: Array, unseen: Array, subject: str) -> NoReturn:
 
 
 def _unit(columns: Array) -> tuple[Array, Array]:
-    """Scale columns (n, k) to unit length; return them and the divisors (k,), 1 for zero ones."""
+    """Scale columns (n, k) to unit length; return them and divisors (k,), 1 for zero columns."""
     length = np.linalg.norm(columns, axis=0)
     length[length == 0.0] = 1.0
     return (columns / length, length)
 
 
 def _large(weights: Array) -> list[int]:
-    """Indices of the weights (k,) above 0.1 % of the largest one."""
+    """List the indices of weights (k,) whose magnitude is above 0.1 % of the largest one."""
     size = np.abs(weights)
     return np.flatnonzero(size > 1e-3 * size.max()).tolist()
 

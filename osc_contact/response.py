@@ -47,7 +47,7 @@ def contact_response(
     f_S: npt.ArrayLike | None = None,
     tau: npt.ArrayLike | None = None,
 ) -> ContactResponse:
-    """Acceleration and contact force under a command (eqs. 17, 18 with Φ₀ for Λ₀⁻¹).
+    """Compute acceleration and contact force under a command (eqs. 17, 18 with Φ₀ for Λ₀⁻¹).
 
         α = D⁻¹[NᵀSΛ_S⁻¹(f_S − b_S) + Nᵀ(σ − b_e) − n_γ],   D = Nᵀ(Φ₀ + Φ_e)N
         η̇ = Λ_S⁻¹(f_S − b_S − SᵀNα)
@@ -88,7 +88,7 @@ def contact_response(
 
 
 def Lambda_rel(state: ChainState, environment: Environment) -> Array:
-    """Relative inertia Λ_rel = (Λ₀⁻¹ + Φ_e)⁻¹ (6, 6) of eqs. 17 to 25, with Φ₀ for Λ₀⁻¹.
+    """Compute the relative inertia Λ_rel = (Λ₀⁻¹ + Φ_e)⁻¹ (6, 6) of eqs. 17 to 25, Φ₀ for Λ₀⁻¹.
 
     Λ_rel exists if chain and environment together can accelerate in all six directions. Its
     inverse Φ₀ + Φ_e, by which forces are computed, always exists.
@@ -126,24 +126,26 @@ def require_reachable(state: ChainState, contact: Contact, Phi_e: Array | None =
     Raises:
         ContactError: the message names the column of N.
     """
-    who = "the arms" if Phi_e is None else "the arms and the environment"
+    bodies = "the arms" if Phi_e is None else "the arms and the environment"
     N = contact.N
     D = N.T @ (state.Phi if Phi_e is None else state.Phi + Phi_e) @ N
     if D.size == 0:
         return
-    held = N.T @ np.linalg.solve(state.metric, N)
-    reach = np.diag(D) / np.diag(held)  # the object's own mobility sets the scale
-    if reach.min() < 1e-9:
-        column = reach.argmin()
+    free_mobility = N.T @ np.linalg.solve(state.metric, N)  # of the object without arms
+    mobility = np.diag(D) / np.diag(free_mobility)
+    if mobility.min() < 1e-9:
+        column = mobility.argmin()
         raise ContactError(
-            f"{who} cannot push on contact column {column}: its mobility is {reach[column]:.2g} "
-            "of the free object's. The structure carries this force; leave the contact out of N."
+            f"{bodies} cannot push on contact column {column}: its mobility is "
+            f"{mobility[column]:.2g} of the free object's. The structure carries this force; leave "
+            "the contact out of N."
         )
     scaled = D / np.sqrt(np.outer(np.diag(D), np.diag(D)))
     values, vectors = np.linalg.eigh(scaled)
     if values[0] < 1e-10:
-        which = np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3).tolist()
+        columns = np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3).tolist()
         raise ContactError(
-            f"in the metric of {who}, contact columns {which} are dependent (scaled eigenvalue "
-            f"{values[0]:.2g}): their forces cannot be distinguished. Keep an independent subset."
+            f"in the metric of {bodies}, contact columns {columns} are dependent (scaled "
+            f"eigenvalue {values[0]:.2g}): their forces cannot be distinguished. Keep an "
+            "independent subset."
         )

@@ -34,10 +34,16 @@ Array = NDArray[Any]
 if TYPE_CHECKING:
 
     class Coordinates:
-        """A field of a `geometry` as type checkers see it: numbers of any kind in, an array out."""
+        """Type of a field of a `geometry` for type checkers: set as array-like, read as array.
 
-        def __get__(self, owner: object, kind: type | None = None) -> Array: ...
-        def __set__(self, owner: object, value: ArrayLike) -> None: ...
+        At run time it is `Array`.
+        """
+
+        def __get__(self, owner: object, kind: type | None = None) -> Array:
+            """Read the field of `owner`."""
+
+        def __set__(self, owner: object, value: ArrayLike) -> None:
+            """Set the field of `owner`."""
 
 else:
     Coordinates = Array
@@ -49,8 +55,8 @@ Kind = TypeVar("Kind", bound=type)
 def geometry(kind: Kind) -> Kind:
     """Make a class a frozen dataclass, whose fields of type `Coordinates` accept array-likes.
 
-    A decorator. Type checkers see array-likes (lists, tuples, arrays) as arguments of the
-    constructor and arrays as attributes; the class has to convert them in `__post_init__`.
+    It is a decorator. For type checkers, arguments of the constructor are array-likes (lists,
+    tuples, arrays) and attributes are arrays; the class has to convert them in `__post_init__`.
     Instances are compared by identity.
 
     Args:
@@ -71,7 +77,7 @@ def as_array(name: str, value: object, shape: tuple[int | None, ...]) -> Array:
         shape: expected shape.
 
     Raises:
-        InvalidInputError: wrong number of axes, wrong size or a NaN/inf, with what was found.
+        InvalidInputError: wrong number of axes, wrong size, or a NaN/inf, whose place is named.
     """
     try:
         array = np.array(value, dtype=np.float64, ndmin=shape == (None,))
@@ -130,7 +136,7 @@ def unit_vector(name: str, value: object) -> Array:
 
 
 def norm(x: Array) -> float:
-    """Euclidean length √(xᵀx)."""
+    """Euclidean length √(xᵀx) of a vector (n,) whose elements have one unit."""
     return float(np.linalg.norm(x))
 
 
@@ -157,25 +163,31 @@ def columns_of(J: Array) -> Array:
 
 
 def carry_twist(V: Array, start: Array, end: Array) -> Array:
-    """Twists (6,) or (6, k) carried from point to point: v_end = v_start + ω × (end − start).
+    """Move twists from a reference point to another one: v_end = v_start + ω × (end − start).
 
     Args:
-        V: (6,) or (6, k), linear first. start, end: (3,) points (m).
+        V: (6,) or (6, k) twists at `start` (m/s, rad/s). start, end: (3,) points (m).
+
+    Returns:
+        Twists at `end`, of the shape of V.
     """
-    out = np.array(V, dtype=np.float64)
-    out[:3] -= skew(end - start) @ V[3:]
-    return out
+    V_end = np.array(V, dtype=np.float64)
+    V_end[:3] -= skew(end - start) @ V[3:]
+    return V_end
 
 
 def carry_wrench(F: Array, start: Array, end: Array) -> Array:
-    """Wrenches (6,) or (6, k) carried from point to point: m_end = m_start + (start − end) × f.
+    """Move wrenches from a reference point to another one: m_end = m_start + (start − end) × f.
 
     Args:
-        F: (6,) or (6, k), force first. start, end: (3,) points (m).
+        F: (6,) or (6, k) wrenches at `start` (N, N m). start, end: (3,) points (m).
+
+    Returns:
+        Wrenches at `end`, of the shape of F.
     """
-    out = np.array(F, dtype=np.float64)
-    out[3:] += skew(start - end) @ F[:3]
-    return out
+    F_end = np.array(F, dtype=np.float64)
+    F_end[3:] += skew(start - end) @ F[:3]
+    return F_end
 
 
 def cross_twist(V: Array, U: Array) -> Array:
@@ -189,57 +201,66 @@ def cross_wrench(V: Array, F: Array) -> Array:
 
 
 def classical_to_spatial(a_classical: Array, V: Array) -> Array:
-    """Spatial acceleration a − [ω × v; 0] from the classical acceleration a of the same point.
+    """Convert the classical acceleration a (6,) of a point to the spatial one, a − [ω × v; 0].
 
     Args:
-        a_classical: (6,) m/s², rad/s².
-        V: (6,) twist at that point, m/s, rad/s.
+        a_classical: (6,) classical acceleration [p̈; ω̇] of the point (m/s², rad/s²).
+        V: (6,) twist at the point (m/s, rad/s).
     """
-    out = np.array(a_classical, dtype=np.float64)
-    out[:3] -= cross(V[3:], V[:3])
-    return out
+    a_spatial = np.array(a_classical, dtype=np.float64)
+    a_spatial[:3] -= cross(V[3:], V[:3])
+    return a_spatial
 
 
 def pose_error(X_WD: SE3, X_WO: SE3) -> Array:
-    """Displacement (6,) from O to D, world axes at O: [p_D − p_O; log₃(R_D R_Oᵀ)] (m, rad)."""
+    """Displacement (6,) from the pose of O to that of D: [p_D − p_O; log₃(R_D R_Oᵀ)] (m, rad).
+
+    It is in world axes, at O.
+
+    Args:
+        X_WD, X_WO: desired pose and pose of the object in the world.
+    """
     rotation = pin.log3(X_WD.rotation @ X_WO.rotation.T)
     return np.concatenate((X_WD.translation - X_WO.translation, rotation))
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:
-    """Block-diagonal matrix of the given matrices, which need not be square."""
+    """Block-diagonal matrix of several matrices, which need not be square."""
     corners = np.cumsum([(0, 0), *(block.shape for block in blocks)], axis=0)
-    out = np.zeros(tuple(corners[-1]))
+    matrix = np.zeros(tuple(corners[-1]))
     for block, (i, j) in zip(blocks, corners, strict=False):
-        out[i : i + block.shape[0], j : j + block.shape[1]] = block
-    return out
+        matrix[i : i + block.shape[0], j : j + block.shape[1]] = block
+    return matrix
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses at k times along the last axis: R (3, 3, k) and p (3, k) (m), as in `pin.SE3`.
+    """Poses at k instants.
 
-    A rotation or position that is constant may have a last axis of length 1.
+    Attributes:
+        R: (3, 3, k) rotation matrices, or (3, 3, 1) if the rotation is constant.
+        p: (3, k) positions (m), or (3, 1) if the position is constant.
     """
 
     R: Array
     p: Array
 
     def __getitem__(self, i: int) -> SE3:
+        """Pose at the instant with the index i."""
         R = self.R[..., min(i, self.R.shape[-1] - 1)]
         p = self.p[..., min(i, self.p.shape[-1] - 1)]
         return SE3(R, p)
 
     def rotate(self, x: Array) -> Array:
-        """Vectors in world axes, from x (3, k) or (3, m, k) in body axes."""
+        """Convert vectors x (3, k) or (3, m, k) from body axes to world axes."""
         return rotated(self.R, x)
 
     def act(self, x: Array) -> Array:
-        """Points in world coordinates, from x (3, k) or (3, m, k) in body coordinates."""
+        """Convert points x (3, k) or (3, m, k) from body coordinates to world coordinates (m)."""
         return self.p + self.rotate(x)
 
     def rotate_back(self, x: Array) -> Array:
-        """Vectors in body axes, from x (3, k) or (3, m, k) in world axes."""
+        """Convert vectors x (3, k) or (3, m, k) from world axes to body axes."""
         return rotated(self.R.transpose(1, 0, 2), x)
 
     def coordinates(self, k: int) -> Array:
@@ -251,18 +272,18 @@ class Poses:
 
 
 def rotated(R: Array, x: Array) -> Array:
-    """Products R x at k times.
+    """Compute the products R x at k instants, of the shape of x.
 
     Args:
-        R: (3, 3, k) rotations; a last axis of length 1 stands for a constant one.
-        x: (3, k), or (3, m, k) for m vectors at each time.
+        R: (3, 3, k) rotation matrices, or (3, 3, 1) for a constant rotation.
+        x: (3, k), or (3, m, k) for m vectors at each instant.
     """
     if x.ndim == 3:
         R = R[:, :, None]
-    out = R[:, 0] * x[0]
-    out += R[:, 1] * x[1]
-    out += R[:, 2] * x[2]
-    return out
+    products = R[:, 0] * x[0]  # three sums of arrays: faster than einsum for small matrices
+    products += R[:, 1] * x[1]
+    products += R[:, 2] * x[2]
+    return products
 
 
 def rotations(w: Array) -> Array:
@@ -277,11 +298,11 @@ def rotations(w: Array) -> Array:
 
 
 def moved(X: Array, d: Array) -> Array:
-    """Poses (k, B, 4, 4) after displacements from X (B, 4, 4), in world axes.
+    """Displace B poses in world axes k times; return homogeneous matrices (k, B, 4, 4).
 
     Args:
-        X: (B, 4, 4) homogeneous matrices.
-        d: (k, B, 6) shift of the origin, then rotation vector (m, rad).
+        X: (B, 4, 4) homogeneous matrices of the poses.
+        d: (k, B, 6) displacements from X: shift of the origin, then rotation vector (m, rad).
     """
     k, B = d.shape[:2]
     E = rotations(d[..., 3:].reshape(k * B, 3).T).transpose(2, 0, 1).reshape(k, B, 3, 3)

@@ -1,8 +1,8 @@
-"""Full systems of equations for arms that hold an object by any grasp.
+"""Oracle of grasps: full systems of equations for arms that hold an object by any grasp.
 
-Every joint and the object have accelerations of their own, in classical terms; grasps are written
-as points and directions that stay together, differentiated twice by hand. Nothing here uses
-N, T or generalised inverses of the package.
+Unknowns are the accelerations of all joints and of the object, in classical terms. A grasp is
+written as points and directions that stay together, differentiated twice by hand. N, T and
+generalised inverses of the package are not used.
 """
 
 import numpy as np
@@ -11,17 +11,28 @@ from numpy.linalg import lstsq
 from rigs import largest, product, rotated, shift, terms_at, unit
 from samples import aligned
 
-PITCH = 0.1  # of screws (m/rad)
+PITCH = 0.1  # pitch of screws (m/rad)
 
 
 class System:
-    """Mass matrix, forces and grasps at a position, velocity and object state.
+    """Mass matrix, forces and constraints of arms and object in a state.
 
-    rows (m, n + 6) times [q̈; p̈; ω̇] are right (m,), times [v; ṗ; ω] they vanish; those of an arm
-    begin and end at `ends`. grasps: (kind, X_TO, axis in tip frame) for each arm.
+    Attributes:
+        M, h: (n, n), (n,) inertia and velocity and gravity forces of the joints.
+        I, pull: (6, 6), (6,) inertia of the object, and its force at p̈ = ω̇ = 0.
+        rows, right: (m, n + 6), (m,) constraints rows [q̈; p̈; ω̇] = right; rows [v; ṗ; ω] = 0.
+        ends: ends of each arm's rows, after a 0.
     """
 
     def __init__(self, model, tips, grasps, body, *, q, v, X_WO, V_O):
+        """Compute the system.
+
+        Args:
+            model: merged model of the arms. tips: names of the tips' frames.
+            grasps: (kind, X_TO, axis (3,) in the tip's frame) of each arm. body: inertia of the
+                object.
+            q, v: (n,) state of the joints. X_WO, V_O: pose and twist (6,) of the object.
+        """
         data = terms_at(model, q, v)
         self.M = np.array(data.M)
         self.h = np.array(data.nle)
@@ -39,7 +50,7 @@ class System:
             a = pin.getFrameAcceleration(*at)
             to_tip = data.oMf[at[2]].inverse()
             of_O = (to_tip * shift(X_WO.translation)).action
-            # seen from the tip the grasp moves with V_rel, whose rate is of_O a_O - J q̈ + rest
+            # relative to the tip the grasp moves with V_rel, whose rate is of_O a_O - J q̈ + rest
             V_rel = pin.Motion(of_O @ V_O) - of_tip
             rest = -of_O @ product(V_O) - a.vector - of_tip.cross(V_rel).vector
             for s, bend in derivatives(kind, axis, to_tip * X_WO * X_TO.inverse(), V_rel):
@@ -51,10 +62,13 @@ class System:
 
 
 def derivatives(kind, axis, X, V):
-    """Of all that stays zero while a grasp holds: gradient (6,), second derivative at constant V.
+    """Yield gradient (6,) and second derivative of each expression that a grasp keeps at zero.
+
+    The second time derivative is that at constant V.
 
     Args:
-        axis: in the frame of the tip. X, V: there pose and twist of the frame that is held.
+        kind: kind of the grasp. axis: (3,) axis in the frame of the tip. X, V: pose and twist of
+            the grasped frame in the frame of the tip.
     """
     p = X.translation
     w = V.angular
@@ -72,13 +86,17 @@ def derivatives(kind, axis, X, V):
         pairs = aligned(E, E[[1, 2, 0]])
     elif kind != "ball":
         pairs = [(s, axis) for s in across(axis)]
-    for s, of_object in pairs:  # stay perpendicular
+    for s, of_object in pairs:  # directions in tip and object that stay perpendicular
         b = X.rotation @ of_object
         yield (np.append(np.zeros(3), np.cross(b, s)), s @ np.cross(w, np.cross(w, b)))
 
 
 def solve(K, y):
-    """Least squares, equilibrated and refined (loops may be redundant); and what is left."""
+    """Solve K x = y by least squares, equilibrated and refined, since loops may be redundant.
+
+    Returns:
+        x, and the largest scaled residual.
+    """
     scale = 1.0 / np.sqrt(np.abs(K).max(axis=1))
     Ks = K * np.outer(scale, scale)
     x = scale * lstsq(Ks, scale * y, rcond=1e-13)[0]
@@ -88,7 +106,7 @@ def solve(K, y):
 
 
 def across(axis):
-    """Two unit vectors perpendicular to an axis (3,)."""
+    """Two perpendicular unit vectors (3,) that are perpendicular to an axis (3,)."""
     first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     first = unit(first)
     return (first, np.cross(unit(axis), first))

@@ -1,4 +1,4 @@
-"""Random chains: arms of any kind around an object, each with a grasp of any kind, loops closed."""
+"""Random closed chains: arms of any kind around an object, each with a grasp of any kind."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -17,6 +17,7 @@ KINDS = ("rigid", "hinge", "ball", "slide", "cylinder")
 
 @cache
 def _urdf(kind):
+    """Model, tip and passive joints of a packaged robot: "scara", "ur5" or "panda"."""
     if kind == "scara":
         return (robots.load_model(robots.urdf_path("scara_left")), "tool", ("hinge",))
     path, _ = robots.find_robot(kind)
@@ -24,7 +25,7 @@ def _urdf(kind):
 
 
 def planar(joints, rng):
-    """Two to four parallel axes."""
+    """Model, tip and passive joints of a planar arm with parallel axes and random links."""
     model = pin.Model()
     last = 0
     for i in range(joints):
@@ -39,7 +40,7 @@ def planar(joints, rng):
     return (model, "tip", ())
 
 
-#: Joints, which of them is the elbow, frame of the wrist sensor.
+#: Number of joints, index of the elbow, and frame of the wrist sensor of each kind of arm.
 ARMS = {
     "2R": (2, 1, "wrist"),
     "3R": (3, 1, "wrist"),
@@ -51,7 +52,7 @@ ARMS = {
 
 
 def posture(kind, rng, bend):
-    """Joint positions; `bend`: of the elbow, 0 is singular."""
+    """Random joint positions of an arm; `bend` is the angle of the elbow (rad), singular at 0."""
     n, elbow, _ = ARMS[kind]
     q = rng.uniform(-1.5, 1.5, n)
     if kind == "scara":
@@ -61,7 +62,7 @@ def posture(kind, rng, bend):
 
 
 def motions_of(kind, axis):
-    """(6, k) what a grasp permits at the tip."""
+    """Motions (6, k) that a grasp of a kind with an axis (3,) permits, at the tip in its axes."""
     turn = np.append(np.zeros(3), unit(axis))
     slide = np.append(unit(axis), np.zeros(3))
     columns = {
@@ -77,6 +78,7 @@ def motions_of(kind, axis):
 
 
 def grasp_of(kind, X_TO, axis):
+    """Grasp of the package of a kind, with its axis (3,) in the tip's frame; a pose if rigid."""
     if kind == "rigid":
         return X_TO
     if kind == "hinge":
@@ -85,7 +87,7 @@ def grasp_of(kind, X_TO, axis):
 
 
 def slip_of(kind, axis, rng):
-    """A random motion that the grasp permits, far from zero."""
+    """Random finite displacement that a grasp permits, as a pose in the tip's frame."""
     turn = rng.uniform(-2, 2)
     slide = rng.uniform(-0.05, 0.05)
     turns = rng.standard_normal(3)
@@ -101,17 +103,24 @@ def slip_of(kind, axis, rng):
 
 @dataclass
 class Case:
-    """A chain in one posture, with what the oracle needs to know of it."""
+    """Closed chain in a posture.
+
+    Attributes:
+        chain: the chain. q: (n,) joint positions. X_WO: pose of the object.
+        grasps: (kind, X_TO, axis) of each arm, for the oracle.
+    """
 
     chain: osc.ClosedChain
     q: np.ndarray
     X_WO: pin.SE3
-    grasps: list  # (kind, X_TO, axis)
+    grasps: list
 
     def at_rest(self):
+        """State of the chain at rest, by the package."""
         return self.chain.state(self.q, X_WO=self.X_WO, V_O=np.zeros(6))
 
     def system(self, v, V):
+        """Oracle's system of equations at joint velocities v (n,) and the object's twist V (6,)."""
         chain = self.chain
         tips = [f"{arm.name}/{arm.tip}" for arm in chain.arms]
         body = pin.Inertia.Zero() if chain.payload is None else chain.payload.inertia
@@ -119,7 +128,14 @@ class Case:
 
 
 def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BODY):
-    """Arms of `arms` with grasps of `kinds`, bases wherever that puts them."""
+    """Random case; the bases are placed so that the random postures reach the object.
+
+    Args:
+        arms: kind of each arm, in `ARMS`. kinds: kind of each grasp. rng: random numbers.
+        bends: angle of each elbow (rad); None: random, far from singular.
+        angle: `angle_tolerance` of the chain (rad). upright: True: all axes are vertical.
+        body: inertia of the object; None: no object.
+    """
     X_WO = placed(*rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.5, 3))
     parts = []
     held = []

@@ -1,9 +1,9 @@
-"""One KKT system of arms, held object and touched bodies, for any grasps and any contacts.
+"""Oracle of the law: one KKT system of arms, held object and touched bodies, for any contacts.
 
-Unknown are the accelerations of every joint, of the object and of every body, and one multiplier
-for each row of a grasp and of a contact. Pinocchio gives M and h, `grasp_oracle` the rows of the
-grasps; a contact is what its gaps say, differentiated twice along the motion. No N, no n_γ, no
-S, no Φ_e of the package takes part. Accelerations of the object are classical.
+Unknowns are the accelerations of all joints, of the object and of all bodies, and a multiplier for
+each row of a grasp and of a contact. M and h are Pinocchio's, the rows of grasps those of
+`grasp_oracle`, and the rows of a contact its gaps, differentiated twice along the motion. N, n_γ, S
+and Φ_e of the package are not used. Accelerations of the object are classical.
 """
 
 from dataclasses import dataclass, replace
@@ -23,9 +23,9 @@ from samples import aligned
 from osc_contact.dynamics.environment import Conveyor, Environment, Guided, Rail
 
 G = vector(0.0, 0.0, -9.81)
-SIZE = 0.15  # of the pairs' geometry, as drawn with 1 m
-STEP = 0.025  # of the differences (m or rad)
-REACH = 6  # steps to either side: the twelfth order
+SIZE = 0.15  # scale of the pairs' geometry, which is drawn in units of 1 m
+STEP = 0.025  # step of the finite differences (m or rad)
+REACH = 6  # number of steps to either side: differences of the twelfth order
 
 
 # Bodies -------------------------------------------------------------------------------------------
@@ -33,9 +33,13 @@ REACH = 6  # steps to either side: the twelfth order
 
 @dataclass(eq=False)
 class Body:
-    """A mechanism whose last frame is touched, in a state, with a controller's model of it.
+    """Mechanism whose last frame is touched, in a state, with the controller's model of it.
 
-    known: a body of the package, or the `Environment` at O (3,); prescribed: q̈ of its drives.
+    Attributes:
+        model: model of the mechanism. q, v: its state. tau: (nv,) generalised forces (N m, N).
+        known: body of the package, or function from O (3,) to the `Environment`.
+        prescribed: (nv,) q̈ of its drives, or None. name: kind of the body.
+        X, V: pose and twist (6,) of the touched frame, at its origin in world axes.
     """
 
     model: pin.Model
@@ -47,6 +51,7 @@ class Body:
     name: str = ""
 
     def __post_init__(self):
+        """Compute pose and twist of the touched frame."""
         self.frame = self.model.nframes - 1
         data = data_at(self.model, self.q, self.v)
         self.X = data.oMf[self.frame]
@@ -54,33 +59,41 @@ class Body:
 
     @classmethod
     def random(cls, name, rng, at):
+        """Random body of a kind in `BODIES`, near a point `at` (3,) (m)."""
         return replace(BODIES[name](rng, at), name=name)
 
     @property
     def given(self):
-        """The body that a controller is given."""
+        """Argument for `bodies` of a controller."""
         return self if callable(self.known) else self.known
 
     def environment(self, X_WE, V_E, A_E, O):
+        """Environment at O (3,), as a `Body` of the package; its measured motion is not used."""
         return self.known(O)
 
     def pose(self, step):
-        """Pose of the touched link, the joints displaced by step (nv,)."""
+        """Pose of the touched frame after a displacement of the joints by `step` (nv,)."""
         return data_at(self.model, pin.integrate(self.model, self.q, step)).oMf[self.frame].copy()
 
     def acceleration(self, qdd, O, of_frame=pin.getFrameAcceleration):
-        """(6,) spatial, at O, of the touched link."""
+        """Acceleration (6,) of the touched frame at O (3,) for the joint accelerations qdd (nv,).
+
+        It is spatial, or of the kind that the function `of_frame` of Pinocchio computes.
+        """
         data = data_at(self.model, self.q, self.v, qdd)
         a = of_frame(self.model, data, self.frame, LWA).vector
         a[:3] += np.cross(a[3:], O - self.X.translation)
         return a
 
     def seen(self):
-        """(28,) X_WE, V_E, A_E: the acceleration is reported where a drive makes it."""
+        """Measured motion (28,) for a controller: X_WE by rows, V_E, A_E.
+
+        A_E is zero unless a drive prescribes the acceleration.
+        """
         A = np.zeros(6)
         if self.prescribed is not None:
-            how = (self.X.translation, pin.getFrameClassicalAcceleration)
-            A = self.acceleration(self.prescribed, *how)
+            classical = pin.getFrameClassicalAcceleration
+            A = self.acceleration(self.prescribed, self.X.translation, classical)
         return np.concatenate((self.X.homogeneous.ravel(), self.V, A))
 
 
@@ -88,6 +101,7 @@ WORLD = Body(pin.Model(), *[np.zeros(0)] * 3, None, name="world")
 
 
 def random_inertia(rng):
+    """Random inertia of a possible body."""
     a, b, c = rng.uniform(0.01, 0.04, 3)  # any positive a, b, c make b + c, a + c, a + b possible
     turn = pin.rpy.rpyToMatrix(*rng.uniform(-3, 3, 3))
     spread = turn @ np.diag([b + c, a + c, a + b]) @ turn.T
@@ -95,11 +109,17 @@ def random_inertia(rng):
 
 
 def random_placement(rng, at):
+    """Random pose within 0.3 m of a point `at` (3,) along each axis."""
     return placed(*(at + rng.uniform(-0.3, 0.3, 3)), rng.uniform(-3, 3, 3))
 
 
 def on_joint(joint, rng, at, known, prescribed=False):
-    """A body on one joint, of any kind, placed at random."""
+    """Body on one joint near a point, with a random state and random forces.
+
+    Args:
+        joint: joint model of Pinocchio. rng: random numbers. at: (3,) point (m).
+        known: see `Body`. prescribed: True if a drive prescribes the acceleration.
+    """
     model = pin.Model()
     model.addJointFrame(model.addJoint(0, joint, random_placement(rng, at), "body"))
     model.appendBodyToJoint(1, random_inertia(rng), placed())
@@ -111,24 +131,34 @@ def on_joint(joint, rng, at, known, prescribed=False):
 
 
 def free(rng, at):
+    """Free body near a point `at` (3,), with a random wrench on it."""
+
     def known(O):
+        """Environment of the body at O (3,)."""
         wrench = (body.X.rotation @ body.tau.reshape(2, 3).T).T.ravel()
-        here = {"X_WE": body.X, "axes": np.eye(6), "rates": body.V, "O": O}
-        return Environment.rail(body.model.inertias[1], **here, gravity=G, force=wrench)
+        motion = {"X_WE": body.X, "axes": np.eye(6), "rates": body.V, "O": O}
+        return Environment.rail(body.model.inertias[1], **motion, gravity=G, force=wrench)
 
     body = on_joint(pin.JointModelFreeFlyer(), rng, at, known)
     return body
 
 
 def guided(joint):
-    """A body on one joint: rail, door, ball, plate on a plane."""
+    """Make a function for a body on one joint: on a rail, a hinge, a ball joint or a plane.
+
+    Args:
+        joint: function from random numbers to a joint model of Pinocchio.
+    """
 
     def make(rng, at):
+        """Body on a random joint near a point `at` (3,)."""
+
         def known(O):
+            """Environment of the body at O (3,), with the twists for unit rates as axes."""
             axes = np.column_stack([replace(body, v=e).V for e in np.eye(body.model.nv)])
             axes = axes[:, 0] if body.model.nv == 1 else axes
-            how = {"rates": body.v, "O": O, "gravity": G, "force": body.tau}
-            return Environment.rail(body.model.inertias[1], X_WE=body.X, axes=axes, **how)
+            motion = {"rates": body.v, "O": O, "gravity": G, "force": body.tau}
+            return Environment.rail(body.model.inertias[1], X_WE=body.X, axes=axes, **motion)
 
         body = on_joint(joint(rng), rng, at, known)
         return body
@@ -137,7 +167,7 @@ def guided(joint):
 
 
 def linkage(rng, at):
-    """Two hinges about skew axes; the second link is touched."""
+    """Linkage of two hinges about skew axes near a point `at` (3,); the second link is touched."""
     model = pin.Model()
     for k in range(2):
         X = random_placement(rng, at if k == 0 else np.zeros(3))
@@ -152,11 +182,20 @@ def linkage(rng, at):
 
 
 def moving(rng, at):
+    """Free-flying body near a point `at` (3,) whose acceleration is prescribed."""
     return on_joint(pin.JointModelFreeFlyer(), rng, at, Conveyor(), prescribed=True)
 
 
 def on_joints(rng, at, *joints, inertia):
-    """E on joints at a random point c, E's axes the world's and its origin there at q = 0."""
+    """Mechanism of serial joints at a random point c, whose last frame E is the world's at q = 0.
+
+    Args:
+        rng: random numbers. at: (3,) point near which c is (m). *joints: joint models.
+        inertia: inertia of each link in the frame of its joint.
+
+    Returns:
+        Model, c (3,), and random joint positions and velocities.
+    """
     model = pin.Model()
     c = at + rng.uniform(-0.3, 0.3, 3)
     for k, joint in enumerate(joints):
@@ -167,7 +206,7 @@ def on_joints(rng, at, *joints, inertia):
 
 
 def hinged(rng, at):
-    """`Guided`: a body whose centre of mass lies on the axis, with a spring and a damper."""
+    """Body on a hinge through its centre of mass, with spring and damper, known as `Guided`."""
     a = direction(rng)
     body = random_inertia(rng)
     balanced = pin.Inertia(body.mass, rng.normal() * a, body.inertia)
@@ -179,7 +218,7 @@ def hinged(rng, at):
 
 
 def turning(rng, at):
-    """A driven slide that carries a driven hinge."""
+    """Body on a driven slide and a driven hinge, known as `Conveyor`."""
     u = direction(rng)
     a = direction(rng)
     rates = rng.standard_normal(2) * 3
@@ -189,7 +228,7 @@ def turning(rng, at):
 
 
 def cart(rng, at):
-    """A mass on a rail from the world's origin, with spring and damper."""
+    """Mass on a slide through the world's origin, with spring and damper, known as `Guided`."""
     u = direction(rng)
     mass, k, c, preload = rng.uniform(1.0, 5.0, 4)
     joint = pin.JointModelPrismaticUnaligned(u)
@@ -216,31 +255,40 @@ BODIES = {
 
 
 def touch(name, rng, X_EO):
-    """A pair of a kind whose geometry lies so that it is in contact with the object at X_EO."""
+    """Random pair of a kind that is in contact with the object at the pose X_EO.
+
+    Args:
+        name: key of `pair_kinds.KINDS`. rng: random numbers. X_EO: pose of the object in the
+            touched body's frame.
+    """
     while True:
         seed = rng.integers(2**32)
         pair, pose, r = PAIRS[name](default_rng(seed), PLAIN)
-        if abs(getattr(pair, "pitch", 1.0)) > 0.3:  # a thread coarser than the differences
+        if abs(getattr(pair, "pitch", 1.0)) > 0.3:  # differences need a coarse thread
             break
-    drawn = pin.SE3(X_EO.rotation, X_EO.translation / SIZE)
-    there = Coordinates(
-        X_E=pose(0.7 * rng.standard_normal(6 - r)) * drawn.inverse(), per_metre=SIZE
+    scaled = pin.SE3(X_EO.rotation, X_EO.translation / SIZE)
+    coordinates = Coordinates(
+        X_E=pose(0.7 * rng.standard_normal(6 - r)) * scaled.inverse(), per_metre=SIZE
     )
-    return PAIRS[name](default_rng(seed), there)[0]
+    return PAIRS[name](default_rng(seed), coordinates)[0]
 
 
 def slopes(f, k):
-    """(r, k) derivatives of f along k coordinates."""
+    """Derivatives (r, k) of a function f of k coordinates at zero, which returns (r,) numbers."""
     columns = [rate(lambda t, e=e: f(t * e), h=STEP, reach=REACH) for e in np.eye(k)]
     return np.array(columns).T.reshape(len(f(np.zeros(k))), k)
 
 
 @dataclass
 class Contact:
-    """A pair between object and body, and how its gaps change.
+    """Pair between object and body, with derivatives of its gaps by finite differences.
 
     Attributes:
-        bent: (r,) `bend` where it is known; None: by differences.
+        name: kind of the pair. pair: pair of the package. on: touched body. X_WO: pose of the
+            object.
+        bent: (r,) result of `bend` if it is known; None: it is computed by differences.
+        along_object: (r, 6) derivatives of the gaps by displacements of the object at O.
+        along_body: (r, nv) derivatives of the gaps by the body's joints.
     """
 
     name: str
@@ -250,37 +298,49 @@ class Contact:
     bent: object = None
 
     def __post_init__(self):
+        """Compute the first derivatives of the gaps."""
         self.along_object = slopes(lambda s: self.gaps(s, 0.0 * self.on.v), 6)
         self.along_body = slopes(lambda s: self.gaps(np.zeros(6), s), len(self.on.v))
 
     def gaps(self, of_object, of_body):
+        """Gaps (r,) after displacements of the object (6,) and of the body's joints (nv,)."""
         R = pin.exp3(of_object[3:]) @ self.X_WO.rotation
         X_WO = pin.SE3(R, self.X_WO.translation + of_object[:3])
         return self.pair.gaps(X_WO, self.on.pose(of_body))
 
     def bend(self, V):
-        """(r,) second derivative of the gaps while nothing accelerates."""
+        """Second time derivative (r,) of the gaps at the object's twist V (6,) and q̈ = 0."""
         if self.bent is not None:
             return self.bent
         speed = max(1.0, largest(V), largest(self.on.v))
-        there = (V / speed, self.on.v / speed)
-        return speed**2 * rate(lambda t: self.gaps(*(t * x for x in there)), 2, STEP, REACH)
+        V_unit = V / speed
+        v_unit = self.on.v / speed
+        return speed**2 * rate(lambda t: self.gaps(t * V_unit, t * v_unit), 2, STEP, REACH)
 
     def slip(self, V):
-        """Velocity of a vertex against its face, the arms from O and from E to it."""
-        X_WE, V_E = self.on.X, self.on.V
+        """Velocity (3,) of a vertex relative to its face, and arms (3,) from O and from E to it.
+
+        Args:
+            V: (6,) twist of the object.
+        """
+        X_WE = self.on.X
+        V_E = self.on.V
         n = X_WE.rotation @ unit(self.pair.normal)
         arm = self.X_WO.rotation @ self.pair.vertex - self.pair.radius * n
         far = self.X_WO.translation + arm - X_WE.translation
         return (V[:3] + np.cross(V[3:], arm) - V_E[:3] - np.cross(V_E[3:], far), arm, far)
 
     def n_gamma(self, V):
-        """(r,) Nᵀ of the spatial acceleration of the object less that of the body."""
+        """n_γ (r,) at the object's twist V (6,): Nᵀ of the relative spatial acceleration."""
         drift = self.on.acceleration(0.0 * self.on.v, self.X_WO.translation)
         return self.bend(V) + self.along_object @ (product(V) + drift)
 
     def friction(self, V, mu):
-        """Coulomb's force on the object (6,) and on the joints of the body, for one newton."""
+        """Coulomb friction on the object (6,) and on the body's joints (nv,), for 1 N of pressure.
+
+        Args:
+            V: (6,) twist of the object. mu: coefficient of friction.
+        """
         slip, arm, far = self.slip(V)
         f = -mu * unit(slip)
         b = self.on
@@ -293,9 +353,14 @@ class Contact:
 
 @dataclass
 class Answer:
-    """Accelerations of joints and object, contact forces, wrench (6,) of each arm at O.
+    """Solution of the KKT system.
 
-    a, a_object: classical and spatial; a_e: spatial ones of the touched bodies, at O.
+    Attributes:
+        qdd: (n,) accelerations of the joints. a, a_object: (6,) classical and spatial acceleration
+            of the object at O. alpha: (r,) contact forces (N).
+        loops: wrench (6,) of each arm on the object at O.
+        a_e: spatial acceleration (6,) of each touched body at O.
+        residual: relative residual; not zero if no acceleration keeps all loops closed.
     """
 
     qdd: np.ndarray
@@ -304,19 +369,29 @@ class Answer:
     loops: list
     a_object: np.ndarray
     a_e: list
-    residual: float  # relative; what is left where no acceleration keeps all loops closed
+    residual: float
 
 
 @dataclass
 class State:
-    """Arms that hold an object which touches bodies, friction mu; at rest until `move`."""
+    """Arms that hold an object which touches bodies; at rest until `move`.
+
+    Attributes:
+        case: arms and object. contacts: contacts of the object. mu: coefficient of friction.
+        rest: state of the same arms at rest, from which the grasps are taken; None: they are
+            computed.
+        N: (r, 6) derivatives of all gaps by displacements of the object.
+        S: (6, d) motions of the object that the grasps permit. sigma: (6,) acceleration at η̇ = 0.
+        Z: rows of permitted accelerations of joints and object.
+    """
 
     case: Case
     contacts: list
     mu: float = 0.0
-    rest: object = None  # the State of the same arms at rest
+    rest: object = None
 
     def __post_init__(self):
+        """Collect bodies and gaps, and compute the grasps at rest."""
         self.n = self.case.chain.nq
         self.bodies = list({id(c.on): c.on for c in self.contacts}.values())
         self.N = np.vstack([np.zeros((0, 6)), *(c.along_object for c in self.contacts)])
@@ -326,7 +401,10 @@ class State:
             self.grasps = self.rest.grasps
 
     def at(self, v, V):
-        """Grasps, and the accelerations they permit: x₀ + Z y of all joints and the object."""
+        """Compute grasps and permitted accelerations x₀ + Zᵀy at joint velocities v and twist V.
+
+        x has the accelerations of all joints and of the object. Returns the state itself.
+        """
         self.v = v
         self.V = V
         self.system = self.case.system(v, V)
@@ -342,7 +420,7 @@ class State:
         return self
 
     def move(self, rng):
-        """A random velocity that keeps grasps and contacts."""
+        """Move at a random velocity that keeps grasps and contacts."""
         A = np.vstack((self.grasps, np.hstack((np.zeros((len(self.N), self.n)), self.N))))
         b = np.concatenate(
             (np.zeros(len(self.grasps)), *(-c.along_body @ c.on.v for c in self.contacts))
@@ -354,7 +432,11 @@ class State:
         self.at(x[: self.n], x[self.n :])
 
     def answer(self, tau, exact=True):
-        """Response of the connected bodies to motor torques (n_a,); `exact`: a response exists."""
+        """Solve for the response of arms, object and bodies to motor torques.
+
+        Args:
+            tau: (n_a,) motor torques (N m, N). exact: True if a response has to exist.
+        """
         s = self.system
         n = self.n + 6
         ends = np.cumsum([n, *(len(b.v) for b in self.bodies)])
@@ -405,7 +487,11 @@ class State:
         return Answer(x[: self.n], a, x[end + first :], loops, a - product(self.V), a_e, residual)
 
     def readings(self, answer):
-        """(arms, 6) of the wrist sensors: what moves the object and the links beyond them."""
+        """Readings (arms, 6) of the wrist sensors: wrenches that move object and outboard links.
+
+        Args:
+            answer: response to the motor torques.
+        """
         chain = self.case.chain
         model = chain.model
         data = data_at(model, self.case.q, self.v, answer.qdd)
@@ -422,7 +508,10 @@ class State:
         return np.array(out)
 
     def nearest(self, W, target, value):
-        """The acceleration that the grasps permit nearest to target (6,) in W, N a = value (r,)."""
+        """Permitted acceleration (6,) that is nearest to `target` (6,), with N a = `value` (r,).
+
+        W (6, 6) is the metric of the distance.
+        """
         S = self.S
         NS = self.N @ self.S
         r = len(self.N)
@@ -431,7 +520,7 @@ class State:
         return S @ solve(K, y)[0][: S.shape[1]] + self.sigma
 
     def inertia_of_all(self):
-        """(6, 6) what object and arms weigh together, in the motions that the grasps permit."""
+        """Inertia (6, 6) of object and arms together at O, in the motions that grasps permit."""
         n = self.n
         M = np.zeros((n + 6, n + 6))
         M[:n, :n] = self.system.M
@@ -441,7 +530,10 @@ class State:
         return self.S @ inv(mobility) @ self.S.T
 
     def apart(self, N=None):
-        """Distance (0 … 1) of the columns from dependence in the metric of object and arms."""
+        """Distance (0 … 1) of the rows of N (r, 6) from dependence in the object's energy metric.
+
+        Only their parts along S count; 0 if there are more rows than motions.
+        """
         N = self.N if N is None else N
         inertia = self.system.I
         S = self.S
@@ -453,12 +545,12 @@ class State:
 
 
 def pressed(case, pairs):
-    """Arms whose object is pressed on faces of the world, at rest."""
+    """State of arms at rest whose object is in contact with pairs that are fixed to the world."""
     return State(case, [Contact(pair.name, pair, WORLD, case.X_WO) for pair in pairs])
 
 
 def held(chain, q, v, pairs=()):
-    """Arms that hold their object rigidly and move it; pressed on faces of the world."""
+    """State of arms at q, v that hold their object rigidly, in contact with pairs in the world."""
     data = data_at(chain.model, q, v)
     X_WT = chain.tip_poses(data)[0]
     X_WO = X_WT * chain.grasps[0].X_TO

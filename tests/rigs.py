@@ -20,21 +20,21 @@ refused = complaints.invalid_input
 rig_of = scenario_runs.rig_of
 STILL = np.zeros(6)  #: a twist, or an acceleration
 UNLIMITED = osc.SafetySettings.motors_only()
-"""States drawn at random are no motion: no limits but those of motors."""
+"""Limits of the motors only, for random states, which are not successive states of a motion."""
 
 
 def largest(x):
-    """The largest absolute element, 0 of none."""
+    """Largest magnitude of the elements of an array; 0 of an empty array."""
     return np.abs(x).max(initial=0.0)
 
 
 def within(x, limit):
-    """Whether the size of every element is."""
+    """True if the magnitude of every element of x is at most `limit`."""
     return (np.abs(x) <= limit).all()
 
 
 def miss(got, expected):
-    """Largest difference over the largest element, or over 1 (m/s², rad/s², N) if that is more."""
+    """Largest difference relative to the largest expected element or to 1, if that is larger."""
     return largest(got - expected) / max(largest(expected), 1.0)
 
 
@@ -59,43 +59,48 @@ def assert_close(got, expected, *, tolerance=1e-8, name=""):
 
 
 def vector(*numbers):
+    """Array of floats."""
     return np.array(numbers, dtype=float)
 
 
 def unit(x):
+    """Vector x/|x| of unit length."""
     return x / np.linalg.norm(x)
 
 
 def direction(rng):
+    """Random unit vector (3,)."""
     return unit(rng.standard_normal(3))
 
 
 def any_rotation(rng):
+    """Random rotation matrix (3, 3)."""
     return pin.exp3(rng.standard_normal(3))
 
 
 def pose_of(rng):
+    """Random pose."""
     return pin.SE3(any_rotation(rng), rng.standard_normal(3))
 
 
 def shift(p):
-    """A pose that turns nothing."""
+    """Pose at the position p (3,) with the identity as rotation."""
     return pin.SE3(np.eye(3), np.array(p, dtype=float))
 
 
 def rotated(R):
-    """A pose that moves nothing."""
+    """Pose at the origin with the rotation matrix R (3, 3)."""
     return pin.SE3(R, np.zeros(3))
 
 
 def displacement(start, end):
-    """(6,) from one pose to another: of the origin, and turned, in world axes."""
+    """Displacement (6,) from a pose to another: of the origin, then rotation vector, world axes."""
     turn = pin.log3(end.rotation @ start.rotation.T)
     return np.append(end.translation - start.translation, turn)
 
 
 def data_at(model, q, *rates):
-    """Pinocchio's data with the poses of all frames, at q and, if given, v and a."""
+    """Data of Pinocchio with the poses of all frames at q and, if given, rates v and a."""
     data = model.createData()
     pin.forwardKinematics(model, data, q, *rates)
     pin.updateFramePlacements(model, data)
@@ -103,31 +108,39 @@ def data_at(model, q, *rates):
 
 
 def pose_at(model, q, frame):
-    """Pose of a frame at q."""
+    """Pose of a frame, given by its name, at q."""
     return data_at(model, q).oMf[model.getFrameId(frame)]
 
 
 def terms_at(model, q, v):
-    """Likewise while no joint accelerates, with M, h, gravity and Jacobians."""
+    """Data of Pinocchio at q, v and v̇ = 0: poses of all frames, M, h, gravity and Jacobians."""
     data = data_at(model, q, v, np.zeros(model.nv))
     pin.computeAllTerms(model, data, q, v)
     return data
 
 
 def product(V):
-    """(6,) of a twist: classical less spatial acceleration."""
+    """Difference (6,) of classical and spatial acceleration at the twist V (6,): [ω × v; 0]."""
     return np.append(np.cross(V[3:], V[:3]), np.zeros(3))
 
 
 def ticked(controller, *given):
-    """Torques of a tick that is computed within all limits."""
+    """Torques of a tick, which has to end OK."""
     tau = controller.tick(*given)
     assert controller.status is osc.Status.OK, controller.reason
     return tau
 
 
 def assert_derivatives(at, t, h, *atol):
-    """V_D of a reference is the rate of its pose, A_D that of V_D; the reference at t."""
+    """Assert that V_D of a reference is the rate of its pose, and A_D the rate of V_D.
+
+    Args:
+        at: function from the time (s) to the reference. t: time (s). h: step of the differences.
+        *atol: tolerances of V_D and of A_D.
+
+    Returns:
+        The reference at t.
+    """
     before, now, after = (at(t + step) for step in (-h, 0.0, h))
     assert_allclose(now.V_D, displacement(before.X_WD, after.X_WD) / (2 * h), atol=atol[0])
     assert_allclose(now.A_D, (after.V_D - before.V_D) / (2 * h), atol=atol[1])
@@ -135,28 +148,29 @@ def assert_derivatives(at, t, h, *atol):
 
 
 def held_tick(controller, words, *given):
-    """Torques of a tick that is not computed, for a reason with these words."""
+    """Torques of a tick, which has to be held for a reason with the given words."""
     tau = controller.tick(*given)
     assert controller.status is osc.Status.HELD and words in controller.reason, controller.reason
     return tau
 
 
 def unloaded(q, v, arms=1):
-    """Readings of wrists that feel nothing."""
+    """Measurement with wrist readings of zero."""
     return osc.Measurement(q, v, np.zeros((arms, 6)))
 
 
 ROD = pin.Inertia(1.5, vector(0.01, -0.004, 0.006), np.diag([2e-3, 0.045, 0.044]))
-"""A rod whose centre of mass is off its axis, so that no term of the maths vanishes."""
+"""Rod whose centre of mass is off its axis, so that no term of the equations vanishes."""
 
 
 def placed(x=0.0, y=0.0, z=0.0, rpy=(0.0, 0.0, 0.0)):
+    """Pose at a position (m) with roll, pitch and yaw (rad)."""
     return pin.SE3(pin.rpy.rpyToMatrix(*rpy), vector(x, y, z))
 
 
 @cache
 def scara_pair(payload=True):
-    """d = 5: the paper's rig."""
+    """Chain of the paper: two SCARA arms with hinges that hold a rod, d = 5."""
     arms = [
         osc.Arm.from_urdf(
             robots.urdf_path(f"scara_{side}"),
@@ -173,6 +187,7 @@ def scara_pair(payload=True):
 
 
 def panda_arm(name="arm", base=None, **how):
+    """Panda with a wrist sensor; `how` has further arguments of `Arm.from_urdf`."""
     urdf, _ = robots.find_robot("panda")
     how = {"tip": "panda_hand_tcp", "wrist_sensor": "panda_hand"} | how
     return osc.Arm.from_urdf(urdf, name=name, base=base, **how)
@@ -180,9 +195,9 @@ def panda_arm(name="arm", base=None, **how):
 
 @cache
 def panda_pair():
-    """d = 6, redundant arms."""
+    """Chain of two Pandas, redundant arms, that hold a rod, d = 6."""
     arms = [
-        panda_arm("left", placed(-0.55), damping=0.0),  # oracles know none
+        panda_arm("left", placed(-0.55), damping=0.0),  # oracles have no damping
         panda_arm("right", placed(0.55, rpy=(0, 0, np.pi)), damping=0.0),
     ]
     grasps = [
@@ -192,12 +207,13 @@ def panda_pair():
 
 
 def holding_panda(arm):
-    """d = 6, one redundant arm."""
+    """Chain of one arm that holds a rod, d = 6."""
     return osc.ClosedChain([arm], [placed(0.02, 0.01, 0.08)], osc.RigidObject(ROD))
 
 
 @cache
 def one_panda():
+    """Chain of one Panda that holds a rod; always the same object."""
     return holding_panda(panda_arm(damping=0.0))
 
 
@@ -206,7 +222,7 @@ PANDA_Q = vector(0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78)
 
 
 def random_state(chain, rng):
-    """(q, v) with closed loops, random pose and random velocity (up to 1 m/s and 3 rad/s)."""
+    """Random joint positions and velocities (n,) with closed loops (about 1 m/s and 3 rad/s)."""
     if chain is one_panda():
         q = PANDA_Q + rng.uniform(-0.6, 0.6, 7)
         return (q, rng.standard_normal(7))
@@ -227,24 +243,24 @@ def random_state(chain, rng):
 
 
 def posed(chain, rng):
-    """(q, v, pose of the object) of such a state."""
+    """Joint positions and velocities of `random_state`, and the pose of the object."""
     q, v = random_state(chain, rng)
     return (q, v, chain.state(q, v).X_WO)
 
 
 def velocity_at(V, p):
-    """(3,) of the point p, from where the twist V (6,) is given."""
+    """Velocity (3,) of the point p (3,), relative to the reference point of the twist V (6,)."""
     return V[:3] + np.cross(V[3:], p)
 
 
 def object_poses(chain):
-    """Pose of the object by each arm, its grasp at zero, at the positions set last."""
+    """Pose of the object by each arm, without displacements of grasps, at the chain's positions."""
     grasps = zip(chain.tip_poses(), chain.grasps, strict=True)
     return [tip * grasp.X_TO for tip, grasp in grasps]
 
 
 def consistent(chain, q, v, N=None):
-    """The nearest velocity that keeps the loops closed (and the contacts, if N is given)."""
+    """Velocity (n,) nearest to v that keeps the loops, and contacts with normals N (6, r)."""
     pin.computeAllTerms(chain.model, chain.data, q, v)
     N = np.zeros((6, 0)) if N is None else N
     A = constraint_rows(chain, object_poses(chain)[0].translation, N)
@@ -254,7 +270,7 @@ def consistent(chain, q, v, N=None):
 
 
 def random_faces(X_WO, r, rng):
-    """r vertices on faces with random (skew) normals, touching at pose X_WO."""
+    """Pairs of r vertices on faces with random normals, in contact at the object's pose X_WO."""
     pairs = []
     for i in range(r):
         vertex = rng.uniform(-0.3, 0.3, 3)
@@ -264,11 +280,17 @@ def random_faces(X_WO, r, rng):
 
 
 def contact_of(pairs, state):
+    """Contact of all pairs together in a state of the chain."""
     return osc.Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in pairs])
 
 
 def sliding(pairs, X_WO, V_O, touched, slip):
-    """Point p from O, normal, and s = v_t / √(v_t² + v_0²) of each point of contact."""
+    """List p from O (3,), normal n (3,) and s = v_t / √(v_t² + v_0²) (3,) of each contact point.
+
+    Args:
+        pairs: pairs with a point of contact each. X_WO, V_O: pose and twist of the object.
+        touched: motion of the touched bodies, or None. slip: v_0 (m/s).
+    """
     out = []
     for i, pair in enumerate(pairs):
         face = () if touched is None else (pin.SE3(np.array(touched.X_WE[i])), touched.V_E[i])
@@ -281,7 +303,7 @@ def sliding(pairs, X_WO, V_O, touched, slip):
 
 
 def in_contact(chain, rng, r):
-    """A random state in contact: (state, contact, pairs, q, v)."""
+    """Random state in contact with r faces: state, contact, pairs, q and v."""
     while True:
         q, v = random_state(chain, rng)
         free = chain.state(q, v)
@@ -302,7 +324,7 @@ def touched_of(rows):
 
 
 def with_motors(chain, tau_max):
-    """Copy of a chain with other motors."""
+    """Copy of a chain with other torque limits (n_a,) (N m, N)."""
     parts = (chain.arms, chain.grasps, chain.payload)
     how = {"rank_tolerance": chain.rank_tolerance, "angle_tolerance": chain.angle_tolerance}
     out = osc.ClosedChain(*parts, **how)
@@ -311,27 +333,35 @@ def with_motors(chain, tau_max):
 
 
 def rigid_plant(q, chain, pairs=(), dt=1e-3):
-    """The exact plant, at rest."""
+    """Exact plant of a chain with contact pairs, at rest at q (n,)."""
     plant = RigidPlant(chain, pairs, dt)
     plant.reset(q)
     return plant
 
 
 def without_contacts(case, **how):
-    """The exact plant of a case whose object touches nothing, and a controller."""
+    """Exact plant of a case without contacts, and a controller with the arguments `how`."""
     controller = osc.Controller(case.chain, (), case.gains, posture=case.posture, **how)
     return (rigid_plant(case.measurement.q, case.chain), controller)
 
 
 def strong(chain):
-    """Copy of a chain with motors in the same proportions that never reach their limits."""
+    """Copy of a chain with 10⁴ times the torque limits, which are never reached."""
     return with_motors(chain, 1e4 * chain.tau_max)
 
 
 def commanded(chain, pairs, q, v, a_u, alpha_u, squeeze=5.0, **how):
-    """The controller after a tick of the law that commands a_u (6,), spatial, and α_u; torques."""
+    """Run a tick of the law that commands a_u (6,), spatial, and α_u (r,).
+
+    Args:
+        chain, pairs: of the controller. q, v: (n,) measured state. squeeze: desired (N).
+        **how: further arguments of the controller.
+
+    Returns:
+        The controller after the tick, and its torques.
+    """
     laws = osc.Laws(force=lambda *_: alpha_u, motion=lambda reference, X, V: a_u + product(V))
-    # states out of any motion; what the oracles answer is without friction
+    # the states are not part of a motion, and the oracles have no friction
     settings = {"safety": UNLIMITED, "joint_friction": False, "laws": laws, "reading": "filter"}
     how = settings | how
     controller = osc.Controller(strong(chain), pairs, **how)

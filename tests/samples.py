@@ -1,4 +1,4 @@
-"""The checkout, rows of tests, what modules share, what every `make test` runs of a long list."""
+"""Helpers of all test modules: the checkout's path, tables of parameters, shared folders."""
 
 import fcntl
 import os
@@ -8,13 +8,17 @@ from shutil import rmtree
 
 from pytest import fixture, mark, param
 
-ROOT = Path(__file__).resolve().parent.parent  #: of the checkout
+ROOT = Path(__file__).resolve().parent.parent  #: folder of the checkout
 module_fixture = fixture(scope="module")
-aligned = partial(zip, strict=True)  #: of equally many
+aligned = partial(zip, strict=True)  #: zip of sequences of equal length
 
 
 def made_once(tmp_path_factory, name, make):
-    """A folder that one worker of pytest fills, by `make(folder)`; the others wait for it."""
+    """Folder that one worker of pytest fills by `make(folder)`, while the others wait.
+
+    Args:
+        tmp_path_factory: fixture of pytest. name: name of the folder. make: function of its path.
+    """
     root = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         root = root.parent
@@ -23,7 +27,7 @@ def made_once(tmp_path_factory, name, make):
     with open(root / f"{name}.lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not made.exists():
-            rmtree(folder, ignore_errors=True)  # of one that failed
+            rmtree(folder, ignore_errors=True)  # from a worker that failed
             folder.mkdir()
             make(folder)
             made.touch()
@@ -31,20 +35,29 @@ def made_once(tmp_path_factory, name, make):
 
 
 def parametrize(names, rows, **how):
-    """`mark.parametrize`, which also takes a table from the first of two names to the second."""
+    """Parametrize a test like `mark.parametrize`; rows of two names may be a dictionary.
+
+    Args:
+        names: names of the parameters. rows: list of rows, or dictionary from the first parameter
+            to the second. **how: further arguments of `mark.parametrize`.
+    """
     table = isinstance(rows, dict) and "," in names
     return mark.parametrize(names, rows.items() if table else rows, **how)
 
 
 def names_in(folder):
+    """Set of the names of files and folders in a folder."""
     return {path.name for path in folder.iterdir()}
 
 
 def first(items, count=2):
-    """Parameters, one for each item: those behind the first `count` are slow."""
+    """List of parameters, of which those after the first `count` are marked as slow."""
     return [item if i < count else param(item, marks=mark.slow) for i, item in enumerate(items)]
 
 
 def chosen(items, *names):
-    """Likewise with all that are not named: `make test-all` runs them, too."""
+    """List of parameters, of which those that are not named are marked as slow.
+
+    `make test-all` runs slow tests, too.
+    """
     return first([*names, *(item for item in items if item not in names)], len(names))

@@ -24,12 +24,12 @@ class Contact:
     nor orthogonal.
 
     Attributes:
-        N: (6, r) basis of the contact normal space (N, N m per unit magnitude).
+        N: (6, r) basis of the contact normal space (N, N m per unit of α).
         T: (6, 6−r) basis of the tangent space (m/s, rad/s).
         n_gamma: (r,) normal acceleration Nᵀa_rel = −ṄᵀV_rel that maintains the contact (m/s²).
         R: (r, r_all) coordinates of all stacked columns in N, N_all = N R; the identity unless
             `stack` has left dependent columns out of N.
-        name: name in messages.
+        name: name for messages.
 
     Example:
         >>> press = osc.Contact(np.eye(6)[:, [2]])  # forces along z, at O
@@ -51,7 +51,7 @@ class Contact:
             N: (6, r) basis of the contact forces at O, world axes.
             n_gamma: (r,) normal acceleration (m/s²); None: zero.
             T: (6, 6−r) basis of the permitted motions; None: it is computed from N.
-            name: name in messages.
+            name: name for messages.
 
         Raises:
             InvalidInputError: wrong shapes or non-finite numbers.
@@ -77,7 +77,7 @@ class Contact:
         *,
         T_dot_beta: npt.ArrayLike | None = None,
     ) -> Contact:
-        """Contact that permits exactly the motions range(T), with N computed from T.
+        """Make a contact that permits exactly the motions range(T), with N computed from T.
 
         The basis N of the forces is arbitrary, so `n_gamma` can be given only if it is zero or
         belongs to the N that this function returns. In motion, give `T_dot_beta` = Ṫβ with
@@ -109,7 +109,9 @@ class Contact:
     def from_selection(
         cls, frame: pin.SE3, forces: Sequence[bool], couples: Sequence[bool]
     ) -> Contact:
-        """Contact of a Raibert–Craig task; the columns are the selected forces, then the couples.
+        """Make a contact from a frame and a selection of its axes (Raibert and Craig).
+
+        The columns of N are the selected forces, then the couples.
 
         Args:
             frame: pose of the selection's axes, world axes, translation from O (m).
@@ -119,7 +121,7 @@ class Contact:
 
     @classmethod
     def stack(cls, contacts: Sequence[Contact], Phi_ref: Array | None = None) -> Contact:
-        """Contact of several contacts, with all their columns of N and elements of n_γ.
+        """Join several contacts to one, with all their columns of N and elements of n_γ.
 
         Dependent contacts (a table on four legs) are reduced to independent columns, a subset of
         the given ones. `R` gives all columns, N_all = N R; `magnitudes` distributes a force among
@@ -152,11 +154,11 @@ class Contact:
         if not all(c.split_is_unique for c in contacts):
             inner = block_diagonal([c.R for c in contacts])
             R = inner if R is None else R @ inner
-        return cls.judged(N, n_gamma, R)  # above, with Phi_ref
+        return cls.judged(N, n_gamma, R)  # independence was decided above, with Phi_ref
 
     @classmethod
     def judged(cls, N: Array, n_gamma: Array, R: Array | None = None) -> Contact:
-        """Contact of columns that are known to be independent, without checks.
+        """Make a contact of columns that are known to be independent, without checks.
 
         Args:
             N: (6, r) independent columns.
@@ -192,7 +194,7 @@ class Contact:
         return self.R.shape[1] == self.r
 
     def magnitudes(self, alpha: npt.ArrayLike) -> Array:
-        """Distribution (r_all,) of the force N α among stacked contacts, N_all magnitudes = N α.
+        """Distribute the force N α among stacked contacts: magnitudes (r_all,), N_all m = N α.
 
         If `split_is_unique` is false, this is the distribution with the smallest sum of squared
         magnitudes (N; a couple of 1 N m counts as 1 N), *one* of many: it is not a measurement, and
@@ -203,13 +205,13 @@ class Contact:
             alpha: (r,) magnitudes of the columns of N (N, N m).
         """
         split = as_array("alpha", alpha, (self.r,))
-        # by the pseudo-inverse of R, which has full row rank; magnitudes do have a norm
+        # pseudo-inverse of R, which has full row rank; the squares of magnitudes may be summed
         return self.R.T @ np.linalg.solve(self.R @ self.R.T, split)
 
     def as_raibert_craig(
         self, size: float = 1.0, tolerance: float = 1e-9, centre: npt.ArrayLike | None = None
     ) -> RaibertCraig:
-        """Constraint frame and selection that describe this contact, or the nearest ones.
+        """Find the constraint frame and selection that describe this contact, or the nearest ones.
 
         See `contacts.raibert_craig.as_raibert_craig`.
 
@@ -229,6 +231,7 @@ class Contact:
         return np.eye(6) - projections.Omega_m_bar(self.N, B)
 
     def __repr__(self) -> str:
+        """Class and number of independent forces."""
         return f"Contact(r={self.r})"
 
 
@@ -240,9 +243,10 @@ class Contact:
 # of NᵀΦN; forming NᵀΦN would lose half of their digits.
 
 
-_PIVOT = 0.3  #: least length of a pivot column's new part, over the largest one
-_RECIPROCAL = 1e-9  #: largest power NᵀT, over the sum of its absolute summands
-_CONSISTENT = 1e-6  #: largest difference of n_γ from that of dependent columns, over its summands
+_PIVOT = 0.3  #: least length of a pivot column's independent part, relative to the largest one
+_RECIPROCAL = 1e-9  #: largest power NᵀT, relative to the sum of its absolute summands
+#: Largest difference of n_γ from its value by dependent columns, relative to its summands.
+_CONSISTENT = 1e-6
 #: Rounding error of n_γ of bodies that hardly move (m/s², rad/s²).
 _STILL = 1e-9
 
@@ -268,7 +272,7 @@ def require_reciprocal(N: Array, T: Array) -> None:
 
 
 def reduce(scaled: Array, size: Array) -> tuple[list[int], Array]:
-    """Indices of independent columns, and R (rank, k) with columns = columns[:, keep] R.
+    """Select independent columns, and compute R (rank, k) with columns = columns[:, keep] R.
 
     The rank is that of the scaled columns. A column is selected if it is the first one whose part
     outside the span of those before is at least `_PIVOT` times the largest such part: this is
@@ -276,7 +280,10 @@ def reduce(scaled: Array, size: Array) -> tuple[list[int], Array]:
 
     Args:
         scaled: (6, k) columns of unit length.
-        size: (k,) their lengths before.
+        size: (k,) lengths of the columns before they were scaled.
+
+    Returns:
+        Indices `keep` of the selected columns, ascending, and R for the columns before scaling.
     """
     rank = int((np.linalg.svd(scaled, compute_uv=False) >= projections.INDEPENDENT).sum())
     rest = scaled.copy()
@@ -310,30 +317,34 @@ def require_consistent(
     Raises:
         ContactError: the message names the contacts that disagree.
     """
-    kept = n_gamma[keep]
-    violation = np.abs(n_gamma - kept @ R)
-    summands = (np.abs(n_gamma) + np.abs(kept) @ np.abs(R)) / size
-    bad = int((violation / size).argmax())
-    if violation[bad] <= max(_STILL, _CONSISTENT * size[bad] * float(summands.max())):
+    independent = n_gamma[keep]
+    violation = np.abs(n_gamma - independent @ R)
+    summands = (np.abs(n_gamma) + np.abs(independent) @ np.abs(R)) / size
+    worst = int((violation / size).argmax())
+    if violation[worst] <= max(_STILL, _CONSISTENT * size[worst] * float(summands.max())):
         return
-    part = np.abs(R[:, bad]) * size[keep]
-    with_them = [keep[i] for i in np.flatnonzero(part > 1e-3 * part.max())]
-    names = ", ".join(dict.fromkeys(owners[i] for i in sorted([bad, *with_them])))
+    share = np.abs(R[:, worst]) * size[keep]  # of each independent column in the worst one
+    partners = [keep[i] for i in np.flatnonzero(share > 1e-3 * share.max())]
+    names = ", ".join(dict.fromkeys(owners[i] for i in sorted([worst, *partners])))
     raise ContactError(
         f"{names}: singular at this instant. Their forces are dependent, but the accelerations "
-        f"that keep them are not: column {bad} needs n_γ = {n_gamma[bad]:.6g}, the others imply "
-        f"{kept @ R[:, bad]:.6g}. Drop one of these contacts, or move through this pose slower "
+        f"that keep them are not: column {worst} needs n_γ = {n_gamma[worst]:.6g}, the others "
+        f"imply {independent @ R[:, worst]:.6g}. Drop one of these contacts, or move through this "
+        "pose slower "
         "or with the others released"
     )
 
 
 def _factor(Phi: Array) -> Array:
-    """Cholesky factor L (6, 6) of Φ = LLᵀ, computed after scaling Φ to unit diagonal.
+    """Compute the Cholesky factor L (6, 6) of Φ = LLᵀ after scaling Φ to unit diagonal.
+
+    Args:
+        Phi: (6, 6) inverse inertia of the held object at O, the argument Phi_ref of `stack`.
 
     Raises:
         InvalidInputError: Φ is not symmetric positive definite.
     """
-    given = as_array("Phi_ref", Phi, (6, 6))
-    cure = "the inverse inertia (6, 6) of the held object at O"
-    scaled, size = projections.unit_diagonal(given, "Phi_ref", cure, InvalidInputError)
+    checked = as_array("Phi_ref", Phi, (6, 6))
+    expected = "the inverse inertia (6, 6) of the held object at O"
+    scaled, size = projections.unit_diagonal(checked, "Phi_ref", expected, InvalidInputError)
     return size[:, None] * np.linalg.cholesky(scaled)

@@ -14,25 +14,26 @@ from osc_contact.spatial import Array, Poses, cross
 
 
 def contact_at(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Contact:
-    """Contact of all pairs, for an object at rest at X_WO."""
+    """Contact of all pairs together, for an object at rest at the pose X_WO."""
     return Contact.stack([pair.contact(X_WO, np.zeros(6)) for pair in pairs])
 
 
 def force_owners(pairs: Sequence[ContactPair]) -> NDArray[np.intp]:
-    """Index (r,) of the contact of each force magnitude."""
+    """Index (r,) of the contact that each contact force α_k belongs to."""
     return np.repeat(np.arange(len(pairs)), [count_forces(pair) for pair in pairs])
 
 
 def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple[Array, Array]:
-    """Points (r, 3) in which the lines of force meet the touched surface, and directions (r, 3).
-
-    They are in world axes (m), and directions point into the environment. A couple acts at O, about
-    its direction.
+    """Compute the points at which the lines of force meet the touched surface, for drawings.
 
     Args:
         pair: pair of the contact.
         X_WO: pose of the object.
         X_WE: pose of the touched body; None: its frame is the world's.
+
+    Returns:
+        Points (r, 3) in the world (m), and unit directions (r, 3) into the environment, in world
+        axes. A couple is at O, with the direction of its axis.
     """
     E = None if X_WE is None else Poses(X_WE.rotation[:, :, None], X_WE.translation[:, None])
     O = Poses(X_WO.rotation[:, :, None], X_WO.translation[:, None])  # noqa: E741
@@ -43,7 +44,7 @@ def feet(pair: ContactPair, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> tuple
 def feet_over(
     pair: ContactPair, N: Array, X_WO: Poses, X_WE: Poses | None = None
 ) -> tuple[Array, Array]:
-    """Points and directions of `feet` at k instants, (3, r, k) each.
+    """Compute points and directions of `feet` at k instants, (3, r, k) each.
 
     Args:
         pair: pair of the contact.
@@ -55,12 +56,12 @@ def feet_over(
     size = np.where(force > 0.0, force, np.linalg.norm(N[3:], axis=0))  # zero force: a couple
     directions = N[:3] / size
     moments = N[3:] / size
-    points = X_WO.p[:, None] + cross(directions, moments)
+    points = X_WO.p[:, None] + cross(directions, moments)  # on each line, nearest to O
     surface = getattr(pair, "surface_point", None)
     if isinstance(pair, SphereOnSurface):
         points = pair.feet(X_WO, X_WE)
     elif surface is not None:
         surface = surface[:, None] if X_WE is None else X_WE.act(surface[:, None])
-        height = (directions * (surface - X_WO.p)[:, None]).sum(axis=0)  # along each line, from O
+        height = (directions * (surface - X_WO.p)[:, None]).sum(axis=0)  # of the surface above O
         points = points + (height - getattr(pair, "surface_radius", 0.0)) * directions
     return (points, np.where(force > 0.0, directions, moments))

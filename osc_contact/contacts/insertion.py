@@ -1,7 +1,7 @@
-"""Pegs, holes, and the contact pairs that both can make, by name.
+"""Pegs, holes, and the contact pairs that they can make, by name.
 
-Peg and hole have frames that coincide where the peg's tip is in the mouth of the hole: the origin
-of the peg is the middle of its tip, that of the hole the middle of its mouth, and both z axes point
+The frames of peg and hole coincide when the peg's tip is in the mouth of the hole: the origin of
+the peg is the middle of its tip, that of the hole the middle of its mouth, and both z axes point
 into the hole. Sides are named by their directions in these frames, "+x", "-x", "+y" and "-y", and
 corners by two of them, "+x+y".
 """
@@ -33,8 +33,8 @@ SIDES: dict[str, Array] = {
 CORNERS: dict[str, Array] = {
     x + y: SIDES[x] + SIDES[y] for x, y in product(("+x", "-x"), ("+y", "-y"))
 }
-_OUT = np.array([0.0, 0.0, -1.0])  #: out of the hole
-_INTO = -_OUT
+_OUT = np.array([0.0, 0.0, -1.0])  #: direction out of the hole
+_INTO = -_OUT  #: direction into the hole
 _APART = 0.7  #: distance of the two points of a side along a rim, as a share of the rim's length
 
 
@@ -43,8 +43,8 @@ class Peg:
     """Straight peg. Its frame: origin in the middle of its tip, z out of the tip.
 
     Attributes:
-        shape: shape of its cross section. A square one has its sides along x and y.
-        width: width of its sides, or its diameter (m).
+        shape: shape of the cross section. The sides of a square peg are along x and y.
+        width: width of the sides, or diameter (m).
 
     Raises:
         InvalidInputError: a width that is not positive.
@@ -58,6 +58,7 @@ class Peg:
     width: float
 
     def __post_init__(self) -> None:
+        """Refuse another shape, or a width that is not positive."""
         _require_sizes(self, "width")
 
 
@@ -66,10 +67,10 @@ class Hole:
     """Straight hole in a flat face. Its frame: origin in the middle of its mouth, z into it.
 
     Attributes:
-        shape: shape of its cross section. A square one has its walls along x and y.
-        width: between opposite walls, or its diameter (m).
-        depth: m.
-        pose: pose of its frame in the frame of the body that it is in.
+        shape: shape of the cross section. The walls of a square hole are along x and y.
+        width: distance of opposite walls, or diameter (m).
+        depth: distance of the bottom from the mouth (m).
+        pose: pose of the hole's frame in the frame of the body that has the hole.
 
     Raises:
         InvalidInputError: a size that is not positive.
@@ -87,15 +88,27 @@ class Hole:
     pose: pin.SE3 = field(default_factory=pin.SE3.Identity)
 
     def __post_init__(self) -> None:
+        """Refuse another shape, or a size that is not positive."""
         _require_sizes(self, "width", "depth")
 
     def found_at(self, pose: pin.SE3) -> pin.SE3:
-        """Pose of the hole's body if the hole is at another `pose` than believed."""
+        """Pose of the body that has the hole, from the true pose of the hole.
+
+        Args:
+            pose: pose of the hole's frame in the world.
+        """
         return pose * self.pose.inverse()
 
 
 def _require_sizes(shape: Peg | Hole, *names: str) -> None:
-    """Refuse another shape of the cross section, and sizes that are not positive."""
+    """Refuse another shape of the cross section, and sizes that are not positive.
+
+    Args:
+        shape: peg or hole. *names: names of its sizes (m).
+
+    Raises:
+        InvalidInputError: with the value.
+    """
     if shape.shape not in ("square", "round"):
         raise InvalidInputError(f"shape = {shape.shape!r}; give 'square' or 'round'")
     for name in names:
@@ -104,26 +117,26 @@ def _require_sizes(shape: Peg | Hole, *names: str) -> None:
 
 
 def pairs_between(peg: Peg, hole: Hole) -> dict[str, ContactPair]:
-    """Contact pairs that a peg and a hole can make, by their names.
+    """Make the contact pairs that a peg and a hole can have, by their names.
 
-    A plan names those of each stage; a controller is made for these.
+    A plan names the pairs of each stage; the controller is made for the pairs of all stages.
 
-    | pair | of | r |
+    | pair | geometry | r |
     |---|---|---|
     | `corner +x+y on face` | corner of the square tip, face around the mouth | 1 |
     | `edge +x on rim -y` | edge of the square tip, rim of the mouth that it crosses | 1 |
     | `corner +x+y on rim +x` | long edge of the square peg, rim that it crosses | 1 |
     | `corner +x+y on wall +x` | corner of the square tip, wall of the hole | 1 |
     | `point +x on face` | point of the round tip's edge, face | 1 |
-    | `point +x on wall +x` | the same, wall of the round hole | 1 |
-    | `side +x on rim +x` | side of the peg, middle of the rim, wherever along it they touch | 1 |
-    | `side +x on rim +x, a` and `b` | two points beside the middle of a square hole's rim | 1, 1 |
+    | `point +x on wall +x` | point of the round tip's edge, wall of the round hole | 1 |
+    | `side +x on rim +x` | side of the peg at any depth, middle of the rim | 1 |
+    | `side +x on rim +x, a` and `b` | side of the peg, point of a square rim off its middle | 1 |
     | `tip on face`, `tip on bottom` | middle of the tip, plane of the mouth, of the bottom | 1 |
-    | `hole` | the peg in the hole, which may move along its axis; a round one may turn | 5, 4 |
+    | `hole` | peg in the hole, free along its axis; a round peg is free to turn about it | 5, 4 |
 
     Args:
-        peg: its frame is that of the held object.
-        hole: at its believed pose.
+        peg: peg, whose frame is that of the held object.
+        hole: hole at its modelled pose.
 
     Raises:
         InvalidInputError: shapes of two kinds, or a peg that is not narrower than the hole.
@@ -141,29 +154,32 @@ def pairs_between(peg: Peg, hole: Hole) -> dict[str, ContactPair]:
             f"the peg is {1e3 * peg.width:g} mm wide and the hole {1e3 * hole.width:g} mm; give a "
             "hole that is wider"
         )
-    made = _Pairs(peg, hole)
-    pairs = made.square() if peg.shape == "square" else made.round()
+    maker = _Pairs(peg, hole)
+    pairs = maker.square() if peg.shape == "square" else maker.round()
     return {pair.name: pair for pair in pairs}
 
 
 class _Pairs:
-    """Maker of the pairs of one peg and one hole.
+    """Maker of the pairs of a peg and a hole.
+
+    Methods take points (3,) (m) and directions (3,) in the common frame of peg and hole; those of
+    the hole are transformed to the frame of its body.
 
     Args:
-        peg: its geometry is that of the object.
-        hole: its geometry is turned into the frame of its body.
+        peg: peg. hole: hole.
     """
 
     def __init__(self, peg: Peg, hole: Hole) -> None:
+        """Store half widths and depth (m), and the maps of the hole's points and directions."""
         self._peg = 0.5 * peg.width
         self._hole = 0.5 * hole.width
         self._depth = hole.depth
         self._pose = hole.pose
-        self._at: Callable[[Array], Array] = hole.pose.act
-        self._turned: Callable[[Array], Array] = lambda d: hole.pose.rotation @ d
+        self._place: Callable[[Array], Array] = hole.pose.act
+        self._rotate: Callable[[Array], Array] = lambda d: hole.pose.rotation @ d
 
     def square(self) -> Iterator[ContactPair]:
-        """Pairs of a square peg."""
+        """Yield the pairs of a square peg."""
         for name, corner in CORNERS.items():
             tip = self._peg * corner
             yield self._on_plane(f"corner {name} on face", tip, np.zeros(3), _OUT)
@@ -171,19 +187,19 @@ class _Pairs:
                 yield self._on_wall(f"corner {name} on wall {side}", tip, side)
                 yield self._long_edge(f"corner {name} on rim {side}", tip, side)
         for edge, rim in product(SIDES, SIDES):
-            if edge[1] != rim[1]:
+            if edge[1] != rim[1]:  # an edge of the tip crosses the rims of the other axis
                 yield self._tip_edge(edge, rim)
         for name, direction in SIDES.items():
             along = np.cross(_INTO, direction)
             yield self._side_on_rim(f"side {name} on rim {name}", direction, np.zeros(3))
-            for end, sign in (("a", 0.5), ("b", -0.5)):
-                away = sign * _APART * 2.0 * self._hole * along
+            for end, half in (("a", 0.5), ("b", -0.5)):
+                away = half * _APART * 2.0 * self._hole * along
                 yield self._side_on_rim(f"side {name} on rim {name}, {end}", direction, away)
         yield from self._tip()
         yield Prismatic([0, 0, 0], [0, 0, 1], self._pose, name="hole")
 
     def round(self) -> Iterator[ContactPair]:
-        """Pairs of a round peg, at its four sides."""
+        """Yield the pairs of a round peg, at its four sides."""
         for name, side in SIDES.items():
             tip = self._peg * side
             yield self._on_plane(f"point {name} on face", tip, np.zeros(3), _OUT)
@@ -192,34 +208,58 @@ class _Pairs:
         yield from self._tip()
         length = 0.5 * self._depth
         middle = np.array([0.0, 0.0, -0.5 * length])
-        on_axis, axis = self._at(np.zeros(3)), self._turned(_INTO)
+        on_axis = self._place(np.zeros(3))
+        axis = self._rotate(_INTO)
         yield CylinderInHole(middle, _INTO, on_axis, axis, length=length, name="hole")
 
     def _tip(self) -> Iterator[ContactPair]:
+        """Yield the pairs of the middle of the tip, with the face and with the bottom."""
         yield self._on_plane("tip on face", np.zeros(3), np.zeros(3), _OUT)
         yield self._on_plane("tip on bottom", np.zeros(3), self._depth * _INTO, _OUT)
 
     def _on_plane(self, name: str, point: Array, on: Array, normal: Array) -> ContactPair:
-        return VertexOnFace(point, self._at(on), self._turned(normal), name=name)
+        """Pair of a point of the peg and a plane of the hole.
+
+        Args:
+            name: name of the pair. point: point of the peg. on: point of the plane. normal: normal
+                out of the plane's material.
+        """
+        return VertexOnFace(point, self._place(on), self._rotate(normal), name=name)
 
     def _on_wall(self, name: str, point: Array, side: str) -> ContactPair:
+        """Pair of a point of the peg and the wall on a side of the hole, such as "+x"."""
         return self._on_plane(name, point, self._hole * SIDES[side], -SIDES[side])
 
     def _long_edge(self, name: str, tip: Array, rim: str) -> ContactPair:
-        return self._crossed(name, tip, _INTO, rim, -SIDES[rim])
+        """Pair of the long edge through a corner `tip` of the square tip and the rim on a side."""
+        return self._crossed_edges(name, tip, _INTO, rim, -SIDES[rim])
 
     def _tip_edge(self, edge: str, rim: str) -> ContactPair:
+        """Pair of the edge of the square tip on the side `edge` and the rim on the side `rim`."""
         side = SIDES[edge]
         name = f"edge {edge} on rim {rim}"
-        return self._crossed(name, self._peg * side, np.cross(_INTO, side), rim, _OUT)
+        return self._crossed_edges(name, self._peg * side, np.cross(_INTO, side), rim, _OUT)
 
-    def _crossed(
+    def _crossed_edges(
         self, name: str, point: Array, direction: Array, rim: str, outward: Array
     ) -> ContactPair:
+        """Pair of an edge of the peg and the rim of the square hole on a side.
+
+        Args:
+            name: name of the pair. point, direction: point and direction of the edge. rim: side of
+                the rim, such as "+x". outward: direction out of the material at the rim.
+        """
         side = SIDES[rim]
-        along = self._turned(np.cross(_INTO, side))
-        on_rim = self._at(self._hole * side)
-        return EdgeOnEdge(point, direction, on_rim, along, self._turned(outward), name=name)
+        along = self._rotate(np.cross(_INTO, side))
+        on_rim = self._place(self._hole * side)
+        return EdgeOnEdge(point, direction, on_rim, along, self._rotate(outward), name=name)
 
     def _side_on_rim(self, name: str, side: Array, away: Array) -> ContactPair:
-        return FaceOnVertex(self._peg * side, side, self._at(self._hole * side + away), name=name)
+        """Pair of a side of the peg and a point of the rim.
+
+        Args:
+            name: name of the pair. side: direction of the side. away: offset of the point from the
+                middle of the rim (m).
+        """
+        point = self._place(self._hole * side + away)
+        return FaceOnVertex(self._peg * side, side, point, name=name)

@@ -33,16 +33,19 @@ from osc_contact.spatial import Array, as_array, carry_wrench, cross, norm, skew
 
 _VISIBLE = 1e-6  #: least sine of an angle, or share of the object's size, that is reported
 _EYE = np.eye(3)
+#: 48 permutations of the axes with all combinations of signs
 _SIGNED = [_EYE[:, p] * s for p in permutations(range(3)) for s in product((1.0, -1.0), repeat=3)]
 #: (24, 3, 3) permutations and reversals of axes that keep a triad right-handed
 _RELABEL = np.array([P for P in _SIGNED if np.linalg.det(P) > 0.0])
 
-Triple = tuple[bool, bool, bool]
+Triple = tuple[bool, bool, bool]  #: flags of the three axes of a frame
 
 
 @dataclass(frozen=True)
 class RaibertCraig:
-    """Constraint frame and selection that describe N, or the nearest ones; true if they describe N.
+    """Constraint frame and selection that describe a space N of forces, or the nearest ones.
+
+    As a condition it is true if they describe N.
 
     Attributes:
         frame: pose of the constraint frame, world axes, translation from O (m).
@@ -50,7 +53,7 @@ class RaibertCraig:
         couples: flags of the axes about which couples are selected.
         residual: sine (0 … 1) of the largest principal angle between N and the space of the frame,
             with moments about the object's centre divided by its size.
-        reason: violated condition in plain words; empty if N has a constraint frame.
+        reason: sentence on the violated condition; empty if N has a constraint frame.
 
     Example:
         >>> press_and_hold = osc.Contact(np.eye(6)[:, [2, 3]])  # force along z, couple about x
@@ -66,11 +69,12 @@ class RaibertCraig:
     reason: str
 
     def __bool__(self) -> bool:
+        """True if the frame and the selection describe N."""
         return not self.reason
 
 
 def selection_columns(frame: SE3, forces: Sequence[bool], couples: Sequence[bool]) -> Array:
-    """Columns N (6, r) of a selection: [e_i; p × e_i] of selected forces, [0; e_i] of couples.
+    """Compute N (6, r) of a selection: [e_i; p × e_i] for each force, [0; e_i] for each couple.
 
     Args:
         frame: pose of the frame, world axes, translation p from O (m).
@@ -119,14 +123,14 @@ def as_raibert_craig(
     triads, points, chosen = explicit(Q)
     sine = sines(triads, points, chosen, rest)
     if sine.min() > tolerance:
-        better = refined(triads, points, chosen, rest)
-        triads = np.concatenate((triads, better[0]))
-        points = np.concatenate((points, better[1]))
+        refined_triads, refined_points = refined(triads, points, chosen, rest)
+        triads = np.concatenate((triads, refined_triads))
+        points = np.concatenate((points, refined_points))
         chosen = np.concatenate((chosen, chosen))
         sine = sines(triads, points, chosen, rest)
     best = sine.argmin()
 
-    # axes in the order and with the signs that are nearest to the world's
+    # order and signs of the axes: the largest trace of E P, nearest to the world's axes
     P = _RELABEL[np.einsum("ij,pji->p", triads[best], _RELABEL).argmax()]
     selected = (chosen[best].reshape(2, 3) @ np.abs(P)) > 0.5
     forces, couples = ((bool(x), bool(y), bool(z)) for x, y, z in selected)
@@ -136,7 +140,10 @@ def as_raibert_craig(
 
 
 def _flags(name: str, flags: Sequence[bool]) -> Array:
-    """Three flags as an array (3,); `name` is that of the argument.
+    """Check three flags; return them as an array (3,).
+
+    Args:
+        name: name of the argument, for the message. flags: three times True or False.
 
     Raises:
         InvalidInputError: not three flags.
@@ -148,12 +155,17 @@ def _flags(name: str, flags: Sequence[bool]) -> Array:
 
 
 def _orthonormal(columns: Array, centre: Array, size: float) -> tuple[Array, ...]:
-    """Orthonormal bases (6, r) of N and (6, 6−r) of its complement.
+    """Compute orthonormal bases (6, r) of N and (6, 6−r) of its complement.
+
+    Orthonormal refers to wrenches with moments about the object's centre, divided by its size.
 
     Args:
-        columns: (6, r) basis of N.
-        centre: (3,) point about which moments are taken (m).
-        size: length by which they are divided (m).
+        columns: (6, r) basis of N at O.
+        centre: (3,) point about which moments are taken, from O (m).
+        size: length of the object by which moments are divided (m).
+
+    Raises:
+        ContactError: dependent or zero columns.
     """
     scaled = carry_wrench(columns, np.zeros(3), centre)
     scaled[3:] /= size
@@ -166,11 +178,11 @@ def _orthonormal(columns: Array, centre: Array, size: float) -> tuple[Array, ...
 
 
 def _why(Q: Array, size: float, tolerance: float, forces: int) -> str:
-    """Violated conditions (i) and (ii) with the amount of the violation, as text.
+    """Sentence on the violated conditions (i) and (ii), with the amounts of the violations.
 
     Args:
-        Q: (6, r) orthonormal basis of N.
-        size: length by which moments are divided (m).
+        Q: (6, r) orthonormal basis of N, moments about the centre over the size.
+        size: length of the object by which moments are divided (m).
         tolerance: largest residual of a frame that describes N.
         forces: number of forces that the nearest frame selects.
     """
@@ -180,12 +192,14 @@ def _why(Q: Array, size: float, tolerance: float, forces: int) -> str:
     F = U[:, :k]
     wrenches = Q @ Vh[:k].T / sigma[:k]
     couples = np.linalg.svd(Q[3:] @ Vh[k:].T)[0]
-    beyond_C = couples[:, r - k :] @ couples[:, r - k :].T
+    beyond_C = couples[:, r - k :] @ couples[:, r - k :].T  # projector on the complement of C
+    # (i): the axes of F and C are parallel or perpendicular
     a = axis_of(U, k)
     b = axis_of(couples, r - k)
     angle = 0.0 if a is None or b is None else float(np.arctan2(norm(cross(a, b)), a @ b))
     tilt = abs(np.sin(2.0 * angle))
 
+    # (ii): least squares for the point p; `miss` is the largest remaining moment
     system = np.concatenate([-beyond_C @ skew(u) for u in F.T] or [np.zeros((0, 3))])
     moments = beyond_C @ wrenches[3:]
     p = np.linalg.pinv(system, rcond=POINT) @ moments.T.ravel()
@@ -201,11 +215,11 @@ def _why(Q: Array, size: float, tolerance: float, forces: int) -> str:
 
 
 def _tilt_in_words(forces: int, couples: int, angle: float) -> str:
-    """Violation of (i) as text: the angle (rad) between the axes of forces and couples.
+    """Sentence on a violation of condition (i), with the angle between the axes of F and C.
 
     Args:
-        forces, couples: dimensions of the two spaces.
-        angle: angle between their axes (rad).
+        forces, couples: dimensions of F and C, 1 or 2.
+        angle: angle between their axes, 0 … π (rad).
     """
     angle = min(angle, np.pi - angle)
     line = "the line of the"
@@ -218,18 +232,20 @@ def _tilt_in_words(forces: int, couples: int, angle: float) -> str:
 
 
 def _miss_in_words(F: Array, moments: Array, couples: int, miss: float, size: float) -> str:
-    """Violation of (ii) as text: the distance of two lines of force, or the remaining couple.
+    """Sentence on a violation of condition (ii): distance of two force lines, or remaining couple.
 
     Args:
         F: (3, k) orthonormal directions of the forces.
-        moments: (3, k) moments of these forces, over the size.
-        couples: dimension of the space of couples.
+        moments: (3, k) moments of these forces about the centre, over the size.
+        couples: dimension of the space C of couples.
         miss: couple of a unit force about the best point, over the size.
         size: length of the object (m).
     """
     if F.shape[1] == 2 and couples == 0:
+        # the principal pitches low < 0 < high of the two-system of screws; the lines without pitch
+        # are 2 √(−low·high) apart
         along = F.T @ moments
-        low, high = np.linalg.eigvalsh(0.5 * (along + along.T))  # the principal pitches
+        low, high = np.linalg.eigvalsh(0.5 * (along + along.T))
         apart = 2.0 * float(np.sqrt(max(0.0, -low * high)))
         if apart > _VISIBLE:
             return (
@@ -244,31 +260,31 @@ def _miss_in_words(F: Array, moments: Array, couples: int, miss: float, size: fl
 
 # Explicit constraint frames that describe a space of wrenches approximately, and their refinement.
 #
-# Arrays hold B frames, each a triad of axes E, an origin p and a selection; moments are about the
-# object's centre, lengths over the object's size.
+# Arrays have B frames, each a triad of axes E, an origin p and a selection; moments are about the
+# object's centre, lengths are divided by the object's size.
 
 
-#: Least singular value, over the largest, that counts in the rank of the equations of p.
+#: Least singular value, relative to the largest, in the rank of the equations of p.
 POINT = 1e-8
-_REFINEMENTS = 12  #: Gauss–Newton steps
-_SKEW = np.array([skew(axis) for axis in _EYE])
+_REFINEMENTS = 12  #: number of Gauss–Newton steps
+_SKEW = np.array([skew(axis) for axis in _EYE])  #: (3, 3, 3) [e_i]×
 #: (6, 6, 6) rates of wrenches that are fixed to bodies with unit twists (3 linear, 3 angular).
 _GENERATORS = np.zeros((6, 6, 6))
 _GENERATORS[:3, 3:, :3] = _GENERATORS[3:, :3, :3] = _GENERATORS[3:, 3:, 3:] = _SKEW
 
 
 def explicit(Q: Array) -> tuple[Array, Array, Array]:
-    """Explicit frames for each split into forces and couples, and each mutual position of F and C.
+    """Compute a frame for each split into forces and couples, and each relation of F and C.
 
     F of dimension k = 1 or 2 has an axis a (its line, or its normal), and C an axis b. They share
     a triad if a ∥ b or a ⊥ b. The nearest such pair of axes spans the triad, and p solves (ii) in
     that triad, with each force weighted by its share of a unit wrench.
 
     Args:
-        Q: (6, r) orthonormal basis of N.
+        Q: (6, r) orthonormal basis of N, moments about the centre over the size.
 
     Returns:
-        Triads (B, 3, 3), origins (B, 3) and selections (B, 6).
+        Triads (B, 3, 3), origins (B, 3) over the size, and selections (B, 6), forces then couples.
     """
     r = Q.shape[1]
     U, _, Vh = np.linalg.svd(Q[:3])
@@ -276,30 +292,33 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
     for k in range(max(0, r - 3), min(3, r) + 1):
         a = axis_of(U, k)
         b = axis_of(np.linalg.svd(Q[3:] @ Vh[k:].T)[0], r - k)
-        padded = np.zeros((6, 3))
-        padded[:, :k] = Q @ Vh[:k].T
-        positions = (False,) if a is None or b is None else (False, True)
-        for upright in positions:
+        wrenches = np.zeros((6, 3))  # the k strongest forces, padded with zeros
+        wrenches[:, :k] = Q @ Vh[:k].T
+        perpendicular = (False,) if a is None or b is None else (False, True)
+        for upright in perpendicular:
             selection = _pattern(k, 0) + _pattern(r - k, int(upright))
-            frames.append((_triad(a, b, upright), selection, padded))
+            frames.append((_triad(a, b, upright), selection, wrenches))
     E, chosen, W = map(np.array, zip(*frames, strict=True))
 
+    # equations p × f = m in the axes of each triad, for its selected forces, without the moments
+    # about axes with a selected couple
     E_T = E.transpose(0, 2, 1)
     force = np.where(chosen[:, :3, None], E_T @ W[:, :3], 0.0)
     moment = E_T @ W[:, 3:]
     system = -np.einsum("lij,blk->bkij", _SKEW, force)  # p × f = −[f]× p
     system = np.where(chosen[:, None, 3:, None], 0.0, system).reshape(-1, 9, 3)
     right = moment.transpose(0, 2, 1).reshape(-1, 9, 1)
-    # an absolute limit: a wrench whose force is rounding does not determine p
+    # the limit is absolute, since a force that is a rounding error does not determine p
     reach = np.maximum(np.linalg.norm(system, axis=(1, 2)), POINT)
     p = E @ np.linalg.pinv(system, rcond=POINT / reach) @ right
     return (E, p[:, :, 0], chosen)
 
 
 def axis_of(U: Array, dimension: int) -> Array | None:
-    """Axis (3,) of the space of the first `dimension` columns of an orthogonal U (3, 3).
+    """Axis (3,) of the space that the first `dimension` columns of an orthogonal U (3, 3) span.
 
-    It is the line of a space of dimension 1, the normal of one of dimension 2, else None.
+    It is the direction of a line (dimension 1), the normal of a plane (dimension 2), or None for
+    the dimensions 0 and 3.
     """
     if dimension == 1:
         return U[:, 0]
@@ -309,7 +328,12 @@ def axis_of(U: Array, dimension: int) -> Array | None:
 
 
 def _pattern(dimension: int, axis: int) -> list[bool]:
-    """Selection of `dimension` of three axes, of which `axis` is the line or the normal."""
+    """Selection (3 flags) of the axes of a triad that span a space of directions.
+
+    Args:
+        dimension: dimension of the space, 0 … 3.
+        axis: index of the triad's axis along a line, or normal to a plane.
+    """
     if dimension == 1:
         return [i == axis for i in range(3)]
     if dimension == 2:
@@ -318,15 +342,16 @@ def _pattern(dimension: int, axis: int) -> list[bool]:
 
 
 def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
-    """Right-handed triad (3, 3) nearest to two axes.
+    """Compute the right-handed triad (3, 3) nearest to the axes of forces and couples.
 
     Args:
-        a, b: (3,) unit vectors; None: any.
+        a, b: (3,) unit vectors along the axes of F and C; None: F or C has no axis.
         upright: True: x is near a and y near b; False: x is near both.
     """
     if upright and a is not None and b is not None:
-        left, _, right = np.linalg.svd(np.column_stack((a, b)), full_matrices=False)
-        x, y = (left @ right).T
+        # polar decomposition: the nearest pair of perpendicular unit vectors
+        U, _, Vh = np.linalg.svd(np.column_stack((a, b)), full_matrices=False)
+        x, y = (U @ Vh).T
     elif a is None and b is None:
         x, y, _ = _EYE
     else:
@@ -340,11 +365,11 @@ def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
 
 
 def _space(E: Array, p: Array, chosen: Array) -> Array:
-    """Orthonormal bases (B, 6, r) of the force spaces of B Raibert–Craig frames.
+    """Compute orthonormal bases (B, 6, r) of the force spaces of B Raibert–Craig frames.
 
     Args:
-        E: (B, 3, 3) axes of the frames. p: (B, 3) their origins from O (m). chosen: (B, 6) selected
-            forces, then selected couples; r in each row.
+        E: (B, 3, 3) axes of the frames. p: (B, 3) origins of the frames from the centre, over the
+            size. chosen: (B, 6) selected forces, then selected couples; r in each row.
     """
     full = np.zeros((len(E), 6, 6))
     full[:, :3, :3] = full[:, 3:, 3:] = E
@@ -355,32 +380,32 @@ def _space(E: Array, p: Array, chosen: Array) -> Array:
 
 
 def sines(E: Array, p: Array, chosen: Array, rest: Array) -> Array:
-    """Sines (B,) of the largest principal angles between N and the spaces of frames.
+    """Compute the sine (B,) of the largest principal angle between N and each frame's force space.
 
     Args:
         E: (B, 3, 3) triads.
-        p: (B, 3) origins, over the size.
-        chosen: (B, 6) selected axes.
-        rest: (6, 6−r) orthonormal complement of N.
+        p: (B, 3) origins from the centre, over the size.
+        chosen: (B, 6) selected forces, then selected couples.
+        rest: (6, 6−r) orthonormal basis of the complement of N.
     """
     across = rest.T @ _space(E, p, chosen)
     return np.linalg.svd(across, compute_uv=False).max(axis=1, initial=0.0)
 
 
 def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Array]:
-    """Triads and origins after damped Gauss–Newton steps on ‖restᵀ S‖², S orthonormal.
+    """Improve frames by damped Gauss–Newton steps on ‖restᵀ S‖², S an orthonormal basis (6, r).
 
-    A step is a twist, by which S changes as dS = G S; only the part orthogonal to S changes the
-    space, so the sines change by restᵀ(1 − SSᵀ)GS.
+    A step is a twist with the generator G, by which S changes as dS = G S. Only the part orthogonal
+    to S changes the space, so the sines change by restᵀ(1 − SSᵀ)GS.
 
     Args:
         E: (B, 3, 3) triads.
-        p: (B, 3) origins, over the size.
-        chosen: (B, 6) selected axes, which span S.
-        rest: (6, 6−r) orthonormal complement of N, the space that S approximates.
+        p: (B, 3) origins from the centre, over the size.
+        chosen: (B, 6) selected forces, then selected couples, whose wrenches span S.
+        rest: (6, 6−r) orthonormal basis of the complement of N, which S is to approximate.
 
     Returns:
-        Triads and origins after the steps.
+        Triads (B, 3, 3) and origins (B, 3) after the steps.
     """
     damping = np.full(len(E), 1e-3)
     E = E.copy()
@@ -388,14 +413,14 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
     S = _space(E, p, chosen)
     across = rest.T @ S
     for _ in range(_REFINEMENTS):
-        moved = _GENERATORS @ S[:, None]
-        turned = rest.T @ moved - across[:, None] @ (S.transpose(0, 2, 1)[:, None] @ moved)
-        J = turned.reshape(len(E), 6, -1)
+        GS = _GENERATORS @ S[:, None]  # (B, 6, 6, r), for each unit twist
+        rates = rest.T @ GS - across[:, None] @ (S.transpose(0, 2, 1)[:, None] @ GS)
+        J = rates.reshape(len(E), 6, -1)
         gradient = J @ across.reshape(len(E), -1, 1)
         normal = J @ J.transpose(0, 2, 1) + damping[:, None, None] * np.eye(6)
         step = -np.linalg.solve(normal, gradient)[:, :, 0]
         half = 0.5 * np.einsum("bl,lij->bij", step[:, 3:], _SKEW)
-        turn = np.linalg.solve(_EYE - half, _EYE + half)  # Cayley: a rotation
+        turn = np.linalg.solve(_EYE - half, _EYE + half)  # rotation matrix by Cayley's formula
         new_E = turn @ E
         new_p = (turn @ p[:, :, None])[:, :, 0] + step[:, :3]
         new_S = _space(new_E, new_p, chosen)

@@ -25,7 +25,7 @@ _near = as_python(is_near)
 
 
 def _whole(x: float | Array) -> int | Array:
-    """Integer part of a number, or of an array of numbers."""
+    """Integer part of a number or of each number in an array, in place of `int` in the law."""
     if isinstance(x, np.ndarray) and x.ndim > 0:
         return x.astype(int)
     return int(x)
@@ -46,16 +46,19 @@ _nearest_to_one: Any = as_python(nearest)
 
 
 class Shapes(list[Any]):
-    """SHAPE rows in the form in which functions of the law read them as Python.
+    """SHAPE rows of a surface for functions of the law that run as Python.
 
-    An array of row numbers gives the numbers of all those rows, one column for each.
+    The item at an index has the row's 16 numbers as `row`; the item at an array of k indices has
+    the (16, k) numbers of these rows.
     """
 
     def __init__(self, rows: tuple[Array, ...]) -> None:
-        super().__init__(SimpleNamespace(row=one.tolist()) for one in rows)
+        """Store the rows (16,) of a surface, see `Surface.rows`."""
+        super().__init__(SimpleNamespace(row=row.tolist()) for row in rows)
         self._table = np.array(rows).T
 
     def __getitem__(self, number: Any) -> Any:
+        """Row at an index, or rows at an array of indices, as an object with the field `row`."""
         if not isinstance(number, np.ndarray):
             return super().__getitem__(number)
         return SimpleNamespace(row=self._table[:, number])
@@ -65,8 +68,9 @@ class Shapes(list[Any]):
 class Surface:
     """Surface ½(q₁x² + q₂y² + q₃z²) + b z + c = h(x, y) in its own axes.
 
-    The left side minus h increases in the outward direction. h is a bicubic spline, or zero.
-    Outside its rectangle the polynomials of the outermost cells are continued.
+    The left side minus h increases out of the surface's material. h is a bicubic spline on a
+    rectangle of cells, or zero. Outside the rectangle the polynomials of the outermost cells are
+    continued.
 
     Attributes:
         bend: (3,) q (1/m).
@@ -97,12 +101,12 @@ class Surface:
 
     @classmethod
     def sphere(cls, radius: float) -> Surface:
-        """Sphere about the origin; a radius < 0 (m) makes a bowl, with the outside within."""
+        """Sphere about the origin; a radius < 0 (m) is a bowl, with material outside the sphere."""
         return cls(np.full(3, 1.0 / _radius(radius)), level=-0.5 * radius)
 
     @classmethod
     def cylinder(cls, radius: float) -> Surface:
-        """Cylinder about the z axis; a radius < 0 (m) makes a pipe, with the outside within."""
+        """Cylinder about the z axis; a radius < 0 (m) is a pipe, with material outside of it."""
         return cls(np.array([1.0, 1.0, 0.0]) / _radius(radius), level=-0.5 * radius)
 
     @classmethod
@@ -135,7 +139,8 @@ class Surface:
         box = [low[0], high[0], low[1], high[1]]
         try:
             with catch_warnings(action="error"):
-                spline = LSQBivariateSpline(*cloud, *(one[1:-1] for one in edges), bbox=box)
+                inner_knots = [edge[1:-1] for edge in edges]
+                spline = LSQBivariateSpline(*cloud, *inner_knots, bbox=box)
         except (UserWarning, ValueError) as error:
             raise InvalidInputError(
                 f"{cloud.shape[1]} points do not determine a spline of {cells[0]} × {cells[1]} "
@@ -146,20 +151,20 @@ class Surface:
         along_x = _taylor(knots_x, edges[0], pitch[0])
         along_y = _taylor(knots_y, edges[1], pitch[1])
         factors = spline.get_coeffs().reshape(along_x.shape[2], along_y.shape[2])
-        off = cloud[2] - spline.ev(*cloud[:2])
+        errors = cloud[2] - spline.ev(*cloud[:2])
         return cls(
             bend=np.zeros(3),
             slope=1.0,
             cells=np.einsum("pia,qjb,ab->ijpq", along_x, along_y, factors),
             corner=low,
             pitch=pitch,
-            rms=float(np.sqrt(np.mean(off**2))),
-            worst=float(np.abs(off).max()),
+            rms=float(np.sqrt(np.mean(errors**2))),
+            worst=float(np.abs(errors).max()),
         )
 
     @classmethod
     def of_mesh(cls, file: Path | str, cells: tuple[int, int] = (8, 8)) -> Surface:
-        """Surface fitted to the corners of those triangles of a mesh that face along its z axis.
+        """Fit a surface to the corners of the triangles of a mesh that face along its z axis.
 
         Args:
             file: mesh in a format that coal reads, such as STL and OBJ (m).
@@ -183,12 +188,15 @@ class Surface:
         return cls.fitted(np.unique(corners[np.unique(triangles[up])], axis=0), cells)
 
     def rows(self, ball: Array, radius: float, X_ES: pin.SE3) -> tuple[Array, ...]:
-        """Rows of 16 numbers that the law reads for a ball of the object on this surface.
+        """Make the SHAPE rows (16,) that the law reads for a ball of the object on this surface.
+
+        Row 0 has ball, radius, q, b, c and the grid of cells, row 1 the pose of the surface, and
+        the further rows the coefficients of a cell each.
 
         Args:
-            ball: (3,) centre of the ball in A (m).
+            ball: (3,) centre of the ball in the object's frame O (m).
             radius: radius of the ball (m).
-            X_ES: pose of the surface in E.
+            X_ES: pose of the surface's axes S in the touched body's frame E.
         """
         cells = np.zeros((0, 16)) if self.cells is None else self.cells.reshape(-1, 16)
         shapes = np.vstack((np.zeros((2, 16)), cells))
@@ -200,20 +208,24 @@ class Surface:
 
 
 def distance_and_normal(shapes: Shapes, p: Array) -> tuple[Array, Array]:
-    """Signed distances (k,) of points from a surface (m), and outward normals at their feet.
+    """Compute signed distances of points from a surface, and outward normals at the nearest points.
 
     Args:
         shapes: rows of the surface, see `Surface.rows`.
         p: (3,) or (3, k) points in the axes of the surface (m).
+
+    Returns:
+        Distances () or (k,) (m), > 0 outside the material, and unit normals (3,) or (3, k).
     """
-    found = None
+    result = None
     if p.size == 3:  # Python numbers take a quarter of the time of arrays
-        with suppress(ZeroDivisionError):  # a point without a foot: arrays give NaN
-            found = _nearest_to_one(shapes, 0, tuple(p.ravel().tolist()))
-    if found is None:
-        found = _nearest(shapes, 0, tuple(p))
-    along, gradient, _, _ = found
-    g = np.array([one + 0.0 * along for one in gradient]).reshape(p.shape)
+        with suppress(ZeroDivisionError):  # a point without a nearest one: arrays give NaN
+            result = _nearest_to_one(shapes, 0, tuple(p.ravel().tolist()))
+    if result is None:
+        result = _nearest(shapes, 0, tuple(p))
+    along, gradient, _, _ = result
+    # + 0 · along makes arrays of components that are constant
+    g = np.array([component + 0.0 * along for component in gradient]).reshape(p.shape)
     size = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
     return (np.reshape(along, p.shape[1:]) * size, g / size)
 
@@ -230,10 +242,12 @@ def triangles_of(read: Callable[[int], Any], count: int) -> Array:
 
 
 def _taylor(knots: Array, edges: Array, side: float) -> Array:
-    """Coefficients (4, n, m) of u⁰ … u³ of m B-splines in each of n cells.
+    """Compute the coefficients (4, n, m) of u⁰ … u³ of m cubic B-splines in each of n cells.
+
+    u = 0 … 1 is the coordinate in a cell; the coefficients are those of Taylor series at u = 0.
 
     Args:
-        knots: knots of the splines.
+        knots: (m + 4,) knots of the splines (m).
         edges: (n + 1,) edges of the cells (m).
         side: side of a cell (m).
     """
@@ -244,7 +258,7 @@ def _taylor(knots: Array, edges: Array, side: float) -> Array:
 
 
 def _radius(radius: float) -> float:
-    """Return a radius of curvature.
+    """Check a radius of curvature (m) and return it.
 
     Raises:
         InvalidInputError: the radius is zero or not finite.

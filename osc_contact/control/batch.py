@@ -139,23 +139,18 @@ class BatchController:
 
         Args:
             q, v: (B, n) measured joint positions and velocities (rad, m; rad/s, m/s).
-            wrenches: (B, arms, 6) readings of the wrist sensors (N, N m).
-            X_WD: (B, 4, 4) desired pose of the object.
+            wrenches: (B, arms, 6) readings of the wrists (N, N m). X_WD: (B, 4, 4) desired pose.
             V_D, A_D: (B, 6) desired twist (m/s, rad/s) and classical acceleration (m/s², rad/s²) of
                 the object; None: 0.
             alpha_d: (B, r) desired contact forces (N); None: 0.
             squeeze_d: (B,) desired internal force (N), or (B, bars) with three arms or more; None:
                 0, and with three arms or more the bar forces of least effort.
-            touched: (B, contacts, 28) X_WE by rows, V_E and A_E of the touched bodies; None: at
-                rest.
-            active: (B, contacts) mask of the active contacts, see `Reference`; None: contacts with
-                a desired force.
-            wrench_valid: (B,) True where the wrenches are new readings; the other rows use their
-                previous readings.
+            touched: (B, contacts, 28) X_WE by rows, V_E, A_E of the touched bodies; None: at rest.
+            active: (B, contacts) active contacts, see `Reference`; None: those with a force.
+            wrench_valid: (B,) False where the previous wrenches are used; None: all are new.
 
         Raises:
-            InvalidInputError: an array of the wrong shape. A row with a number that is not finite
-                ends HELD.
+            InvalidInputError: a wrong shape. A row with a number that is not finite ends HELD.
         """
         B = self.rows
         n, k, r, c = (

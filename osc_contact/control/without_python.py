@@ -1,13 +1,14 @@
-"""The C library that runs controllers out of files without Python.
+"""Sources of the C library that runs controllers from files without Python.
 
-The header and the offsets of the C sources are written from the records and settings as they are
-declared; `osc_controller.c` contains no offset.
+The header, and the offsets of fields for the C sources, are written from the declarations of the
+records and settings; `osc_controller.c` contains no offset.
 """
 
 import json
 import math
 import re
 import tarfile
+from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -31,13 +32,14 @@ from osc_contact.files import write_whole
 from osc_contact.law import records, tick
 from osc_contact.law.c_object import object_file
 from osc_contact.law.library import law_hash
+from osc_contact.law.nested import Nested
 from osc_contact.law.reasons import CODES, SENTENCES
 from osc_contact.law.records import COUNTED
 from osc_contact.law.tick import BAD_INPUT, STOPPED
 from osc_contact.settings.control import Gains, PhaseSettings
 from osc_contact.settings.quantities import Dimension, meaning
 
-#: enum osc_error, by its codes 0, −1, …
+#: Names and meanings of enum osc_error, in the order of its codes 0, −1, …
 ERRORS = {
     "DONE": "no error",
     "NULL": "a pointer is null",
@@ -54,32 +56,32 @@ ERRORS = {
     "NO_TICK": "no tick was computed yet",
     "NO_PHASES": "the controller was made without phases (life)",
 }
-#: Reasons whose sentences Python makes of what came in.
+#: Sentences, for C, of the reasons whose sentences Python makes from the inputs of the tick.
 REASONS = {
     BAD_INPUT: "a number of the measurement or of the reference is not finite or out of range",
     STOPPED: "stopped, until osc_reset is called; field cause has the reason of the stop",
 }
-_VALUE = re.compile(r"\{(?:\w+\.)?(\w+)[^}]*\}")  #: of a sentence: {joint}, {safety.hold_rate:g}
+_VALUE = re.compile(r"\{(?:\w+\.)?(\w+)[^}]*\}")  #: value in a sentence: {joint}, {x.rate:g}
 
 
 # --- The C library --------------------------------------------------------------------------------
 
 
 def write_library(folder: Path) -> None:
-    """Write law.o, the C sources around it, daqp's, and what builds them.
+    """Write law.o and the sources of the library, see `write_sources`.
 
     Args:
-        folder: is made.
+        folder: folder of the files; it is made if it does not exist.
     """
     write_sources(folder)
     write_whole(object_file(), folder / "law.o")
 
 
 def write_sources(folder: Path) -> None:
-    """Write the C sources around the law, daqp's, and what builds them.
+    """Write the C sources of the library, those of the solver daqp, and their build files.
 
     Args:
-        folder: is made.
+        folder: folder of the files; it is made if it does not exist.
     """
     folder.mkdir(parents=True, exist_ok=True)
     contents: dict[str, str | bytes] = {"osc_layout.h": _layout(), "osc_ranges.h": _ranges()}
@@ -95,12 +97,21 @@ def write_sources(folder: Path) -> None:
         write_whole(content, folder / name)
 
 
-def _enum(prefix: str, names: Any) -> str:
-    return ",\n".join(f"    {prefix}{name} = {value}" for name, value in names)
+def _enum(prefix: str, members: Iterable[tuple[str, int]]) -> str:
+    """Write the lines of a C enum.
+
+    Args:
+        prefix: prefix of each name. members: (name, value) of each member.
+    """
+    return ",\n".join(f"    {prefix}{name} = {value}" for name, value in members)
 
 
 def _header(text: str) -> str:
-    """osc_controller.h from its frame."""
+    """Write osc_controller.h: fill in the names between @ in its template.
+
+    Args:
+        text: content of osc_controller.h.in.
+    """
     phases = (f" *   {one.name}: {one.words}" for one in _phase_settings())
     values = {
         "VERSION": version("osc-contact"),
@@ -115,7 +126,7 @@ def _header(text: str) -> str:
         "REASONS": ",\n".join(
             f"    OSC_REASON_{name} = {code}{_culprit(code)}" for name, code in CODES.items()
         ),
-        "GAINS": "\n".join(f" *   {name}: {words}" for name, _, _, words in _gains()),
+        "GAINS": "\n".join(f" *   {gain.name}: {gain.words}" for gain in _gains()),
         "PHASES": _enum("OSC_PHASE_", Phase.__members__.items()),
         "PHASE_SETTINGS": "\n".join(phases),
     }
@@ -125,34 +136,60 @@ def _header(text: str) -> str:
 
 
 def _culprit(code: int) -> str:
-    """A C comment that names the kind of part that a stop for this reason blames."""
+    """Write a C comment with the kind of part that the field `culprit` of a stop numbers.
+
+    It is empty for a reason whose sentence names no joint, arm or contact.
+
+    Args:
+        code: code of the reason.
+    """
     kinds = {"{joint}": "a joint", "{arm}": "an arm", "{contact}": "a force"}
-    found = next((words for name, words in kinds.items() if name in SENTENCES[code]), "")
-    return f" /* of {found} */" if found else ""
+    for name, words in kinds.items():
+        if name in SENTENCES[code]:
+            return f" /* of {words} */"
+    return ""
 
 
-def _gains() -> list[tuple[str, int, int, str]]:
-    """Gains that may change while a controller runs: name, offset in MODEL and in rows of
-    MEMORY's contacts (−1: none), unit and meaning."""
-    found = []
-    for name, (field, of_contact) in GAIN_FIELDS.items():
+class _Gain(NamedTuple):
+    """Gain that may change while a controller runs.
+
+    Attributes:
+        name: name, such as "force.integral". offset: offset in MODEL (bytes).
+        contact_offset: offset in rows of MEMORY's contacts (bytes); −1: it is not stored there.
+        words: unit and meaning.
+    """
+
+    name: str
+    offset: int
+    contact_offset: int
+    words: str
+
+
+def _gains() -> list[_Gain]:
+    """List the gains that may change while a controller runs, from the settings' declarations."""
+    gains = []
+    for name, (field, contact_field) in GAIN_FIELDS.items():
         loop, key = name.split(".")
         kind = type(getattr(Gains(), loop))
         unit = " ".join(x for x in kind.model_fields[key].metadata if isinstance(x, str))
-        offset = records.MODEL.dtype.fields[field][1]
-        contact: Any = records.CONTACT_MEMORY.fields
-        at = contact[of_contact][1] if of_contact else -1
-        found.append((name, int(offset), int(at), f"{unit}; {meaning(kind, key)}"))
-    return found
+        contact_offset = _offset(records.CONTACT_MEMORY, contact_field) if contact_field else -1
+        words = f"{unit}; {meaning(kind, key)}"
+        gains.append(_Gain(name, _offset(records.MODEL.dtype, field), contact_offset, words))
+    return gains
 
 
 def _offset(row: Any, field: str) -> int:
-    """Offset (bytes) of a field in a row."""
+    """Offset (bytes) of a field in a row of a structured dtype."""
     return int(row.fields[field][1])
 
 
 class _PhaseSetting(NamedTuple):
-    """A setting of phases: name, offset in MODEL, whether it may be 0, unit and meaning."""
+    """Setting of contact phases.
+
+    Attributes:
+        name: name in `PhaseSettings`. offset: offset in MODEL (bytes). may_be_zero: True if 0 is
+            allowed. words: unit and meaning.
+    """
 
     name: str
     offset: int
@@ -161,28 +198,30 @@ class _PhaseSetting(NamedTuple):
 
 
 def _phase_settings() -> list[_PhaseSetting]:
-    """Settings of contact phases: name, offset in MODEL, whether 0 is allowed, unit and meaning."""
-    fields: Any = records.MODEL.dtype.fields
-    found = []
+    """List the settings of contact phases, from the declaration of `PhaseSettings`."""
+    settings = []
     for name, about in PhaseSettings.model_fields.items():
         field = PHASE_NAMES.get(name, name)
+        # the unit is a string in the metadata, or the first unit of the dimension there
         dimension = next((x for x in about.metadata if isinstance(x, Dimension)), None)
         unit = next((x for x in about.metadata if isinstance(x, str)), "")
-        unit = unit or ("" if dimension is None else next(iter(dimension.units), ""))
+        if not unit and dimension is not None:
+            unit = next(iter(dimension.units), "")
         words = "; ".join(part for part in (unit, meaning(PhaseSettings, name)) if part)
         may_be_zero = any(getattr(x, "ge", None) == 0 for x in about.metadata)
-        found.append(_PhaseSetting(name, int(fields[field][1]), may_be_zero, words))
-    return found
+        offset = _offset(records.MODEL.dtype, field)
+        settings.append(_PhaseSetting(name, offset, may_be_zero, words))
+    return settings
 
 
 def _reason_texts() -> dict[int, str]:
-    """Sentences of the reasons; in place of values the names that they have."""
+    """Sentences of the reasons by their codes, with <joint> for the value of "joint"."""
     texts = {code: _VALUE.sub(r"<\1>", text) for code, text in SENTENCES.items()}
     return texts | REASONS
 
 
 def _layout() -> str:
-    """osc_layout.h: offsets of fields, slots of tables."""
+    """Write osc_layout.h: offsets of fields, slots of tables, and tables of gains and texts."""
     lines = ["/* Written with osc_controller.h: where fields and tables of the records are. */"]
     for name, kind in RECORDS.items():
         fields: Any = kind.dtype.fields
@@ -210,11 +249,14 @@ def _layout() -> str:
     lines += [f"    {json.dumps(text)}," for text in ERRORS.values()] + ["};"]
     lines += ["struct gain { const char *name; size_t offset; int of_contact; };"]
     lines += ["static const struct gain GAINS[] = {"]
-    lines += [f'    {{"{name}", {at}, {of}}},' for name, at, of, _ in _gains()] + ["};"]
+    lines += [
+        f'    {{"{gain.name}", {gain.offset}, {gain.contact_offset}}},' for gain in _gains()
+    ] + ["};"]
     lines += ["struct phase_setting { const char *name; size_t offset; int may_be_zero; };"]
     lines += ["static const struct phase_setting PHASE_SETTINGS[] = {"]
     lines += [
-        f'    {{"{one.name}", {one.offset}, {int(one.may_be_zero)}}},' for one in _phase_settings()
+        f'    {{"{setting.name}", {setting.offset}, {int(setting.may_be_zero)}}},'
+        for setting in _phase_settings()
     ] + ["};"]
     lines += ["static const struct { int reason; const char *text; } REASON_TEXTS[] = {"]
     lines += [
@@ -226,12 +268,12 @@ def _layout() -> str:
     lines += ["/* What osc_reset sets to zero: of MEMORY (slot −1), and of rows of its tables. */"]
     lines += ["struct forgotten { int slot, count; size_t step, offset, bytes; };"]
     lines += ["static const struct forgotten FORGOTTEN[] = {"]
-    lines += [f"    {{{', '.join(map(str, one))}}}," for one in _forgotten()] + ["};", ""]
+    lines += [f"    {{{', '.join(map(str, part))}}}," for part in _forgotten()] + ["};", ""]
     return "\n".join(lines)
 
 
 def _rows() -> list[str]:
-    """Offsets in rows of MEMORY's tables, and of the joints in MODEL, that getters read."""
+    """Write the offsets in rows of tables of MEMORY and MODEL that the library's getters read."""
     lines = []
     for name, kind, wanted in (
         (
@@ -250,17 +292,20 @@ def _rows() -> list[str]:
 
 
 def _structure() -> list[str]:
-    """Heads of records, the tables behind them, and counts that stand in MODEL, too."""
+    """Write the sizes of the records' heads and tables, and the counts that are also in MODEL."""
     heads = ", ".join(str(kind.dtype.itemsize) for kind in RECORDS.values())
     fields: Any = records.MODEL.dtype.fields
     tables = []
     same = []
     for name, kind in RECORDS.items():
         for dtype, sizes in kind.tables.values():
-            rows = [-1 - kind.slot(one) if isinstance(one, str) else one for one in (*sizes, 1)]
-            tables.append(f"    {{{name}, {dtype.itemsize}, {rows[0]}, {rows[1]}}},")
-        known = [one for one in kind.counts if one in (COUNTED if name != "PROGRAM" else "a")]
-        same += [f"    {{{name}, {kind.slot(one)}, {fields[COUNTED[one]][1]}}}," for one in known]
+            rows, columns = _sizes_in_c(kind, sizes)
+            tables.append(f"    {{{name}, {dtype.itemsize}, {rows}, {columns}}},")
+        # PROGRAM uses letters of its own for its counts, except for a, the number of motors
+        counted = {"a"} if name == "PROGRAM" else set(COUNTED)
+        for count in kind.counts:
+            if count in counted:
+                same.append(f"    {{{name}, {kind.slot(count)}, {fields[COUNTED[count]][1]}}},")
     return [
         "/* Sizes of tables: numbers, or −1 − the slot of the layout that has them. */",
         f"enum {{ {', '.join(RECORDS)}, RECORDS }};",
@@ -274,31 +319,46 @@ def _structure() -> list[str]:
     ]
 
 
+def _sizes_in_c(kind: Nested, sizes: Sequence[int | str]) -> tuple[int, int]:
+    """Numbers of rows and columns of a table; −1 − slot for a size that the layout has.
+
+    Args:
+        kind: layout of the record. sizes: one or two sizes of the table, numbers or names of
+            counts; a second size that is missing is 1.
+    """
+    rows, columns = [
+        -1 - kind.slot(size) if isinstance(size, str) else size for size in (*sizes, 1)
+    ][:2]
+    return rows, columns
+
+
 def _forgotten() -> list[tuple[int, int, int, int, int]]:
-    """Parts of MEMORY that a reset clears.
+    """List the parts of MEMORY that a reset clears.
 
     Returns:
         For each part the offset of its table's entry in the layout (−1: the head), the slot of its
         number of rows, bytes of a row, offset in the row, and bytes to clear.
     """
     fields: Any = records.MEMORY.dtype.fields
-    found = [(-1, 0, 0, fields[name][1], fields[name][0].itemsize) for name in FORGOTTEN]
+    parts = [(-1, 0, 0, fields[name][1], fields[name][0].itemsize) for name in FORGOTTEN]
     for table, names in FORGOTTEN_TABLES.items():
         dtype, sizes = records.MEMORY.tables[table]
         slot = records.MEMORY.start(table)
         count = records.MEMORY.slot(sizes[0])
-        own: Any = dtype.fields
-        whole = [(0, dtype.itemsize)]
-        parts = [(own[one][1], own[one][0].itemsize) for one in names] or whole
-        found += [(slot, count, dtype.itemsize, at, size) for at, size in parts]
-    return found
+        columns: Any = dtype.fields
+        if not names:  # the whole row
+            parts.append((slot, count, dtype.itemsize, 0, dtype.itemsize))
+        for name in names:
+            offset, size = columns[name][1], columns[name][0].itemsize
+            parts.append((slot, count, dtype.itemsize, offset, size))
+    return parts
 
 
-# --- The check of what a file holds ---------------------------------------------------------------
+# --- Check of the numbers in a file ---------------------------------------------------------------
 
 
 def _ranges() -> str:
-    """osc_ranges.h: `record_ranges` as C."""
+    """Write osc_ranges.h: the ranges of `record_ranges` as C functions and tables."""
     lines = ["/* Written with osc_layout.h: whether numbers of a record are in their ranges. */"]
     lines += ['#include "osc_bytes.h"', "#include <math.h>", ""]
     lines += _surface_shapes()
@@ -314,8 +374,12 @@ def _ranges() -> str:
 
 
 def _surface_shapes() -> list[str]:
-    """C function that counts the shapes of a SURFACE pair from its numbers of cells."""
-    shapes, (shape, _) = records.MODEL.start("shapes"), records.MODEL.tables["shapes"]
+    """Write the C function that counts the SHAPE rows of a SURFACE pair from its cells.
+
+    It is `record_ranges._surface_shapes` in C.
+    """
+    shapes = records.MODEL.start("shapes")
+    shape, _ = records.MODEL.tables["shapes"]
     pair: Any = records.PAIR.fields
     count = records.MODEL.slot("s")
     return [
@@ -336,7 +400,11 @@ def _surface_shapes() -> list[str]:
 
 
 def _relations(name: str) -> list[str]:
-    """A function: whether all whole numbers of a record are in their ranges."""
+    """Write the C function that checks the relations of the whole numbers of a record.
+
+    Args:
+        name: name of the record in `RECORDS`.
+    """
     kind = RECORDS[name]
     lines = [
         f"static int {name}_in_range(const unsigned char *head, const unsigned char *model) {{"
@@ -344,7 +412,7 @@ def _relations(name: str) -> list[str]:
     lines += ["    (void)model;"]
     for table, relations in RELATIONS[name].items():
         if not table:
-            lines += [f"    if (!({_in_c(one, name, '')})) return 0;" for one in relations]
+            lines += [f"    if (!({_in_c(text, name, '')})) return 0;" for text in relations]
             continue
         dtype, sizes = kind.tables[table]
         rows = f"whole(head, {8 * kind.slot(sizes[0])})"
@@ -354,25 +422,32 @@ def _relations(name: str) -> list[str]:
         ]
         lines += [f"        int64_t row = 0, rows = {rows}, motors_before = 0;"]
         lines += [f"        for (; row < rows; row++, own += {dtype.itemsize}) {{"]
-        lines += [f"            if (!({_in_c(one, name, table)})) return 0;" for one in relations]
+        lines += [f"            if (!({_in_c(text, name, table)})) return 0;" for text in relations]
         if "motor" in (dtype.names or ()):
             fields: Any = dtype.fields
             lines += [f"            motors_before += whole(own, {fields['motor'][1]}) >= 0;"]
         lines += ["        }", "        (void)motors_before;"]
         ends = ENDS.get(name, {}).get(table, ())
-        lines += [f"        if (!({_in_c(one, name, table)})) return 0;" for one in ends]
+        lines += [f"        if (!({_in_c(text, name, table)})) return 0;" for text in ends]
         lines += ["    }"]
     return [*lines, "    return 1;", "}", ""]
 
 
 def _in_c(relation: str, name: str, table: str) -> str:
-    """A relation as a condition in C."""
+    """Write a relation as a condition in C.
+
+    Args:
+        relation: relation of `record_ranges`. name: name of the record. table: its table; "": the
+            head.
+    """
     alternatives = []
     for sums, signs in read_relation(relation):
-        sides = [_sum_in_c(one, name, table) for one in sums]
+        sides = [_sum_in_c(products, name, table) for products in sums]
         pairs = zip(sides, signs, sides[1:], strict=False)
         alternatives.append(" && ".join(f"{left} {sign} {right}" for left, sign, right in pairs))
-    return " || ".join(f"({one})" for one in alternatives) if alternatives[1:] else alternatives[0]
+    if len(alternatives) == 1:
+        return alternatives[0]
+    return " || ".join(f"({alternative})" for alternative in alternatives)
 
 
 def _sum_in_c(products: Sum, name: str, table: str) -> str:
@@ -380,11 +455,11 @@ def _sum_in_c(products: Sum, name: str, table: str) -> str:
 
     Args:
         products: (integer factor, names) of each product. name: name of the record. table: its
-            table.
+            table; "": the head.
     """
     parts = []
     for factor, names in products:
-        words = [_name_in_c(one, name, table) for one in names]
+        words = [_name_in_c(word, name, table) for word in names]
         if abs(factor) != 1 or not words:
             words.insert(0, f"INT64_C({abs(factor)})")
         parts.append(("- " if factor < 0 else "+ ") + " * ".join(words))
@@ -392,7 +467,11 @@ def _sum_in_c(products: Sum, name: str, table: str) -> str:
 
 
 def _name_in_c(word: str, name: str, table: str) -> str:
-    """The C expression for a name of `record_ranges`."""
+    """Write a name in a relation of `record_ranges` as an expression in C.
+
+    Args:
+        word: the name. name: name of the record. table: its table; "": the head.
+    """
     kind = RECORDS[name]
     dtype = kind.tables[table][0] if table else kind.dtype
     own = "own" if table else "head"
@@ -415,14 +494,21 @@ def _name_in_c(word: str, name: str, table: str) -> str:
 
 
 def _number_rows(name: str) -> list[str]:
-    """Rows of a table of C: runs of numbers that have one range."""
+    """Write the rows of a C table with the place and the range of each floating-point field.
+
+    Args:
+        name: name of the record in `RECORDS`.
+    """
     kind = RECORDS[name]
     lines = []
     for table, field, (low, high) in number_ranges(name):
-        dtype, sizes = kind.tables[table] if table else (kind.dtype, [1])
+        if table:
+            dtype, sizes = kind.tables[table]
+        else:
+            dtype, sizes = kind.dtype, [1]
         fields: Any = dtype.fields or {table: (dtype, 0)}
         item, offset = fields[field][:2]
-        rows, columns = [-1 - kind.slot(x) if isinstance(x, str) else x for x in (*sizes, 1)][:2]
+        rows, columns = _sizes_in_c(kind, sizes)
         slot = kind.start(table) if table else -1
         bounds = ", ".join(_number_in_c(x) for x in (low, high))
         count = item.itemsize // 8
@@ -432,4 +518,7 @@ def _number_rows(name: str) -> list[str]:
 
 
 def _number_in_c(x: float) -> str:
-    return f"{'-' if x < 0 else ''}INFINITY" if math.isinf(x) else repr(x)
+    """Write a floating-point number, which may be infinite, as a literal in C."""
+    if math.isinf(x):
+        return "-INFINITY" if x < 0 else "INFINITY"
+    return repr(x)

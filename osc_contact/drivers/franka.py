@@ -54,7 +54,7 @@ class FrankaRobot:
         collision: tuple[float, float, float] = (40.0, 60.0, 20.0),
         recover: bool = False,
     ) -> None:
-        """Connect, set load, end effector and collision limits, and compare the tip.
+        """Connect, set load, end effector and collision limits, and compare the tip with the model.
 
         Args:
             host: address of the robot.
@@ -81,7 +81,7 @@ class FrankaRobot:
         self.host = host
         self.chain = chain
         self._wrench = wrench
-        self._take(chain)
+        self._prepare_model(chain)
         self._control: ActiveControlBase | None = None
         self._stopped = False
         self.read_to_write = 0.0
@@ -90,13 +90,17 @@ class FrankaRobot:
             self._robot: Robot = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
             if recover:
                 self._robot.automatic_error_recovery()
-            self._look()
+            self._read_state()
             self._require_idle()
             self._set_up(end_effector, collision)
         self._require_tip()
 
-    def _take(self, chain: ClosedChain) -> None:
-        """Take the chain's model, with the robot's load and the inertia beyond the wrist.
+    def _prepare_model(self, chain: ClosedChain) -> None:
+        """Copy the chain's model with the held object in its last link; set limits and weights.
+
+        Sets `_hangs`, the inertia beyond the wrist sensor in its frame, `_lift`, the force against
+        its weight (N), `_speed`, speeds above which joints are braked (rad/s), and `_brake`, the
+        gain of that (N m s/rad).
 
         Raises:
             InvalidInputError: a chain of other joints, or without a wrist sensor.
@@ -135,7 +139,12 @@ class FrankaRobot:
         self._turn = pin.SE3(self._base.rotation, np.zeros(3))
 
     def _set_up(self, end_effector: pin.SE3 | None, collision: tuple[float, float, float]) -> None:
-        """Set collision limits, end effector and load of the robot; see the constructor."""
+        """Set collision limits, end effector and load of the robot.
+
+        Args:
+            end_effector: pose in the nominal end effector; None: it is not changed.
+            collision: joint torques (N m), forces (N) and moments (N m) of a reflex.
+        """
         torque, force, moment = collision
         robot = self._robot
         wrenches = [force] * 3 + [moment] * 3
@@ -150,19 +159,20 @@ class FrankaRobot:
         robot.set_load(
             float(load.mass), load.lever.tolist(), load.inertia.ravel(order="F").tolist()
         )
-        self._look()
-        self._K = np.append(self.state.EE_T_K[12:15], 1.0)  #: (4,) homogeneous, in the end effector
+        self._read_state()
+        #: (4,) stiffness frame's origin K, homogeneous, in the end effector (m)
+        self._K = np.append(self.state.EE_T_K[12:15], 1.0)
 
-    def _look(self) -> None:
-        """Read the present state; an older one may be waiting, so two are read."""
+    def _read_state(self) -> None:
+        """Read the present state of the robot; two are read, as the first may be an older one."""
         for _ in range(2):
             self.state = self._robot.read_once()
 
     def _require_idle(self) -> None:
-        """Refuse a robot that has stopped.
+        """Refuse a robot that cannot move.
 
         Raises:
-            PlantError: a reflex, an error, or the stop button.
+            PlantError: it was stopped by a reflex, by an error, or by its stop button.
         """
         state = self.state
         modes = self._lib.RobotMode
@@ -182,12 +192,12 @@ class FrankaRobot:
         self._place(np.array(self.state.q))
         model = pin.updateFramePlacement(self._model, self._data, self._tip)
         robot = self._base * _pose(self.state.O_T_EE)
-        away = norm(model.translation - robot.translation)
-        turned = norm(pin.log3(model.rotation.T @ robot.rotation))
-        if away > TIP_ERROR[0] or turned > TIP_ERROR[1]:
+        distance = norm(model.translation - robot.translation)
+        angle = norm(pin.log3(model.rotation.T @ robot.rotation))
+        if distance > TIP_ERROR[0] or angle > TIP_ERROR[1]:
             raise PlantError(
-                f"the model's tip '{self.chain.arms[0].tip}' is {1e3 * away:.3g} mm and "
-                f"{turned:.3g} rad from the robot's end effector: {_show(model)} m, not "
+                f"the model's tip '{self.chain.arms[0].tip}' is {1e3 * distance:.3g} mm and "
+                f"{angle:.3g} rad from the robot's end effector: {_show(model)} m, not "
                 f"{_show(robot)} m; choose another tip, or give end_effector="
             )
 
@@ -211,28 +221,31 @@ class FrankaRobot:
         self._v = np.array(state.dq)
         self._place(self._q)
         reading = self._estimate(state) if self._wrench is None else self._wrench()
-        known = reading is not None and bool(np.isfinite(reading).all())
+        is_valid = reading is not None and bool(np.isfinite(reading).all())
         t = state.time.to_sec()
         return Measurement(
             q=self._q.copy(),
             v=self._v.copy(),
-            wrenches=np.array(reading, dtype=float).reshape(1, 6) if known else np.zeros((1, 6)),
+            wrenches=np.array(reading, dtype=float).reshape(1, 6) if is_valid else np.zeros((1, 6)),
             joint_torques=np.array(state.tau_J),
             stamps=Stamps(encoders=t, joint_torques=t, wrists=t, vision=t),
-            wrench_valid=known,
+            wrench_valid=is_valid,
             sequence=round(t / _PERIOD),
         )
 
     def _place(self, q: Array) -> None:
-        """Compute the placements of the joints and of the wrist sensor at q (7,)."""
+        """Compute the placements of the joints and of the wrist sensor at q (7,) (rad)."""
         pin.forwardKinematics(self._model, self._data, q)
         pin.updateFramePlacement(self._model, self._data, self._sensor)
 
     def _estimate(self, state: RobotState) -> Array:
-        """Wrench (6,) that a wrist sensor would read: the robot's estimate and the weight.
+        """Compute the wrench (6,) that a wrist sensor would read, in its axes (N, N m).
+
+        It is the sum of the robot's estimate, without the load's weight, and of the force against
+        this weight.
 
         Args:
-            state: state of the robot; its estimate is the wrench on its surroundings.
+            state: state of the robot; its estimate is the wrench on its surroundings at K.
         """
         sensor = self._data.oMf[self._sensor]
         K = np.reshape(state.O_T_EE, (4, 4), order="F") @ self._K
@@ -270,12 +283,13 @@ class FrankaRobot:
                 self._control = self._robot.start_torque_control()
                 self.state = self._control.readOnce()[0]
                 self._read_at = perf_counter()
-            own = tau - pin.computeGeneralizedGravity(self._model, self._data, self._q)
-            own -= self._brake * np.sign(self._v) * np.maximum(np.abs(self._v) - self._speed, 0.0)
-            sent = np.array(self.state.tau_J_d)
-            step = np.clip(own, -self._tau_max, self._tau_max) - sent
+            target = tau - pin.computeGeneralizedGravity(self._model, self._data, self._q)
+            excess_speed = np.maximum(np.abs(self._v) - self._speed, 0.0)
+            target -= self._brake * np.sign(self._v) * excess_speed
+            last = np.array(self.state.tau_J_d)
+            step = np.clip(target, -self._tau_max, self._tau_max) - last
             step *= min(1.0, TORQUE_STEP / max(np.abs(step).max(), TORQUE_STEP))
-            self._torques = self._lib.Torques((sent + step).tolist())
+            self._torques = self._lib.Torques((last + step).tolist())
             self._control.writeOnce(self._torques)
             self.read_to_write = perf_counter() - self._read_at
 
@@ -305,7 +319,7 @@ class FrankaRobot:
         """
         with self._reporting("does not recover"):
             self._robot.automatic_error_recovery()
-            self._look()
+            self._read_state()
         self._require_idle()
         self._stopped = False
         self.least_success_rate = 1.0
@@ -342,7 +356,7 @@ class FrankaRobot:
 
 
 def _pose(numbers: ArrayLike) -> pin.SE3:
-    """Pose of a homogeneous matrix given as 16 numbers, column by column."""
+    """Convert a homogeneous matrix, given as 16 numbers column by column, to a pose."""
     X = np.reshape(numbers, (4, 4), order="F")
     return pin.SE3(pin.Quaternion(X[:3, :3]).normalized(), X[:3, 3])
 

@@ -36,8 +36,8 @@ def effort_limits(model: pin.Model, actuated: Array) -> Array:
     Raises:
         ModelError: a limit that is not positive.
     """
-    given = np.array(model.upperEffortLimit)[actuated]
-    for j, limit in zip(actuated, given, strict=True):
+    limits = np.array(model.upperEffortLimit)[actuated]
+    for j, limit in zip(actuated, limits, strict=True):
         if not limit > 0.0:
             name = model.names[int(j) + 1]
             raise ModelError(
@@ -45,7 +45,7 @@ def effort_limits(model: pin.Model, actuated: Array) -> Array:
                 "nothing. Give its largest torque (N m) or force (N), or list it among the passive "
                 "joints"
             )
-    return np.where(given < _UNLIMITED, given, np.inf)
+    return np.where(limits < _UNLIMITED, limits, np.inf)
 
 
 def effort_scale(tau_max: Array) -> Array:
@@ -78,29 +78,36 @@ def rotor_inertia(model: pin.Model) -> Array:
 
 
 def heaviest_rotor(model: pin.Model, gyration: float) -> float:
-    """Mass (kg) whose inertia at a radius of gyration (m) is the largest rotor inertia."""
+    """Mass (kg) whose inertia at a radius of gyration equals the largest rotor inertia.
+
+    Args:
+        model: model of the joints; for a sliding joint the mass is its rotor inertia itself.
+        gyration: radius of gyration (m).
+    """
     masses = rotor_inertia(model) / np.where(sliding(model), 1.0, gyration**2)
     return float(masses.max(initial=0.0))
 
 
 def with_joints(
-    model: pin.Model, given: Mapping[str, PerJoint | None], friction_factor: float
+    model: pin.Model, values: Mapping[str, PerJoint | None], friction_factor: float
 ) -> pin.Model:
-    """Model with other losses and rotor inertias of its joints; the same model without changes.
+    """Replace losses and rotor inertias of the joints in a copy of a model.
+
+    Without changes the model itself is returned.
 
     Args:
         model: model of one arm.
-        given: "armature", "damping" and "friction", see `Arm.from_urdf`; None: those of the model.
-        friction_factor: factor of damping and friction, given or of the model.
+        values: new "armature", "damping" and "friction", see `Arm.from_urdf`; None: unchanged.
+        friction_factor: factor of damping and friction, of new values and of the model's.
 
     Raises:
         ModelError: not one number for each joint, or a number that is negative or not finite.
     """
-    given = {key: x for key, x in given.items() if x is not None}
-    if not given and friction_factor == 1.0:
+    values = {key: x for key, x in values.items() if x is not None}
+    if not values and friction_factor == 1.0:
         return model
     model = model.copy()
-    for key, value in given.items():
+    for key, value in values.items():
         numbers = np.asarray(value, dtype=float)
         if numbers.shape not in ((), (model.nv,)):
             raise ModelError(
@@ -211,19 +218,11 @@ class Arm:
         Raises:
             ModelError: unreadable or impossible URDF, unknown frame or joint, no moving joint.
         """
-        whole, follows = _whole_robot(urdf, tip)
-        held = {} if locked is None else locked
-        _require_joints(whole, (*passive_joints, *held))
-        model = _path_to(whole, robots.frame_id(whole, tip), held)
-        _require_uncoupled(model, follows)
-        if isinstance(urdf, pin.Model):
-            _require_sound(model)
-        _require_joints(model, passive_joints)
-        if wrist_sensor is not None:
-            robots.frame_id(model, wrist_sensor)  # refuses an unknown frame
+        positions = {} if locked is None else locked
+        whole, model, masters = _load(urdf, tip, positions, passive_joints, wrist_sensor)
         model = _with_factors(model, mass_factor, effort_factor)
-        given = {"armature": armature, "damping": damping, "friction": friction}
-        model = with_joints(model, given, friction_factor)
+        losses = {"armature": armature, "damping": damping, "friction": friction}
+        model = with_joints(model, losses, friction_factor)
         moving = joint_names(model)
         arm = cls(
             name=name,
@@ -232,9 +231,9 @@ class Arm:
             base=pin.SE3.Identity() if base is None else base,
             passive_joints=tuple(passive_joints),
             wrist_sensor=wrist_sensor,
-            locked={j: held.get(j, 0.0) for j in joint_names(whole) if j not in moving},
+            locked={j: positions.get(j, 0.0) for j in joint_names(whole) if j not in moving},
         )
-        _warn_of_followers(arm, follows)
+        _warn_of_followers(arm, masters)
         return arm
 
     @classmethod
@@ -260,7 +259,7 @@ class Arm:
             tip_offset: pose, in the frame of `tip`, of the operational point; it becomes the arm's
                 tip, a frame named after `tip`. None: `tip` itself.
             limits: limits by hand, see `robots.load_mjcf`.
-            how: the other arguments of `from_urdf`. The wrist sensor is a site with force and
+            **how: further arguments of `from_urdf`. The wrist sensor is a site with force and
                 torque sensors, or a body; it measures the load of that body and all beyond it.
 
         Raises:
@@ -271,31 +270,76 @@ class Arm:
         if tip_offset is not None:
             model, tip = _with_point(model, tip, tip_offset)
         arm = cls.from_urdf(model, name=name, tip=tip, **how)
-        follows = robots.couplings(mj)
-        _require_uncoupled(arm.model, follows)
-        _warn_of_followers(arm, follows)
+        masters = robots.couplings(mj)
+        _require_uncoupled(arm.model, masters)
+        _warn_of_followers(arm, masters)
         return arm
 
 
 def _with_point(model: pin.Model, tip: str, X: pin.SE3) -> tuple[pin.Model, str]:
-    """Copy of a model with a frame at pose X in the frame `tip`, and the name of the new frame."""
+    """Copy a model and add a frame "`tip` point".
+
+    Args:
+        model: model of one arm. tip: name of a frame. X: pose of the new frame in the frame `tip`.
+
+    Returns:
+        The copy, and the name of the new frame.
+    """
     model = model.copy()
-    at = robots.frame_id(model, tip)
-    frame = model.frames[at]
+    tip_id = robots.frame_id(model, tip)
+    frame = model.frames[tip_id]
     name = f"{tip} point"
     kind = pin.FrameType.OP_FRAME
-    model.addFrame(pin.Frame(name, frame.parentJoint, at, frame.placement * X, kind))
+    model.addFrame(pin.Frame(name, frame.parentJoint, tip_id, frame.placement * X, kind))
     return model, name
 
 
+def _load(
+    urdf: str | Path | pin.Model,
+    tip: str,
+    positions: Mapping[str, float],
+    passive_joints: Sequence[str],
+    wrist_sensor: str | None,
+) -> tuple[pin.Model, pin.Model, Mapping[str, str]]:
+    """Load a robot, reduce its model to the joints that move the tip, and check the names.
+
+    Args:
+        urdf: path, or model, see `Arm.from_urdf`. tip: name of the frame that holds the object.
+        positions: positions of joints to be locked, by name (rad, m).
+        passive_joints: names of joints without a motor.
+        wrist_sensor: name of the wrist sensor's frame, or None.
+
+    Returns:
+        Model of the whole robot, model of the joints that move the tip, and the name of the master
+        joint of each joint that follows one.
+
+    Raises:
+        ModelError: the file cannot be read, a name is unknown, no joint moves the tip, a joint that
+            does follows another one, or a given model is not sound.
+    """
+    whole, masters = _whole_robot(urdf, tip)
+    _require_joints(whole, (*passive_joints, *positions))
+    model = _path_to(whole, robots.frame_id(whole, tip), positions)
+    _require_uncoupled(model, masters)
+    if isinstance(urdf, pin.Model):
+        _require_sound(model)
+    _require_joints(model, passive_joints)
+    if wrist_sensor is not None:
+        robots.frame_id(model, wrist_sensor)  # raises ModelError for an unknown frame
+    return whole, model, masters
+
+
 def _whole_robot(urdf: str | Path | pin.Model, tip: str) -> tuple[pin.Model, Mapping[str, str]]:
-    """Model of all joints of a robot, and its dependent joints with their masters.
+    """Load the model of all joints of a robot, and find the joints that follow other joints.
 
     Args:
         urdf, tip: see `Arm.from_urdf`.
 
+    Returns:
+        Model of the robot, and the name of the master joint of each joint that follows one.
+
     Raises:
-        ModelError: the file cannot be used.
+        ModelError: the file cannot be read.
     """
     if not isinstance(urdf, pin.Model):
         return robots.load_robot(urdf, tip)
@@ -304,7 +348,7 @@ def _whole_robot(urdf: str | Path | pin.Model, tip: str) -> tuple[pin.Model, Map
 
 
 def stretched_length(arm: Arm) -> float:
-    """Bound of the distance of the tip from the base (m), with all links in one line."""
+    """Upper bound of the distance of an arm's tip from its base (m): all links in one line."""
     model = arm.model
     tip = model.frames[robots.frame_id(model, arm.tip)]
     links = [X.translation for X in (*model.jointPlacements, tip.placement)]
@@ -314,10 +358,10 @@ def stretched_length(arm: Arm) -> float:
 
 
 def _require_joints(model: pin.Model, names: Sequence[str]) -> None:
-    """Refuse names that are no moving joints of a model.
+    """Refuse names that are not moving joints of a model.
 
     Raises:
-        ModelError: a joint is missing.
+        ModelError: a name is unknown; the message lists the joints.
     """
     missing = [name for name in names if name not in joint_names(model)]
     if missing:
@@ -327,19 +371,20 @@ def _require_joints(model: pin.Model, names: Sequence[str]) -> None:
         )
 
 
-def _require_uncoupled(model: pin.Model, follows: Mapping[str, str]) -> None:
+def _require_uncoupled(model: pin.Model, masters: Mapping[str, str]) -> None:
     """Refuse joints that move the tip and follow another joint, or are held by the file.
 
     Args:
         model: model of the joints between base and tip.
-        follows: by joint, its master; "" if it is held.
+        masters: name of the master joint by the name of each joint that follows one; "" for a joint
+            that the file holds still.
 
     Raises:
-        ModelError: a joint is coupled.
+        ModelError: a joint of the model follows a master or is held.
     """
     for name in joint_names(model):
-        if name in follows:
-            master = f"joint {follows[name]!r}" if follows[name] else "no other and is held"
+        if name in masters:
+            master = f"joint {masters[name]!r}" if masters[name] else "no other and is held"
             raise ModelError(
                 f"joint {name!r} on the way to the tip follows {master}: one motor moves both, and "
                 "the control law takes every joint as free. Lock both where they stand (locked=, "
@@ -348,14 +393,15 @@ def _require_uncoupled(model: pin.Model, follows: Mapping[str, str]) -> None:
             )
 
 
-def _warn_of_followers(arm: Arm, follows: Mapping[str, str]) -> None:
+def _warn_of_followers(arm: Arm, masters: Mapping[str, str]) -> None:
     """Warn of locked joints whose master moves the tip, so that their motion is neglected.
 
     Args:
         arm: the arm.
-        follows: by joint, its master; "" if it is held.
+        masters: name of the master joint by the name of each joint that follows one; "" for a joint
+            that the file holds still.
     """
-    for name, master in follows.items():
+    for name, master in masters.items():
         if master in list(arm.model.names) and name in arm.locked:
             _logger.warning(
                 "joint %r follows %r, which moves the tip; it is locked at %g, and bodies that "
@@ -384,30 +430,32 @@ def _require_sound(model: pin.Model) -> None:
     robots.check_mass_matrix(model)
 
 
-def _path_to(model: pin.Model, tip: int, held: Mapping[str, float]) -> pin.Model:
-    """Model of the joints that move the tip; all other joints are locked.
+def _path_to(model: pin.Model, tip: int, positions: Mapping[str, float]) -> pin.Model:
+    """Lock all joints of a robot that do not move the tip; return the reduced model.
 
     Args:
         model: model of the robot.
         tip: number of the tip's frame.
-        held: by name, positions of further joints to be locked (rad, m).
+        positions: positions of joints to be locked, by name (rad, m); other joints that do not move
+            the tip are locked at neutral.
 
     Raises:
-        ModelError: no joint is left.
+        ModelError: no joint remains.
     """
     on_path = set(model.supports[model.frames[tip].parentJoint])
     q = pin.neutral(model)
-    for name, position in held.items():
+    for name, position in positions.items():
         q[model.joints[model.getJointId(name)].idx_q] = position
-    every = range(1, model.njoints)
-    lock = [j for j in every if model.names[j] in held or j not in on_path]
-    if not lock:
+    locked_joints = [
+        j for j in range(1, model.njoints) if model.names[j] in positions or j not in on_path
+    ]
+    if not locked_joints:
         return model
-    if len(lock) == model.njoints - 1:
+    if len(locked_joints) == model.njoints - 1:
         raise ModelError(f"no joint moves the tip frame '{model.frames[tip].name}'")
     model = model.copy()
     names = with_distinct_frames(model)
-    reduced = pin.buildReducedModel(model, lock, q)
+    reduced = pin.buildReducedModel(model, locked_joints, q)
     for frame in reduced.frames:  # Pinocchio 4.1 leaves some frames their own parents
         original = model.frames[model.getFrameId(frame.name)]
         frame.parentFrame = reduced.getFrameId(model.frames[original.parentFrame].name)
@@ -422,6 +470,9 @@ def _own_inertia(model: pin.Model, joint: int) -> pin.Inertia:
     """Inertia of the link that a joint moves, in the joint's frame, without links welded to it.
 
     Pinocchio adds welded links to the inertia of their joint, and keeps a copy at their frames.
+
+    Args:
+        model: model of the robot. joint: number of the joint.
     """
     whole = model.inertias[joint]
     welded = pin.Inertia.Zero()
@@ -438,7 +489,7 @@ def with_distinct_frames(model: pin.Model) -> dict[str, str]:
     Functions of Pinocchio find frames by name only.
 
     Returns:
-        By new name, the old name of each frame.
+        The old name of each frame by its new name.
     """
     joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
     names = {}
@@ -450,9 +501,11 @@ def with_distinct_frames(model: pin.Model) -> dict[str, str]:
 
 
 def _with_factors(model: pin.Model, mass_factor: float, effort_factor: float) -> pin.Model:
-    """Model with masses and inertias, and with effort limits, times a factor each.
+    """Scale a copy of a model; if both factors are 1, return the model itself.
 
-    If both factors are 1, the model itself is returned.
+    Args:
+        model: model of one arm. mass_factor: factor of masses and inertias. effort_factor: factor
+            of the effort limits.
     """
     if mass_factor == 1.0 and effort_factor == 1.0:
         return model

@@ -23,12 +23,12 @@ Gaps = Callable[[SE3], tuple[Array, Callable[[], Array]]]
 
 
 def _no_gaps(X_WO: SE3) -> tuple[Array, Callable[[], Array]]:
-    """Gaps of no contacts."""
+    """Gaps () and columns (6, 0) of an object without contacts, as a function of type `Gaps`."""
     return (np.zeros(0), partial(np.zeros, (6, 0)))
 
 
 def object_pose(chain: ClosedChain, q: Array, data: pin.Data | None = None) -> SE3:
-    """Pose of the object at joint positions q.
+    """Compute the pose of the object at joint positions q.
 
     Args:
         chain: the arms.
@@ -43,7 +43,7 @@ def object_pose(chain: ClosedChain, q: Array, data: pin.Data | None = None) -> S
 
 
 def reach(chain: ClosedChain, q: ArrayLike, X_WO: SE3, tolerance: float = 1e-6) -> Array:
-    """Joint positions at which the grasps are nearest to an object pose (inverse kinematics).
+    """Compute joint positions (n,) whose grasps are nearest to an object pose (inverse kinematics).
 
     Levenberg–Marquardt on the energy-weighted pose errors, (object's inertia)½ × displacement,
     within the joints' limits: a joint at its end stop stays there if a step would pass it.
@@ -60,22 +60,22 @@ def reach(chain: ClosedChain, q: ArrayLike, X_WO: SE3, tolerance: float = 1e-6) 
     """
     L = np.linalg.cholesky(chain.reference_inertia(X_WO))
     limits = position_limits(chain.model)
-    here: Array = np.clip(as_array("q", q, (chain.nq,)), *limits)
+    present: Array = np.clip(as_array("q", q, (chain.nq,)), *limits)
     damping = 1e-3
-    cost, step = _reach_step(chain, here, X_WO, L, damping)
+    cost, step = _reach_step(chain, present, X_WO, L, damping)
     for _ in range(300):
-        there = np.clip(here + step, *limits)
-        next_cost, next_step = _reach_step(chain, there, X_WO, L, 0.3 * damping)
+        following = np.clip(present + step, *limits)
+        next_cost, next_step = _reach_step(chain, following, X_WO, L, 0.3 * damping)
         if next_cost <= cost:
-            if np.abs(there - here).max() < tolerance:
-                return there
+            if np.abs(following - present).max() < tolerance:
+                return following
             damping = max(0.3 * damping, 1e-12)
-            here = there
+            present = following
             cost = next_cost
             step = next_step
         else:
             damping *= 10.0
-            cost, step = _reach_step(chain, here, X_WO, L, damping)
+            cost, step = _reach_step(chain, present, X_WO, L, damping)
     raise ModelError(
         f"the arms do not reach the object at {np.round(X_WO.translation, 4)} m; energy-weighted "
         f"miss {np.sqrt(2 * cost):.3g}. Move the object, the bases, or give another posture."
@@ -83,11 +83,13 @@ def reach(chain: ClosedChain, q: ArrayLike, X_WO: SE3, tolerance: float = 1e-6) 
 
 
 CLOSED = 1e-13  #: largest remaining error of loops and contacts (m, rad)
-MOST_STEPS = 30  #: most steps of Newton's method
+MOST_STEPS = 30  #: largest number of steps of Newton's method
 
 
 def close(chain: ClosedChain, q: ArrayLike, gaps: Gaps | None = None) -> Array:
-    """Nearest joint positions (n,), in the arms' inertia metric, with closed loops and zero gaps.
+    """Compute the nearest joint positions (n,) with closed loops of arms and zero gaps.
+
+    Steps of Newton's method are the least ones in the arms' inertia metric.
 
     Args:
         chain: the arms.
@@ -102,9 +104,9 @@ def close(chain: ClosedChain, q: ArrayLike, gaps: Gaps | None = None) -> Array:
 
 
 def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) -> tuple[Array, SE3]:
-    """Nearest joint positions (n,) with closed loops and zero gaps, and the object's pose.
+    """Compute the nearest joint positions (n,) with closed loops and zero gaps, and the pose.
 
-    If no arm holds the object rigidly, its pose is a further unknown.
+    Newton's method; if no arm holds the object rigidly, the object's pose is a further unknown.
 
     Args:
         chain, q, gaps: see `close`.
@@ -128,18 +130,20 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
         q = q - step[: chain.nq]
         if chain.leader is None:
             X = moved(X, -step[chain.nq :])
-    left = np.abs(error).max()
-    if left <= 100 * CLOSED:
+    remaining = np.abs(error).max()
+    if remaining <= 100 * CLOSED:  # the accuracy of this problem is worse, by rounding errors
         assert X is not None
         return (q, X)
     raise ModelError(
-        f"the loops and contacts do not close: the largest error left is {left:.3g} "
+        f"the loops and contacts do not close: the largest error left is {remaining:.3g} "
         "(m or rad). Start the object nearer to the contacts, or check grasps and faces"
     )
 
 
 def _loop_errors(chain: ClosedChain, X_WO: SE3) -> list[Array]:
-    """Errors of the loops (m, rad), of each arm but the leader, in the order of `constraint_rows`.
+    """Compute the pose error (m, rad) between each arm but the leader and the object.
+
+    They are in the order of `constraint_rows`.
 
     Args:
         chain: the arms, at the positions last given to its data.
@@ -169,13 +173,13 @@ def object_columns(chain: ClosedChain, J: Array) -> Array:
     if chain.leader is None:
         return np.hstack((np.zeros((6, chain.nq)), np.eye(6)))
     columns = np.zeros((6, chain.nq))
-    s = chain.slices[chain.leader]
-    columns[:, s] = J[:, s]
+    joints = chain.slices[chain.leader]
+    columns[:, joints] = J[:, joints]
     return columns
 
 
 def inertia_of(chain: ClosedChain, X_WO: SE3) -> Array:
-    """Inertia of the coordinates of `object_columns`: M or, without a leader, M and the object's.
+    """Inertia of the coordinates of `object_columns`: M (n, n), or M and the object's (n+6, n+6).
 
     Args:
         chain: the arms, with M in its data.
@@ -211,15 +215,19 @@ def constraint_rows(
     rows = []
     for i, grasp in enumerate(chain.grasps):
         if i != chain.leader:
-            s = chain.slices[i]
+            joints = chain.slices[i]
             loop = first.copy()
-            loop[:, s] -= J[:, s]
+            loop[:, joints] -= J[:, joints]
             rows.append(loop if grasp.is_rigid else grasp.wrenches_at(tips[i], O).T @ loop)
     return np.vstack([*rows, -N.T @ first])
 
 
 def _row_groups(chain: ClosedChain) -> list[int]:
-    """Sizes of the groups of loop rows that share a unit and a scale; see `inverse_rows`."""
+    """Sizes of the groups of consecutive loop rows that share a unit and a scale.
+
+    Rows of forces and of couples of a grasp are two groups; those of a grasp of kind "other", which
+    mix both, are one group. See `inverse_rows`.
+    """
     groups = []
     for i, grasp in enumerate(chain.grasps):
         if i == chain.leader:
@@ -233,7 +241,7 @@ def _row_groups(chain: ClosedChain) -> list[int]:
 
 
 def inverse_rows(chain: ClosedChain, A: Array, M: Array) -> tuple[Array, Array]:
-    """Right inverse and multipliers of redundant constraints A q̈ = b in the inertia metric.
+    """Compute right inverse and multipliers of redundant constraints A q̈ = b in the inertia metric.
 
     Args:
         chain: the arms, whose loop rows come first.
@@ -247,7 +255,7 @@ def inverse_rows(chain: ClosedChain, A: Array, M: Array) -> tuple[Array, Array]:
     K = np.linalg.cholesky(M)
     whitened = np.linalg.solve(K, A.T).T
     size = np.linalg.norm(whitened, axis=1)
-    # the three rows of a vector share one scale: a locked direction has a separate zero row
+    # the rows of a group share one scale, so that the zero row of a locked direction stays zero
     start = 0
     for count in _row_groups(chain):
         size[start : start + count] = size[start : start + count].max()
@@ -262,34 +270,39 @@ def inverse_rows(chain: ClosedChain, A: Array, M: Array) -> tuple[Array, Array]:
 def _reach_step(
     chain: ClosedChain, q: Array, X_WO: SE3, L: Array, damping: float
 ) -> tuple[float, Array]:
-    """Cost at q, and step (n,) of Levenberg–Marquardt, see `reach`.
+    """Compute cost and step of Levenberg–Marquardt at q, see `reach`.
 
     Args:
         chain: the arms.
-        q: (n,) joint positions within their limits.
+        q: (n,) joint positions within their limits (rad, m).
         X_WO: desired pose.
-        L: (6, 6) Cholesky factor of the object's inertia.
+        L: (6, 6) Cholesky factor of the object's inertia at the desired pose.
         damping: factor of M, which is added to the Hessian.
+
+    Returns:
+        Half of the sum of squared energy-weighted errors (kg m²), and the step (n,), zero for
+        joints at an end stop that it would pass.
     """
     pin.computeAllTerms(chain.model, chain.data, q, np.zeros(chain.nq))
     cost = 0.0
     step = np.zeros(chain.nq)
-    for tip, grasp, s in zip(chain.tip_poses(), chain.grasps, chain.slices, strict=True):
+    for tip, grasp, joints in zip(chain.tip_poses(), chain.grasps, chain.slices, strict=True):
         if grasp.is_rigid:
             X = tip * grasp.X_TO
             miss = L.T @ pose_error(X_WO, X)
-            J = L.T @ columns_at(chain.data.J, X.translation)[:, s]
-        else:  # the rows of N alone, made orthonormal in the object's metric
+            J = L.T @ columns_at(chain.data.J, X.translation)[:, joints]
+        else:  # only along N, orthonormal in the object's metric
             Q, miss = grasp.whitened(tip, X_WO, L)
-            J = Q.T @ L.T @ columns_at(chain.data.J, X_WO.translation)[:, s]
+            J = Q.T @ L.T @ columns_at(chain.data.J, X_WO.translation)[:, joints]
         cost += 0.5 * float(miss @ miss)
         slope = J.T @ miss
-        low = chain.model.lowerPositionLimit[s]
-        high = chain.model.upperPositionLimit[s]
-        stopped = ((q[s] <= low) & (slope < 0.0)) | ((q[s] >= high) & (slope > 0.0))
-        H = J.T @ J + damping * chain.data.M[s, s]
+        low = chain.model.lowerPositionLimit[joints]
+        high = chain.model.upperPositionLimit[joints]
+        q_arm = q[joints]
+        stopped = ((q_arm <= low) & (slope < 0.0)) | ((q_arm >= high) & (slope > 0.0))
+        H = J.T @ J + damping * chain.data.M[joints, joints]
         free = np.flatnonzero(~stopped)
-        step[s][free] = np.linalg.solve(H[np.ix_(free, free)], slope[free])
+        step[joints][free] = np.linalg.solve(H[np.ix_(free, free)], slope[free])
     return (cost, step)
 
 
@@ -297,7 +310,7 @@ ROUNDING = 1e-6  #: largest rounding error of a number that was written to a fil
 
 
 def outside_limits(chain: ClosedChain, q: Array, beyond: Array | float = 0.0) -> list[str]:
-    """Texts about each joint that is outside its limits.
+    """List a clause for each joint that is outside its limits.
 
     Args:
         chain: the arms.
@@ -323,10 +336,10 @@ def require_in_range(name: str, chain: ClosedChain, q: Array, beyond: Array | fl
         InvalidInputError: joints are further out; the message lists them, and the numbers in
             radians if they seem to be degrees.
     """
-    found = outside_limits(chain, q, beyond + ROUNDING)
-    if not found:
+    clauses = outside_limits(chain, q, beyond + ROUNDING)
+    if not clauses:
         return
-    cure = "give positions (rad or m) within the limits, or correct those in the robot's file"
+    advice = "give positions (rad or m) within the limits, or correct those in the robot's file"
     if np.abs(q).max() > np.pi and not outside_limits(chain, np.radians(q)):
-        cure = f"the numbers look like degrees: give np.radians({np.round(q, 4).tolist()})"
-    raise InvalidInputError(f"{name}: {', '.join(found)}; {cure}")
+        advice = f"the numbers look like degrees: give np.radians({np.round(q, 4).tolist()})"
+    raise InvalidInputError(f"{name}: {', '.join(clauses)}; {advice}")

@@ -47,7 +47,7 @@ class ChainStructure(Protocol):
 
 
 def chain_row(chain: ChainStructure, led: bool) -> Bytes:
-    """Row of MODEL of the chain alone, without contacts and motors.
+    """Make a row of MODEL for the chain, without contacts and motors.
 
     Args:
         chain: the arms.
@@ -78,7 +78,9 @@ def pack_chain(chain: ChainStructure, raw: Bytes, leader: int | None) -> None:
     head.gravity[:] = chain.model.gravity.linear
     body = chain.reference.inertia
     moments, axes = np.linalg.eigh(body.inertia)
-    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    axes[:, 0] *= np.sign(
+        np.linalg.det(axes)
+    )  # right-handed principal axes  # right-handed principal axes
     head.principal[:] = (body.mass, *moments)
     head.roots[:] = np.sqrt(head.principal)
     ball = np.repeat((chain.arm_mass, chain.arm_mass * GYRATION**2), 3)
@@ -92,25 +94,25 @@ def pack_chain(chain: ChainStructure, raw: Bytes, leader: int | None) -> None:
 
 
 def _pack_arms(chain: ChainStructure, rows: Table) -> None:
-    """Write the records of the arms.
+    """Write the arms' rows of MODEL: joints, tips, sensors, outboard links and grasps.
 
     Args:
         chain: the arms.
-        rows: `MODEL.arms`.
+        rows: table `arms` of MODEL, filled.
 
     Raises:
         ModelError: an arm has more joints than the law supports.
     """
     model = chain.model
-    for i, (row, grasp, part) in enumerate(zip(rows, chain.grasps, chain.slices, strict=True)):
-        joints = part.stop - part.start
-        if joints > at.MAX_JOINTS:
+    for i, (row, grasp, joints) in enumerate(zip(rows, chain.grasps, chain.slices, strict=True)):
+        count = joints.stop - joints.start
+        if count > at.MAX_JOINTS:
             raise ModelError(
-                f"arm '{chain.arms[i].name}' has {joints} joints; the control "
+                f"arm '{chain.arms[i].name}' has {count} joints; the control "
                 f"law takes {at.MAX_JOINTS} at most. Lock those that need not move (locked=)"
             )
-        row.first = part.start
-        row.end = part.stop
+        row.first = joints.start
+        row.end = joints.stop
         row.full_rank = chain.full_ranks[i]
         tip = chain.tips[i]
         sensor = chain.sensors[i]
@@ -138,11 +140,11 @@ def _pack_arms(chain: ChainStructure, rows: Table) -> None:
 
 
 def _pack_joints(chain: ChainStructure, rows: Table) -> None:
-    """Write the records of the joints.
+    """Write the joints' rows of MODEL: placements, link inertias and rotors, all without motors.
 
     Args:
         chain: the arms.
-        rows: `MODEL.joints`.
+        rows: table `joints` of MODEL, filled.
 
     Raises:
         ModelError: the joints of an arm are not serial.
@@ -165,29 +167,32 @@ def _pack_joints(chain: ChainStructure, rows: Table) -> None:
 
 
 def _z_frame(model: pin.Model, joint: int) -> SE3:
-    """Frame with the joint's axis as its z axis, in the joint's own frame."""
+    """Pose, in a joint's own frame, of a frame whose z axis is the joint's axis.
+
+    Args:
+        model: merged model. joint: number of the joint, from 1.
+    """
     S = joint_axis(model, joint)
     axis = S[:3] if S[:3].any() else S[3:]
-    x, y, z = np.round(axis, 15)
-    if (x, y, z) == (0.0, 0.0, 1.0):
+    if tuple(np.round(axis, 15)) == (0.0, 0.0, 1.0):
         return SE3.Identity()
-    start = np.eye(3)[np.abs(axis).argmin()]
+    start = np.eye(3)[np.abs(axis).argmin()]  # the world's axis farthest from the joint's
     first = cross(start, axis)
     first /= norm(first)
     return SE3(np.column_stack((first, cross(axis, first), axis)), np.zeros(3))
 
 
 def _in_joint(model: pin.Model, number: int) -> SE3:
-    """Placement of a frame, by its number, in the z frame of its joint, see `_z_frame`."""
+    """Pose of a frame, given by its number, in the z frame of its joint, see `_z_frame`."""
     frame = model.frames[number]
     return _z_frame(model, frame.parentJoint).actInv(frame.placement)
 
 
 def _flat_pose(X: SE3) -> Array:
-    """Rotation by rows, then position, of a pose (12,)."""
+    """Numbers (12,) of a pose: rotation matrix by rows, then position (m)."""
     return np.concatenate((X.rotation.ravel(), X.translation))
 
 
 def _flat_inertia(inertia: pin.Inertia) -> Array:
-    """Mass, centre of mass and, by rows, inertia about it (13,)."""
+    """Numbers (13,) of an inertia: mass (kg), centre of mass (m), moments about it (kg m²)."""
     return np.array([inertia.mass, *inertia.lever, *inertia.inertia.ravel()])

@@ -21,13 +21,13 @@ from osc_contact.law.records import Bytes, Rows, views
 from osc_contact.law.vectors import motions, reflection, wrenches
 from osc_contact.spatial import Array, carry_twist, columns_of
 
-_NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))
+_NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))  #: terms without an object
 
-_NONE = np.zeros(0)
+_NONE = np.zeros(0)  #: alpha_d and active contacts of a chain without contacts
 
 
 class EvaluatedChain(ChainStructure, Protocol):
-    """Closed chain with the functions of which its state is made; see `ClosedChain`."""
+    """Closed chain with the functions from which its state is computed; see `ClosedChain`."""
 
     actuated: NDArray[np.intp]
 
@@ -41,11 +41,11 @@ class EvaluatedChain(ChainStructure, Protocol):
         """Poses of the wrist sensors in the world."""
 
     def unactuated_motions(self, G: Array, S: Array) -> Array:
-        """Motions of the object that no motor drives."""
+        """Motions (6, u) of the object that no motor drives."""
 
 
 def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | None) -> View:
-    """Record WORK, in memory of its own, after the law's first part: the arms without contacts.
+    """Run the first part of the law, the arms without contacts; return WORK in new memory.
 
     Args:
         row: row of MODEL by `chain_row`; a led one, if no pose is given.
@@ -61,29 +61,29 @@ def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | No
         memory.given = at.GIVEN_POSE if V_O is None else at.GIVEN_TWIST
         memory.V_O = 0.0 if V_O is None else V_O
     rows.job.stop = at.MEASURE
-    six = np.zeros(6)
-    wrenches = np.zeros((len(head.arms), 6))
-    given = (q, v, wrenches, np.eye(4), six, six, _NONE, np.zeros((0, 28)), _NONE)
-    law_rows()(rows.raw, 0, given)
+    zeros = np.zeros(6)
+    readings = np.zeros((len(head.arms), 6))
+    inputs = (q, v, readings, np.eye(4), zeros, zeros, _NONE, np.zeros((0, 28)), _NONE)
+    law_rows()(rows.raw, 0, inputs)
     return work
 
 
 def mass_matrix(work: View, arms: Sequence[slice]) -> Array:
-    """Mass matrix M (n, n) of all arms.
+    """Mass matrix M (n, n) of all arms from WORK, which has the rows of each arm's own matrix.
 
     Args:
         work: record WORK.
-        arms: part of the joints of each arm.
+        arms: slice of the joints of each arm.
     """
     n = len(work.joints)
     M = np.zeros((n, n))
-    for s in arms:
-        M[s, s] = work.joints.M[s, : s.stop - s.start]
+    for joints in arms:
+        M[joints, joints] = work.joints.M[joints, : joints.stop - joints.start]
     return M
 
 
 def read_state(chain: EvaluatedChain, work: View, rest: View, data: pin.Data) -> ChainState:
-    """State of a chain from the results of the law.
+    """Convert the results of the law to the state of a chain at O in world axes.
 
     Args:
         chain: the arms.
@@ -144,22 +144,23 @@ def read_state(chain: EvaluatedChain, work: View, rest: View, data: pin.Data) ->
 def _all_arm_terms(
     chain: EvaluatedChain, work: View, rest: View, M: Array, motion: Array, wrench: Array
 ) -> tuple[ArmTerms, ...]:
-    """Operational-space terms of each arm at its grasp.
+    """Convert the operational-space terms of each arm at its grasp.
 
     Args:
         chain, work, rest: see `read_state`.
-        M: (nq, nq) joint-space inertia of all arms.
-        motion, wrench: (6, 6) bases of energy coordinates, of `motions` and `wrenches`.
+        M: (n, n) joint-space inertia of all arms.
+        motion, wrench: (6, 6) maps of motions and wrenches from energy coordinates to O, world
+            axes.
     """
-    parts = zip(work.arms, chain.grasps, chain.slices, strict=True)
-    return tuple(
-        _arm_terms(own, grasp, work.joints[s], rest.joints.h[s], M[s, s], motion, wrench)
-        for own, grasp, s in parts
-    )
+    terms = []
+    for row, grasp, s in zip(work.arms, chain.grasps, chain.slices, strict=True):
+        weight = rest.joints.h[s]
+        terms.append(_arm_terms(row, grasp, work.joints[s], weight, M[s, s], motion, wrench))
+    return tuple(terms)
 
 
 def _payload_terms(chain: EvaluatedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
-    """Terms of the held object at its pose and twist (6,); zero without an object."""
+    """Terms of the held object at its pose and twist (6,) (m/s, rad/s); zero without an object."""
     if chain.payload is None:
         return _NOTHING
     return chain.payload.terms(X_WO, V_O, chain.model.gravity.linear)
@@ -168,21 +169,24 @@ def _payload_terms(chain: EvaluatedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
 def _filters(
     chain: EvaluatedChain, arms: Table, motion: Array, wrench: Array
 ) -> tuple[Array | None, ...]:
-    """Factors (6, 6) of the wrist readings at O; None of a rigid grasp, or without a sensor.
+    """Convert the factor (6, 6) of each arm's wrist readings at O.
+
+    It is None for a rigid grasp or an arm without links beyond a sensor: then the factor is 1.
 
     Args:
         chain: the arms.
-        arms: `WORK.arms`.
-        motion, wrench: (6, 6) bases of energy coordinates in world axes at O.
+        arms: table `arms` of WORK.
+        motion, wrench: (6, 6) maps of motions and wrenches from energy coordinates to O, world
+            axes.
     """
     return tuple(
-        wrench @ own.filter @ motion.T if links and not grasp.is_rigid else None
-        for grasp, links, own in zip(chain.grasps, chain.outboard, arms, strict=True)
+        wrench @ row.filter @ motion.T if links and not grasp.is_rigid else None
+        for grasp, links, row in zip(chain.grasps, chain.outboard, arms, strict=True)
     )
 
 
 def _arm_terms(
-    own: np.record,
+    row: np.record,
     grasp: Grasp,
     joints: Table,
     weight: Array,
@@ -190,22 +194,23 @@ def _arm_terms(
     motion: Array,
     wrench: Array,
 ) -> ArmTerms:
-    """Operational-space terms of one arm from the results of the law.
+    """Convert the operational-space terms of one arm from the results of the law.
 
     Args:
-        own: record of the arm in `WORK.arms`.
+        row: row of the arm in table `arms` of WORK.
         grasp: grasp of the arm.
-        joints: records of its joints in `WORK.joints`.
+        joints: rows of the arm's joints in table `joints` of WORK.
         weight: (n,) torques of gravity (N m, N).
         M: (n, n) mass matrix of the arm.
-        motion, wrench: (6, 6) bases of energy coordinates in world axes at O.
+        motion, wrench: (6, 6) maps of motions and wrenches from energy coordinates to O, world
+            axes.
     """
     J = motion @ joints.J.T
     J_bar = joints.J_bar @ wrench.T
-    gamma = motion @ own.gamma
-    Lambda = wrench @ own.Lambda @ wrench.T
+    gamma = motion @ row.gamma
+    Lambda = wrench @ row.Lambda @ wrench.T
     p = J_bar.T @ weight
-    rank = int(own.n_kept)
+    rank = int(row.n_kept)
     return ArmTerms(
         J=J,
         gamma=gamma,
@@ -215,8 +220,8 @@ def _arm_terms(
         J_bar=J_bar,
         mu=J_bar.T @ joints.h - p - Lambda @ gamma,
         p=p,
-        C=wrench @ own.resisted[: int(own.n_locked)].T,
-        N=np.eye(6) if grasp.is_rigid else wrench @ own.kept[:rank].T,
+        C=wrench @ row.resisted[: int(row.n_locked)].T,
+        N=np.eye(6) if grasp.is_rigid else wrench @ row.kept[:rank].T,
         rank=rank,
     )
 
@@ -224,27 +229,31 @@ def _arm_terms(
 def _singular_directions(
     chain: EvaluatedChain, arms: Table, reference: Array, motion: Array, wrench: Array
 ) -> tuple[SingularDirection, ...]:
-    """Directions in which arms hardly move the object, from the results of the law.
+    """List the directions in which arms hardly move the object, from the results of the law.
 
     Args:
         chain: the arms.
-        arms: `WORK.arms`.
+        arms: table `arms` of WORK.
         reference: (6,) diagonal of Λ_ref in energy coordinates.
-        motion, wrench: (6, 6) bases of energy coordinates in world axes at O.
+        motion, wrench: (6, 6) maps of motions and wrenches from energy coordinates to O, world
+            axes.
     """
-    return tuple(
-        SingularDirection(
-            arm=i,
-            chi=float(own.chi[e]),
-            share=float(own.share[e]),
-            wrench=wrench @ own.lost[e],
-            twist=motion @ (own.lost[e] / reference),
-            mode=own.mode[e, : s.stop - s.start].copy(),
-            locked=bool(own.gone[e]),
-        )
-        for i, (own, s) in enumerate(zip(arms, chain.slices, strict=True))
-        for e in range(int(own.n_lost))
-    )
+    directions = []
+    for i, (row, joints) in enumerate(zip(arms, chain.slices, strict=True)):
+        n = joints.stop - joints.start
+        for e in range(int(row.n_lost)):
+            directions.append(
+                SingularDirection(
+                    arm=i,
+                    chi=float(row.chi[e]),
+                    share=float(row.share[e]),
+                    wrench=wrench @ row.lost[e],
+                    twist=motion @ (row.lost[e] / reference),
+                    mode=row.mode[e, :n].copy(),
+                    locked=bool(row.gone[e]),
+                )
+            )
+    return tuple(directions)
 
 
 STATES = 3  #: random states at which the law is compared with Pinocchio

@@ -231,7 +231,7 @@ class ChainState:
         return self._sum("p")
 
     def _sum(self, name: str) -> Array:
-        """Sum of a term, by its name, of the object and all arms."""
+        """Sum of a term, given by its name, over the object and all arms."""
         return sum(getattr(part, name) for part in (self.payload, *self.arms))
 
 
@@ -239,21 +239,21 @@ class ChainState:
 
 
 def joint_inertias(state: ChainState, actuated: Array) -> Array:
-    """Inertia (n_a,) that each motor moves: of its arm, with an equal share of the object.
+    """Inertia (n_a,) that each motor moves: diag(M + JᵀΛ_oJ / arms) (kg m²; kg if it slides).
 
-    It is diag(M + JᵀΛ_oJ / arms) in kg m² (kg for sliding joints).
+    It is the inertia of the motor's arm with an equal share of the object.
 
     Args:
         state: state of the chain.
         actuated: (n_a,) indices of the motor joints.
     """
     Lambda = state.payload.Lambda / len(state.arms)
-    felt = [np.diag(arm.M + arm.J.T @ Lambda @ arm.J) for arm in state.arms]
-    return np.concatenate(felt)[actuated]
+    inertias = [np.diag(arm.M + arm.J.T @ Lambda @ arm.J) for arm in state.arms]
+    return np.concatenate(inertias)[actuated]
 
 
 def modes(state: ChainState, actuated: Array, stiffness: Array) -> Array:
-    """Natural frequencies (d,) of the closed chain out of contact with held motors, ascending (Hz).
+    """Compute natural frequencies (d,) of the chain without contact, motors fixed, ascending (Hz).
 
     They are the roots of det(WᵀK W − ω² Λ_S) = 0, in the motions S that the closed loops permit.
 
@@ -269,7 +269,9 @@ def modes(state: ChainState, actuated: Array, stiffness: Array) -> Array:
 
 
 def stiffness_for(state: ChainState, actuated: Array, frequency: float) -> Array:
-    """Stiffness (n_a,) proportional to `joint_inertias` that gives the first mode a frequency.
+    """Compute the joint stiffness (n_a,) that gives the first mode a frequency (N m/rad, N/m).
+
+    It is proportional to `joint_inertias`.
 
     Args:
         state: state of the chain.

@@ -173,7 +173,7 @@ class ClosedChain:
 
     @property
     def _held_mass(self) -> float:
-        """Mass of the held object, 0 without one (kg)."""
+        """Mass of the held object (kg); 0 without an object."""
         return 0.0 if self.payload is None else float(self.payload.inertia.mass)
 
     def tip_poses(self, data: pin.Data | None = None) -> list[SE3]:
@@ -200,7 +200,11 @@ class ClosedChain:
         return self.reference.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
 
     def _placement(self, number: int, data: pin.Data | None) -> SE3:
-        """Pose of a frame, by its number, at the joint positions last given to `data`."""
+        """Pose of a frame, given by its number, in the world at the joint positions in `data`.
+
+        Args:
+            number: number of the frame. data: data of Pinocchio; None: the chain's own.
+        """
         frame = self.model.frames[number]
         joints = (self.data if data is None else data).oMi
         return joints[frame.parentJoint] * frame.placement
@@ -274,7 +278,9 @@ class ClosedChain:
         return read_state(self, work, rest, data)
 
     def _twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:
-        """Twist (6,) of the object from the leader's tip; None without a leader: the law finds it.
+        """Twist (6,) of the object at O from the leader's tip (m/s, rad/s).
+
+        It is None without a leader; then the law computes the twist from all arms.
 
         Args:
             X_WO: pose of the object.
@@ -310,7 +316,10 @@ def _mass_with_rotors(arm: Arm) -> float:
 
 
 def _arms_of(arms: Arm | Sequence[Arm]) -> tuple[Arm, ...]:
-    """Arms as a tuple.
+    """Check the arms of a chain; return them as a tuple.
+
+    Args:
+        arms: an arm, or several.
 
     Raises:
         InvalidInputError: objects of other classes.
@@ -330,7 +339,9 @@ def _arms_of(arms: Arm | Sequence[Arm]) -> tuple[Arm, ...]:
 
 
 def _grasps_of(grasps: SE3 | Grasp | Sequence[SE3 | Grasp] | None, arms: int) -> tuple[Grasp, ...]:
-    """Grasps of all arms; a pose X_TO is held rigidly, and so is the tip by default.
+    """Check the grasps of all arms; return them as a tuple.
+
+    A pose X_TO becomes a rigid grasp; without grasps the object's frame is the tip's, held rigidly.
 
     Args:
         grasps: see `ClosedChain`.
@@ -371,7 +382,7 @@ def _sensor_frame(model: pin.Model, arm: Arm) -> int | None:
 
 
 def _payload_of(payload: RigidObject | pin.Inertia | None) -> RigidObject | None:
-    """Held object, of its inertia or as given.
+    """Check the held object; an inertia becomes a `RigidObject`, None stays None.
 
     Raises:
         InvalidInputError: an object of another class.
@@ -384,9 +395,12 @@ def _payload_of(payload: RigidObject | pin.Inertia | None) -> RigidObject | None
 
 
 def _full_rank(arm: Arm, grasp: Grasp) -> int:
-    """Number of motions of the object that an arm makes in regular postures.
+    """Number of independent motions of the object, along N, that an arm makes in regular postures.
 
     It is the largest rank of NᵀJ in a few random postures.
+
+    Args:
+        arm: the arm. grasp: grasp of the object by the arm.
     """
     model = arm.model
     data = model.createData()

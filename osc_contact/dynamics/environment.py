@@ -42,7 +42,7 @@ def symmetric(matrix: Array) -> Array:
 
 
 def inverse(matrix: Array, name: str) -> Array:
-    """Inverse of a positive definite matrix, scaled to unit diagonal before it is inverted.
+    """Invert a positive definite matrix (n, n) after scaling it to unit diagonal.
 
     Args:
         matrix: (n, n).
@@ -51,8 +51,8 @@ def inverse(matrix: Array, name: str) -> Array:
     Raises:
         ModelError: the matrix is singular up to rounding, asymmetric, or not finite.
     """
-    cure = "every body a mass and inertia, and independent axes"
-    scaled, size = unit_diagonal(matrix, name, cure, ModelError)
+    expected = "every body a mass and inertia, and independent axes"
+    scaled, size = unit_diagonal(matrix, name, expected, ModelError)
     return np.linalg.inv(symmetric(scaled)) / np.outer(size, size)
 
 
@@ -127,6 +127,11 @@ class Environment:
     V_e: Array = field(default_factory=lambda: np.zeros(6))
 
     def __post_init__(self) -> None:
+        """Convert the attributes to arrays.
+
+        Raises:
+            InvalidInputError: see the class.
+        """
         for name, shape in {"Phi_e": (6, 6), "b_e": (6,), "V_e": (6,)}.items():
             object.__setattr__(self, name, as_array(name, getattr(self, name), shape))
         require_inverse_inertia("Phi_e", self.Phi_e / element_sizes(self.Phi_e))
@@ -299,8 +304,9 @@ class Environment:
         V_N = as_array("V_N", V_N, (r,))
         mobility = inverse(as_array("metric", metric, (6, 6)), "the metric (object inertia)")
         K = left_inverse(N, mobility, "environment of several contacts").T
-        own = np.sqrt((N * (mobility @ N)).sum(axis=0))  # the held object yields along each normal
-        scaled = Phi_N / np.outer(own, own)
+        # scaled by the mobility of the held object along each normal, nᵀΛ⁻¹n
+        size = np.sqrt((N * (mobility @ N)).sum(axis=0))
+        scaled = Phi_N / np.outer(size, size)
         require_inverse_inertia("Phi_N", scaled / (np.abs(scaled).max(initial=0.0) or 1.0))
         return cls(symmetric(K @ Phi_N @ K.T), K @ b_N, K @ V_N)
 
@@ -338,38 +344,41 @@ class Environment:
             return cls.fixed()
         if all(_move_as_one(env, environments[0]) for env in environments):
             return environments[0]
-        pairs = [(contact.N, e) for contact, e in zip(contacts, environments, strict=True)]
+        pairs = [
+            (contact.N, environment)
+            for contact, environment in zip(contacts, environments, strict=True)
+        ]
         return cls.of_contacts(
-            N=np.hstack([n for n, _ in pairs]),
-            Phi_N=_coupled(pairs),
-            b_N=np.concatenate([n.T @ e.b_e for n, e in pairs]),
-            V_N=np.concatenate([n.T @ e.V_e for n, e in pairs]),
+            N=np.hstack([N for N, _ in pairs]),
+            Phi_N=_normal_mobility(pairs),
+            b_N=np.concatenate([N.T @ environment.b_e for N, environment in pairs]),
+            V_N=np.concatenate([N.T @ environment.V_e for N, environment in pairs]),
             metric=metric,
         )
 
 
-def _coupled(pairs: Sequence[tuple[Array, Environment]]) -> Array:
-    """Normal accelerations (r, r) of all contacts per contact magnitude, see `of_contacts`.
+def _normal_mobility(pairs: Sequence[tuple[Array, Environment]]) -> Array:
+    """Normal accelerations (r, r) of all contacts per unit of contact force, see `of_contacts`.
 
-    The block of two contacts is n₁ᵀΦ_e n₂ if they are on one body, else zero.
+    The block of two contacts is N₁ᵀΦ_e N₂ if they are on one body, else zero.
 
     Args:
-        pairs: normals (6, r_i) and environment of each contact.
+        pairs: normals N (6, r_i) and environment of each contact.
     """
     blocks = []
-    for n, environment in pairs:
+    for N, environment in pairs:
         row = []
-        for other_n, other in pairs:
+        for other_N, other in pairs:
             if other is environment:
-                row.append(n.T @ environment.Phi_e @ other_n)
+                row.append(N.T @ environment.Phi_e @ other_N)
             else:
-                row.append(np.zeros((n.shape[1], other_n.shape[1])))
+                row.append(np.zeros((N.shape[1], other_N.shape[1])))
         blocks.append(row)
     return np.block(blocks)
 
 
 def _move_as_one(a: Environment, b: Environment) -> bool:
-    """Return whether two environments are one object, or have equal motions and do not yield."""
+    """True if two environments are one object, or have equal motions and do not yield."""
     if a is b:
         return True
     if a.Phi_e.any() or b.Phi_e.any():
@@ -456,7 +465,7 @@ class Rail:
         return pin.SE3(R, self.through + self.direction * s[0] - R @ self.through)
 
     def over(self, travel: Array, angle: Array) -> Poses:
-        """Poses X_WE of the body at k times, for travel (k,) (m) and angle (k,) (rad)."""
+        """Poses X_WE of the body at k instants, for travel (k,) (m) and angle (k,) (rad)."""
         R = rotations(self.axis[:, None] * angle)
         c = np.repeat(self.through[:, None], len(travel), axis=1)
         return Poses(R, c + self.direction[:, None] * travel - rotated(R, c))
@@ -482,11 +491,11 @@ class Rail:
             second: (2,) s̈ (m/s², rad/s²).
             point: (3,) point of the world (m).
         """
-        out = self.twist(s, second, point)
+        acceleration = self.twist(s, second, point)
         spin = self.axis * rates[1]
         arm = point - self.through - self.direction * s[0]
-        out[:3] += cross(spin, cross(spin, arm))
-        return out
+        acceleration[:3] += cross(spin, cross(spin, arm))  # centripetal
+        return acceleration
 
 
 # Touched bodies: driven, or free to follow the contact force on a slide or about a hinge.
@@ -537,6 +546,7 @@ class Yielding:
     compliance: float = 4e-4
 
     def __post_init__(self) -> None:
+        """Refuse a compliance that is not positive."""
         if not 0.0 < self.compliance < np.inf:
             raise InvalidInputError(f"yielding: compliance = {self.compliance:g} m/N; give > 0")
 
@@ -567,6 +577,7 @@ class Guided:
     rail: Rail
 
     def __post_init__(self) -> None:
+        """Refuse a rail with both joints or none, or with a prescribed motion."""
         if len(self.rail.joints) != 1 or self.rail.motion is not None:
             raise InvalidInputError("a guided body has a slide or a hinge, and no motion; give one")
 

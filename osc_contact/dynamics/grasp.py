@@ -125,18 +125,18 @@ class Grasp:
             X_WT: pose of the tip.
             X_WO: pose of the object.
         """
-        away = X_WT.actInv(X_WO * self.X_TO.inverse())  # identity without a displacement
-        left = self._displacement(away)
-        for _ in range(50):
-            part = np.linalg.lstsq(self.T, left, rcond=None)[0]
-            if np.abs(part).max(initial=0.0) < 1e-14:
+        X = X_WT.actInv(X_WO * self.X_TO.inverse())  # identity without a displacement
+        displacement = self._displacement(X)
+        for _ in range(50):  # remove the permitted part, until none is left
+            coordinates = np.linalg.lstsq(self.T, displacement, rcond=None)[0]
+            if np.abs(coordinates).max(initial=0.0) < 1e-14:
                 break
-            away = away * pin.exp6(pin.Motion(self.T @ part)).inverse()
-            left = self._displacement(away)
-        return self.N.T @ left
+            X = X * pin.exp6(pin.Motion(self.T @ coordinates)).inverse()
+            displacement = self._displacement(X)
+        return self.N.T @ displacement
 
     def whitened(self, X_WT: SE3, X_WO: SE3, L: Array) -> tuple[Array, Array]:
-        """Orthonormal basis (6, 6−k) of L⁻¹N, and the error (6−k,) of the pose along it.
+        """Compute an orthonormal basis Q (6, 6−k) of L⁻¹N, and the pose error (6−k,) along it.
 
         Args:
             X_WT: pose of the tip.
@@ -158,7 +158,7 @@ class Grasp:
 
 
 def _turned(X: SE3, columns: Array) -> Array:
-    """Twists or wrenches (6, k), rotated by X, at the same point."""
+    """Rotate twists or wrenches (6, k) by the rotation of X, at the same point."""
     return (X.rotation @ columns.reshape(2, 3, -1)).reshape(6, -1)
 
 
@@ -245,7 +245,9 @@ def moved(X: SE3, displacement: Array) -> SE3:
 def _solved(
     grasps: Sequence[Grasp], tips: Sequence[SE3], X: SE3, L: Array, tolerance: float
 ) -> Array:
-    """Displacement x (6,) with N_iᵀx = miss_i for all grasps, by least squares in the metric LLᵀ.
+    """Solve N_iᵀx = miss_i of all grasps for a displacement x (6,) by least squares (m, rad).
+
+    The metric is the object's inertia LLᵀ.
 
     Args:
         grasps: grasp of each arm.
@@ -274,10 +276,13 @@ def _solved(
 
 
 def _aligned(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
-    """Pose that best aligns the grasps' points and axes, from which `locate` starts."""
-    points = []  # pairs, in the object and in the world
-    turns = np.zeros((3, 3))
-    radius = 0.1  # a metre of axis counts as this much distance between points
+    """Compute the pose that best aligns the grasps' points and axes (Kabsch 1976).
+
+    It is the initial pose of `locate`. Arguments as there: grasp and pose of the tip of each arm.
+    """
+    points = []  # pairs of a point in the object and the same point in the world
+    turns = np.zeros((3, 3))  # sum of (direction in the world)(direction in the object)ᵀ
+    radius = 0.1  # weight of axes: as of points at this distance (m)
     for grasp, tip in zip(grasps, tips, strict=True):
         X_OT = grasp.X_TO.inverse()
         if not grasp.T[:3].any():
@@ -296,7 +301,10 @@ def _aligned(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
 
 
 def _fixed_axes(turning: Array) -> Array:
-    """Directions (3, k) that the permitted rotations (3, m) leave unchanged."""
+    """Directions (3, k) that permitted rotations about the axes `turning` (3, m) do not change.
+
+    They are all directions without a rotation, the axis of a hinge, and none of a ball joint.
+    """
     U, s, _ = np.linalg.svd(turning)
     rank = int(np.count_nonzero(s > 1e-9))
     if rank == 0:

@@ -20,24 +20,25 @@ _DIGITS = 9  #: significant digits of a model's numbers that enter its identity
 
 
 def robot_identity(model: pin.Model) -> str:
-    """SHA-256 of a robot's joints, links and torque limits.
+    """Compute the SHA-256 of a robot's joints, links and torque limits, in hexadecimal.
 
     Equal models have equal identities on all machines. Friction and rotor inertia, which are
-    learned, are left out.
+    learned, are not included.
 
     Args:
         model: model of the joints between base and tip.
     """
-    found = sha256()
+    digest = sha256()
     limits = np.array(model.upperEffortLimit)
     for j, name in enumerate(joint_names(model)):
         joint = model.joints[j + 1]
         X = model.jointPlacements[j + 1]
         link = model.inertias[j + 1]
         numbers = [X.homogeneous, link.mass, link.lever, link.inertia, limits[j]]
-        words = (f"{x + 0.0:.{_DIGITS}g}" for x in np.hstack([np.ravel(x) for x in numbers]))
-        found.update(" ".join((name, joint.shortname(), *words, "\n")).encode())
-    return found.hexdigest()
+        flat = np.hstack([np.ravel(part) for part in numbers])
+        words = (f"{x + 0.0:.{_DIGITS}g}" for x in flat)  # + 0.0: −0.0 is 0.0
+        digest.update(" ".join((name, joint.shortname(), *words, "\n")).encode())
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -72,11 +73,11 @@ class LearnedFriction:
         """Read a file written by `save`.
 
         Raises:
-            InvalidInputError: there is no such file, or it holds no learned friction.
+            InvalidInputError: the file does not exist or has no learned friction.
         """
         try:
             content = json.loads(Path(path).read_text("utf-8"))
-            found = cls(
+            learned = cls(
                 robot=str(content["robot"]),
                 joints=tuple(map(str, content["joints"])),
                 friction=tuple(map(float, content["friction"])),
@@ -88,31 +89,34 @@ class LearnedFriction:
                 f"{path} holds no learned friction ({type(error).__name__}: {error}); give a file "
                 "that LearnedFriction.save has written"
             ) from error
-        columns = (found.friction, found.damping, found.missing_inertia)
-        sound = all(len(column) == len(found.joints) for column in columns)
+        columns = (learned.friction, learned.damping, learned.missing_inertia)
+        sound = all(len(column) == len(learned.joints) for column in columns)
         sound = sound and bool(np.isfinite(columns).all())
-        sound = sound and min((*found.friction, *found.damping), default=0.0) >= 0.0
+        sound = sound and min((*learned.friction, *learned.damping), default=0.0) >= 0.0
         if not sound:
             raise InvalidInputError(
-                f"{path}: give one number for each of {len(found.joints)} joints, friction and "
+                f"{path}: give one number for each of {len(learned.joints)} joints, friction and "
                 "damping not below 0"
             )
-        return found
+        return learned
 
     def put_on(self, arm: Arm) -> Arm:
-        """Arm with these values in its model, from which a controller continues to learn.
+        """Copy an arm with these values in its model, from which a controller continues to learn.
+
+        Args:
+            arm: arm of the robot whose friction was learned.
 
         Raises:
             InvalidInputError: the values were learned of another robot.
         """
-        own = robot_identity(arm.model)
-        if self.robot != own:
+        identity = robot_identity(arm.model)
+        if self.robot != identity:
             raise InvalidInputError(
                 f"this friction was learned of another robot than arm '{arm.name}': joints "
-                f"{', '.join(self.joints)}, model {self.robot[:12]} instead of {own[:12]} (links, "
-                "loads, torque limits). Learn it with this robot: run a motion in which each joint "
-                "turns both ways, and save controller.learned_friction again"
+                f"{', '.join(self.joints)}, model {self.robot[:12]} instead of {identity[:12]} "
+                "(links, loads, torque limits). Learn it with this robot: run a motion in which "
+                "each joint turns both ways, and save controller.learned_friction again"
             )
         armature = np.maximum(rotors(arm.model) + np.array(self.missing_inertia), 0.0)
-        given = {"friction": self.friction, "damping": self.damping, "armature": armature}
-        return replace(arm, model=with_joints(arm.model, given, 1.0))
+        values = {"friction": self.friction, "damping": self.damping, "armature": armature}
+        return replace(arm, model=with_joints(arm.model, values, 1.0))

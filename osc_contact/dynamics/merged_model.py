@@ -13,16 +13,16 @@ from osc_contact.errors import InvalidInputError
 
 
 def merge(arms: Sequence[Arm]) -> pin.Model:
-    """Model of all arms at their bases, with joints and frames named "arm/name".
+    """Merge the models of all arms at their bases; joints and frames are named "arm/name".
 
     Args:
-        arms: the arms, in the order of their joints in the model.
+        arms: arms, in the order of their joints in the merged model.
 
     Raises:
         InvalidInputError: a joint has more position numbers than velocities.
     """
     merged = pin.Model()
-    carried = []
+    rotor_inertias = []
     names: dict[str, str] = {}
     merged.gravity = arms[0].model.gravity
     for arm in arms:
@@ -33,10 +33,10 @@ def merge(arms: Sequence[Arm]) -> pin.Model:
             frame.name = f"{arm.name}/{frame.name}"
         names |= with_distinct_frames(model)
         merged = pin.appendModel(merged, model, 0, arm.base)
-        carried.append(rotor_inertia(model))
+        rotor_inertias.append(rotor_inertia(model))
     for frame in merged.frames:
         frame.name = names[frame.name]
-    merged.armature = np.concatenate(carried)  # Pinocchio 4.1 does not carry it over
+    merged.armature = np.concatenate(rotor_inertias)  # appendModel of Pinocchio 4.1 omits it
     if merged.nq != merged.nv:
         raise InvalidInputError(
             "joints with nq ≠ nv are not supported; robots.load_model makes continuous joints "
@@ -47,10 +47,10 @@ def merge(arms: Sequence[Arm]) -> pin.Model:
 
 @dataclass(frozen=True)
 class OutboardLink:
-    """Rigid part beyond a wrist sensor.
+    """Rigid part of an arm beyond its wrist sensor.
 
     Attributes:
-        joint: number of the joint that moves it.
+        joint: number of the joint in the model that moves the part.
         inertia: inertia in the frame of that joint.
     """
 
@@ -59,7 +59,7 @@ class OutboardLink:
 
 
 def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink]:
-    """Rigid parts between a wrist sensor and the object, with the inertias of the model's links.
+    """List the rigid parts between a wrist sensor and the object, with their inertias.
 
     Links that are welded to the sensor's link form one part, with the sensor's joint; each further
     joint gives one part.
@@ -75,17 +75,17 @@ def outboard_links(model: pin.Model, sensor: int, tip: int) -> list[OutboardLink
     if model.frames[above].type == pin.FrameType.FIXED_JOINT:
         sensor = above  # Pinocchio stores a welded link's inertia with its fixed joint
     if model.frames[above].type == pin.FrameType.JOINT:
-        own = model.inertias[joint].copy()  # the sensor sits at the joint: the whole link is beyond
+        inertia = model.inertias[joint].copy()  # the sensor is at the joint: the whole link
     else:
-        own = pin.Inertia.Zero()
-        beyond = {sensor}
+        inertia = pin.Inertia.Zero()
+        outboard_frames = {sensor}
         for f, frame in enumerate(model.frames):
-            if frame.parentFrame in beyond:  # parents come first
-                beyond.add(f)
-            if f in beyond and frame.parentJoint == joint:
-                own = own + frame.placement.act(frame.inertia)
-    if own.mass > 0.0:
-        links.append(OutboardLink(joint, own))
+            if frame.parentFrame in outboard_frames:  # parents have smaller indices
+                outboard_frames.add(f)
+            if f in outboard_frames and frame.parentJoint == joint:
+                inertia = inertia + frame.placement.act(frame.inertia)
+    if inertia.mass > 0.0:
+        links.append(OutboardLink(joint, inertia))
     path = list(model.supports[model.frames[tip].parentJoint])
     outer = [j for j in path if j > joint and joint in model.supports[j]]
     return links + [OutboardLink(j, model.inertias[j].copy()) for j in outer]

@@ -61,12 +61,18 @@ class OperationalSpace:
     rank: Array  #: () motions of the tip
 
     def __init__(self, arm: Arm, *rows: int) -> None:
-        """Lay out the results of one arm as a row of numbers, and allocate the law's records."""
+        """Allocate the results.
+
+        Args:
+            arm: the arm. *rows: number of states, or nothing for a single state without a first
+                axis.
+        """
         self._arm = _compiled_arm(arm)
         self._rows = rows
         self._numbers = np.empty((rows[0] if rows else 1, self._arm.size))
 
     def __getattr__(self, name: str) -> Array:
+        """Return a view of a term, such as `Lambda`, in the row or rows of results."""
         if name.startswith("_") or name not in (self._arm.dtype.names or ()):
             raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
         table = self._numbers.view(self._arm.dtype).reshape(self._rows)
@@ -74,7 +80,7 @@ class OperationalSpace:
 
 
 class _CompiledArm:
-    """Arm as records of the law, with one block of memory for each thread that works at a time.
+    """Records of the law for one arm, with a copy for each thread that computes at the same time.
 
     Attributes:
         n: number of joints.
@@ -85,6 +91,11 @@ class _CompiledArm:
     """
 
     def __init__(self, arm: Arm) -> None:
+        """Lay out the terms of a state, and pack the arm into records.
+
+        Raises:
+            ModelError: an arm that the law does not support.
+        """
         n = arm.model.nv
         shapes = {
             "Lambda": (6, 6),
@@ -105,17 +116,18 @@ class _CompiledArm:
 
 
 def _compiled_arm(arm: Arm) -> _CompiledArm:
-    """Records of an arm, made at the first use and kept with the arm."""
-    found: _CompiledArm | None = vars(arm).get("_compiled")
-    if found is None:
-        vars(arm)["_compiled"] = found = _CompiledArm(arm)
-    return found
+    """Return the records of an arm, which are made at the first use and stored in the arm."""
+    compiled_arm: _CompiledArm | None = vars(arm).get("_compiled")
+    if compiled_arm is None:
+        compiled_arm = _CompiledArm(arm)
+        vars(arm)["_compiled"] = compiled_arm  # `Arm` is frozen for users only
+    return compiled_arm
 
 
 def operational_space(
     arm: Arm, q: npt.ArrayLike, v: npt.ArrayLike, out: OperationalSpace | None = None
 ) -> OperationalSpace:
-    """Terms Λ, μ, p, J, J̄, Φ and h of an arm at its tip in world axes, see `OperationalSpace`.
+    """Compute Λ, μ, p, J, J̄, Φ and h of an arm at its tip in world axes, see `OperationalSpace`.
 
     The function is compiled and takes about as long as `pin.computeAllTerms`. Any number of threads
     may call it.
@@ -136,25 +148,25 @@ def operational_space(
     if out is None:
         shape = np.shape(q)
         out = OperationalSpace(arm, shape[0]) if len(shape) > 1 else OperationalSpace(arm)
-    own = out._arm
-    if own is not _compiled_arm(arm):
+    compiled_arm = out._arm
+    if compiled_arm is not _compiled_arm(arm):
         raise InvalidInputError(f"out is a result of another arm than {arm.name!r}")
     numbers = out._numbers
     try:
-        raw = own.free.pop()
+        raw = compiled_arm.free.pop()
     except IndexError:  # other threads use all copies
-        raw = own.raw.copy()
+        raw = compiled_arm.raw.copy()
     call = compiled()
-    done = -1
+    computed = -1  # number of states with results
     if not out._rows:
         with suppress(TypeError, AttributeError):  # raised for inputs other than float64 vectors
-            done = call(raw, q, v, numbers)
-    if done < len(numbers):
-        expected = (*out._rows, own.n)
+            computed = call(raw, q, v, numbers)
+    if computed < len(numbers):
+        expected = (*out._rows, compiled_arm.n)
         q = as_array("q", q, expected).reshape(-1)
         v = as_array("v", v, expected).reshape(-1)
-        done = call(raw, q, v, numbers)
-        if done < len(numbers):
+        computed = call(raw, q, v, numbers)
+        if computed < len(numbers):
             raise ModelError(SENTENCES[BAD_INERTIA])
-    own.free.append(raw)
+    compiled_arm.free.append(raw)
     return out

@@ -55,20 +55,26 @@ class JointLimits:
 
     @classmethod
     def parse(cls, text: str) -> tuple[str, JointLimits]:
-        """Joint pattern and limits of a text such as "joint1:effort=5,velocity=3".
+        """Parse a joint name or pattern and its limits.
+
+        Args:
+            text: text such as "joint1:effort=5,velocity=3".
+
+        Returns:
+            The name or pattern, and the limits.
 
         Raises:
             InvalidInputError: a text of another form, or impossible limits.
         """
         name, colon, rest = text.rpartition(":")
         pairs = [part.partition("=") for part in rest.split(",")]
-        given = {key.strip(): value for key, _, value in pairs}
-        if not colon or not given.keys() <= set(LIMITS):
+        values = {key.strip(): value for key, _, value in pairs}
+        if not colon or not values.keys() <= set(LIMITS):
             raise InvalidInputError(
                 f"{text!r}: expected JOINT:key=number,… with the keys {', '.join(LIMITS)}"
             )
         try:
-            return (name, cls(**{key: float(value) for key, value in given.items()}))
+            return (name, cls(**{key: float(value) for key, value in values.items()}))
         except ValueError as error:
             raise InvalidInputError(f"{text!r}: {error}") from error
 
@@ -76,36 +82,41 @@ class JointLimits:
 def matching_limits(
     names: Iterable[str], limits: Mapping[str, JointLimits]
 ) -> dict[str, dict[str, float]]:
-    """Limits of each joint by the first key that is its name or matches it.
+    """Find the limits of each joint by the first key that is its name or matches it.
 
     Args:
         names: names of the moving joints.
         limits: limits by joint name or pattern ("finger*").
 
     Returns:
-        By joint, the given limits by key: "lower", "upper", "effort", "velocity".
+        For each joint name the limits that are not None, by "lower", "upper", "effort" and
+        "velocity".
 
     Raises:
         InvalidInputError: a key that no moving joint matches.
     """
     known = list(names)
-    found: dict[str, dict[str, float]] = {}
-    for key, given in reversed(list(limits.items())):
-        matched = [name for name in known if name == key or fnmatchcase(name, key)]
-        if not matched:
+    by_joint: dict[str, dict[str, float]] = {}
+    for key, joint_limits in reversed(list(limits.items())):  # earlier keys replace later ones
+        matches = [name for name in known if name == key or fnmatchcase(name, key)]
+        if not matches:
             raise InvalidInputError(
                 f"limits: no moving joint matches {key!r}; {did_you_mean(key, known)}"
             )
-        values = {limit: value for limit, value in asdict(given).items() if value is not None}
-        found |= dict.fromkeys(matched, values)
-    return found
+        numbers = asdict(joint_limits)
+        values = {limit: value for limit, value in numbers.items() if value is not None}
+        by_joint |= dict.fromkeys(matches, values)
+    return by_joint
 
 
 def check_limits(document: Document) -> None:
-    """Note limits that are missing, ≤ 0 (effort, velocity) or empty (lower > upper).
+    """Note missing limits, effort and velocity ≤ 0, and empty ranges (lower ≥ upper) as findings.
 
     A continuous joint needs effort and velocity; its positions are unbounded even if the file
     limits them.
+
+    Args:
+        document: document of the URDF.
     """
     for joint in document.joints.values():
         if joint.kind != "fixed":
@@ -113,7 +124,11 @@ def check_limits(document: Document) -> None:
 
 
 def _check_limits_of(joint: Joint) -> None:
-    """Note wrong limits of one joint that moves."""
+    """Note wrong limits of a joint that moves as findings.
+
+    Args:
+        joint: joint of any kind except "fixed".
+    """
     by_hand = f", or give limits={{{joint.name!r}: JointLimits(…)}} when loading"
     element = joint.element.part("limit")
     limits = joint.limits
@@ -154,9 +169,9 @@ definite, though no body need have such moments.
 
 _TENSOR = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")  # row by row
 _SLACK = 1e-6
-"""Tolerance of a link's moments over its largest one: the digits that a URDF carries."""
+"""Tolerance of a link's moments, relative to its largest one: files have rounded numbers."""
 _DUST = 1e-12
-"""Tolerance of a link's moments over the largest one of the robot."""
+"""Tolerance of a link's moments, relative to the largest one of the robot."""
 
 
 def require_level(inertias: str) -> None:
@@ -171,7 +186,7 @@ def require_level(inertias: str) -> None:
 
 
 def _principal(tensors: Sequence[Array] | Sequence[Sequence[float]]) -> tuple[Array, Array]:
-    """Principal moments (k, 3), ascending, and tolerance (k,) of k inertia tensors (kg m²).
+    """Compute principal moments (k, 3), ascending, and tolerances (k,) of k inertias (kg m²).
 
     Args:
         tensors: k tensors, (3, 3) or (9,).
@@ -182,7 +197,11 @@ def _principal(tensors: Sequence[Array] | Sequence[Sequence[float]]) -> tuple[Ar
 
 
 def check_inertias(document: Document, inertias: Inertias) -> None:
-    """Note negative masses and, at the level "possible", inertias that no body can have."""
+    """Note negative masses and, at the level "possible", inertias that no body can have.
+
+    Args:
+        document: document of the URDF, to whose findings errors are added. inertias: level.
+    """
     bodies = [link.inertial for link in document.links.values() if link.inertial is not None]
     for body in bodies:
         if body.mass < 0:
@@ -215,7 +234,13 @@ def check_inertias(document: Document, inertias: Inertias) -> None:
 
 
 def check_moving_bodies(document: Document, model: pin.Model) -> None:
-    """Note moving bodies whose kinetic energy can be negative."""
+    """Note moving bodies whose kinetic energy can be negative as findings.
+
+    A moving body consists of all links that fixed joints connect.
+
+    Args:
+        document: document of the URDF. model: Pinocchio model of it.
+    """
     bodies = list(model.inertias)[1:]
     rows = _principal([body.inertia for body in bodies])
     for name, body, moments, slack in zip(joint_names(model), bodies, *rows, strict=True):
@@ -246,15 +271,18 @@ _PACKAGE = "package://"
 
 
 def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
-    """Note shapes without size, poses that are not numbers, and mesh addresses that lead outside.
+    """Note shapes without size, poses that are not numbers, and mesh addresses outside the folders.
 
     No mesh is opened. All addresses, ``package://name/...`` included, must be in the URDF's folder
     or in one of `package_dirs`.
+
+    Args:
+        document: document of the URDF. package_dirs: further folders of meshes.
     """
     for link in document.links.values():
         for part in link.element.findall("visual", "collision"):
-            part.origin()
-            shapes = [shape for one in part.findall("geometry") for shape in one.children]
+            part.origin()  # notes numbers that are wrong
+            shapes = [shape for geometry in part.findall("geometry") for shape in geometry.children]
             if len(shapes) != 1:
                 part.note("geometry", f"<{part.tag}> needs one <geometry> with one shape")
             else:
@@ -264,10 +292,16 @@ def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
 def check_mesh_files(
     document: Document, package_dirs: Sequence[Path]
 ) -> tuple[list[ModelFinding], list[ModelFinding]]:
-    """Findings on mesh files: those of unusable files, and those of missing files.
+    """Check the mesh files of a robot.
 
     Unusable are links that lead outside of the robot's folders, files larger than
-    `MAX_MESH_BYTES`, and Collada files with textures elsewhere.
+    `MAX_MESH_BYTES`, and Collada files with textures outside of these folders.
+
+    Args:
+        document: document of the URDF. package_dirs: further folders of meshes.
+
+    Returns:
+        Findings on unusable files, and findings on missing files.
     """
     meshes = {mesh.get("filename"): mesh for mesh in document.root.iter("mesh")}
     roots = _roots(document.file, package_dirs)
@@ -277,15 +311,19 @@ def check_mesh_files(
         places = _places(mesh, roots)
         file = next((path for path in places if path.is_file()), None)
         if file is None:
-            looked = f"the mesh is not there; looked for {', '.join(map(str, places))}"
-            missing.append(mesh.finding("mesh", looked, "pass package_dirs", "filename"))
+            reason = f"the mesh is not there; looked for {', '.join(map(str, places))}"
+            missing.append(mesh.finding("mesh", reason, "pass package_dirs", "filename"))
         elif problem := _file_problem(file, roots):
             wrong.append(mesh.finding("mesh", *problem, "filename"))
     return (wrong, missing)
 
 
 def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
-    """Reason and cure of an unusable mesh file, None for a usable one."""
+    """Check a mesh file; return the reason and the cure of an unusable file, else None.
+
+    Args:
+        file: the file. roots: folders of the robot.
+    """
     if not _inside(file, roots, os.path.realpath):
         return (f"leads to {file.resolve()}, outside of the robot's folders", "copy the file")
     size = file.stat().st_size
@@ -294,8 +332,8 @@ def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
         return (f"has {size / 2**20:.0f} MiB", limit)
     if file.suffix.lower() != ".dae":
         return None
-    for found in _TEXTURE.findall(file.read_bytes()):
-        texture = unquote(found.decode("utf-8", "replace"))
+    for address in _TEXTURE.findall(file.read_bytes()):
+        texture = unquote(address.decode("utf-8", "replace"))
         if _SCHEME.match(texture) or not _inside(file.parent / texture, roots, os.path.realpath):
             cure = "keep textures beside the mesh, or convert it to STL or OBJ"
             return (f"{file.name} takes a texture from {texture!r}", cure)
@@ -303,7 +341,11 @@ def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
 
 
 def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
-    """Note an unknown shape, negative sizes, and a mesh address that cannot be used."""
+    """Note an unknown shape, negative sizes, and a mesh address that cannot be used.
+
+    Args:
+        shape: child of a <geometry>. package_dirs: further folders of meshes.
+    """
     if shape.tag == "mesh":
         shape.vector("scale", (1.0, 1.0, 1.0))
         if problem := _address_problem(shape, _roots(shape.file, package_dirs)):
@@ -323,7 +365,11 @@ def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
 
 
 def _address_problem(mesh: Element, roots: Sequence[Path]) -> tuple[str, str] | None:
-    """Reason and cure of a mesh address that cannot be used, None for a usable one."""
+    """Check the address of a mesh; return reason and cure of an unusable address, else None.
+
+    Args:
+        mesh: the <mesh>. roots: folders of the robot.
+    """
     address = mesh.get("filename")
     cure = "keep meshes below the URDF's folder, or pass the folder in package_dirs"
     suffix = os.path.splitext(address)[1].lower()
@@ -341,7 +387,11 @@ def _address_problem(mesh: Element, roots: Sequence[Path]) -> tuple[str, str] | 
 
 
 def _places(mesh: Element, roots: Sequence[Path]) -> list[Path]:
-    """Possible files of a mesh: one in each root for package:// addresses, else a single one."""
+    """Possible files of a mesh: one in each folder for a package:// address, else a single file.
+
+    Args:
+        mesh: the <mesh>. roots: folders of the robot.
+    """
     address = mesh.get("filename")
     rest = address.removeprefix(_PACKAGE)
     if rest != address:
@@ -350,7 +400,7 @@ def _places(mesh: Element, roots: Sequence[Path]) -> list[Path]:
 
 
 def _roots(urdf: Path, package_dirs: Sequence[Path]) -> list[Path]:
-    """Folders in which meshes may be."""
+    """Folders in which meshes may be: `package_dirs` and the folder of the file `urdf`."""
     return [folder.absolute() for folder in (*package_dirs, urdf.parent)]
 
 

@@ -20,9 +20,9 @@ from osc_contact.errors import ModelError
 
 MAX_BYTES = 8 * 2**20  #: largest file of a robot, URDF or MJCF
 MAX_DEPTH = 64  #: deepest nesting of elements
-MAX_ELEMENTS = 100_000  #: most elements of a file
+MAX_ELEMENTS = 100_000  #: largest number of elements of a file
 MAX_LINKS = 512
-"""Most links, and most joints, of a robot; Pinocchio's reader crashes at a few thousand."""
+"""Largest number of links, and of joints; Pinocchio's reader crashes at a few thousand."""
 _HUGE = 1e9
 """Largest length, mass, moment or angle of a robot, in any customary unit."""
 _DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -34,7 +34,7 @@ _KNOWN_ENCODINGS = {b"utf-8", b"utf8", b"us-ascii", b"ascii"}
 
 
 SHOWN = 12
-"""Most findings, or names, that the text of an error lists; the others are counted."""
+"""Largest number of findings that the message of an error lists; the others are counted."""
 
 
 @dataclass(frozen=True)
@@ -392,6 +392,7 @@ def _check_text(file: Path, data: bytes) -> None:
     """
 
     def stop(reason: str, at: int) -> NoReturn:
+        """Raise a `ModelError` about the byte at an index, with its line and column."""
         line = data.count(b"\n", 0, at) + 1
         refuse_file("xml", file, reason, "save it as UTF-8", line, at - data.rfind(b"\n", 0, at))
 

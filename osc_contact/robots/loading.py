@@ -63,9 +63,9 @@ def load(
     """
     file = Path(path)
     digest = sha256(read_bytes(file)).digest()
-    given = tuple((limits or {}).items())
+    by_hand = tuple((limits or {}).items())
     folders = tuple(Path(folder) for folder in package_dirs)
-    return _loaded(file, file.absolute(), digest, given, inertias, folders)
+    return _loaded(file, file.absolute(), digest, by_hand, inertias, folders)
 
 
 @lru_cache(maxsize=32)
@@ -77,7 +77,7 @@ def _loaded(
     inertias: Inertias,
     folders: Sequence[Path],
 ) -> Loaded:
-    """Load and check a URDF, once for each content.
+    """Load and check a URDF; results are cached by all arguments, so once for each content.
 
     Args:
         file: the URDF.
@@ -90,8 +90,8 @@ def _loaded(
     require_level(inertias)
     document = _sound(file, folders)
     moving = [joint.name for joint in document.joints.values() if joint.kind != "fixed"]
-    for name, given in matching_limits(moving, dict(limits)).items():
-        document.joints[name].limits.update(given)
+    for name, values in matching_limits(moving, dict(limits)).items():
+        document.joints[name].limits.update(values)
     check_limits(document)
     check_inertias(document, inertias)
     document.require()
@@ -126,8 +126,8 @@ def load_model(
             in `ModelError.findings`.
         InvalidInputError: limits for joints that do not exist.
     """
-    found = load(path, limits=limits, inertias=inertias, package_dirs=package_dirs)
-    return found.model.copy()
+    loaded = load(path, limits=limits, inertias=inertias, package_dirs=package_dirs)
+    return loaded.model.copy()  # the loaded model is shared
 
 
 def load_robot(
@@ -141,7 +141,8 @@ def load_robot(
         package_dirs: folders of the meshes of a URDF, see `load_model`.
 
     Returns:
-        The model; joints that follow others by <mimic> or <equality>, with their masters.
+        The model, and the name of the master of each joint that follows another joint by <mimic>
+        or <equality>.
 
     Raises:
         ModelError: see `load_model` and `load_mjcf`.
@@ -155,10 +156,14 @@ def load_robot(
 
 
 def load_body(path: Path | str) -> pin.Inertia:
-    """Inertia of the single body of a URDF, expressed in the frame of the file's root link.
+    """Load the inertia of a single body from a URDF, in the frame of the file's root link.
+
+    Args:
+        path: the URDF.
 
     Raises:
-        ModelError: as :func:`load_model`; or a joint moves; or not exactly one link has mass.
+        ModelError: an error of the file, see :func:`load_model`; or a joint moves; or not exactly
+            one link has mass.
     """
     model, document = load(path)
     links = document.links.values()
@@ -177,7 +182,7 @@ def load_body(path: Path | str) -> pin.Inertia:
 def load_geometry(
     path: Path | str, kind: pin.GeometryType, package_dirs: Sequence[Path | str] = ()
 ) -> tuple[pin.Model, pin.GeometryModel, Document]:
-    """Kinematics, shapes and document of a URDF, for drawing or collisions.
+    """Load kinematics, shapes and document of a URDF, for drawing or collisions.
 
     Limits and inertias are not checked. Meshes are read from the URDF's folder and `package_dirs`
     only.
@@ -207,7 +212,10 @@ def load_geometry(
 
 
 def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:
-    """Document of a URDF whose words, numbers, tree and mesh addresses have passed their checks.
+    """Read a URDF, and check its words, numbers, tree and mesh addresses.
+
+    Args:
+        file: the URDF. package_dirs: further folders of meshes.
 
     Raises:
         ModelError: a check failed.
@@ -257,18 +265,19 @@ def find_robot(name: str) -> tuple[Path, Path]:
     """
     root = _robot_data_root()
     files = {f"{p.parent.parent.name}/{p.stem}": p for p in sorted(root.glob("*/*/*.urdf"))}
+    # rules in the order of precedence: whether a file, by its key "folder/stem" and path, is meant
     rules = (
         lambda key, path: name in (key, path.stem),
         lambda key, path: path.stem == f"{name}_robot",
         lambda key, path: key.split("/")[0] in (f"{name}_description", f"{name}_data"),
     )
     for rule in rules:
-        hits = [key for key, path in files.items() if rule(key, path)]
-        if len(hits) == 1:
-            return (files[hits[0]], root.parent.parent)
-        if hits:
+        matches = [key for key, path in files.items() if rule(key, path)]
+        if len(matches) == 1:
+            return (files[matches[0]], root.parent.parent)
+        if matches:
             raise ModelError(
-                f"{name!r} is ambiguous in {ROBOT_DATA}: name one of {', '.join(hits)}"
+                f"{name!r} is ambiguous in {ROBOT_DATA}: name one of {', '.join(matches)}"
             )
     stems = sorted({path.stem.removesuffix("_robot") for path in files.values()})
     near = did_you_mean(name, stems, most=0)
@@ -279,7 +288,7 @@ def find_robot(name: str) -> tuple[Path, Path]:
 
 
 def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path, tuple[Path, ...]]:
-    """File and package folders of a robot, by a reference as in a scenario.
+    """Find the file and the package folders of a robot by a reference as in a scenario.
 
     Args:
         reference: the name of a packaged file (suffix optional), a path, or a robot of the data
@@ -308,7 +317,7 @@ def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path,
 
 
 def _find_packaged(name: str) -> Path | None:
-    """Packaged URDF of a name with or without suffix, None if there is none."""
+    """Path of a packaged URDF by its name with or without suffix; None if no file has the name."""
     packaged = _packaged()
     return packaged.get(name) or packaged.get(f"{name}.urdf")
 

@@ -30,7 +30,7 @@ _SLIDE = 2
 
 
 def is_mjcf(path: Path | str) -> bool:
-    """Return whether a file is MJCF: its root element is <mujoco>, its suffix is not .urdf.
+    """True if a file is MJCF: its root element is <mujoco>, and its suffix is not .urdf.
 
     MuJoCo opens meshes and includes of an MJCF file in any folder, which a URDF must not make it
     do. Files larger than `MAX_BYTES` are not opened.
@@ -98,16 +98,16 @@ def motors_of(mj: MjModel, joint: int) -> list[int]:
 
 
 def couplings(mj: MjModel) -> dict[str, str]:
-    """Joints that an <equality> of the file couples, with their masters.
+    """Find the joints that an <equality> of the file couples to another joint.
 
     Returns:
-        By joint, the name of its master, "" if the joint is held in place.
+        For each such joint the name of its master; "" if the joint is held in place.
     """
-    found = {}
+    masters = {}
     for e in np.flatnonzero((mj.eq_type == 2) & (mj.eq_active0 != 0)):  # mjEQ_JOINT
         master = mj.eq_obj2id[e]
-        found[joint_name(mj, mj.eq_obj1id[e])] = "" if master < 0 else joint_name(mj, master)
-    return found
+        masters[joint_name(mj, mj.eq_obj1id[e])] = "" if master < 0 else joint_name(mj, master)
+    return masters
 
 
 def bodies_of(mj: MjModel, tip: str | None) -> list[int]:
@@ -149,13 +149,13 @@ def placed(X: pin.SE3) -> dict[str, Array]:
     return {"pos": X.translation, "quat": np.roll(xyzw, 1)}
 
 
-def _moved(kind: int, place: Array, displacement: Array) -> pin.SE3:
-    """Displacement of a body by its joint, in the frame of the body.
+def _displacement(kind: int, place: Array, displacement: Array) -> pin.SE3:
+    """Displacement of a body by its joint, as a pose in the frame of the body.
 
     Args:
         kind: MuJoCo's number of the joint's type, hinge or slide.
-        place: (3,) position of the joint (m).
-        displacement: (3,) of the joint, times its axis (m, rad).
+        place: (3,) position of the joint in the body (m).
+        displacement: (3,) axis of the joint times its displacement (m, rad).
     """
     if kind == _SLIDE:
         return pin.SE3(np.eye(3), displacement)
@@ -172,7 +172,7 @@ def load_mjcf(
     *,
     limits: Mapping[str, JointLimits] | None = None,
 ) -> pin.Model:
-    """Pinocchio model of an MJCF file.
+    """Build the Pinocchio model of an MJCF file.
 
     Joint positions are MuJoCo's qpos, with `ref` included; armature, damping and frictionloss are
     those of its joints. The effort limit of a joint is the lowest one of its actuators and of the
@@ -204,8 +204,8 @@ def load_mjcf(
             # a sibling of its body's frame: a wrist sensor at a site measures the body's load, too
             _add_frame(model, site.name, place._replace(X=X), pin.FrameType.OP_FRAME)
     names = joint_names(model)
-    for name, given in matching_limits(names, limits or {}).items():
-        _set_limits(model, names.index(name), given)
+    for name, values in matching_limits(names, limits or {}).items():
+        _set_limits(model, names.index(name), values)
     check_mass_matrix(model)
     return model
 
@@ -275,8 +275,8 @@ def _add_frame(
         kind: type of the frame.
         inertia: inertia that is fixed to the frame; None: none.
     """
-    carried = inertia or pin.Inertia.Zero()
-    return model.addFrame(pin.Frame(name, place.joint, place.frame, place.X, kind, carried))
+    own_inertia = inertia or pin.Inertia.Zero()
+    return model.addFrame(pin.Frame(name, place.joint, place.frame, place.X, kind, own_inertia))
 
 
 def _add_joint(mj: MjModel, model: pin.Model, j: int, body: _Place) -> _Place:
@@ -307,7 +307,7 @@ def _add_joint(mj: MjModel, model: pin.Model, j: int, body: _Place) -> _Place:
     make = pin.JointModelPrismaticUnaligned if kind == _SLIDE else pin.JointModelRevoluteUnaligned
     axis = np.array(joint.axis)
     anchor = pin.SE3(np.eye(3), np.array(joint.pos))
-    X = body.X * _moved(kind, anchor.translation, -joint.qpos0[0] * axis) * anchor
+    X = body.X * _displacement(kind, anchor.translation, -joint.qpos0[0] * axis) * anchor
     number = model.addJoint(body.joint, make(axis), X, name)
     frame = model.addJointFrame(number, body.frame)
     v = model.joints[number].idx_v
@@ -344,10 +344,10 @@ def _effort(mj: MjModel, joint: int) -> float:
         mj: compiled model.
         joint: number of the joint.
     """
-    of_joint = _UNLIMITED
+    joint_limit = _UNLIMITED
     if mj.jnt_actfrclimited[joint]:
-        of_joint = _smaller(mj.jnt_actfrcrange[joint])
-    of_motors = 0.0
+        joint_limit = _smaller(mj.jnt_actfrcrange[joint])
+    sum_of_motors = 0.0
     for a in motors_of(mj, joint):
         force = _UNLIMITED
         if mj.actuator_forcelimited[a]:
@@ -357,8 +357,8 @@ def _effort(mj: MjModel, joint: int) -> float:
             force = min(force, gain * _smaller(mj.actuator_ctrlrange[a]))
         if force < _UNLIMITED:
             force *= abs(mj.actuator_gear[a, 0])
-        of_motors += force
-    return min(of_joint, of_motors) if of_motors > 0.0 else of_joint
+        sum_of_motors += force
+    return min(joint_limit, sum_of_motors) if sum_of_motors > 0.0 else joint_limit
 
 
 def _smaller(limits: ArrayLike) -> float:
@@ -370,7 +370,7 @@ def _smaller(limits: ArrayLike) -> float:
 
 
 def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str, float]) -> MjSpec:
-    """Bodies, inertias and joints of the tip's kinematic tree, without shapes and actuators.
+    """Copy bodies, inertias and joints of the tip's kinematic tree, without shapes and actuators.
 
     Joints have neither losses nor springs; those in `locked` are welded. A tip that is a site
     becomes a body without mass. The site of the wrist sensor is called `wrist`.
@@ -379,7 +379,7 @@ def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str,
         path: the MJCF file.
         tip: body or site at the arm's end.
         sensor: body or site of the wrist sensor; None: no sensor.
-        locked: by name, positions (m, rad) of the joints that are held.
+        locked: positions (m, rad) of the joints to be welded, by name.
 
     Raises:
         ModelError: a locked joint moves its body after one that is not locked.
@@ -390,18 +390,18 @@ def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str,
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.fusestatic = False
-    made: dict[int, MjsBody] = {0: spec.worldbody}
+    copies: dict[int, MjsBody] = {0: spec.worldbody}
     for b in bodies_of(mj, tip):
-        given = mj.body(b)
-        made[b] = body = made[mj.body_parentid[b]].add_body(
+        original = mj.body(b)
+        copies[b] = body = copies[mj.body_parentid[b]].add_body(
             name=body_name(mj, b),
-            pos=given.pos,
-            quat=given.quat,
+            pos=original.pos,
+            quat=original.quat,
             explicitinertial=True,
-            mass=given.mass[0],
-            ipos=given.ipos,
-            iquat=given.iquat,
-            inertia=given.inertia,
+            mass=original.mass[0],
+            ipos=original.ipos,
+            iquat=original.iquat,
+            inertia=original.inertia,
         )
         for j in joints_of(mj, b):
             joint = mj.joint(j)
@@ -415,24 +415,24 @@ def mjcf_skeleton(path: Path, tip: str, sensor: str | None, locked: Mapping[str,
                 limited=int(joint.limited[0]),
             )
     weld_joints(spec, locked)
-    bodies = [mj.body(b).name for b in made]
+    bodies = [mj.body(b).name for b in copies]
     if tip not in bodies:
-        at = mj.site(tip)
-        made[at.bodyid[0]].add_body(name=tip, pos=at.pos, quat=at.quat)
+        site = mj.site(tip)
+        copies[site.bodyid[0]].add_body(name=tip, pos=site.pos, quat=site.quat)
     if sensor in bodies:
         spec.body(sensor).add_site(name="wrist")
     elif sensor is not None:
-        at = mj.site(sensor)
-        made[at.bodyid[0]].add_site(name="wrist", pos=at.pos, quat=at.quat)
+        site = mj.site(sensor)
+        copies[site.bodyid[0]].add_site(name="wrist", pos=site.pos, quat=site.quat)
     return spec
 
 
 def weld_joints(spec: MjSpec, locked: Mapping[str, float]) -> None:
-    """Replace joints of an arm by welds in the positions in which they are held.
+    """Replace joints of an arm by welds at given positions.
 
     Args:
         spec: specification of the arm, which is changed.
-        locked: by name, positions (m, rad) of the joints that are held.
+        locked: positions (m, rad) of the joints to be welded, by name.
 
     Raises:
         ModelError: a locked joint moves its body after one that is not locked.
@@ -445,8 +445,8 @@ def weld_joints(spec: MjSpec, locked: Mapping[str, float]) -> None:
                 f"{body.joints[0].name!r}, which is not: give each its own body"
             )
         displacement = (locked[joint.name] - joint.ref) * np.array(joint.axis)
-        moved = _moved(int(joint.type), np.array(joint.pos), displacement)
-        X = placed(pose(body.pos, body.quat) * moved)
+        X_moved = _displacement(int(joint.type), np.array(joint.pos), displacement)
+        X = placed(pose(body.pos, body.quat) * X_moved)
         body.pos = X["pos"]
         body.quat = X["quat"]
         spec.delete(joint)

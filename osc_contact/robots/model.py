@@ -24,9 +24,12 @@ _EIGENVALUE_FLOOR = 1e-11
 
 
 def build_model(document: Document) -> pin.Model:
-    """Fixed-base model of a checked document.
+    """Build the fixed-base Pinocchio model of a checked document.
 
     A continuous joint becomes a revolute joint with limits ∓inf, so that nq = nv.
+
+    Args:
+        document: document of a URDF without findings.
 
     Raises:
         ModelError: Pinocchio refuses the document.
@@ -50,12 +53,16 @@ def build_model(document: Document) -> pin.Model:
 
 
 def _text(document: Document) -> str:
-    """URDF of the links and joints only; numbers are written with all digits, names are quoted."""
+    """Write the text of a URDF with the links and joints of a document, without shapes.
+
+    Numbers are written with all digits, names are quoted.
+    """
     robot = ElementTree.Element("robot", name=document.name)
 
     def add(
         parent: ElementTree.Element, tag: str, **values: str | float | Sequence[float]
     ) -> ElementTree.Element:
+        """Append an element to `parent`, with text or numbers as attributes; return it."""
         texts = {
             key: value if isinstance(value, str) else " ".join(map(repr, np.ravel(value).tolist()))
             for key, value in values.items()
@@ -92,7 +99,7 @@ def position_limits(model: pin.Model) -> tuple[Array, Array]:
 
 
 def slides(model: pin.Model, joint: int) -> bool:
-    """Return whether a joint of a model, by its number, is prismatic."""
+    """True if a joint of a model, given by its number, is prismatic."""
     return model.joints[joint].shortname().startswith("JointModelP")
 
 
@@ -151,15 +158,19 @@ def check_mass_matrix(model: pin.Model, document: Document | None = None) -> Non
 
 
 def _extents(model: pin.Model) -> Array:
-    """Largest distance (n,) of the mass that each joint moves from its axis, by a bound (m)."""
-    reach = np.array([norm(X.translation) for X in model.jointPlacements])
+    """Upper bounds (n,) of the distance of the mass that each joint moves from its axis (m).
+
+    The bound is the sum of the link lengths beyond the joint and the largest distance of a centre
+    of mass from its joint.
+    """
+    length = np.array([norm(X.translation) for X in model.jointPlacements])
     lever = np.array([norm(body.lever) for body in model.inertias])
-    below = [list(subtree) for subtree in list(model.subtrees)[1:]]
-    return np.array([reach[tree[1:]].sum() + lever[tree].max() for tree in below])
+    subtrees = [list(subtree) for subtree in list(model.subtrees)[1:]]
+    return np.array([length[tree[1:]].sum() + lever[tree].max() for tree in subtrees])
 
 
 def _massless(M: Array, floor: Array) -> Array:
-    """Flags (n,) of joints that can move, alone or together, without moving mass.
+    """Flag the joints (n,) that can move, alone or together, without moving mass.
 
     Args:
         M: (n, n) mass matrix.
@@ -179,7 +190,7 @@ def _massless(M: Array, floor: Array) -> Array:
 
 
 def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterator[Array]:
-    """Random configurations, uniform between the position limits, ±π without end stops.
+    """Yield random configurations, uniform between the position limits; ±π without end stops.
 
     Args:
         model: model of the robot.
@@ -200,20 +211,26 @@ def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterat
 
 
 def frame_id(model: pin.Model, name: str) -> int:
-    """Index of the frame ``name``; that of a body if a joint has the same name.
+    """Find the index of a frame by its name; if a joint has the same name, that of the body.
+
+    Args:
+        model: model of the robot. name: name of the frame.
 
     Raises:
         ModelError: the model has no such frame (Pinocchio itself would return ``nframes``).
     """
-    hits = [i for i, frame in enumerate(model.frames) if frame.name == name]
-    if not hits:
+    matches = [i for i, frame in enumerate(model.frames) if frame.name == name]
+    if not matches:
         known = [frame.name for frame in model.frames]
         raise ModelError(f"model {model.name!r} has no frame {name!r}; {did_you_mean(name, known)}")
-    return next((i for i in hits if model.frames[i].type == pin.FrameType.BODY), hits[0])
+    for i in matches:
+        if model.frames[i].type == pin.FrameType.BODY:
+            return i
+    return matches[0]
 
 
 def ends_of(model: pin.Model) -> list[str]:
-    """Names of the bodies at the ends of the tree, one for each joint that has one."""
+    """List the bodies without children, at most one for each joint, at the ends of the tree."""
     joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
     carrying = {frame.parentFrame for frame in model.frames if frame.type in joints}
     ends: dict[int, str] = {}

@@ -1,4 +1,4 @@
-"""Shapes of MJCF arms and MuJoCo scenes for drawing, as data that a recording can hold.
+"""Shapes of MJCF arms and MuJoCo scenes for drawing, as JSON data for recordings.
 
 A picture consists of joints, shapes and colours. It contains neither file names nor code.
 """
@@ -25,12 +25,12 @@ from osc_contact.spatial import Array, norm
 if TYPE_CHECKING:
     from mujoco import MjData, MjModel
 
-MOST_CORNERS = 200_000  #: most corners, or faces, of a mesh; a larger mesh is drawn as its box
+MOST_CORNERS = 200_000  #: largest number of corners, and of faces, of a mesh; else its box is drawn
 _SPHERE, _CAPSULE, _CYLINDER, _BOX, _MESH = 2, 3, 5, 6, 7  #: MuJoCo's numbers of geom types
 
 
 def mjcf_geometry(path: Path | str, tip: str | None) -> tuple[pin.Model, pin.GeometryModel]:
-    """Kinematics and shapes of the tip's kinematic tree in an MJCF file.
+    """Load kinematics and shapes of the tip's kinematic tree in an MJCF file.
 
     Args:
         path: the MJCF file.
@@ -49,13 +49,13 @@ def mjcf_geometry(path: Path | str, tip: str | None) -> tuple[pin.Model, pin.Geo
 
 
 def _colour(mj: MjModel, g: int) -> Array:
-    """Colour r, g, b, a (4,) of a geom: that of its material or, without one, its own."""
+    """Colour r, g, b, a (4,) of a geom, given by its number: its material's or else its own."""
     material = mj.geom_matid[g]
     return np.array(mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[g], dtype=float)
 
 
 def _solid(kind: int, size: Iterable[float]) -> coal.CollisionGeometry | None:
-    """Shape of a geom that is not a mesh; None for types that are not drawn.
+    """Make the shape of a geom that is not a mesh; None for types that are not drawn.
 
     Args:
         kind: MuJoCo's number of the type.
@@ -81,7 +81,7 @@ def scene_picture(
     joints: Mapping[int, int],
     only: Collection[int] = (),
 ) -> Json:
-    """Picture of a MuJoCo scene, as JSON data.
+    """Describe a MuJoCo scene for drawing, as JSON data.
 
     A body of the arm is drawn by its geoms that cannot collide or, if it has none, by all of its
     geoms; other bodies are drawn by all of theirs. Planes, height fields, ellipsoids and
@@ -95,45 +95,49 @@ def scene_picture(
         joints: by number of a joint in `mj`, its number in `model`.
         only: numbers of the arm's bodies, if nothing else is to be drawn.
     """
-    at = model.createData()
-    pin.forwardKinematics(model, at, q)
-    moves = {mj.jnt_bodyid[j]: joint for j, joint in joints.items()}
-    owner = [0] * mj.nbody
+    pin_data = model.createData()
+    pin.forwardKinematics(model, pin_data, q)
+    joint_of_body = {mj.jnt_bodyid[j]: joint for j, joint in joints.items()}
+    owner = [0] * mj.nbody  # for each body the joint of `model` that moves it; 0: none
     for b in range(1, mj.nbody):
-        owner[b] = moves.get(b, owner[mj.body_parentid[b]])
-    touches = (mj.geom_contype | mj.geom_conaffinity) != 0
-    dressed = set(mj.geom_bodyid[~touches])
+        owner[b] = joint_of_body.get(b, owner[mj.body_parentid[b]])
+    collides = (mj.geom_contype | mj.geom_conaffinity) != 0
+    bodies_with_visuals = set(mj.geom_bodyid[~collides])
     shapes = []
     for g in range(mj.ngeom):
         body = mj.geom_bodyid[g]
         joint = owner[body]
         rgba = _colour(mj, g)
-        of_arm = body in only if only else joint > 0
-        hidden = of_arm and body in dressed and touches[g]
-        left_out = hidden or not rgba[3] or (only and not of_arm)
-        shape = None if left_out else _describe(mj, g)
+        is_arm = body in only if only else joint > 0
+        is_hidden = is_arm and body in bodies_with_visuals and collides[g]
+        is_left_out = is_hidden or not rgba[3] or (only and not is_arm)
+        shape = None if is_left_out else _describe(mj, g)
         if shape is not None:
             X = pin.SE3(np.array(data.geom_xmat[g]).reshape(3, 3), np.array(data.geom_xpos[g]))
-            place = _place(at.oMi[joint].actInv(X))
+            place = _place(pin_data.oMi[joint].actInv(X))
             shapes.append({"joint": joint, "place": place, "rgba": _round(rgba)} | shape)
     return {"joints": [_joint(model, j) for j in range(1, model.njoints)], "shapes": shapes}
 
 
 def _joint(model: pin.Model, j: int) -> Json:
-    """Name, parent, placement and axis of a joint, as JSON data."""
-    S = joint_axis(model, j).reshape(2, 3)
-    along = slides(model, j)
+    """Describe name, parent, placement and axis of a joint, given by its number, as JSON data."""
+    linear, angular = joint_axis(model, j).reshape(2, 3)
+    is_slide = slides(model, j)
     return {
         "name": model.names[j].split("/")[-1],
         "parent": int(model.parents[j]),
         "place": _place(model.jointPlacements[j]),
-        "axis": _round(S[0 if along else 1]),
-        "slides": along,
+        "axis": _round(linear if is_slide else angular),
+        "slides": is_slide,
     }
 
 
 def _describe(mj: MjModel, g: int) -> Json | None:
-    """Type and size, or corners and faces, of a geom as JSON data; None if it is not drawn."""
+    """Describe type and size, or corners and faces, of a geom as JSON data; None: it is not drawn.
+
+    Args:
+        mj: compiled model. g: number of the geom.
+    """
     kind = int(mj.geom_type[g])
     size = _round(mj.geom_size[g])
     if kind != _MESH:
@@ -149,13 +153,15 @@ def _describe(mj: MjModel, g: int) -> Json | None:
 
 
 def _packed(rows: ArrayLike, kind: str) -> str:
-    """Compressed text of numbers (k, 3) of the NumPy type `kind`, see `_unpacked`."""
+    """Compress numbers (k, 3) of the NumPy type `kind` to text, see `_unpacked`."""
     raw = np.array(rows, dtype=kind).tobytes()
     return base64.b64encode(zlib.compress(raw, 9)).decode()
 
 
 def _unpacked(text: str, kind: str) -> Array:
-    """Numbers (k, 3) of a text by `_packed`; at most MOST_CORNERS rows are decompressed.
+    """Decompress numbers (k, 3) of the NumPy type `kind` from text by `_packed`.
+
+    At most `MOST_CORNERS` rows are decompressed, whatever the text contains.
 
     Raises:
         ValueError, zlib.error: the text is damaged.
@@ -170,12 +176,12 @@ def _round(numbers: Iterable[float]) -> list[float]:
 
 
 def _place(X: pin.SE3) -> list[float]:
-    """Pose as position and quaternion x, y, z, w (7,)."""
+    """List position (m) and quaternion x, y, z, w of a pose, seven numbers."""
     return _round(pin.SE3ToXYZQUAT(X))
 
 
 def read_picture(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
-    """Kinematics and shapes of a picture by `scene_picture`.
+    """Build kinematics and shapes from a picture by `scene_picture`.
 
     Raises:
         InvalidInputError: the picture is damaged.
@@ -187,7 +193,7 @@ def read_picture(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryMod
 
 
 def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
-    """Kinematics and shapes of a picture; a damaged one raises errors of many kinds."""
+    """Build kinematics and shapes from a picture; a damaged picture raises errors of many kinds."""
     model = pin.Model()
     geometry = pin.GeometryModel()
     for joint in picture["joints"]:
@@ -204,18 +210,18 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
             raise IndexError(f"shape {i} is on joint {joint} of {model.njoints - 1}")
         kind = int(shape["kind"])
         if kind == _MESH:
-            made = _mesh_of(_unpacked(shape["corners"], "<f4"), _unpacked(shape["faces"], "<i4"))
+            solid = _mesh_of(_unpacked(shape["corners"], "<f4"), _unpacked(shape["faces"], "<i4"))
         else:
-            made = _solid(kind, shape["size"])
-        one = pin.GeometryObject(f"shape{i}", joint, _pose(shape["place"]), made)
-        one.meshColor = np.array(shape["rgba"], dtype=float)
-        one.overrideMaterial = True
-        geometry.addGeometryObject(one)
+            solid = _solid(kind, shape["size"])
+        drawn = pin.GeometryObject(f"shape{i}", joint, _pose(shape["place"]), solid)
+        drawn.meshColor = np.array(shape["rgba"], dtype=float)
+        drawn.overrideMaterial = True
+        geometry.addGeometryObject(drawn)
     return (model, geometry)
 
 
 def _mesh_of(corners: Array, faces: Array) -> coal.BVHModelOBBRSS:
-    """Mesh of triangles.
+    """Make a mesh of triangles.
 
     Args:
         corners: (k, 3) positions of the corners (m).
@@ -235,7 +241,7 @@ def _mesh_of(corners: Array, faces: Array) -> coal.BVHModelOBBRSS:
 
 
 def _pose(place: Sequence[float]) -> pin.SE3:
-    """Pose of a position and quaternion x, y, z, w (7,).
+    """Convert position (m) and quaternion x, y, z, w, seven numbers, to a pose.
 
     Raises:
         ValueError: another shape, numbers that are not finite, or not a unit quaternion.

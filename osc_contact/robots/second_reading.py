@@ -1,4 +1,4 @@
-"""Comparison of our reading of a URDF, which the dynamics uses, with that of yourdfpy.
+"""Comparison of this package's reading of a URDF with that of yourdfpy.
 
 Readers of URDFs interpret unusual files in different ways. If two readers without common code agree
 on joints, placements, inertias and meshes, an error of reading is unlikely.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from yourdfpy import Inertial as TheirInertial
     from yourdfpy import Mesh as TheirMesh
 
-TOLERANCE = 1e-9  #: largest difference of equal numbers, over the number or 1 if that is more
+TOLERANCE = 1e-9  #: largest absolute plus relative difference of numbers that count as equal
 AGREE = "yourdfpy reads the same joints, placements, inertias and meshes"
 
 
@@ -38,7 +38,7 @@ def differences(
     inertias: Inertias = "possible",
     package_dirs: Sequence[Path | str] = (),
 ) -> list[str]:
-    """Differences between yourdfpy's reading of a URDF and that of `load_model`, as sentences.
+    """Compare yourdfpy's reading of a URDF with that of `load_model`; return sentences.
 
     Compared are the names, parents and children of joints, their limits, the placements of links
     in two postures, masses, centres and moments of inertia of the bodies that move, and the
@@ -60,26 +60,26 @@ def differences(
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         return [f"yourdfpy does not read the file: {error}"]
     by_hand = matching_limits(joint_names(model), dict(limits or {}))
-    found = list(_tree_differences(document, other))
-    if not found:  # otherwise links and joints may have no counterparts
-        found += _limit_differences(model, document, other, by_hand)
-        found += _placement_differences(model, document, other)
-        found += _inertia_differences(model, other)
-        found += _mesh_differences(document, other)
-    return found
+    sentences = list(_tree_differences(document, other))
+    if not sentences:  # otherwise links and joints may have no counterparts
+        sentences += _limit_differences(model, document, other, by_hand)
+        sentences += _placement_differences(model, document, other)
+        sentences += _inertia_differences(model, other)
+        sentences += _mesh_differences(document, other)
+    return sentences
 
 
 def _near(ours: ArrayLike, theirs: ArrayLike) -> bool:
-    """Return whether numbers are equal up to `TOLERANCE`."""
+    """True if two numbers, or two arrays of numbers, are equal up to `TOLERANCE`."""
     return bool(np.allclose(ours, theirs, rtol=TOLERANCE, atol=TOLERANCE))
 
 
 def _tree_differences(document: Document, other: URDF) -> Iterator[str]:
-    """Differences of names of links and joints, and of type, parent, child and master of joints.
+    """Yield differences of the names of links and joints, and of joints' type, links and master.
 
     Args:
-        document: our reading.
-        other: that of yourdfpy.
+        document: reading of this package.
+        other: reading of yourdfpy.
     """
     for kind, ours, theirs in (
         ("link", {*document.links}, {*other.link_map}),
@@ -91,12 +91,12 @@ def _tree_differences(document: Document, other: URDF) -> Iterator[str]:
             yield f"{kind} '{name}' is read by yourdfpy only"
     for name in sorted({*document.joints} & {*other.joint_map}):
         joint = document.joints[name]
-        there = other.joint_map[name]
-        master = None if there.mimic is None else there.mimic.joint
+        other_joint = other.joint_map[name]
+        master = None if other_joint.mimic is None else other_joint.mimic.joint
         for quantity, our_value, their_value in (
-            ("type", joint.kind, there.type),
-            ("parent", joint.parent, there.parent),
-            ("child", joint.child, there.child),
+            ("type", joint.kind, other_joint.type),
+            ("parent", joint.parent, other_joint.parent),
+            ("child", joint.child, other_joint.child),
             ("master", joint.mimic, master),
         ):
             if our_value != their_value:
@@ -111,13 +111,13 @@ def _limit_differences(
     other: URDF,
     by_hand: Mapping[str, Mapping[str, float]],
 ) -> Iterator[str]:
-    """Differences of the limits of moving joints that the file limits.
+    """Yield differences of the limits of moving joints that have a <limit> in the file.
 
     Args:
-        model: model by our reading.
-        document: our reading.
-        other: that of yourdfpy.
-        by_hand: by joint, limits by hand; such joints are left out.
+        model: model by the reading of this package.
+        document: reading of this package.
+        other: reading of yourdfpy.
+        by_hand: limits that replace those of the file, by joint; such joints are not compared.
     """
     lower, upper = position_limits(model)
     effort = model.upperEffortLimit
@@ -129,30 +129,32 @@ def _limit_differences(
         ours = dict(zip(LIMITS, (lower[j], upper[j], effort[j], velocity[j]), strict=True))
         if document.joints[name].kind == "continuous":  # position limits in the file are ignored
             del ours["lower"], ours["upper"]
-        for key, here in ours.items():
-            there = getattr(theirs, key)
-            if there is not None and not _near(here, there):
-                yield f"joint '{name}': {key} {here:.9g}, by yourdfpy {there:.9g}"
+        for key, our_limit in ours.items():
+            their_limit = getattr(theirs, key)
+            if their_limit is not None and not _near(our_limit, their_limit):
+                yield f"joint '{name}': {key} {our_limit:.9g}, by yourdfpy {their_limit:.9g}"
 
 
 def _placement_differences(model: pin.Model, document: Document, other: URDF) -> Iterator[str]:
-    """Differences of the pose of each joint's child in its parent, at zero and at random positions.
+    """Yield differences of the pose of each joint's child link in its parent link.
+
+    Poses are compared at the neutral configuration and at a random one.
 
     Args:
-        model: model by our reading.
-        document: our reading.
-        other: that of yourdfpy.
+        model: model by the reading of this package.
+        document: reading of this package.
+        other: reading of yourdfpy.
     """
     for q in (pin.neutral(model), *random_configurations(model, 1)):
         ours, theirs = _link_poses(model, other, q)
         for name, joint in document.joints.items():
-            here = ours[joint.parent].actInv(ours[joint.child])
-            there = theirs[joint.parent].actInv(theirs[joint.child])
-            if not _near(here.homogeneous, there.homogeneous):
-                apart = here.actInv(there)
+            our_pose = ours[joint.parent].actInv(ours[joint.child])
+            their_pose = theirs[joint.parent].actInv(theirs[joint.child])
+            if not _near(our_pose.homogeneous, their_pose.homogeneous):
+                X = our_pose.actInv(their_pose)
                 yield (
-                    f"joint '{name}': yourdfpy places its child {norm(apart.translation):.3g} m "
-                    f"and {norm(pin.log3(apart.rotation)):.3g} rad elsewhere, in the posture "
+                    f"joint '{name}': yourdfpy places its child {norm(X.translation):.3g} m "
+                    f"and {norm(pin.log3(X.rotation)):.3g} rad elsewhere, in the posture "
                     f"{np.array2string(q, precision=3)}"
                 )
 
@@ -160,10 +162,10 @@ def _placement_differences(model: pin.Model, document: Document, other: URDF) ->
 def _link_poses(
     model: pin.Model, other: URDF, q: Array
 ) -> tuple[dict[str, pin.SE3], dict[str, pin.SE3]]:
-    """Poses of all links in the world by name, by our reading and by yourdfpy's.
+    """Compute the poses of all links in the world by name, by this package and by yourdfpy.
 
     Args:
-        model: model by our reading.
+        model: model by the reading of this package.
         other: reading of yourdfpy.
         q: (n,) joint positions; those of joints with a master are computed from the master's.
     """
@@ -183,12 +185,12 @@ def _link_poses(
 
 
 def _inertia_differences(model: pin.Model, other: URDF) -> Iterator[str]:
-    """Differences of mass, first moment of mass and moments of inertia of each moving body.
+    """Yield differences of mass, first moment and moments of inertia of each moving body.
 
     A moving body consists of the links that fixed joints connect.
 
     Args:
-        model: model by our reading.
+        model: model by the reading of this package.
         other: reading of yourdfpy.
     """
     bodies = [np.zeros((6, 6)) for _ in model.inertias]
@@ -205,8 +207,8 @@ def _inertia_differences(model: pin.Model, other: URDF) -> Iterator[str]:
             ("moments of inertia", "kg m²", np.s_[3:, 3:]),
         ):
             if not _near(ours[block], theirs[block]):
-                off = np.abs(ours[block] - theirs[block]).max()
-                yield f"{body}: its {part} differs from yourdfpy's by {off:.3g} {unit}"
+                difference = np.abs(ours[block] - theirs[block]).max()
+                yield f"{body}: its {part} differs from yourdfpy's by {difference:.3g} {unit}"
 
 
 def _spatial_inertia(inertial: TheirInertial, X_JL: pin.SE3) -> Array:
@@ -225,36 +227,35 @@ def _spatial_inertia(inertial: TheirInertial, X_JL: pin.SE3) -> Array:
 
 
 def _mesh_differences(document: Document, other: URDF) -> Iterator[str]:
-    """Differences of the addresses and scales of the visual and collision meshes of each link.
+    """Yield differences of the addresses and scales of the meshes of each link.
 
     Args:
-        document: our reading.
-        other: that of yourdfpy.
+        document: reading of this package.
+        other: reading of yourdfpy.
     """
     for name, link in document.links.items():
-        theirs = other.link_map[name]
-        for tag, shapes in (("visual", theirs.visuals), ("collision", theirs.collisions)):
-            there = [_their_mesh(one.geometry.mesh) for one in shapes if one.geometry.mesh]
-            here = [
+        other_link = other.link_map[name]
+        for tag, shapes in (("visual", other_link.visuals), ("collision", other_link.collisions)):
+            theirs = [_their_mesh(shape.geometry.mesh) for shape in shapes if shape.geometry.mesh]
+            ours = [
                 _our_mesh(mesh)
                 for shape in link.element.findall(tag)
                 for mesh in shape.iter("mesh")
             ]
-            if [address for address, _ in here] != [address for address, _ in there]:
-                yield (
-                    f"link '{name}': {tag} meshes {[one for one, _ in here]}, by yourdfpy "
-                    f"{[one for one, _ in there]}"
-                )
-            elif not all(_near(a, b) for (_, a), (_, b) in zip(here, there, strict=True)):
+            our_addresses = [address for address, _ in ours]
+            their_addresses = [address for address, _ in theirs]
+            if our_addresses != their_addresses:
+                yield f"link '{name}': {tag} meshes {our_addresses}, by yourdfpy {their_addresses}"
+            elif not all(_near(a, b) for (_, a), (_, b) in zip(ours, theirs, strict=True)):
                 yield f"link '{name}': yourdfpy scales {tag} meshes in another way"
 
 
 def _our_mesh(mesh: Element) -> tuple[str, Array]:
-    """Address and scale (3,) of a mesh by our reading."""
+    """Address and scale (3,) of a mesh by the reading of this package."""
     return (mesh.get("filename"), np.array(mesh.vector("scale", (1.0, 1.0, 1.0))))
 
 
 def _their_mesh(mesh: TheirMesh) -> tuple[str, Array]:
-    """Address and scale (3,) of a mesh by yourdfpy's reading."""
+    """Address and scale (3,) of a mesh by the reading of yourdfpy."""
     scale = 1.0 if mesh.scale is None else mesh.scale
     return (mesh.filename, np.broadcast_to(scale, 3))

@@ -27,16 +27,16 @@ from osc_contact.robots.model import (
 )
 from osc_contact.spatial import Array, columns_of
 
-POSTURES = 200  #: random postures over which a tip is described
-NO_LIMIT = 1e30  #: limits as large mean that there is none (N m, N, rad/s, m/s)
-_SHOWN_TIPS = 12
+POSTURES = 200  #: number of random postures for the description of a tip
+NO_LIMIT = 1e30  #: larger limits mean that a joint has no limit (N m, N, rad/s, m/s)
+_SHOWN_TIPS = 12  #: largest number of tips that are described
 
 
 class JointLosses(TypedDict):
-    """Losses and rotor inertia of a joint.
+    """Losses and rotor inertia of a joint: friction, damping and armature.
 
-    friction (N m, N), damping (N m s/rad, N s/m) and armature (kg m², kg); units of a prismatic
-    joint come second. Records of learned friction lack some.
+    Units are N m, N m s/rad and kg m², of a prismatic joint N, N s/m and kg. Records of learned
+    friction have only some of these keys.
     """
 
     joint: str
@@ -47,7 +47,7 @@ class JointLosses(TypedDict):
 
 
 Loss = Literal["friction", "damping", "armature"]
-#: units of each quantity of a joint: of a revolute one, of a prismatic one
+#: Units of each quantity, of a revolute and of a prismatic joint.
 _UNITS: dict[Loss, tuple[str, str]] = {
     "friction": ("N m", "N"),
     "damping": ("N m s/rad", "N s/m"),
@@ -56,7 +56,7 @@ _UNITS: dict[Loss, tuple[str, str]] = {
 
 
 def joint_losses(model: pin.Model, prefix: str = "") -> list[JointLosses]:
-    """Friction, damping and rotor inertia of each joint of a model.
+    """List friction, damping and rotor inertia of each joint of a model.
 
     Args:
         model: model of an arm, or of a robot.
@@ -77,7 +77,7 @@ def joint_losses(model: pin.Model, prefix: str = "") -> list[JointLosses]:
 
 
 def losses_by_arm(losses: Sequence[JointLosses]) -> Iterator[tuple[str, str]]:
-    """Name of each arm, and the losses of its joints as text.
+    """Yield the name of each arm, and a line of text on the losses of its joints.
 
     Args:
         losses: losses of joints whose names are ARM/JOINT.
@@ -85,15 +85,21 @@ def losses_by_arm(losses: Sequence[JointLosses]) -> Iterator[tuple[str, str]]:
     arms: dict[str, list[JointLosses]] = {}
     for values in losses:
         arm, _, joint = values["joint"].rpartition("/")
-        of_arm = values.copy()
-        of_arm["joint"] = joint
-        arms.setdefault(arm, []).append(of_arm)
+        without_arm = values.copy()
+        without_arm["joint"] = joint
+        arms.setdefault(arm, []).append(without_arm)
     for arm, joints in arms.items():
         yield (arm, loss_words(joints))
 
 
 def loss_words(joints: Sequence[JointLosses]) -> str:
-    """Friction, damping and armature of some joints that are not zero, in one line of text."""
+    """Describe friction, damping and armature of joints in one line; zeros are not listed.
+
+    Joints with equal values are named together.
+
+    Args:
+        joints: losses of at least one joint.
+    """
     words = []
     for key, (turning_unit, sliding_unit) in _UNITS.items():
         if key not in joints[0]:
@@ -114,7 +120,7 @@ def loss_words(joints: Sequence[JointLosses]) -> str:
 def friction_warnings(
     model: pin.Model, q: Array, share: float, rate: float, passive: Sequence[str] = ()
 ) -> Iterator[str]:
-    """Warnings of joints with large damping, and of the least rotor inertias for stability.
+    """Yield warnings of joints with large damping, and of the least rotor inertias for stability.
 
     m = 1/(M⁻¹)_jj is the inertia of a joint while the others are free. Unknown damping D has the
     effect of an inertia D/K, which is significant if D/m > K. The friction observer with share g is
@@ -135,9 +141,9 @@ def friction_warnings(
     m = 1.0 / np.diag(np.linalg.inv(M - np.diag(model.armature) + np.diag(A)))
     names = joint_names(model)
     fast = [
-        f"{d / own:.3g} 1/s ({name})"
-        for name, d, own in zip(names, model.damping, m, strict=True)
-        if d > rate * own
+        f"{damping / inertia:.3g} 1/s ({name})"
+        for name, damping, inertia in zip(names, model.damping, m, strict=True)
+        if damping > rate * inertia
     ]
     if fast:
         yield (
@@ -145,9 +151,9 @@ def friction_warnings(
             "damping moves these joints more than their inertia does; give their rotors (armature)"
         )
     least = [
-        f"{a - own / (1.0 + share):.2g} ({name}, {a:.2g} in the model)"
-        for name, a, own in zip(names, A, m, strict=True)
-        if share > 0.0 and a > own / (1.0 + share) and name not in passive
+        f"{rotor - inertia / (1.0 + share):.2g} ({name}, {rotor:.2g} in the model)"
+        for name, rotor, inertia in zip(names, A, m, strict=True)
+        if share > 0.0 and rotor > inertia / (1.0 + share) and name not in passive
     ]
     if least:
         yield f"rotors that are smaller than {', '.join(least)} make the friction observer unstable"
@@ -233,7 +239,7 @@ class RobotSummary:
 
 
 def summarise(model: pin.Model, tip: str | None = None) -> RobotSummary:
-    """Description of a robot.
+    """Describe a robot.
 
     Args:
         model: model of the robot.
@@ -261,7 +267,7 @@ def summarise(model: pin.Model, tip: str | None = None) -> RobotSummary:
 
 
 def _joints(model: pin.Model, losses: Sequence[JointLosses]) -> tuple[JointSummary, ...]:
-    """Descriptions of all joints of a model.
+    """Describe all joints of a model.
 
     Args:
         model: model of the robot.
@@ -296,14 +302,18 @@ def _joints(model: pin.Model, losses: Sequence[JointLosses]) -> tuple[JointSumma
 
 
 def _tip(model: pin.Model, frame: int) -> TipSummary:
-    """Apparent inertia and mobility at a frame, by its number."""
+    """Describe apparent inertia and mobility at a frame over random postures, see `TipSummary`.
+
+    Args:
+        model: model of the robot. frame: number of the frame.
+    """
     data = model.createData()
-    placed = model.frames[frame]
-    joints = len(model.supports[placed.parentJoint]) - 1  # without the universe
-    body = placed.placement.inverse().act(model.inertias[placed.parentJoint])
+    tip = model.frames[frame]
+    joints = len(model.supports[tip.parentJoint]) - 1  # without the universe
+    body = tip.placement.inverse().act(model.inertias[tip.parentJoint])
     moments = np.linalg.eigvalsh(body.inertia)
-    solid = body.mass > 0 and moments[0] > 1e-9 * moments[2]
-    L = np.linalg.cholesky(body.matrix()) if solid else np.zeros((6, 6))
+    is_solid = body.mass > 0 and moments[0] > 1e-9 * moments[2]
+    L = np.linalg.cholesky(body.matrix()) if is_solid else np.zeros((6, 6))
     linear = []
     angular = []
     mobility = []
@@ -315,12 +325,12 @@ def _tip(model: pin.Model, frame: int) -> TipSummary:
         angular.append(np.linalg.eigvalsh(A[3:] @ A[3:].T))
         mobility.append(np.linalg.svd(L.T @ A, compute_uv=False)[:joints])
     extremes = np.column_stack((np.min(mobility, axis=0), np.max(mobility, axis=0)))
-    sigma = tuple(map(tuple, extremes.tolist())) if solid else ()
-    return TipSummary(placed.name, joints, _inverse(linear), _inverse(angular), sigma)
+    sigma = tuple(map(tuple, extremes.tolist())) if is_solid else ()
+    return TipSummary(tip.name, joints, _inverse(linear), _inverse(angular), sigma)
 
 
 def _inverse(eigenvalues: list[Array]) -> tuple[float, float]:
-    """Smallest and largest 1/λ of some eigenvalues λ; those within rounding errors count as 0."""
+    """Smallest and largest 1/λ of eigenvalues λ; λ within rounding errors of 0 give inf."""
     values = np.array(eigenvalues)
     values[values <= 1e-12 * values.max()] = 0.0
     with np.errstate(divide="ignore"):
@@ -329,7 +339,7 @@ def _inverse(eigenvalues: list[Array]) -> tuple[float, float]:
 
 
 def _limit(value: float) -> float:
-    """Limit of a joint; inf for the huge number that stands for a joint without one."""
+    """Limit of a joint; inf for numbers from `NO_LIMIT` on, which mean that there is no limit."""
     return float(value) if value < NO_LIMIT else float("inf")
 
 
@@ -355,7 +365,7 @@ class RobotReport:
         return not self.findings
 
     def lines(self) -> list[str]:
-        """Result in plain words, line by line."""
+        """Lines of text with the result, for the terminal."""
         if self.summary is None:
             count = f"{len(self.findings)} finding{'s' if len(self.findings) > 1 else ''}"
             return [*map(str, self.findings), f"{self.file}: refused, {count}"]
@@ -375,10 +385,10 @@ class RobotReport:
         return lines
 
     def as_dict(self) -> Json:
-        """Result as JSON data."""
-        left_out = {"findings": {"__all__": {"file"}}}
-        whole = to_jsonable_python(self, exclude=left_out, inf_nan_mode="null")
-        return whole | {"sound": self.sound, "robot": whole.pop("summary")}
+        """Result as JSON data; the summary is under the key "robot"."""
+        without_file = {"findings": {"__all__": {"file"}}}
+        report = to_jsonable_python(self, exclude=without_file, inf_nan_mode="null")
+        return report | {"sound": self.sound, "robot": report.pop("summary")}
 
 
 def check_robot(
@@ -411,12 +421,13 @@ def check_robot(
             model, document = load(
                 file, limits=limits, inertias=inertias, package_dirs=package_dirs
             )
-            wrong, missing = check_mesh_files(document, [Path(one) for one in package_dirs])
-            if wrong:
-                return RobotReport(file, tuple(wrong))
+            folders = [Path(folder) for folder in package_dirs]
+            unusable, missing = check_mesh_files(document, folders)
+            if unusable:
+                return RobotReport(file, tuple(unusable))
     except ModelError as error:
         if isinstance(error.__cause__, ImportError) or not file.is_file():
             raise
-        whole = ModelFinding("mjcf", file, 0, 0, "", str(error), "")
-        return RobotReport(file, error.findings or (whole,))
+        finding = ModelFinding("mjcf", file, 0, 0, "", str(error), "")
+        return RobotReport(file, error.findings or (finding,))
     return RobotReport(file, (), len(missing), summarise(model, tip))

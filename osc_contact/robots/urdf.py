@@ -62,9 +62,9 @@ class Inertial(NamedTuple):
     """Inertia of a link as written.
 
     Attributes:
-        mass: kg.
+        mass: mass (kg).
         origin: "xyz" (m) and "rpy" (rad) of the frame at the centre of mass.
-        moments: "ixx" … "izz" (kg m²) in that frame; empty if missing.
+        moments: moments of inertia "ixx" … "izz" in that frame (kg m²); empty if missing.
         element: the <inertial>.
     """
 
@@ -75,7 +75,11 @@ class Inertial(NamedTuple):
 
 
 class Link(NamedTuple):
-    """Link as written: its name, its inertia, None without one, and its <link>."""
+    """Link as written.
+
+    Attributes:
+        name: name of the link. inertial: inertia, or None. element: the <link>.
+    """
 
     name: str
     inertial: Inertial | None
@@ -119,8 +123,9 @@ class Document:
         file: the file.
         name: name of the robot.
         root: root element, whose `findings` are the errors of the file.
-        links, joints: by name.
-        rotors: by joint, inertia of its motor's rotor (kg m²) and gear ratio, from transmissions.
+        links, joints: links and joints by name.
+        rotors: inertia of the motor's rotor (kg m²) and gear ratio by the name of the joint, from
+            transmissions.
     """
 
     file: Path
@@ -141,7 +146,7 @@ class Document:
 
 
 def read_document(file: Path, data: bytes) -> Document:
-    """Links and joints of the text of a URDF; errors of elements are noted as findings.
+    """Read links and joints from the text of a URDF; errors of elements are noted as findings.
 
     Args:
         file: name of the file, for messages.
@@ -157,12 +162,12 @@ def read_document(file: Path, data: bytes) -> Document:
     _check_words(root)
     for element in root.findall("link"):
         inertial = element.find("inertial")
-        read = None if inertial is None else _inertial(inertial)
-        _keep(document.links, Link(element.get("name"), read, element))
+        inertia = None if inertial is None else _inertial(inertial)
+        _add(document.links, Link(element.get("name"), inertia, element))
     if not document.links:
         root.note("tree", "the robot has no link")
     for element in root.findall("joint"):
-        _keep(document.joints, _joint(element))
+        _add(document.joints, _joint(element))
     for element in root.findall("transmission"):
         joints = element.findall("joint")
         if len(joints) == len(element.findall("actuator")) == 1:
@@ -171,17 +176,20 @@ def read_document(file: Path, data: bytes) -> Document:
 
 
 def _check_words(element: Element) -> None:
-    """Note elements and attributes that are misspelt, and elements that may occur only once."""
+    """Note misspelt elements and attributes, and second elements that may occur only once.
+
+    Args:
+        element: element whose children are checked, and those of known children.
+    """
     known = _CHILDREN.get(element.tag, ())
-    seen: dict[str, Element] = {}
+    first_children: dict[str, Element] = {}  # first child with each tag
     for child in element.children:
         tag = child.tag
-        first = seen.setdefault(tag, child)
+        first = first_children.setdefault(tag, child)
         if tag in _ONCE.get(element.tag, ()) and first is not child:
             child.note("xml", f"a second <{tag}>; the first is in line {first.line}", "delete one")
-        misspelt = [] if tag in known else difflib.get_close_matches(tag.lower(), known, 1, 0.8)
-        for near in misspelt:
-            child.note("xml", f"<{tag}> is no word of URDF", f"did you mean <{near}>?")
+        if tag not in known and (near := difflib.get_close_matches(tag.lower(), known, 1, 0.8)):
+            child.note("xml", f"<{tag}> is no word of URDF", f"did you mean <{near[0]}>?")
         if element.tag in ("joint", "inertial") and (allowed := _ATTRIBUTES.get(tag)):
             cure = f"there is: {', '.join(allowed)}"
             for key in child.attributes:
@@ -192,31 +200,35 @@ def _check_words(element: Element) -> None:
 
 
 def _rotor(transmission: Element) -> tuple[float, float]:
-    """Rotor inertia (kg m²) and gear ratio of a transmission with one joint and one motor."""
-    found = {"rotorInertia": 0.0, "mechanicalReduction": 1.0}
+    """Read rotor inertia (kg m²) and gear ratio of a transmission with one joint and one motor.
+
+    Without them the inertia is 0 and the ratio 1; errors are noted.
+    """
+    values = {"rotorInertia": 0.0, "mechanicalReduction": 1.0}
     for part in transmission.findall("joint", "actuator"):
-        for child in part.findall(*found):
-            value = found[child.tag] = child.value(child.tag, child.text.strip())
+        for child in part.findall(*values):
+            value = child.value(child.tag, child.text.strip())
+            values[child.tag] = value
             if child.tag == "rotorInertia" and value < 0.0:
                 child.note("joint", f"rotor inertia {value:g} is negative", "write a value ≥ 0")
-    return (found["rotorInertia"], found["mechanicalReduction"])
+    return (values["rotorInertia"], values["mechanicalReduction"])
 
 
-def _keep(kept: dict[str, Part], one: Part) -> None:
+def _add(parts: dict[str, Part], part: Part) -> None:
     """Add a link or joint to those of the document; note a name that is not unique or not usable.
 
     Args:
-        kept: links, or joints, by name.
-        one: link or joint to be added.
+        parts: links, or joints, by name.
+        part: link or joint to be added.
     """
-    element = one.element
-    name = one.name
-    if name in kept and name.strip():
-        first = kept[name].element.line
+    element = part.element
+    name = part.name
+    if name in parts and name.strip():
+        first = parts[name].element.line
         reason = f"a second {element.tag} of that name; the first is in line {first}"
         element.note("name", reason, "rename one")
         return
-    kept[name] = one
+    parts[name] = part
     if not name.strip():
         element.note("name", f"a {element.tag} without a name", 'write name="…"')
     elif len(name) > MAX_NAME:
@@ -226,7 +238,7 @@ def _keep(kept: dict[str, Part], one: Part) -> None:
 
 
 def _inertial(element: Element) -> Inertial:
-    """Read an <inertial>; errors are noted."""
+    """Read an <inertial>; errors are noted as findings, and numbers that are missing are 0."""
     for word in ("mass", "inertia"):
         if element.find(word) is None:
             element.note("inertia", f"<inertial> without <{word}>", f"add <{word}>")
@@ -241,7 +253,7 @@ def _inertial(element: Element) -> Inertial:
 
 
 def _joint(element: Element) -> Joint:
-    """Read a <joint>; errors are noted."""
+    """Read a <joint>; errors are noted as findings."""
     kind = element.get("type")
     if kind in ("planar", "floating"):
         cure = "build it from prismatic and revolute joints, or fix it"
@@ -272,7 +284,10 @@ def _joint(element: Element) -> Joint:
 
 
 def _losses(element: Element) -> dict[str, float]:
-    """Damping and friction of a <joint>, 0 without <dynamics>; negative ones are noted."""
+    """Read damping (N m s/rad, N s/m) and friction (N m, N) of a <joint>; negative ones are noted.
+
+    Both are 0 without <dynamics>.
+    """
     losses = {"damping": 0.0, "friction": 0.0}
     for dynamics in element.findall("dynamics"):
         for key in losses:
@@ -284,7 +299,7 @@ def _losses(element: Element) -> dict[str, float]:
 
 
 def _limits(element: Element) -> dict[str, float]:
-    """Numbers of the <limit> of a <joint> that are there."""
+    """Read the numbers that the <limit> of a <joint> has (rad, N m, rad/s; m, N, m/s)."""
     limits = {}
     for limit in element.findall("limit"):
         for key in LIMITS:
@@ -294,11 +309,13 @@ def _limits(element: Element) -> dict[str, float]:
 
 
 def _axis(element: Element, kind: str) -> Vector:
-    """Unit axis of a <joint>, (1, 0, 0) if it has none, as URDF defines; others are noted.
+    """Read the unit axis of a <joint>; an axis of another length is noted and normalised.
+
+    Without <axis> it is (1, 0, 0), as URDF defines.
 
     Args:
         element: the <joint>.
-        kind: its type; a fixed joint has no axis.
+        kind: type of the joint; a fixed joint has no axis.
     """
     axis = element.find("axis")
     if axis is None or kind == "fixed":
@@ -318,9 +335,13 @@ def _axis(element: Element, kind: str) -> Vector:
 
 
 def check_tree(document: Document) -> None:
-    """Note links of joints that do not exist, links with two parents, several roots and loops."""
+    """Note joints' links that do not exist, links with two parents, several roots, and loops.
+
+    Args:
+        document: document of the URDF, to whose findings errors are added.
+    """
     links = document.links
-    above: dict[str, Joint] = {}
+    above: dict[str, Joint] = {}  # joint above each link
     for joint in document.joints.values():
         element = joint.element
         for end in element.findall("parent", "child"):
@@ -352,7 +373,11 @@ def check_tree(document: Document) -> None:
 
 
 def check_mimics(document: Document) -> None:
-    """Note mimic joints whose master does not exist, is fixed, or depends on the joint itself."""
+    """Note mimic joints whose master does not exist, is fixed, or depends on the joint itself.
+
+    Args:
+        document: document of the URDF, to whose findings errors are added.
+    """
     joints = document.joints
     for joint in joints.values():
         if joint.mimic is None:
@@ -365,9 +390,9 @@ def check_mimics(document: Document) -> None:
         elif master.kind == "fixed":
             reason = f"follows the fixed joint {joint.mimic!r}"
             mimic.note("joint", reason, "follow a joint that moves", "joint")
-        seen: list[Joint] = []
-        while master is not None and master not in seen:
-            seen.append(master)
+        masters: list[Joint] = []  # master, master of the master, …
+        while master is not None and master not in masters:
+            masters.append(master)
             master = joints.get(master.mimic or "")
-        if joint in seen:
+        if joint in masters:
             mimic.note("joint", "follows itself", "follow another", "joint")

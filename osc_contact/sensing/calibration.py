@@ -17,6 +17,7 @@ import numpy as np
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array, skew
 
+#: Names of the ten unknowns, for messages.
 NAMES = ("m", *(f"{name}_{axis}" for name in ("m c", "b_f", "b_τ") for axis in "xyz"))
 
 
@@ -61,22 +62,22 @@ def calibrate_wrist(
     if k < 3:
         raise InvalidInputError(f"{k} postures; mass, centre and bias need three or more")
     readings = as_array("readings", readings, (k, 6))
-    spread = np.broadcast_to(np.asarray(noise, dtype=float), (6,))
-    if not (np.isfinite(spread).all() and spread.min() > 0.0):
+    deviation = np.broadcast_to(np.asarray(noise, dtype=float), (6,))
+    if not (np.isfinite(deviation).all() and deviation.min() > 0.0):
         raise InvalidInputError(f"noise = {noise}; give finite numbers > 0")
-    weight = 1.0 / spread
+    weight = 1.0 / deviation
     g = np.array([0.0, 0.0, -9.81])
     rows = np.vstack([weight[:, None] * _regressor(-np.asarray(R).T @ g) for R in rotations])
     scale = np.linalg.norm(rows, axis=0)
     scale[scale == 0.0] = 1.0
     _, s, Vh = np.linalg.svd(rows / scale, full_matrices=False)
     if s[-1] < 1e-3 * s[0]:
-        part = np.abs(Vh[s < 1e-3 * s[0]]).max(axis=0)
-        blind = [name for name, share in zip(NAMES, part, strict=True) if share > 0.1]
+        shares = np.abs(Vh[s < 1e-3 * s[0]]).max(axis=0)  # in combinations without an effect
+        unknown = [name for name, share in zip(NAMES, shares, strict=True) if share > 0.1]
         raise ModelError(
-            f"these {k} postures do not distinguish {', '.join(blind)}: the sensor is never turned "
-            "enough against gravity. Tilt it about two horizontal axes by 30 deg or more; a wrist "
-            "that can only turn about the vertical has to be tared instead"
+            f"these {k} postures do not distinguish {', '.join(unknown)}: the sensor is never "
+            "turned enough against gravity. Tilt it about two horizontal axes by 30 deg or more; a "
+            "wrist that can only turn about the vertical has to be tared instead"
         )
     inverse = np.linalg.pinv(rows / scale) / scale[:, None]
     theta = inverse @ (readings * weight).ravel()
@@ -88,7 +89,11 @@ def calibrate_wrist(
 
 
 def _regressor(u: Array) -> Array:
-    """Regressor Y(u) (6, 10) of a load at rest: reading = Y θ, θ = [m, m c, b_f, b_τ]."""
+    """Regressor Y(u) (6, 10) of a load at rest: reading = Y θ, θ = [m, m c, b_f, b_τ].
+
+    Args:
+        u: (3,) −Rᵀg, the direction of weight in the sensor's axes (m/s²).
+    """
     Y = np.zeros((6, 10))
     Y[:3, 0] = u
     Y[3:, 1:4] = -skew(u)

@@ -16,12 +16,12 @@ and the last velocity, so that errors of velocity alternate and do not decay.
 A filtered difference lags by its time constant; this filter uses the commanded acceleration and
 does not lag behind commanded motions.
 
-A joint does not always follow what is known of it: with a rotor that the model lacks it accelerates
-by a share c of the known acceleration a, where friction holds it by none of it. The estimate is
-linear in c. Let x_c and v_c be its derivatives by c, which a drives through the same filter. Then
-innovations are white noise of variance σ_n²/(1 − α) plus x_c times the error of c, from which c is
-estimated as a random walk, and x̂, v̂ follow it by x_c, v_c (B. Friedland, Treatment of bias in
-recursive filtering, IEEE Trans. Automatic Control 14, 1969).
+A joint does not always have the known acceleration a: with a rotor that the model lacks it has a
+share c of it, and if friction holds the joint c = 0. The estimate is linear in c. Let x_c and v_c
+be its derivatives by c, which a drives through the same filter. Then innovations are white noise of
+variance σ_n²/(1 − α) plus x_c times the error of c, from which c is estimated as a random walk, and
+x̂, v̂ are corrected by x_c, v_c times the change of c (B. Friedland, Treatment of bias in recursive
+filtering, IEEE Trans. Automatic Control 14, 1969).
 """
 
 from __future__ import annotations
@@ -33,9 +33,11 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
-_DOUBT = 0.5  #: deviation of the share c at the start, and at most
-_CHANGES = 1.0  #: s in which c may change by `_DOUBT`, as where a joint begins to stick
-_MOST = 1.5  #: largest share: of links or rotors that are modelled too heavy
+_DOUBT = 0.5  #: standard deviation of the share c at the start, which is also the largest one
+_CHANGES = (
+    1.0  #: time in which c may change by `_DOUBT`, for example if a joint begins to stick (s)
+)
+_MOST = 1.5  #: largest share c, of a joint whose links or rotors are modelled too heavy
 _EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
 
 
@@ -47,11 +49,11 @@ class VelocityEstimate:
         alpha, beta: (k,) gains of position and of velocity, for the period `sample`.
         dt: period of `update` (s).
         sample: period of the sensor (s); 0: dt.
-        gamma: (k,) gain of the unknown acceleration; 0: none is learned.
+        gamma: (k,) gain of the unknown acceleration; 0: it is not estimated.
         scatter: (k,) rms of innovations by noise (m, rad); infinite: c remains 1.
         x, v: (k,) last estimate (m, rad; m/s, rad/s); x is None before the first update.
-        unknown: (k,) learned acceleration (m/s², rad/s²).
-        share: (k,) c, by which channels follow their known acceleration.
+        unknown: (k,) estimate of the unknown acceleration (m/s², rad/s²).
+        share: (k,) c, the share of the known acceleration that channels have.
     """
 
     alpha: Array
@@ -62,7 +64,7 @@ class VelocityEstimate:
     scatter: Array | float = np.inf
 
     def __post_init__(self) -> None:
-        """Convert the gains to arrays with one number for each coordinate, and reset the states.
+        """Convert the gains to arrays with a number for each channel, and reset the states.
 
         Raises:
             InvalidInputError: the filter is unstable, or a period is not positive.
@@ -81,10 +83,10 @@ class VelocityEstimate:
         self.v = np.zeros(len(self.alpha))
         self.unknown = np.zeros(len(self.alpha))
         self.share = np.ones(len(self.alpha))
-        self._variance = np.full(len(self.alpha), _DOUBT**2)  #: of the share
-        self._by_share = np.zeros(
-            (3, len(self.alpha))
-        )  #: derivatives of x, v, unknown by the share
+        #: (k,) variance of the share
+        self._variance = np.full(len(self.alpha), _DOUBT**2)
+        #: (3, k) derivatives of x, v and unknown by the share
+        self._by_share = np.zeros((3, len(self.alpha)))
         self._gains = np.array([self.alpha, self.beta / self.sample, self.gamma / self.sample**2])
         self._learns = bool(np.isfinite(self.scatter).all())
 
@@ -92,7 +94,7 @@ class VelocityEstimate:
     def optimal(
         cls, noise: Array, acceleration: Array, dt: float, sample: float = 0.0
     ) -> VelocityEstimate:
-        """Estimate of least mean square error.
+        """Make an estimate of least mean square error.
 
         Args:
             noise: (k,) rms noise of the readings (m, rad).
@@ -121,48 +123,52 @@ class VelocityEstimate:
     def learning(
         cls, noise: Array, acceleration: Array, dt: float, sample: float = 0.0
     ) -> VelocityEstimate:
-        """Estimate with the noise of `optimal` in v̂ that also learns lasting unknown accelerations.
+        """Make an estimate that also estimates lasting unknown accelerations.
 
-        Three equal poles at exp(−w dt). On continuous white noise of density σ_n² dt, v̂ has the
-        variance 1.75 w³ σ_n² dt, that of `optimal` ω_e³ σ_n² dt/√8, ω_e² = σ_a/σ_n: w = 0.587 ω_e
-        (E. Brookner, Tracking and Kalman filtering made easy, 1998: fading-memory filter).
+        The noise of v̂ is that of `optimal`. The filter has three equal poles at exp(−w dt). On
+        continuous white noise of density σ_n² dt, v̂ has the variance 1.75 w³ σ_n² dt, that of
+        `optimal` ω_e³ σ_n² dt/√8, ω_e² = σ_a/σ_n: w = 0.587 ω_e (E. Brookner, Tracking and Kalman
+        filtering made easy, 1998: fading-memory filter).
 
         Args:
-            noise, acceleration, dt, sample: as of `optimal`.
+            noise, acceleration, dt, sample: see `optimal`.
 
         Raises:
-            InvalidInputError: likewise.
+            InvalidInputError: noise or acceleration is not > 0.
         """
-        cls.optimal(noise, acceleration, dt, sample)  # refuses what is not > 0
+        cls.optimal(noise, acceleration, dt, sample)  # raises for numbers that are not > 0
         period = max(sample, dt)
         pole = np.exp(-_EQUAL_NOISE * np.sqrt(np.divide(acceleration, noise)) * period)
         pole = np.atleast_1d(pole)
-        back = 1.0 - pole
-        beta = 1.5 * back**2 * (1.0 + pole)
+        decay = 1.0 - pole
+        beta = 1.5 * decay**2 * (1.0 + pole)
         alpha = 1.0 - pole**3
-        return cls(alpha, beta, dt, period, back**3, _scatter(noise, alpha))
+        return cls(alpha, beta, dt, period, decay**3, _scatter(noise, alpha))
 
     @property
     def noise_gain(self) -> Array:
-        """(k,) rms of v̂ per rms of white noise of the readings (1/s), at rest."""
+        """Ratio (k,) of the rms of v̂ to the rms of white noise of the readings, at rest (1/s).
+
+        The covariance P of the estimate solves P = A P Aᵀ + K Kᵀ.
+        """
         T = self.sample
         predict = np.array([[1.0, T, 0.5 * T**2], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
-        found = []
+        gains = []
         for K in np.column_stack([self.alpha, self.beta / T, self.gamma / T**2]):
             size = 3 if K[2] > 0.0 else 2
             A = (predict - np.outer(K, predict[0]))[:size, :size]
             P = np.linalg.solve(
                 np.eye(size**2) - np.kron(A, A), np.outer(K, K)[:size, :size].ravel()
             )
-            found.append(np.sqrt(P[size + 1]))
-        return np.array(found)
+            gains.append(np.sqrt(P[size + 1]))  # element (1, 1) of P
+        return np.array(gains)
 
     @classmethod
     def with_bandwidth(cls, bandwidth: Array, dt: float) -> VelocityEstimate:
-        """Critically damped estimate with both poles at exp(−bandwidth · dt).
+        """Make a critically damped estimate with both poles at exp(−bandwidth · dt).
 
         Args:
-            bandwidth: (k,) rad/s.
+            bandwidth: (k,) bandwidth of each channel (rad/s).
             dt: period of the estimate (s).
         """
         pole = np.exp(-np.atleast_1d(bandwidth) * dt)
@@ -186,10 +192,15 @@ class VelocityEstimate:
         self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * total
         self.v = self.v + self.dt * total
         if self._learns:
-            x, v, unknown = self._by_share
-            total = acceleration + unknown
-            moved = (x + self.dt * v + 0.5 * self.dt**2 * total, v + self.dt * total, unknown)
-            self._by_share = np.array(moved)
+            x_c, v_c, unknown_c = self._by_share
+            total = acceleration + unknown_c
+            self._by_share = np.array(
+                (
+                    x_c + self.dt * v_c + 0.5 * self.dt**2 * total,
+                    v_c + self.dt * total,
+                    unknown_c,
+                )
+            )
         if fresh:
             innovation = np.where(np.isfinite(measured), measured - self.x, 0.0)
             self._correct(self._gains * innovation)
@@ -198,7 +209,7 @@ class VelocityEstimate:
         return (self.x, self.v)
 
     def _correct(self, change: Array) -> None:
-        """Add (3, k) to x, v and the unknown acceleration."""
+        """Add the rows of `change` (3, k) to x, v and the unknown acceleration."""
         self.x = self.x + change[0]
         self.v = self.v + change[1]
         self.unknown = self.unknown + change[2]
@@ -209,17 +220,21 @@ class VelocityEstimate:
         Args:
             innovation: (k,) reading minus prediction (m, rad).
         """
-        lever = self._by_share[0]
-        self._by_share = self._by_share - self._gains * lever
-        grown = self._variance + _DOUBT**2 * self.sample / _CHANGES
-        variance = np.minimum(grown, _DOUBT**2)
-        gain = variance * lever / (self.scatter**2 + variance * lever**2)
-        self._variance = variance * (1.0 - gain * lever)
+        x_c = self._by_share[0]
+        self._by_share = self._by_share - self._gains * x_c
+        predicted = self._variance + _DOUBT**2 * self.sample / _CHANGES
+        variance = np.minimum(predicted, _DOUBT**2)
+        gain = variance * x_c / (self.scatter**2 + variance * x_c**2)
+        self._variance = variance * (1.0 - gain * x_c)
         share = np.clip(self.share + gain * innovation, 0.0, _MOST)
         self._correct(self._by_share * (share - self.share))
         self.share = share
 
 
 def _scatter(noise: Array, alpha: Array) -> Array:
-    """(k,) rms of innovations that noise brings about, σ_n/√(1 − α) (m, rad)."""
+    """Compute the rms (k,) of innovations by noise, σ_n/√(1 − α) (m, rad).
+
+    Args:
+        noise: (k,) rms noise σ_n of the readings (m, rad). alpha: (k,) gain of position.
+    """
     return np.asarray(np.atleast_1d(noise) / np.sqrt(np.maximum(1.0 - alpha, 1e-9)))

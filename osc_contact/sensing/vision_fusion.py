@@ -21,7 +21,7 @@ from osc_contact.interface import Seen, Touched
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.spatial import Array, carry_twist, pose_error, skew
 
-_ITERATIONS = 4  # iterations of an update, which is nonlinear in large rotations
+_ITERATIONS = 4  #: iterations of an update, which is nonlinear in large rotations
 
 
 class History:
@@ -34,23 +34,26 @@ class History:
             span: time for which values are kept (s).
         """
         self.span = span
-        self._kept: deque[tuple[float, Array]] = deque()
+        self._samples: deque[tuple[float, Array]] = deque()
 
     def add(self, t: float, x: Array) -> None:
-        """Append the value x at the time t (s), which is later than all before."""
-        self._kept.append((t, np.array(x, dtype=float)))
-        while len(self._kept) > 2 and self._kept[1][0] <= t - self.span:
-            self._kept.popleft()
+        """Append the value x (n,) at the time t (s), which is later than all before.
+
+        Values older than the span are dropped, except the last of these, for interpolation.
+        """
+        self._samples.append((t, np.array(x, dtype=float)))
+        while len(self._samples) > 2 and self._samples[1][0] <= t - self.span:
+            self._samples.popleft()
 
     def at(self, t: float) -> Array:
-        """Value at the time t (s), interpolated; before and after all values, the nearest one.
+        """Value (n,) at the time t (s), interpolated; before and after all values, the nearest one.
 
         Raises:
             InvalidInputError: the history is empty.
         """
-        if not self._kept:
+        if not self._samples:
             raise InvalidInputError("the history is empty; add a value before asking for one")
-        times, values = zip(*self._kept, strict=True)
+        times, values = zip(*self._samples, strict=True)
         return np.array([np.interp(t, times, x) for x in np.transpose(values)])
 
 
@@ -58,12 +61,12 @@ class History:
 class Registration:
     """Estimate of X_WC, the camera's frame in the robots' frame, from bodies known in both.
 
-    A Kalman filter for ξ = [δ; θ], the displacement (world axes, at the world's origin) by which
-    X_WC has to be corrected: a body seen at (p̃, R̃) is at p = p̂ + δ + θ × p̂, R = exp(θ) R̂ with
-    p̂ = X_WC p̃, R̂ = R_WC R̃.
+    It is a Kalman filter for ξ = [δ; θ], the displacement (world axes, at the world's origin) by
+    which X_WC has to be corrected: a body that the camera measures at (p̃, R̃) is at
+    p = p̂ + δ + θ × p̂, R = exp(θ) R̂ with p̂ = X_WC p̃, R̂ = R_WC R̃.
 
     Attributes:
-        position, orientation: standard deviations of each seen pose (m, rad).
+        position, orientation: standard deviations of a pose measured by the camera (m, rad).
         prior: standard deviations of the displacement before the first picture (m, rad).
         drift: growth of the displacement's standard deviations (m/√s, rad/√s), by which older
             pictures lose weight.
@@ -95,7 +98,7 @@ class Registration:
         self.P = np.diag(np.repeat(self.prior, 3)) ** 2
 
     def update(self, known: Sequence[SE3], seen: Sequence[SE3], elapsed: float = 0.0) -> SE3:
-        """Correct X_WC by a picture and return it.
+        """Correct X_WC by a picture and return it; the covariance P is updated, too.
 
         Args:
             known: poses of bodies in the robots' frame at the time of the picture.
@@ -105,18 +108,18 @@ class Registration:
         prior = np.linalg.inv(self.P + elapsed * np.diag(np.repeat(self.drift, 3)) ** 2)
         weights = np.repeat((self.position, self.orientation), 3) ** -2.0
         start = self.X
-        for _ in range(_ITERATIONS):  # in information form: exact noise-free poses do no harm
+        for _ in range(_ITERATIONS):  # information form, which is regular with exact poses, too
             information = prior.copy()
-            moved = pose_error(self.X * start.inverse(), SE3.Identity())
-            push = -prior @ moved
+            correction = pose_error(self.X * start.inverse(), SE3.Identity())
+            gradient = -prior @ correction
             for X_W, X_C in zip(known, seen, strict=True):
-                found = self.X * X_C
-                y = pose_error(X_W, found)
+                predicted = self.X * X_C
+                y = pose_error(X_W, predicted)
                 H = np.eye(6)
-                H[:3, 3:] = -skew(found.translation)
+                H[:3, 3:] = -skew(predicted.translation)
                 information += H.T @ (weights[:, None] * H)
-                push += H.T @ (weights * y)
-            xi = np.linalg.solve(information, push)
+                gradient += H.T @ (weights * y)
+            xi = np.linalg.solve(information, gradient)
             self.X = SE3(pin.exp3(xi[3:]), xi[:3]) * self.X
         self.P = np.linalg.inv(information)
         return self.X
@@ -135,12 +138,15 @@ class BodyEstimate:
     start: SE3
 
     def update(self, X: SE3, fresh: bool, delay: float) -> tuple[SE3, Array]:
-        """Pose now, and twist (6,) at its origin, from a pose measured `delay` ago.
+        """Estimate the present pose and twist of the body from a delayed measurement.
 
         Args:
-            X: measured pose.
-            fresh: False if it was used before.
+            X: measured pose, in the camera's frame.
+            fresh: False if the measurement was used before.
             delay: age of the measurement (s).
+
+        Returns:
+            Pose, and twist (6,) at its origin (m/s, rad/s), in the camera's frame.
         """
         x, rate = self.channels.update(pose_error(X, self.start), fresh=fresh)
         x = x + delay * rate
@@ -194,7 +200,7 @@ class VisionFusion:
     def update(
         self, now: float, q: Array, stamp: float, seen: Seen | None, touched: Touched
     ) -> Touched:
-        """Present motion of the bodies in the robots' frame.
+        """Estimate the present motion of the touched bodies in the robots' frame.
 
         Args:
             now: present time (s).
@@ -222,10 +228,10 @@ class VisionFusion:
         X_WE = []
         V_E = []
         for body, X_CE, M in zip(self._bodies, frames, markers, strict=True):
-            X_CM, V = body.update(X_CE * M, fresh, self._delay)  # filtered where it is seen
+            X_CM, V_C = body.update(X_CE * M, fresh, self._delay)  # filtered at the marker
             X_WM = X_WC * X_CM
             X = X_WM * M.inverse()
-            turned = (X_WC.rotation @ V.reshape(2, 3, 1)).ravel()
+            V_W = (X_WC.rotation @ V_C.reshape(2, 3, 1)).ravel()
             X_WE.append(X.homogeneous)
-            V_E.append(carry_twist(turned, X_WM.translation, X.translation))
+            V_E.append(carry_twist(V_W, X_WM.translation, X.translation))
         return Touched(np.array(X_WE), np.array(V_E), touched.A_E)

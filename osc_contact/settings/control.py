@@ -52,7 +52,14 @@ _DERIVED: Any = Field(default=None)  #: default of a gain that is derived from t
 
 
 class _GainsOfOneLoop(OrderedSpec):
-    """Gains as design values for every mass (for example a bandwidth) or as numbers."""
+    """Gains of a control loop, given as design values or as gains.
+
+    Design values, such as a bandwidth, suit every mass; they are not mixed with gains.
+
+    Attributes:
+        serving: names of the design values. numbers: names of the gains. example: argument of --set
+            that replaces the group.
+    """
 
     serving: ClassVar[tuple[str, ...]]
     numbers: ClassVar[tuple[str, ...]]
@@ -61,40 +68,41 @@ class _GainsOfOneLoop(OrderedSpec):
     @model_validator(mode="before")
     @classmethod
     def _leave_out_nulls(cls, data: Any) -> Any:
+        """Drop keys with the value null from the input of the group: they count as not given."""
         if isinstance(data, dict):
             return {key: value for key, value in data.items() if value is not None}
         return data
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        """Compute the values that are not given from those that are; refuse both kinds together."""
+        """Derive the values that are not given; refuse design values together with gains."""
         values = {key: getattr(self, key) for key in self.model_fields_set}
         chosen = [key for key in self.serving if key in values]
-        beside = [key for key in self.numbers if key in values]
-        if chosen and beside:
+        gains = [key for key in self.numbers if key in values]
+        if chosen and gains:
             raise refuse(
-                f"{', '.join(chosen)} beside {', '.join(beside)}: give {', '.join(self.serving)}, "
+                f"{', '.join(chosen)} beside {', '.join(gains)}: give {', '.join(self.serving)}, "
                 f"or {', '.join(self.numbers)}; to replace them with --set, set the group: "
                 f"--set '{self.example}'"
             )
-        self.__dict__.update(self._values(not beside, values) | values)
+        self.__dict__.update(self._values(not gains, values) | values)
         return self
 
     @abstractmethod
-    def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
-        """Gains of the motion law from design values, or design values from gains.
+    def _values(self, serves_every_mass: bool, values: dict[str, float]) -> dict[str, float]:
+        """Derive gains from design values, or design values from gains.
 
         Args:
-            serves_every_mass: True if design values (frequency, damping ratio) determine the gains.
-            given: values given by the user.
+            serves_every_mass: True if design values determine the gains.
+            values: values given by the user, by key.
 
         Returns:
-            Values of all fields: K (1/s²), D (1/s), K_i (1/s³), frequency (Hz), damping ratio, time
-            (s).
+            Values of all keys of the group, in SI.
         """
 
     @model_serializer(mode="wrap")
     def _as_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Serialise only the keys that were given, since derived values exclude these in a file."""
         return {key: value for key, value in write(self).items() if key in self.model_fields_set}
 
 
@@ -142,22 +150,26 @@ class MotionGains(_GainsOfOneLoop):
             )
         return self
 
-    def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
-        """Gains of the force law from bandwidth and damping ratio, or the reverse.
+    def _values(self, serves_every_mass: bool, values: dict[str, float]) -> dict[str, float]:
+        """Derive K_p, K_d, K_i from frequency, damping ratio and integral time, or the reverse.
 
         Args:
-            serves_every_mass: True if bandwidth and damping ratio determine the gains.
-            given: values given by the user.
+            serves_every_mass: True if frequency, damping ratio and integral time are given.
+            values: values given by the user, by key.
+
+        Returns:
+            Values of all keys: K_p (1/s²), K_d (1/s), K_i (1/s³), frequency (Hz), damping ratio,
+            integral time (s).
         """
         if serves_every_mass:
-            omega = 2.0 * pi * given.get("frequency", 10.0 / pi)
+            omega = 2.0 * pi * values.get("frequency", 10.0 / pi)
             K = omega**2
-            D = 2.0 * omega * given.get("damping_ratio", 1.0)
-            K_i = K / given.get("integral_time", inf)
-        elif {"stiffness", "damping"} <= given.keys():
-            K = given["stiffness"]
-            D = given["damping"]
-            K_i = given.get("integral", 0.0)
+            D = 2.0 * omega * values.get("damping_ratio", 1.0)
+            K_i = K / values.get("integral_time", inf)
+        elif {"stiffness", "damping"} <= values.keys():
+            K = values["stiffness"]
+            D = values["damping"]
+            K_i = values.get("integral", 0.0)
         else:
             raise refuse("give stiffness (1/s²) and damping (1/s) together, or frequency (Hz)")
         return {
@@ -209,23 +221,33 @@ class ForceGains(_GainsOfOneLoop):
         """Rate (1/s) below which normal velocities are attributed to a tilted face, not braked."""
         return self.integral / _UNBRAKED
 
-    def _values(self, serves_every_mass: bool, given: dict[str, float]) -> dict[str, float]:
-        K_i = 2.0 * pi * given.get("bandwidth", 5.0)
-        brake = 2.0 * given.get("damping_ratio", 0.7) * K_i
+    def _values(self, serves_every_mass: bool, values: dict[str, float]) -> dict[str, float]:
+        """Derive K_i and κ from bandwidth and damping ratio, or the reverse.
+
+        Args:
+            serves_every_mass: True if bandwidth and damping ratio determine the gains.
+            values: values given by the user, by key.
+
+        Returns:
+            Values of all keys: K_i (1/s), K_v (N s/m), bandwidth (Hz), damping ratio, rise (s),
+            tilt (rad), κ (1/s).
+        """
+        K_i = 2.0 * pi * values.get("bandwidth", 5.0)
+        brake = 2.0 * values.get("damping_ratio", 0.7) * K_i
         if not serves_every_mass:
-            if "integral" not in given:
+            if "integral" not in values:
                 raise refuse(
                     "damping (N s/m) goes with integral (1/s); give both, or damping_ratio"
                 )
-            K_i = given["integral"]
-            brake = given.get("brake", 0.0)
+            K_i = values["integral"]
+            brake = values.get("brake", 0.0)
         return {
             "integral": K_i,
             "damping": 0.0,
             "bandwidth": K_i / (2.0 * pi),
             "damping_ratio": brake / (2.0 * K_i) if K_i > 0.0 else 0.0,
-            "rise": 0.25 * serves_every_mass,
-            "tilt": radians(10.0) * serves_every_mass,
+            "rise": 0.25 if serves_every_mass else 0.0,
+            "tilt": radians(10.0) if serves_every_mass else 0.0,
             "brake": brake,
         }
 
@@ -424,11 +446,13 @@ class SafetySettings(OrderedSpec):
     """time above a ceiling that stops the arms"""
 
     def for_commands(self, largest: float, total: float) -> Self:
-        """Copy with ceilings that are derived from commands known in advance, unless given.
+        """Copy the settings with ceilings derived from commands that are known in advance.
+
+        A ceiling that is set remains.
 
         Args:
-            largest: largest command of one contact or squeeze (N). total: largest sum of all
-                commands (N).
+            largest: largest command of a contact or squeeze (N). total: largest sum of all commands
+                (N).
         """
         commands = {"contact_ceiling": largest, "wrist_ceiling": total}
         derived = {
@@ -440,7 +464,11 @@ class SafetySettings(OrderedSpec):
 
     @classmethod
     def motors_only(cls, **keys: Any) -> SafetySettings:
-        """Settings without limits except those of the motors and of `keys`, for unrelated ticks."""
+        """Make settings without limits except those of the motors, for ticks unrelated in time.
+
+        Args:
+            **keys: limits that apply nevertheless, by their names.
+        """
         unlimited = {key: inf for key, field in cls.model_fields.items() if may_be_infinite(field)}
         return cls(**{"brake_time": 0.0, **unlimited, **keys})
 
@@ -456,14 +484,14 @@ class SafetySettings(OrderedSpec):
 
 
 def require_below_ceilings(safety: SafetySettings, force: float, contacts: int) -> None:
-    """Refuse forces that may exceed given ceilings.
+    """Refuse force commands that may exceed the ceilings at which the arms are stopped.
 
     Args:
         safety: settings of the controller. force: largest command of a contact (N). contacts:
             number of forces that may be commanded together.
 
     Raises:
-        InvalidInputError: a ceiling is lower.
+        InvalidInputError: a ceiling that is set is below the force, or below the sum of all.
     """
     for key, command in (("contact_ceiling", force), ("wrist_ceiling", contacts * force)):
         ceiling = getattr(safety, key)
@@ -614,6 +642,7 @@ class ControlSpec(Spec):
     @field_validator("life", "joint_friction", mode="before")
     @classmethod
     def _may_be_off(cls, value: object) -> object:
+        """Replace false and "off" by None; any other value is validated as a group."""
         return None if value is False or value == "off" else value
 
 

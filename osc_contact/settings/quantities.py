@@ -28,7 +28,7 @@ from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_sc
 
 from osc_contact.errors import InvalidInputError, did_you_mean
 
-# What every group of settings is: keys of a file with units and bounds, and a value in Python.
+# Base classes of groups of settings: keys of a file with units and bounds, objects in Python.
 
 
 _SHAPES = {
@@ -51,16 +51,18 @@ class _Source(str):
     """A piece of source as `help` prints it: without quotes."""
 
     def __repr__(self) -> str:
+        """The text itself."""
         return str(self)
 
 
 class _Written:
-    """Descriptor of a group's class: its signature with the types and groups as they are written.
+    """Descriptor of the signature of a group of settings, with types as the source has them.
 
     Types are shown without bounds and units, a default that is a group by its class.
     """
 
     def __get__(self, group: object, owner: type[BaseModel]) -> inspect.Signature:
+        """Make the signature of the class `owner`; `group` is its instance, or None."""
         texts: dict[str, object] = {}
         for base in reversed(owner.__mro__):
             texts |= inspect.get_annotations(base)
@@ -82,11 +84,12 @@ class _Written:
 
 
 class Spec(BaseModel):
-    """A group of settings: frozen, finite, no unknown keys, built when first used.
+    """Base class of groups of settings: immutable, finite numbers, no unknown keys.
 
     The same class is read from a file and made in Python, by keys or by position, in SI or as text
     with a unit: `SafetySettings(overforce_time="150 ms")`. The docstring of a key is its row in
-    docs/scenario.md, and the hint where a file leaves out a key that it must give.
+    docs/scenario.md, and the hint in the message on a file without a required key. Validators are
+    built when the class is first used.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
@@ -95,36 +98,44 @@ class Spec(BaseModel):
 
     @classmethod
     def __pydantic_on_complete__(cls) -> None:
-        """Keep the signature: pydantic replaces it by one that spells out the types of all keys."""
+        """Restore the signature, which pydantic replaces by a signature with full types."""
         cls.__signature__ = _Written()
 
     def __init__(self, *values: Any, **keys: Any) -> None:
-        """Take values in the order of the keys, or by their names.
+        """Validate values, which are given in the order of the keys, or by their names.
+
+        Args:
+            *values: values of the first keys. **keys: values by the names of their keys.
 
         Raises:
-            InvalidInputError: with all complaints.
+            InvalidInputError: with a sentence for each invalid value.
         """
         names = list(type(self).model_fields)[: len(values)]
         try:
             super().__init__(**dict(zip(names, values, strict=True)), **keys)
         except ValidationError as error:
-            found = []
+            sentences = []
             for item in error.errors(include_url=False):
                 place = item["loc"]
                 text = sentence(item, type(self) if len(place) == 1 else None)
-                found.append(f"{'.'.join(map(str, place))}: {text}".removeprefix(": "))
-            raise InvalidInputError(f"{type(self).__name__}: {'; '.join(found)}") from error
+                sentences.append(f"{'.'.join(map(str, place))}: {text}".removeprefix(": "))
+            raise InvalidInputError(f"{type(self).__name__}: {'; '.join(sentences)}") from error
 
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # files need no call of it
 
     def replaced(self, **keys: object) -> Self:
-        """Copy with other values of some keys, which are checked.
+        """Copy the group with other values of some keys; all values are validated.
+
+        Keys that were never set are derived or have their defaults again.
+
+        Args:
+            **keys: new values by the names of their keys.
 
         Raises:
             InvalidInputError: the values do not fit together.
         """
-        given = {key: getattr(self, key) for key in self.model_fields_set}
-        return type(self)(**given | keys)
+        set_values = {key: getattr(self, key) for key in self.model_fields_set}
+        return type(self)(**set_values | keys)
 
 
 if TYPE_CHECKING:
@@ -139,16 +150,21 @@ else:
 
 
 class OrderedSpec(Spec, metaclass=_ByPosition):
-    """A group that programs make: keys without a default come first.
+    """Base class of groups that programs make by position, too; keys without a default come first.
 
-    Type checkers let it be made by position, too, of numbers in SI.
+    Type checkers accept values by position for it, as numbers in SI.
     """
 
 
 def one_of(known: Mapping[str, object]) -> AfterValidator:
-    """Accepts the names that are registered in `known` by then."""
+    """Make a validator of names.
+
+    Args:
+        known: mapping whose keys are the permitted names, as registered when a value is checked.
+    """
 
     def check(value: str) -> str:
+        """Return a permitted name; refuse any other one."""
         if value not in known:
             *names, last = map(repr, known)
             raise refuse(f"expected {', '.join(names)} or {last}; got {value!r}")
@@ -158,7 +174,7 @@ def one_of(known: Mapping[str, object]) -> AfterValidator:
 
 
 def refuse(text: str) -> PydanticCustomError:
-    """Build the error of a refused value; `text`: the mistake and its cure."""
+    """Make the error for an invalid value, from a sentence on the mistake and its cure."""
     return PydanticCustomError("refused", "{text}", {"text": text})
 
 
@@ -186,10 +202,11 @@ def _docstrings_of_keys(model: type) -> Mapping[str, str]:
 
 
 def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:
-    """Our wording of one of pydantic's complaints.
+    """Sentence on a validation error of pydantic, in the wording of this package.
 
     Args:
-        item: the complaint. owner: the model of its last key.
+        item: the error. owner: class of the group that has the last key of the error's place; None:
+            unknown.
     """
     kind = item["type"]
     context = item.get("ctx", {})
@@ -227,10 +244,11 @@ Q = TypeVar("Q", bound=float)
 
 
 class OfQuantity(Spec):
-    """Base that names a parametrised model after its quantity: `Step[a force]`."""
+    """Base class of generic groups that are named after their quantity: `Step[a force]`."""
 
     @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
+        """Name of the class with a quantity as its parameter; pydantic calls this method."""
         for mark in getattr(params[0], "__metadata__", ()):
             if isinstance(mark, Dimension):
                 return f"{cls.__name__}[{mark.kind}]"
@@ -239,13 +257,17 @@ class OfQuantity(Spec):
 
 @dataclass(frozen=True)
 class Dimension:
-    """One physical dimension: its article and name, and its units with their size in SI.
+    """Physical dimension of a key: ``Annotated[float, Dimension(...)]`` accepts 0.05 and "50 mm".
 
-    Used as ``Annotated[float, Dimension(...)]``: accepts a finite number or "50 mm"."""
+    Attributes:
+        kind: name with article, such as "a length".
+        units: size of each unit in SI, by its symbol.
+        open: True if the number may be infinite, which means no limit.
+    """
 
     kind: str
     units: dict[str, Decimal] = field(hash=False)
-    open: bool = False  #: whether it may be infinite: no limit
+    open: bool = False
 
     @property
     def expected(self) -> str:
@@ -254,10 +276,14 @@ class Dimension:
         return f"{self.kind} in {', '.join(shown)}" if shown else self.kind
 
     def parse(self, value: object) -> float:
-        """Return `value` in SI.
+        """Convert a value of a key to SI.
+
+        Args:
+            value: a number in SI, or text with a number and a unit.
 
         Raises:
-            PydanticCustomError: not a number, not finite, or a unit of another dimension."""
+            PydanticCustomError: not a number, not finite, or a unit of another dimension.
+        """
         if isinstance(value, str):
             number = self._parse_text(value)
         elif isinstance(value, Real) and not isinstance(value, bool):
@@ -272,7 +298,11 @@ class Dimension:
         return number
 
     def _parse_text(self, text: str) -> float:
-        """Convert text with a number and a unit, such as "5 mm", to SI."""
+        """Convert text with a number and a unit, such as "5 mm", to SI.
+
+        Raises:
+            PydanticCustomError: no number, or a unit of another dimension.
+        """
         match = _QUANTITY.fullmatch(text)
         if match is None:
             raise refuse(f"expected {self.expected}; got {text!r}, which is no number")
@@ -281,8 +311,8 @@ class Dimension:
             return float(digits)
         if unit not in self.units:
             kinds = [other.kind for other in _DIMENSIONS if unit in other.units]
-            why = f"which is {kinds[0]}" if kinds else f"and {unit!r} is not a known unit"
-            raise refuse(f"expected {self.expected}; got {text!r}, {why}")
+            clause = f"which is {kinds[0]}" if kinds else f"and {unit!r} is not a known unit"
+            raise refuse(f"expected {self.expected}; got {text!r}, {clause}")
         try:
             return float(Decimal(digits) * self.units[unit])
         except ArithmeticError:
@@ -291,11 +321,13 @@ class Dimension:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
+        """Schema of pydantic for a key of this dimension: `parse`, then bounds."""
         number = core_schema.float_schema(allow_inf_nan=self.open)
         return core_schema.no_info_before_validator_function(self.parse, number)
 
 
 def _units(sizes: str) -> dict[str, Decimal]:
+    """Parse the sizes of units in SI from text such as "m=1 mm=1e-3"."""
     pairs = (item.split("=") for item in sizes.split())
     return {unit: Decimal(size) for unit, size in pairs}
 
@@ -312,13 +344,19 @@ _JOINT_FORCE = Dimension("a joint force (torque or force)", _TORQUE.units | _FOR
 _JOINT_VALUE = Dimension("a joint value (length or angle)", _LENGTH.units | _ANGLE.units)
 
 
-def _rates(of: Dimension) -> tuple[Dimension, Dimension, Dimension]:
-    """The first three time derivatives of a quantity: mm/s, mm/s², mm/s³ (or s^2, s2)."""
+def _rates(quantity: Dimension) -> tuple[Dimension, Dimension, Dimension]:
+    """Dimensions of the first three time derivatives of a quantity.
+
+    Units are for example mm/s, mm/s² (also mm/s^2 and mm/s2) and mm/s³.
+    """
 
     def rate(power: str, *spellings: str) -> Dimension:
-        per = (power, *spellings)
-        units = {f"{u}/s{p}": size for p in per for u, size in of.units.items()}
-        return Dimension(f"{of.kind} per s{power}", units)
+        """Dimension of a derivative, with "²" or "³" as `power` and other spellings of it."""
+        units = {}
+        for exponent in (power, *spellings):
+            for unit, size in quantity.units.items():
+                units[f"{unit}/s{exponent}"] = size
+        return Dimension(f"{quantity.kind} per s{power}", units)
 
     return rate(""), rate("²", "^2", "2"), rate("³", "^3", "3")
 
@@ -363,7 +401,7 @@ NotEmpty = Annotated[tuple[T, ...], Field(min_length=1)]
 PositiveNumber = Positive[Number]
 NotNegativeNumber = NotNegative[Number]
 
-# What is limited up to there; .inf in a file: no limit, see `may_be_infinite`.
+# Limits, which may be infinite (.inf in a file): no limit, see `may_be_infinite`.
 Limit = Positive[Annotated[float, replace(_NUMBER, open=True)]]
 ForceLimit = Positive[Annotated[float, replace(_FORCE, open=True)]]
 LengthLimit = Positive[Annotated[float, replace(_LENGTH, open=True)]]
@@ -372,28 +410,37 @@ VelocityLimit = Positive[Annotated[float, replace(_LENGTH_RATES[0], open=True)]]
 
 
 def may_be_infinite(field: FieldInfo) -> bool:
-    """Whether a key is a limit that may be left out by .inf, also one that may be null."""
+    """True if a key, given by its declaration, is a limit that may be infinite (.inf in a file)."""
     parts = (field.annotation, *get_args(field.annotation))
     marks = [*field.metadata, *(mark for part in parts for mark in get_args(part)[1:])]
     return any(getattr(mark, "open", False) for mark in marks)
 
 
-def _three(what: str) -> BeforeValidator:
-    """Validator that refuses values other than sequences of three items."""
+def _three(expected: str) -> BeforeValidator:
+    """Make a validator that refuses values other than sequences of three items.
+
+    Args:
+        expected: description of a valid value, for the message.
+    """
 
     def check(value: object) -> object:
+        """Return a sequence of three items; refuse any other value."""
         if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 3:
-            raise refuse(f"expected {what}; got {value!r}")
+            raise refuse(f"expected {expected}; got {value!r}")
         return value
 
     return BeforeValidator(check)
 
 
 def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return v/|v|; a vector already of unit length comes back bit by bit.
+    """Normalise a direction; a vector of unit length is returned unchanged, bit by bit.
+
+    Args:
+        value: three numbers.
 
     Raises:
-        PydanticCustomError: |v| is zero (below 1e-12)."""
+        PydanticCustomError: its length is zero (below 1e-12) or infinite.
+    """
     norm = math.hypot(*value)
     if not 1e-12 < norm < math.inf:
         raise refuse(f"expected a direction [x, y, z]; got {list(value)}, whose length is {norm:g}")
