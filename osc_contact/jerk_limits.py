@@ -270,9 +270,9 @@ class _Fastest:
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             raise SolverError(str(result))
         self.duration = float(self._trajectory.duration)
-        error = np.abs(self.at_time(self.duration)[0] - goal)
-        if not (error <= _END * (unit + np.abs(goal - x))).all():
-            raise SolverError(f"ruckig's trajectory ends {error} from the goal")
+        distance = np.abs(self.at_time(self.duration)[0] - goal)
+        if not (distance <= _END * (unit + np.abs(goal - x))).all():
+            raise SolverError(f"ruckig's trajectory ends {distance} from the goal")
 
     def at_time(self, t: float) -> Array:
         """Position, velocity and acceleration (3, n) at the time t (s)."""

@@ -330,8 +330,7 @@ def require_consistent(
         f"{names}: singular at this instant. Their forces are dependent, but the accelerations "
         f"that keep them are not: column {worst} needs n_γ = {n_gamma[worst]:.6g}, the others "
         f"imply {independent @ R[:, worst]:.6g}. Drop one of these contacts, or move through this "
-        "pose slower "
-        "or with the others released"
+        "pose slower or with the others released"
     )
 
 
