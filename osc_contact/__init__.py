@@ -64,7 +64,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
         SolverError,
         ViewerError,
     )
-    from osc_contact.interface import Measurement, Reference, Robot, pose_reference
+    from osc_contact.interface import Measurement, Reference, Robot, Stamps, pose_reference
     from osc_contact.jerk_limits import JerkLimits
     from osc_contact.lab.checks.preflight import preflight
     from osc_contact.lab.plants.mujoco_arm import MujocoArm
@@ -144,6 +144,7 @@ __all__ = [
     "SafetySettings",
     "SafetyState",
     "Measurement",
+    "Stamps",
     "Reference",
     "pose_reference",
     "SetPoint",

@@ -84,6 +84,23 @@ def test_readings_that_grow_old_are_not_run_on(case, late):
     assert "no new readings" in controller.reason
 
 
+@parametrize(
+    "given, sentence",
+    [
+        ({"stamps": 0.25}, "stamps is 0.25; give osc.Stamps(encoders=t, wrists=t)"),
+        ({"stamps": Stamps("now")}, "stamps is Stamps(encoders='now'"),
+        ({"sequence": "packet 7"}, "sequence is 'packet 7'; give the number of the packet"),
+        ({"touched": 3}, "touched takes a Touched, got 3; give osc_contact.interface.Touched("),
+    ],
+)
+def test_readings_of_other_types_are_held_and_named(case, given, sentence):
+    controller = case.controller()
+    ticked(controller, case.measurement, case.reference)
+    assert np.isfinite(controller.tick(replace(case.measurement, **given), case.reference)).all()
+    assert controller.status is osc.Status.HELD
+    assert sentence in controller.reason
+
+
 @parametrize("bad", [NAN, 1e6, 0.5])
 def test_an_observed_arm_runs_on_after_one_bad_encoder_sample(bad):
     rig = rig_of("workcell")

@@ -86,7 +86,11 @@ class Driver:
                 number = min(number, 10)
             case "stale stamps":
                 encoders = 1
-        stamps = osc.interface.Stamps(1e-3 * encoders, wrists=1e-3 * self.ticks)
+        stamps = osc.Stamps(encoders=1e-3 * encoders, wrists=1e-3 * self.ticks)
+        if self.fault == "one number" and self.ticks > 1:
+            stamps = 0.25
+        if self.fault == "text for a number" and self.ticks > 1:
+            number = "packet 7"
         return osc.Measurement(q, v, w, sequence=number, stamps=stamps)
 
     def command(self, tau, duration):
@@ -135,6 +139,8 @@ def test_a_robot_without_a_model_or_with_a_joint_without_motor_is_refused_with_a
         "blocked": r"joint 'arm/base' does not move with .* brakes engaged",
         "stale stamps": r"stamps \(Stamps\(encoders=0.001, .* do not advance",
         "stale sequence": r"sequence \(10\) do not advance",
+        "one number": r"stamps is 0.25; give osc.Stamps\(encoders=t, wrists=t\)",
+        "text for a number": "sequence is 'packet 7'; give the number of the packet",
     },
 )
 def test_what_is_wrong_is_reported(fault, sentence):

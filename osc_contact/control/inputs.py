@@ -1,13 +1,14 @@
 """Input of a tick: checks of sizes and types, detection of repeated readings."""
 
 from collections.abc import Iterator
+from numbers import Real
 
 import numpy as np
 
 from osc_contact.control.controller_settings import Settings
 from osc_contact.control.records import STILL, UNNAMED, TickRecords
-from osc_contact.errors import InvalidInputError
-from osc_contact.interface import Measurement, Reference, Touched, as_numbers
+from osc_contact.errors import InvalidInputError, brief, require_kind
+from osc_contact.interface import Measurement, Reference, Stamps, Touched, as_numbers
 from osc_contact.law import tick as law
 from osc_contact.law.records import JOINTS, OUTDATED, WRISTS
 from osc_contact.spatial import Array, as_array
@@ -51,8 +52,10 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
     c = len(settings.contacts)
     for name, value, shape in _arrays(measurement, reference, settings):
         as_array(name, value, shape)
+    require_stamps(measurement)
     touched = measurement.touched
     if touched is not None:
+        require_kind("touched", touched, Touched, "osc_contact.interface.Touched(X_WE, V_E, A_E)")
         as_array("touched X_WE", touched.X_WE, (c, 4, 4))
         as_array("touched V_E", touched.V_E, (c, 6))
         as_array("touched A_E", touched.A_E, (c, 6))
@@ -77,6 +80,28 @@ def _require_force(name: str, forces: float | Array) -> None:
     """
     if np.abs(forces).max(initial=0.0) > 1e6:
         raise InvalidInputError(f"reference {name}: {forces} N; no robot presses with 1e6 N")
+
+
+def require_stamps(measurement: Measurement) -> None:
+    """Refuse stamps and packet numbers that cannot be compared with earlier ones.
+
+    Args:
+        measurement: readings whose `stamps` and `sequence` are checked.
+
+    Raises:
+        InvalidInputError: `stamps` is no `Stamps` of numbers, or `sequence` is no number.
+    """
+    stamps = measurement.stamps
+    number = measurement.sequence
+    if stamps is not None:
+        times = (stamps.encoders, stamps.wrists) if isinstance(stamps, Stamps) else (None,)
+        if not all(isinstance(time, Real) for time in times):
+            raise InvalidInputError(
+                f"stamps is {brief(stamps)}; give osc.Stamps(encoders=t, wrists=t), the times of "
+                "the readings in s by the clock of the robot"
+            )
+    if number is not None and not isinstance(number, Real):
+        raise InvalidInputError(f"sequence is {brief(number)}; give the number of the packet")
 
 
 def require_shapes(measurement: object, reference: object, settings: Settings) -> None:

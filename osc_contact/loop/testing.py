@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from osc_contact.control.inputs import Freshness
+from osc_contact.control.inputs import Freshness, require_stamps
 from osc_contact.control.start_check import judge_load, require_start
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import InvalidInputError, PlantError
@@ -136,7 +136,8 @@ class HeldRobot:
         """Read the next measurement.
 
         Raises:
-            PlantError: wrong sizes, numbers that are not finite, or stamps that do not advance.
+            PlantError: wrong sizes, numbers that are not finite, stamps of other types, or stamps
+                that do not advance.
         """
         m = self.robot.measure()
         n = self.chain.nq
@@ -145,6 +146,10 @@ class HeldRobot:
             given = np.asarray(getattr(m, name))
             if given.shape != shape or not np.isfinite(given).all():
                 raise PlantError(f"measure(): {name} is {given.tolist()}; give {shape} numbers")
+        try:
+            require_stamps(m)
+        except InvalidInputError as error:
+            raise PlantError(f"measure(): {error}") from error
         if self.fresh.look(m) & OUTDATED or self.fresh.repeated > MOST_REPEATED:
             raise PlantError(
                 f"measure(): stamps ({m.stamps}) or sequence ({m.sequence}) do not advance; give "
