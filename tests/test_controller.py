@@ -30,6 +30,7 @@ from scenario_runs import first_inputs
 
 import osc_contact as osc
 from osc_contact.control.controller import Controller
+from osc_contact.control.packing import pack_model
 from osc_contact.lab.scenarios.loader import parse_scenario
 from paper.diagrams import BLOCKS
 
@@ -196,6 +197,59 @@ def limp():
 def test_bad_settings_are_refused(rig, make, words):
     with raises((osc.InvalidInputError, osc.ModelError), match=words):
         make(rig)
+
+
+def settings_with(settings, group, **changed):
+    """Settings with other values in one of their groups, a group of `gains` by its own name."""
+    if group in ("motion", "force"):
+        own = getattr(settings.gains, group).replaced(**changed)
+        return replace(settings, gains=settings.gains.replaced(**{group: own}))
+    return replace(settings, **{group: getattr(settings, group).replaced(**changed)})
+
+
+def settings_without_effect(settings, group, keys):
+    """Keys of a group that may change without a change of MODEL."""
+    before = bytes(pack_model(settings, {}))
+    own = getattr(settings.gains if group in ("motion", "force") else settings, group)
+    idle = set()
+    for key in keys:
+        value = getattr(own, key)
+        other = 40.0
+        if isinstance(value, int):
+            other = (not value) if isinstance(value, bool) else value + 1
+        elif value is not None and 0.0 < value < np.inf:
+            other = 0.9 * value
+        elif value is not None:
+            other = 0.1
+        if bytes(pack_model(settings_with(settings, group, **{key: other}), {})) == before:
+            idle.add(key)
+    return idle
+
+
+@parametrize(
+    "group, elsewhere",
+    [
+        ("motion", set()),
+        ("force", set()),
+        ("posture_task", set()),
+        ("friction", set()),
+        ("life", set()),
+        ("joint_friction", set()),
+        ("safety", {"load_error"}),  # compared in Python, before the first contact
+    ],
+)
+def test_every_setting_reaches_the_law(rig, group, elsewhere):
+    """A key whose field in MODEL is missing, or has another name, would have no effect."""
+    settings = replace(
+        rig.controller().settings,
+        gains=GAINS,
+        friction=osc.Friction(mu=0.3),
+        life=osc.PhaseSettings(),
+        joint_friction=osc.JointFriction(errors=False),
+    )
+    own = getattr(settings.gains if group in ("motion", "force") else settings, group)
+    keys = set(type(own).model_fields) - set(getattr(own, "serving", ()))
+    assert settings_without_effect(settings, group, keys) == elsewhere
 
 
 # --- settings are taken once, controllers share nothing ------------------------------------------

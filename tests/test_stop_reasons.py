@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from pytest import fixture
+from pytest import fixture, raises
 from samples import parametrize
 from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.lab.runs.run import start
-from osc_contact.law.reasons import CODES, LASTING, SENTENCES
+from osc_contact.law.reasons import CODES, LASTING, SENTENCES, declare_reason
 from osc_contact.loop.recorder import Recorder
 
 SAFE_STOP = osc.SafetyState.SAFE_STOP
@@ -89,6 +89,12 @@ def at_fault(of, fault):
         case "arms":
             return of.chain.arms[ROWS["arms"]].name
     return ""
+
+
+@parametrize("name, code", [("STUCK", 99), ("CHANNEL_DEAD", CODES["STUCK"])])
+def test_a_reason_with_the_name_or_code_of_another_names_it(name, code):
+    with raises(ValueError, match=f"reason {name}, code {code}: STUCK has code {CODES['STUCK']}"):
+        declare_reason(name, code, "")
 
 
 @parametrize("held", HELD)

@@ -24,7 +24,11 @@ def declare_reason(name: str, code: int, sentence: str) -> int:
         ValueError: another reason has this name or this code.
     """
     if name in CODES or code in SENTENCES:
-        raise ValueError(f"reason {code}, {name}: another one has its code or name")
+        owner = next((other for other, used in CODES.items() if used == code), name)
+        raise ValueError(
+            f"reason {name}, code {code}: {owner} has code {CODES[owner]}; give another name or "
+            f"code, below {LASTING} for a reason that ends with its tick"
+        )
     CODES[name] = code
     SENTENCES[code] = sentence
     return code
