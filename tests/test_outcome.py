@@ -149,6 +149,23 @@ def test_each_word_has_its_threshold(row):
     assert sentence in "\n".join(lines)
 
 
+def test_a_contact_that_is_not_active_is_not_judged():
+    """It is not lost, its force is none; active again it is judged."""
+    spans = "active.left_end=[[0 s, 1.5 s], [2.5 s, 9 s]]"
+    recording = run_of("two_contact_rod", spans, duration=4.0)
+    left = recording["alpha_cmd"][:, 0]
+    active = recording["contact_phase"][:, 0] != 0
+    assert (left[active] > 0.0).all() and not left[~active].any()
+    assert 900 < np.count_nonzero(~active) < 1100
+    task = osc.metrics(recording)["task"]
+    assert task["word"] == "OK", task
+    never = changed("closed", 0, TICKS, 0) | changed("alpha_cmd", 0, TICKS, 0.0)
+    approached = never | changed("contact_phase", 0, TICKS, 1)
+    assert osc.metrics(made(**approached))["task"]["word"] == "LOST"
+    resting = never | changed("contact_phase", 0, TICKS, 0)
+    assert osc.metrics(made(**resting))["task"]["word"] == "OK"
+
+
 def test_the_gravest_word_is_given_and_every_reason():
     both = changed("closed", 2000, 2100, 0) | changed("status", 1500, 1501, 2)
     task = osc.metrics(made(**both))["task"]

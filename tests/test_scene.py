@@ -131,6 +131,22 @@ def test_a_lost_contact_turns_grey_and_its_true_force_vanishes(shown):
     assert np.ptp([*paint[f"{LEFT}/lost/line/rod"].to_bytes(3)]) < 16, "grey"
 
 
+def test_a_contact_that_is_not_active_is_faint_and_without_a_command(tmp_path):
+    """The page of a controller that knows it; neither lost nor among what N holds."""
+    phase = np.full((101, 2), 2)
+    phase[40:, 0] = 0
+    shown = Shown(write(tmp_path, changed(contact_phase=phase)))
+    for frame in (3, 5, 7):
+        known = frame > 3
+        assert shown.seen(f"{LEFT}/known/line/rod", frame) == known
+        for part in ("closed/line/rod", "lost/line/rod", "commanded/shaft/rod"):
+            assert shown.seen(f"{LEFT}/{part}", frame) == (not known and part[0] != "l"), part
+        assert shown.seen(f"{RIGHT}/closed/line/rod", frame)
+        assert sum(shown.seen(f"/meshcat/twists/{i}", frame) for i in range(6)) == 4 + known
+    opacity = {path: one["materials"][0]["opacity"] for path, one in shown.objects.items()}
+    assert 3 * opacity[f"{LEFT}/known/line/rod"] < opacity[f"{LEFT}/lost/line/rod"]
+
+
 @parametrize("frame, count", {2: 4, 5: 5, 9: 4})  # the left one is lost at 5
 def test_twist_axes_are_motions_that_the_closed_contacts_permit(shown, frame, count):
     """The velocity of each contact point, moved as drawn, has no part along the force.

@@ -199,12 +199,15 @@ class Recorder:
         try:
             self._read_records()
             parts: tuple[np.ndarray[Any, Any], ...]
-            parts = (measurement.q, measurement.v, reference.alpha_d, self._found)
+            command = reference.alpha_d
+            if reference.active is not None:  # there is no command for contacts that are not active
+                command = command * (np.asarray(reference.active) != 0)[self.of.owners]
+            parts = (measurement.q, measurement.v, command, self._found)
             if self.truth is None:
                 touched = measurement.touched
                 parts += (self._still if touched is None else np.ravel(touched.X_WE),)
             np.concatenate(parts + known, out=row)
-        except (InvalidInputError, TypeError, ValueError):  # held: no result, or misshapen
+        except (InvalidInputError, TypeError, ValueError, IndexError):  # no result, or misshapen
             np.concatenate((self._unknown, *known), out=row)
         if self.truth is not None:
             self.truth.note()

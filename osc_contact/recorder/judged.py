@@ -2,7 +2,7 @@
 
 The phases of a contact are approach, landing and closed contact. A force is judged only in the last
 one; the approach has no force, and the landing is judged by its overshoot. After the landing all
-ticks count, even if the contact is lost, until no force is commanded.
+ticks count, even if the contact is lost, until no force is commanded and the contact is not active.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,7 +16,9 @@ from osc_contact.recorder.recording import Recording
 SETTLE_S = 1.0  #: time from which a run is judged (s)
 LANDING_S = 0.35  #: time from the closing of a contact until its force is judged (s)
 STEP_BLANK_S = 0.05  #: time after the rise of a force step during which forces are not judged (s)
-CLOSED = 2  #: value of channel `contact_phase` of a contact that the controller treats as closed
+#: Values of channel `contact_phase` of contacts that are not active, and that the controller treats
+#: as closed.
+OPEN, CLOSED = 0, 2
 READ = ("t", "alpha_cmd", "closed", "contact_phase")  #: channels that are read
 
 Array = npt.NDArray[np.float64]
@@ -29,7 +31,7 @@ class JudgedTicks:
     Attributes:
         columns: (r,) index of the contact of each force magnitude.
         landed: for each contact, the time at which it first closed (s); None: not yet.
-        open: for each contact, True while a force is commanded but the contact has not closed.
+        open: for each contact, True while it is commanded but has not closed.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -59,7 +61,7 @@ class JudgedTicks:
         whole = t >= SETTLE_S - 1e-9
         for i in range(len(self.landed)):
             commanded = (piece["alpha_cmd"][:, self.columns == i] != 0.0).any(axis=1)
-            commanded |= piece["contact_phase"][:, i] == CLOSED
+            commanded |= piece["contact_phase"][:, i] != OPEN
             closed = np.asarray(piece["closed"], dtype=bool)[:, i]
             contacts[:, i] = self._settled(i, t, commanded, closed)
             whole &= contacts[:, i] | ~commanded
@@ -74,7 +76,7 @@ class JudgedTicks:
         Args:
             i: index of the contact.
             t: (k,) times (s).
-            commanded: (k,) whether a force is commanded.
+            commanded: (k,) whether a force is commanded, or contact with none.
             closed: (k,) whether the contact is closed.
         """
         settled = np.zeros(len(t), dtype=bool)

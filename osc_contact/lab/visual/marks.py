@@ -3,7 +3,8 @@
 The length of an arrow is 10 mm per newton (100 mm per N m of a couple); its tip is at the contact,
 and its direction is that in which the object pushes into the environment. The true force is on its
 line; the commanded one is a wide, pale arrow around it; the measured one is thin and black and
-displaced, so that it is visible even if it equals the true force. A lost contact is grey.
+displaced, so that it is visible even if it equals the true force. A lost contact is grey; a known
+one that is not active is faint.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 
 LOST = "#8E939A"
+FAINT = 0.22  #: opacity of contacts that are not active
 BLACK = "#15181C"
 LINE_LENGTH = 0.7
 LINE = (-0.5 * LINE_LENGTH, 0.5 * LINE_LENGTH)
@@ -131,10 +133,12 @@ class ContactForce(Part):
         from meshcat.geometry import Cylinder, Sphere
 
         node = scene[self.path]
-        for state, colour, opacity in (("closed", self.colour, 1.0), ("lost", LOST, 0.7)):
+        looks = (("closed", self.colour, 1.0), ("lost", LOST, 0.7), ("known", self.colour, FAINT))
+        for state, colour, opacity in looks:
             paint = plain(colour, opacity)
             node[f"{state}/point"].set_object(Sphere(0.0065), paint)
-            node[f"{state}/patch"].set_object(Cylinder(0.005, 0.024), plain(colour, 0.5))
+            patch = plain(colour, min(opacity, 0.5))
+            node[f"{state}/patch"].set_object(Cylinder(0.005, 0.024), patch)
             cylinder(node[f"{state}/line/rod"], paint, LINE, 0.002)
             if self.pitch:
                 path = helix(0.0 if self.couple else self.pitch, *WRENCH_HELIX)
@@ -155,17 +159,18 @@ class ContactForce(Part):
     def states(self, samples: Samples) -> Frames:
         """Poses, lengths and visibility of the marks."""
         poses, _ = self._place(samples)
-        known, pressed = (flags[:, self.column] for flags in samples["normals"][1:])
+        known, pressed, active = (flags[:, self.column] for flags in samples["normals"][1:])
         frames = {
             self.path: States(poses),
-            f"{self.path}/closed": States(visible=pressed),
-            f"{self.path}/lost": States(visible=known & ~pressed),
+            f"{self.path}/closed": States(visible=pressed & active),
+            f"{self.path}/lost": States(visible=known & active & ~pressed),
+            f"{self.path}/known": States(visible=known & ~active),
         }
         unit = METRES_PER_NEWTON_METRE if self.couple else METRES_PER_NEWTON
         longest = np.zeros(len(poses))
         for arrow in self.arrows:
             alpha = samples[arrow.channel][:, self.column]
-            drawn = pressed if arrow.name == "true" else known
+            drawn = pressed if arrow.name == "true" else known & active
             path = f"{self.path}/{arrow.name}"
             frames[path] = States(visible=drawn & (alpha > SHOWN_FROM))
             frames |= arrow_states(path, unit * alpha)
@@ -192,7 +197,7 @@ class ContactForce(Part):
         At ticks without a known contact the last pose is kept. Pitches (m) are those of the other
         ticks.
         """
-        N, known, _ = samples["normals"]
+        N, known, *_ = samples["normals"]
         here = known[:, self.column]
         points = samples["contact_point"][here, self.contact]
         foot, directions, pitches = wrench_screw(N[here, :, self.column], samples["pose"][here, :3])
@@ -207,10 +212,11 @@ def legend(forces: Sequence[ContactForce]) -> list[LegendEntry]:
     """Colours of the contacts, and the check boxes that all contacts share."""
     if not forces:
         return []
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (one.words, one.look, f"{one.name}/shaft", f"{one.name}/head") for one in forces[0].arrows
     ]
-    rows.append(("N: lines of force (grey: contact lost)", "line", "closed/line", "lost/line"))
+    words = "N: lines of force (grey: contact lost, faint: not active)"
+    rows.append((words, "line", *(f"{state}/line" for state in ("closed", "lost", "known"))))
     entries = [LegendEntry(force.colour, force.words) for force in forces]
     for words, look, *names in rows:
         paths = tuple(f"{force.path}/{name}" for force in forces for name in names)
@@ -302,7 +308,8 @@ def _screws(samples: Samples) -> tuple[Array, Array, NDArray[np.bool_]]:
         Poses (F, 6, 7) whose y-axes are the axes; pitches (F, 6) (m/rad); flags (F, 6) of the
         axes that exist. The pitch of the others is zero.
     """
-    N, _, pressed = samples["normals"]
+    N, _, closed, active = samples["normals"]
+    pressed = closed & active
     bases = [tangents(one[:, held_by]).T for one, held_by in zip(N, pressed, strict=True)]
     counts = np.array([len(basis) for basis in bases])
     there = np.arange(6) < counts[:, None]

@@ -102,12 +102,14 @@ class Normals(NamedTuple):
     Attributes:
         N: (F, 6, r) at O, world axes; columns that are not known are zero.
         known: (F, r) whether the contact's place was recorded at the tick.
-        pressed: (F, r) whether it is also closed, so that N really holds the column.
+        pressed: (F, r) whether it is also closed.
+        active: (F, r) whether the controller has it in its N; True where that was not recorded.
     """
 
     N: Array
     known: NDArray[np.bool_]
     pressed: NDArray[np.bool_]
+    active: NDArray[np.bool_]
 
 
 def contact_normals(samples: Mapping[str, Array], owners: Sequence[int] = ()) -> Normals:
@@ -122,7 +124,10 @@ def contact_normals(samples: Mapping[str, Array], owners: Sequence[int] = ()) ->
     """
     directions = samples["contact_direction"]
     points = samples["contact_point"]
-    closed = np.asarray(samples.get("closed", np.ones(points.shape[:2])), dtype=bool)
+    always = np.ones(points.shape[:2])
+    closed, active = (
+        np.asarray(samples.get(key, always), dtype=bool) for key in ("closed", "contact_phase")
+    )
     arms = points - samples["pose"][:, None, :3]
     N = np.concatenate([directions, np.cross(arms, directions)], axis=2).transpose(0, 2, 1)
     owner = np.arange(points.shape[1])
@@ -133,7 +138,7 @@ def contact_normals(samples: Mapping[str, Array], owners: Sequence[int] = ()) ->
     known = located[:, owner] & np.isfinite(N).all(axis=1)
     N = np.where(known[:, None], N, 0.0)
     known &= N.any(axis=1)
-    return Normals(N, known, known & closed[:, owner])
+    return Normals(N, known, known & closed[:, owner], active[:, owner])
 
 
 def tangents(N: Array) -> Array:

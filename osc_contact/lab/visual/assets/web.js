@@ -91,6 +91,7 @@ function drawForce(force, picture, index) {
   const touches = values.true > 0;
   nodeAt(`${force.path}/closed`).set_property("visible", touches);
   nodeAt(`${force.path}/lost`).set_property("visible", !touches);
+  nodeAt(`${force.path}/known`).set_property("visible", false);
   let longest = 0;
   for (const name of force.arrows) {
     const length = force.unit * values[name], head = CONFIG.task.head, size = Math.min(1, Math.max(length, 1e-6) / head);
