@@ -67,6 +67,28 @@ def test_dimensions(found, rig):
     assert matrix_rank(np.hstack([found.N, found.T])) == 6
 
 
+def test_sets_of_contacts_are_listed_with_known_ones(found):
+    """N is that of the set at the start; a stage has the motions that its own contacts leave."""
+    spans = ("active.left_end=[[1 s, 1.5 s], [2 s, 99 s]]", "active.right_end=[[0 s, 2 s]]")
+    sets = inspect_rig(rig_of("two_contact_rod", *spans))
+    assert [line for line in sets.lines if line.startswith("active from")] == [
+        "active from 0 s to 1 s: 'right_end' (r = 1, 4 motions free); known, not active: "
+        "'left_end'.",
+        "active from 1 s to 1.5 s: 'left_end', 'right_end' (r = 2, 3 motions free).",
+        "active from 1.5 s to 2 s: 'right_end' (r = 1, 4 motions free); known, not active: "
+        "'left_end'.",
+        "active from 2 s to 10 s: 'left_end' (r = 1, 4 motions free); known, not active: "
+        "'right_end'.",
+    ]
+    assert sets.contacts == ("right_end",) and sets.free.shape == (6, 4)
+    assert_near(sets.N, found.N[:, 1:])
+    sentence(sets, "1 contact(s) constrain r = 1", "4 motions stay free")
+    sentence(sets, "contact 'left_end': force along")
+    none = inspect_rig(rig_of("two_contact_rod", "active.left_end=[]", "active.right_end=[]"))
+    assert none.r == 0 and none.N.shape == (6, 0) and none.conditioning == 1.0
+    sentence(none, "active from 0 s to 10 s: none (r = 0, 5 motions free)")
+
+
 def test_free_motions_keep_loops_and_contacts_closed(found, rig):
     """A small step along each: every arm can follow it, and no gap opens to first order."""
     chain = rig.chain

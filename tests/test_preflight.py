@@ -73,6 +73,71 @@ def test_what_is_doubtful_is_reported_at_every_door(change, words, caplog):
         assert words in caplog.text and words in recording.meta["doubts"][0]
 
 
+# --- sets of active contacts ----------------------------------------------------------------------
+
+
+def doubts(*changes):
+    """Sentences about the rod with changes."""
+    return "\n".join(one.text for one in osc.preflight(rig_of("two_contact_rod", *changes)))
+
+
+def test_forces_of_contacts_that_are_not_active_are_not_counted():
+    """Each contact of the rod is pressed with 190 N, which only one at a time bears."""
+    hard = ("force.left_end=[{type: constant, value: 190 N}]", "force.right_end.0.value=190 N")
+    hard += ("control.safety.wrist_ceiling=300 N", "control.safety.contact_ceiling=300 N")
+    turns = ("active.left_end=[[0 s, 5 s]]", "active.right_end=[[5 s, 99 s]]")
+    assert "the sum of all commanded forces is 394 N" in doubts(*hard)
+    assert "sum of all" not in doubts(*hard, *turns)
+    one, two = (rig_of("two_contact_rod", *more) for more in (turns, ()))
+    assert one.safety.wrist_ceiling < two.safety.wrist_ceiling
+
+
+LIFTED = (
+    "motion=[{kind: linear, direction: [0, 0, 1], signals: [{type: minimum_jerk, value: 30 mm, "
+)
+LIFTED += "start: 1 s, duration: 1 s}]}]"
+
+
+def test_a_motion_may_leave_contacts_that_are_not_active():
+    """One that becomes active later is approached from where it is, or taken as closed there."""
+    off = "contact 'left_end', which does not permit it"
+    assert off in doubts(LIFTED)
+    away = ("active.left_end=[[0 s, 0.9 s]]", "active.right_end=[[0 s, 0.9 s]]")
+    assert doubts(LIFTED, *away) == ""
+    late = ("active.left_end=[[0 s, 0.9 s], [2.5 s, 99 s]]", away[1])
+    assert doubts(LIFTED, *late) == ""
+    assert off in doubts(LIFTED, "active.left_end=[[0 s, 1.5 s]]", away[1])
+    closed = doubts(LIFTED, *late, "control.life=off")
+    assert "'left_end' becomes active at t = 2.5 s, where the motion has it 25 mm away" in closed
+    assert "have it approached (control.life)" in closed
+
+
+def test_each_set_of_contacts_is_tried_once_before_the_run():
+    """Two contacts on one line of force but on two bodies cannot be controlled together."""
+    data = rig_of().scenario.as_dict()
+    again = {**data["contacts"][0], "name": "again", "face": {**data["contacts"][0]["face"]}}
+    again["face"]["motion"] = {
+        "type": "cart",
+        "direction": [0, 0, 1],
+        "mass": 2.0,
+        "stiffness": 1e4,
+    }
+    data["contacts"] = [*data["contacts"], again]
+    data["force"]["again"] = [{"type": "constant", "value": 5.0}]
+    words = "left_end and right_end and again, active together from t = 2 s on, cannot be"
+    data["active"] = {"again": [[2.0, 99.0]]}
+    with scenario_error(words):
+        osc.run(osc.Scenario.from_dict(data))
+    data["active"] |= {"left_end": [[0.0, 2.0]]}
+    found = osc.preflight(osc.build_rig(osc.Scenario.from_dict(data)))
+    assert not any(one.refused for one in found)
+
+
+def test_a_span_of_time_ends_after_it_begins():
+    with scenario_error(r"expected \[from, to\] with to > from, got \[2 s, 1 s\]"):
+        rig_of("two_contact_rod", "active.left_end=[[2 s, 1 s]]")
+
+
 ELSEWHERE = {
     "table 1 m away": ("panda_edge", "mm away from", "environment.table.pose.xyz=[1.5, 0, 0.32]"),
     "board 1 m below": (

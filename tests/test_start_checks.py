@@ -56,6 +56,24 @@ def refuse(rig, references, words):
     return robot
 
 
+def test_named_contacts_are_checked_set_by_set(rig):
+    """Forces of contacts that are not active do not count; a short set is found."""
+    references = [replace(one, active=np.ones(2)) for one in plan(rig, 3000)]
+    hard = [replace(one, alpha_d=np.full(2, 190.0)) for one in references]
+    for k, one in enumerate(hard):
+        one.active[(k // 7) % 2] = 0.0
+    controller = rig.controller().with_safety(
+        rig.safety.replaced(contact_ceiling=300.0, wrist_ceiling=300.0)
+    )
+    sentences = [one.text for one in osc.preflight(Robot(rig), controller, hard)]
+    assert not any("sum of all" in text for text in sentences)
+    both = hard[:1500] + [replace(hard[0], active=np.ones(2))] + hard[1500:]
+    (found,) = [
+        one.text for one in osc.preflight(Robot(rig), controller, both) if "sum of all" in one.text
+    ]
+    assert "at t = 1.5 s, above safety.wrist_ceiling" in found
+
+
 def test_what_is_refused_ends_the_loop_before_the_first_command_and_stops_the_robot(rig):
     bad = [replace(one, alpha_d=-one.alpha_d) for one in plan(rig)]
     robot = refuse(rig, bad, r"cannot pull(.|\n)*check=False leaves it out")

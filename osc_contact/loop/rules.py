@@ -111,6 +111,10 @@ class Task:
         rests: for each contact, whether its body is at rest. kept_from: time from which on contacts
             are to be maintained (s).
         bound: whether contacts without a desired force are maintained, too.
+        active: (k, contacts) named active contacts at `times`, 1 or 0; None: none are named. Forces
+            of contacts that are not active are 0.
+        trial: function that makes a controller with its contacts engaged, to be ticked once, and a
+            measurement for it; None: no set is tried.
         squeezes: (k,) sums of the internal forces (N). commanded: (k, 6) V_D. Both are empty if
             they are not checked.
         controller, measured, scene: controller of the run, present measurement of its robot, and
@@ -136,6 +140,8 @@ class Task:
     rests: Sequence[bool]
     bound: bool
     kept_from: float = 0.0
+    active: Array | None = None
+    trial: Callable[[], tuple[Controller, Measurement]] | None = None
     rehearsed: int | None = None
     rates: Array = field(default_factory=partial(np.zeros, (0, 6)))
     twists: Array = field(default_factory=partial(np.zeros, (0, 6)))

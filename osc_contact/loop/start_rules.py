@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
+from functools import partial
 from itertools import chain as joined
 from itertools import islice
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import daqp
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from osc_contact.contacts.feet import contact_at, force_owners
 from osc_contact.contacts.pairs.pair import pushes_only
@@ -135,6 +137,8 @@ def task_of_robot(
         raise InvalidInputError(f"the robot measures {len(q)} joints of {chain.nq}")
     state = chain.state(q)
     looks = _looks(given)
+    active = _active_contacts([given[k] for k in looks], len(pairs))
+    forces = np.array([given[k].alpha_d for k in looks])
     following = looks[looks < len(given) - 1]
     names = column_names([pair.name for pair in pairs], owners.tolist())
     return Task(
@@ -150,7 +154,9 @@ def task_of_robot(
         contact=contact_at(pairs, state.X_WO),
         times=looks * dt,
         poses=np.array([pin.SE3ToXYZQUAT(given[k].X_WD) for k in looks]),
-        forces=np.array([given[k].alpha_d for k in looks]),
+        forces=forces if active is None else forces * active[:, owners],
+        active=active,
+        trial=partial(_engaged_copy, controller, measured),
         rates=_rows_of_six([_displacement(given[k], given[k + 1]) / dt for k in following]),
         twists=_rows_of_six([0.5 * (given[k].V_D + given[k + 1].V_D) for k in following]),
         squeezes=np.array([np.abs(given[k].squeeze_d).sum() for k in looks]),
@@ -165,6 +171,21 @@ def task_of_robot(
         measured=measured,
         scene=robot.scene() if hasattr(robot, "scene") else None,
     )
+
+
+def _active_contacts(given: Sequence[Reference], contacts: int) -> Array | None:
+    """Active contacts (k, contacts) of references, 1 or 0; None if none of them names any."""
+    if all(one.active is None for one in given):
+        return None
+    every = np.ones(contacts)
+    return np.array([every if one.active is None else one.active != 0 for one in given], float)
+
+
+def _engaged_copy(controller: Controller, measured: Measurement) -> tuple[Controller, Measurement]:
+    """Copy of a controller with its contacts engaged, and the measurement."""
+    trial = copy(controller)
+    trial.engaged = True
+    return trial, measured
 
 
 def _rows_of_six(twists: Sequence[Array]) -> Array:
@@ -202,14 +223,16 @@ def _reading(robot: Measures, controller: Controller, first: Reference) -> Measu
 
 
 def _looks(given: Sequence[Reference]) -> Array:
-    """Indices of references that are checked: evenly spaced ones and those with extreme values."""
+    """Indices of references that are checked: evenly spaced, extreme, with new active contacts."""
     step = -(-len(given) // MOST_COMPARED)
     places = np.array([one.X_WD.translation for one in given[::step]])
     forces = np.array([one.alpha_d for one in given[::step]])
     numbers = np.hstack((places, forces.reshape(len(places), -1)))
     extreme = step * np.append(numbers.argmin(axis=0), numbers.argmax(axis=0))
     even = np.linspace(0, len(given) - 1, LOOKS).astype(int)
-    return np.unique(np.append(even, extreme))
+    sets = [None if one.active is None else one.active.tobytes() for one in given[::step]]
+    new = [step * k for k in range(1, len(sets)) if sets[k] != sets[k - 1]]
+    return np.unique(np.concatenate((even, extreme, np.array(new, dtype=int))))
 
 
 def _displacement(before: Reference, after: Reference) -> Array:
@@ -580,17 +603,73 @@ def speed_ceiling(task: Task) -> Values:
     0.005,
 )
 def lifted(task: Task) -> Values:
-    """Change of a gap (m) by the motion while the contact is to be maintained."""
+    """Change of a gap (m) by the motion while the contact is to be maintained.
+
+    Of a contact that becomes active later on, the change is counted from the gap at that time.
+    """
     kept = np.flatnonzero(task.times >= task.kept_from)
     kept = kept[:: max(1, len(kept) // 100)]
     for i, pair in enumerate(task.pairs):
-        pressed = (task.forces[kept][:, task.owners == i] > 0.0).any(axis=1)
-        pressed |= task.bound  # a contact that is not bound opens when its force ends
-        gaps = [pair.gaps(pin.XYZQUATToSE3(X)) for X in task.poses[kept[pressed]]]
-        if task.rests[i] and gaps:
+        pressed = np.any(task.forces[kept][:, task.owners == i] > 0.0, axis=1)
+        pressed = pressed | task.bound  # a contact that is not bound opens when its force ends
+        if task.active is not None:
+            pressed = np.asarray(task.active[kept, i] != 0.0)
+        gaps = np.array([pair.gaps(pin.XYZQUATToSE3(X)) for X in task.poses[kept[pressed]]])
+        if task.rests[i] and len(gaps):
+            if task.active is not None:
+                first = _beginnings(pressed)
+                given = (first == 0) & pressed[0]  # touching at the start of the task
+                gaps = np.where(given[:, None], gaps, gaps - gaps[first])
             worst = np.abs(gaps).max(initial=0.0)
             way = "into" if -np.min(gaps, initial=0.0) >= np.max(gaps, initial=0.0) else "off"
             yield worst, {"way": way, "name": pair.name}
+
+
+def _beginnings(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Of each set flag, the number (among the set flags) of the first one of its stretch."""
+    first = flags & ~np.append(False, flags[:-1])
+    number = np.cumsum(flags)[first] - 1
+    return np.asarray(number[np.cumsum(first)[flags] - 1])
+
+
+@rule("{names}, active together from t = {t:.3g} s on, cannot be controlled: {why}")
+def together(task: Task) -> Values:
+    """Find named sets of contacts with which no tick can be computed, at the start of the task."""
+    if task.active is None or task.trial is None:
+        return
+    _, first = np.unique(task.active, axis=0, return_index=True)
+    for k in np.sort(first):
+        controller, measured = task.trial()
+        alpha_d = task.forces[k]
+        here = Reference(task.state.X_WO, alpha_d=alpha_d, active=task.active[k])
+        controller.tick(measured, here)
+        if controller.status is Status.HELD:
+            names = " and ".join(
+                task.pairs[i].name for i in np.flatnonzero(task.active[k]).tolist()
+            )
+            yield (
+                1.0,
+                {"names": names or "no contact", "t": task.times[k], "why": controller.reason},
+            )
+
+
+@doubt(
+    "contact '{name}' becomes active at t = {t:.3g} s, where the motion has it {mm:.0f} mm away "
+    "from what it touches, and is taken as closed at once; {cure}",
+    0.005,
+)
+def far_off(task: Task) -> Values:
+    """Gap (m) of contacts that become active later on and are not approached."""
+    for i, pair in enumerate(task.pairs if task.active is not None else ()):
+        assert task.active is not None
+        approached = not task.bound and pushes_only(pair)
+        begins = np.flatnonzero(np.diff(task.active[:, i]) > 0.0) + 1
+        for k in begins if task.rests[i] and not approached else ():
+            away = np.abs(pair.gaps(pin.XYZQUATToSE3(task.poses[k]))).max(initial=0.0)
+            cure = "lead the object there before"
+            if pushes_only(pair):
+                cure += ", or have it approached (control.life)"
+            yield away, {"name": pair.name, "t": task.times[k], "cure": cure}
 
 
 @rule(
@@ -673,4 +752,4 @@ def _moving_parts(task: Task, relation: str) -> Iterator[tuple[slice, float]]:
 #: if `MOTION_RULES` have no findings.
 ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range, spacing, contradiction)
 CEILINGS = (force_ceilings, speed_ceiling)
-MOTION_RULES = (stretched, postures, lifted, lag)
+MOTION_RULES = (stretched, postures, lifted, together, far_off, lag)

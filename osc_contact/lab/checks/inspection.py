@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from osc_contact.contacts.contact import Contact
-from osc_contact.contacts.feet import feet
+from osc_contact.contacts.feet import contact_at, feet
 from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.dynamics.chain_state import ChainState
@@ -23,7 +23,7 @@ from osc_contact.spatial import Array, norm
 
 @dataclass(frozen=True)
 class Inspection:
-    """The contact state of a scenario at its start.
+    """The contact state of a scenario at its start, of the contacts that are active there.
 
     Attributes:
         d: motions the object can make. r: independent contact forces.
@@ -51,7 +51,9 @@ class Inspection:
 def inspect_rig(rig: Rig) -> Inspection:
     """Describe the contact state of a rig at its start."""
     state = rig.state
-    contact = rig.contact
+    active = rig.references.stages[0][1] if rig.references.stages else np.ones(len(rig.pairs))
+    pairs = [rig.pairs[i] for i in np.flatnonzero(active)]
+    contact = contact_at(pairs, state.X_WO)
     free = _free_motions(state, contact)
     mobility = contact.N.T @ state.Phi @ contact.N
     scale = np.sqrt(np.diag(mobility))
@@ -67,13 +69,14 @@ def inspect_rig(rig: Rig) -> Inspection:
             f"the arms' structure carries the wrench {_wrench_words(c)}: it cannot be controlled."
             for c in state.C.T
         ),
-        f"{len(rig.pairs)} contact(s) constrain r = {contact.r} of them; "
+        f"{len(pairs)} contact(s) constrain r = {contact.r} of them; "
         f"{state.d - contact.r} motions stay free, {contact.r} contact forces can be controlled.",
         *(
             f"joints of '{arm.name}': {loss_words(joint_losses(arm.model))}"
             for arm in rig.chain.arms
         ),
         *_friction(rig),
+        *_stages(rig),
         *_contact_lines(rig),
         *(f"{one.sentence} (v √(k m))." for one in landings(rig)),
         *_skew(rig),
@@ -86,12 +89,26 @@ def inspect_rig(rig: Rig) -> Inspection:
         d=state.d,
         r=contact.r,
         lines=lines,
-        contacts=tuple(rig.force_names),
+        contacts=tuple(np.array(rig.force_names)[active[rig.owners] != 0.0].tolist()),
         N=contact.N,
         T=contact.T,
         free=free,
         conditioning=conditioning,
     )
+
+
+def _stages(rig: Rig) -> Iterator[str]:
+    """Sentences on the sets of contacts that are named active, one after the other."""
+    stages = rig.references.stages
+    ends = [begin for begin, _ in stages[1:]] + [rig.scenario.duration]
+    for (begin, active), end in zip(stages, ends, strict=False):  # none if no set is named
+        here = [pair for pair, one in zip(rig.pairs, active, strict=True) if one]
+        known = [f"'{pair.name}'" for pair, one in zip(rig.pairs, active, strict=True) if not one]
+        r = contact_at(here, rig.state.X_WO).r
+        names = ", ".join(f"'{pair.name}'" for pair in here) or "none"
+        rest = f"; known, not active: {', '.join(known)}." if known else "."
+        free = f"(r = {r}, {rig.state.d - r} motions free)"
+        yield f"active from {begin:.4g} s to {end:.4g} s: {names} {free}{rest}"
 
 
 def _friction(rig: Rig) -> Iterator[str]:

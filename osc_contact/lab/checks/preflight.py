@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from osc_contact.control.controller import Controller
 from osc_contact.control.controller_settings import choose_reading
 from osc_contact.dynamics.chain_state import modes
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
-from osc_contact.interface import Reference, Robot
+from osc_contact.interface import Measurement, Reference, Robot, Touched
 from osc_contact.lab.rig import hardware
 from osc_contact.lab.rig.contacts import urdf_of
 from osc_contact.lab.rig.rig import Rig, landings
@@ -65,7 +65,9 @@ def task_of_rig(rig: Rig) -> Task:
         contact=rig.contact,
         times=times,
         poses=plan.X_WD,
-        forces=plan.alpha_d,
+        forces=plan.commands,
+        active=plan.active,
+        trial=partial(_trial, rig),
         squeezes=np.full(len(times), abs(plan.squeeze_d)),
         commanded=plan.V_D,
         every=lambda period: rig.references.each(int(scenario.duration / period), period),
@@ -74,6 +76,20 @@ def task_of_rig(rig: Rig) -> Task:
         rests=[rig.bodies[body].motion is None for body in rig.on],
         bound=rig.life is None,
         kept_from=0.0 if tare is None else tare.duration + tare.approach,
+    )
+
+
+def _trial(rig: Rig) -> tuple[Controller, Measurement]:
+    """Controller of a scenario with its contacts engaged, and a measurement at rest in contact."""
+    controller = rig.controller()
+    controller.engaged = True
+    count = len(rig.pairs)
+    still = np.zeros((count, 6))
+    return controller, Measurement(
+        rig.q_contact,
+        np.zeros(rig.chain.nq),
+        np.zeros((len(rig.chain.arms), 6)),
+        touched=Touched(np.tile(np.eye(4), (count, 1, 1)), still, still),
     )
 
 
@@ -234,7 +250,7 @@ def carts(rig: Rig) -> Values:
         push = np.full(len(t), cart.preload - 9.81 * m * u[2])
         for i in body.contacts:
             along = feet(rig.pairs[i], rig.state.X_WO)[1] @ u
-            push += plan.alpha_d[:, rig.owners == i] @ along
+            push += plan.commands[:, rig.owners == i] @ along
         s = speed = most = 0.0
         for force in push:  # implicit in spring and damper: stable for any of them
             speed = (m * speed + dt * (force - k * s)) / (m + dt * c + dt**2 * k)
@@ -409,7 +425,7 @@ def encoders(rig: Rig) -> Values:
     arms = zip(rig.state.arms, rig.chain.slices, strict=True)
     made = np.hstack([M @ N.T @ arm.J * speeds[own] for arm, own in arms])
     forces = brake * np.sqrt((made**2).sum(axis=1)) / len(rig.chain.arms)
-    commands = np.abs(rig.references.overview[1].alpha_d).mean(axis=0)
+    commands = np.abs(rig.references.overview[1].commands).mean(axis=0)
     for name, force, command in zip(rig.force_names, forces, commands, strict=True):
         value = force / command if command > 0.0 else 0.0
         less = min(NOISY / value, 1.0) if value > 0.0 else 1.0

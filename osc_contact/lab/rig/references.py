@@ -137,6 +137,31 @@ class References:
         signals = self.scenario.force
         return np.reshape([total(signals[name], t)[0] for name in names], (len(names), len(t)))
 
+    def commands(self, t: Array) -> Array:
+        """(r, k) desired magnitudes at times t (k,), 0 of contacts that are not active."""
+        forces = self.forces(t)
+        active = self.active(t)
+        if active is None:
+            return forces
+        counts = [contact.forces for contact in self.scenario.contacts]
+        return forces * np.repeat(active.T, counts, axis=0)
+
+    @cached_property
+    def stages(self) -> list[tuple[float, Array]]:
+        """Named sets in their order: time (s) from which each is active, and (contacts,) 1 or 0.
+
+        Empty if none are named.
+        """
+        spans = chain.from_iterable(self.scenario.active.values())
+        ends = {end for end in chain.from_iterable(spans) if 0.0 < end < self.scenario.duration}
+        times = np.array(sorted({0.0, *ends}))
+        active = self.active(times)
+        if active is None:
+            return []
+        changes = np.any(np.diff(active, axis=0), axis=1)
+        new = np.flatnonzero(np.concatenate(([True], changes)))
+        return [(float(times[k]), active[k]) for k in new]
+
     def active(self, t: Array) -> Array | None:
         """(k, contacts) which contacts are active at times t (k,), 1 or 0; None: none are named."""
         spans = self.scenario.active
@@ -157,7 +182,7 @@ class References:
         largest = total = 0.0
         for start in range(0, ticks, _COMPARED):
             t = np.arange(start, min(start + _COMPARED, ticks)) / self.scenario.control.rate
-            forces = np.abs(self.forces(t))
+            forces = np.abs(self.commands(t))
             largest = max(largest, float(forces.max(initial=0.0)))
             total = max(total, float(forces.sum(axis=0).max()))
         return max(largest, squeezes.max(initial=0.0)), total + squeezes.sum()
@@ -206,7 +231,7 @@ class References:
             x += twist[:3, None] * s[:, None]
             turn = turn.then(twist[3:], s)
         plan = Plan.of(place + x, turn, self.X_start, self.forces(t), self.scenario.squeeze)
-        return replace(plan, active=self.active(t))
+        return replace(plan, active=self.active(t), commands=self.commands(t).T)
 
 
 def _way(move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3) -> Array | SurfaceMotion:
@@ -237,6 +262,7 @@ class Plan:
         V_D, A_D: (k, 6) their derivatives, as in `Reference`.
         alpha_d: (k, r) desired magnitudes. squeeze_d: the same at all times.
         active: (k, contacts) which contacts are active, 1 or 0; None: none are named.
+        commands: (k, r) alpha_d of active contacts, 0 of the others.
     """
 
     X_WD: Array
@@ -244,13 +270,14 @@ class Plan:
     A_D: Array
     alpha_d: Array
     squeeze_d: float
-    active: Array | None = None
+    active: Array | None
+    commands: Array
 
     @classmethod
     def of(
         cls, place: Array, turn: _Turn, X_start: pin.SE3, alpha: Array, squeeze: float = 0.0
     ) -> Plan:
-        """Make a plan from the motion of the object's origin and its rotation.
+        """Make a plan without named contacts from the motion of the object's origin and its turn.
 
         Args:
             place: (3, 3, k) position, velocity and acceleration of the origin (m, s).
@@ -259,12 +286,15 @@ class Plan:
         """
         p, v, a = place
         R = rotated(turn.R, X_start.rotation[:, :, None])
+        desired = alpha.T.copy()
         return cls(
             X_WD=Poses(R, p).coordinates(p.shape[1]),
             V_D=np.concatenate((v, turn.omega)).T.copy(),
             A_D=np.concatenate((a, turn.omega_dot)).T.copy(),
-            alpha_d=alpha.T.copy(),
+            alpha_d=desired,
             squeeze_d=squeeze,
+            active=None,
+            commands=desired,
         )
 
     def __iter__(self) -> Iterator[Reference]:

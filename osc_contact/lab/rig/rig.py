@@ -579,7 +579,7 @@ def landings(rig: Rig) -> list[Landing]:
     state = rig.state
     contact = rig.contact
     directions = np.vstack([feet(pair, state.X_WO)[1] for pair in rig.pairs])
-    commands = rig.references.overview[1].alpha_d
+    commands = rig.references.overview[1].commands
     columns = zip(rig.force_names, rig.owners, directions, (contact.N @ contact.R).T, strict=True)
     out = []
     for (name, owner, direction, N), desired in zip(columns, commands.T, strict=True):

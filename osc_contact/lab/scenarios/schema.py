@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     PlainValidator,
@@ -54,6 +55,17 @@ from osc_contact.settings.quantities import (
 )
 
 _UNIT_VECTOR: TypeAdapter[tuple[float, float, float]] = TypeAdapter(UnitVec3)
+
+
+def _forward(span: tuple[float, float]) -> tuple[float, float]:
+    """Refuse a span of time that ends before it begins."""
+    begin, end = span
+    if not begin < end:
+        raise refuse(f"expected [from, to] with to > from, got [{begin:g} s, {end:g} s]")
+    return span
+
+
+Span = Annotated[tuple[Time, Time], AfterValidator(_forward)]  #: a span of time, [from, to] (s)
 
 
 def _direction(value: Any) -> Any:
@@ -217,7 +229,7 @@ class Scenario(Spec):
     force: dict[str, NotEmpty[ForceSignal]] = Field(default_factory=dict)
     """by contact name, a list of signals that are summed; a contact with several forces has an
     entry for each: `pad.1`, `pad.2`, …"""
-    active: dict[Name, tuple[tuple[Time, Time], ...]] = Field(default_factory=dict)
+    active: dict[Name, tuple[Span, ...]] = Field(default_factory=dict)
     """by contact name, the times `[from, to]` in which it is
     [active](contact_phases.md#active-sets); others always are. Without any, contacts that push are
     active while a force is desired of them"""
