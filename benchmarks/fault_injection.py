@@ -4,22 +4,24 @@
 
 Every kind of fault (`faults`) begins at a moment drawn from the whole run of every packaged
 scenario and from some phases of a run: with no tick lost beside it and with every third one, a
-quarter of the kinds with every second and every tenth one, too. A run goes on for 5 s after the
-fault, and for 15 s after a stop. Printed is, for each kind, how the runs ended and the largest
-contact force; the exit code is 1 where
+quarter of the kinds with every second and every tenth one, too. Readings change before speeds are
+estimated from them. A run goes on for 5 s after the fault, and for 15 s after a stop. Printed is,
+for each kind, how the runs ended and the largest contact force; the exit code is 1 where
 
 * a torque was not finite or beyond its limit or its rate;
 * a joint stayed beyond its speed limit or outside its range for 0.3 s without a stop;
 * the true contact force went beyond three times its command (or 30 N, whichever is more), or the
-  command and what the torque that a faulty motor does not give presses on rigid contacts; beside
-  the pushes of the scenario, what an obstacle adds until a force is seen, and what a force that
-  reads mirrored gains until its ceiling stops the arms;
+  command and what the torque that a faulty motor does not give presses on rigid contacts, and what
+  the impact presses with which an arm that such a motor moves meets a face; beside the pushes of
+  the scenario, what an obstacle adds until a force is seen, and what a force that reads mirrored
+  gains until its ceiling stops the arms;
 * a contact that was commanded and made was open for 0.3 s, and the controller took it as closed;
 * stopped arms whose motors are sound moved faster than 0.1 rad/s (m/s) later than 0.5 s after the
   stop, and 0.3 s after each push of the scenario, or 0.1 rad (m) further than braking took; not
   judged of an arm whose motors cannot bear the object that hangs on it alone;
 * the mechanical brakes were requested although encoders or speeds were sound, and the motors;
-  speeds that are estimated from positions are as sound as these;
+  speeds that are estimated from positions are as sound as these, and a joint that the object has
+  left, faster than its readings are believed, has no sound one;
 * the run ended in a state that its kind is not to end in.
 
 Brakes are not simulated: what follows the request for them is not judged. Verdicts are kept in
@@ -30,7 +32,7 @@ interrupted.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
@@ -48,8 +50,10 @@ from benchmarks.faults import FAULTS, HOLD, NAN, POST_SEEN_AFTER, SAFE_STOP, Fau
 from benchmarks.kept import ROOT, Kept
 from benchmarks.measuring import side_by_side
 from osc_contact.control.status import Phase, SafetyState
-from osc_contact.interface import Reference
+from osc_contact.interface import Measurement, Reference, Robot
+from osc_contact.lab.rig.hardware import ObservedRobot
 from osc_contact.lab.runs.run import Taring, start
+from osc_contact.loop.judge import Truth
 from osc_contact.spatial import Array
 from paper.study import table_of
 
@@ -168,6 +172,9 @@ class Run:
             safety = self.controller.settings.safety.replaced(missed_share=np.inf)
             self.controller = self.controller.with_safety(safety)
         self.robot = rig.robot(self.plant, self.controller)
+        self._sensors = None
+        if isinstance(self.robot, ObservedRobot):
+            self._sensors = self.robot.robot = _FaultySensors(self.robot.robot)
         untared = rig.scenario.tare is None
         self.tick = (self.controller if untared else Taring(rig, self.controller)).tick
         self.dt = self.controller.dt
@@ -199,12 +206,10 @@ class Run:
         trial = self.trial
         trial.k = k - self.first
         reference = next(self.references)
-        measurement = self.robot.measure()
+        measurement, reference = self._read(reference, fault)
         self.estimated = measurement.estimated
         if self.hold and 8 < self.first - k <= 16:
             measurement = replace(measurement, wrenches=np.full_like(measurement.wrenches, NAN))
-        if fault is not None and fault.change is not None:
-            measurement, reference = fault.change(trial, measurement, reference)
         if case.every and k % case.every == case.every - 1 and self.controller.engaged:
             m = measurement  # no packet came
             measurement = replace(m, q=m.q * NAN, v=m.v * NAN, wrenches=m.wrenches * NAN)
@@ -230,6 +235,25 @@ class Run:
         self.k += 1
         return reference
 
+    def _read(self, reference: Reference, fault: Fault | None) -> tuple[Measurement, Reference]:
+        """Measurement and reference of this tick, changed by a fault.
+
+        Speeds are estimated from readings that the fault has changed already, unless it changes
+        speeds alone.
+
+        Args:
+            reference: of the tick. fault: that lasts now; or None.
+        """
+        if fault is None or fault.change is None:
+            return (self.robot.measure(), reference)
+        change = fault.change
+        if self._sensors is None or fault.of_speeds:
+            return change(self.trial, self.robot.measure(), reference)
+        self._sensors.change = lambda measurement: change(self.trial, measurement, reference)
+        measurement = self.robot.measure()
+        self._sensors.change = None
+        return (measurement, self._sensors.reference)
+
     def judge(
         self, name: str, fault_for: float = FAULT_FOR, stopped_for: float = STOPPED_FOR
     ) -> Verdict:
@@ -243,7 +267,7 @@ class Run:
         verdict = Verdict(name, self.case, began=self.first * self.dt)
         last = self.first + round(min(fault.lasts, 1e6) / self.dt)
         end = self.first + round(fault_for / self.dt)
-        watch = _Watch(self, verdict, fault.hangs)
+        watch = Watch(self, verdict, fault.hangs)
         response = contact_response(self)
         while self.k < end and not (verdict.wrong or self.diverged):
             stopped = verdict.stopped
@@ -254,13 +278,15 @@ class Run:
         verdict.state = self.controller.state
         verdict.reason = verdict.reason or self.controller.reason
         pushes = self.rig.scenario.plant.pushes
-        most = watch.highest + float((np.abs(response) @ self.lost).max(initial=0.0))
-        most = max(most, 3.0 * watch.highest)
+        lost = np.abs(response) @ self.lost
+        if "tau" in fault.unsound:
+            lost = lost + watch.impacts
+        most = max(watch.highest + float(lost.max(initial=0.0)), 3.0 * watch.highest)
         most += sum(float(np.linalg.norm(push.force)) for push in pushes)
         most += fault.stiffness * self.trial.kept.get("speed", 0.0) * POST_SEEN_AFTER
         if fault.mirrors:
             most = self._grown(most, watch.highest)
-        self._judge_end(verdict, fault, most)
+        self._judge_end(verdict, fault, most, fault.hangs and watch.too_fast)
         return verdict
 
     def _grown(self, force: float, commanded: float) -> float:
@@ -278,8 +304,13 @@ class Run:
         growth = float(np.exp(self.controller.gains.force.integral * late))
         return (force + commanded) * growth - commanded
 
-    def _judge_end(self, verdict: Verdict, fault: Fault, most: float) -> None:
-        """Add what is wrong. most: N of force."""
+    def _judge_end(self, verdict: Verdict, fault: Fault, most: float, too_fast: bool) -> None:
+        """Add what is wrong.
+
+        Args:
+            verdict: of the run. fault: its fault. most: N, limit of the contact force.
+            too_fast: whether a joint that the object has left was too fast for its readings.
+        """
         wrong = verdict.wrong
         if fault.limited and verdict.force > most:
             wrong.append(f"contact force {verdict.force:.1f} N, at most {most:.1f} N are allowed")
@@ -294,7 +325,7 @@ class Run:
             wrong.append(f"ended in {verdict.state.name}: {verdict.reason[:60]}")
         if verdict.unbraked:
             unsound = {*fault.unsound, *(["v"] if self.estimated else [])}
-            if not ({"q", "v"} <= unsound or "tau" in unsound):
+            if not ({"q", "v"} <= unsound or "tau" in unsound or too_fast):
                 wrong.append(f"brakes requested with sound sensors: {verdict.reason[:60]}")
             return
         if "tau" in fault.unsound:  # without its torque, gravity or a spring moves the joint
@@ -305,11 +336,37 @@ class Run:
             wrong.append(f"moved by {verdict.travel:.2f} rad (m) since the stop")
 
 
-class _Watch:
+class _FaultySensors:
+    """A robot whose readings a fault changes before velocities are estimated from them.
+
+    Attributes:
+        change: returns a measurement and a reference that are changed; None: no fault lasts.
+        reference: the last one that was changed.
+    """
+
+    reference: Reference
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self.command = robot.command
+        self.stop = robot.stop
+        self.change: Callable[[Measurement], tuple[Measurement, Reference]] | None = None
+
+    def measure(self) -> Measurement:
+        """Measurement of the robot, changed while a fault lasts."""
+        measurement = self._robot.measure()
+        if self.change is not None:
+            measurement, self.reference = self.change(measurement)
+        return measurement
+
+
+class Watch:
     """Looks at the true robot from the beginning of a fault on.
 
     Attributes:
         highest: N, the largest force commanded, 10 at least.
+        impacts: (r,) N, the largest force of an impact with which each column was closed.
+        too_fast: whether a joint was faster than its readings are believed.
     """
 
     def __init__(self, run: Run, verdict: Verdict, hangs: bool) -> None:
@@ -321,7 +378,11 @@ class _Watch:
         self._beyond = self._outside = 0
         self._open = np.zeros(len(run.rig.pairs))
         self._made = np.array(run.plant.truth().closed, dtype=bool)
+        self._truth = run.plant.truth()
+        self._masses = effective_masses(run)
         self.highest = 10.0
+        self.impacts = np.zeros(len(self._masses))
+        self.too_fast = False
 
     def look(self, reference: Reference) -> None:
         """After a tick.
@@ -357,6 +418,8 @@ class _Watch:
                 verdict.rest_speed = max(verdict.rest_speed, float(speeds[self._bears].max()))
         inside = (q >= model.lowerPositionLimit[run.act]) & (q <= model.upperPositionLimit[run.act])
         self._beyond = self._beyond + 1 if (speeds > run.fastest).any() else 0
+        believed = run.controller.settings.safety.plausible_speed * run.fastest
+        self.too_fast |= bool((speeds > believed).any())
         self._outside = 0 if inside.all() else self._outside + 1
         if not stopped and max(self._beyond, self._outside) * run.dt > STOP_WITHIN:
             verdict.wrong.append(f"tick {run.k - 1}: joints beyond their limits and no stop")
@@ -365,6 +428,7 @@ class _Watch:
         run = self._run
         verdict = self._verdict
         truth = run.plant.truth()
+        self._look_at_impacts(truth)
         verdict.force = max(verdict.force, *np.abs(truth.alpha).tolist(), 0.0)
         control = run.controller
         taken = ~np.array([stopped or not control.engaged or control.faults > 0])
@@ -376,6 +440,34 @@ class _Watch:
             unseen = wanted and taken[i] and self._made[i] and not truth.closed[i]
             self._open[i] = self._open[i] + TRUTH_EVERY * run.dt if unseen else 0.0
             verdict.open_s = max(verdict.open_s, float(self._open[i]))
+
+    def _look_at_impacts(self, truth: Truth) -> None:
+        """Add the impacts of contacts that have closed since the last look.
+
+        A contact of MuJoCo that is met by a mass m with a speed v presses with at most 2 m v / T,
+        T the time constant of `solref`: its damper has 2/T, and it is not damped less than
+        critically.
+
+        Args:
+            truth: of this tick.
+        """
+        before, self._truth = self._truth, truth
+        plant = self._run.rig.scenario.plant
+        if plant.type != "mujoco":
+            return
+        speeds = np.abs(self._run.rig.contact.N.T @ before.V_O)
+        owners = self._run.rig.owners
+        closes = np.array([truth.closed[o] and not before.closed[o] for o in owners], dtype=bool)
+        forces = 2.0 * self._masses * speeds / plant.solref[0]
+        self.impacts = np.maximum(self.impacts, np.where(closes, forces, 0.0))
+
+
+def effective_masses(run: Run) -> Array:
+    """(r,) masses (kg) of arms and object along the lines of the contact forces."""
+    if not run.rig.pairs:
+        return np.zeros(0)
+    N = run.rig.contact.N
+    return np.asarray(1.0 / np.einsum("ij,ik,kj->j", N, run.rig.state.Phi, N))
 
 
 def _bearing(run: Run) -> NDArray[np.bool_]:

@@ -45,6 +45,8 @@ class Fault(NamedTuple):
         pulls: whether it moves an arm that is stopped, and at rest.
         hangs: whether the object hangs on its first arm alone then.
         mirrors: whether a contact force f reads as -f, which makes the force loop unstable.
+        of_speeds: whether it changes speeds alone, which no sensor reads where they are estimated
+            from positions.
     """
 
     change: Change | None = None
@@ -59,6 +61,7 @@ class Fault(NamedTuple):
     pulls: bool = False
     hangs: bool = False
     mirrors: bool = False
+    of_speeds: bool = False
 
 
 @dataclass
@@ -354,16 +357,16 @@ FAULTS: dict[str, Fault] = {
     "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=0.2)),
     "encoder offset of 1 degree": Fault(_angles(_motor, offset=np.deg2rad(1.0))),
     "joints swapped": Fault(_packet(_swapped_joints), unsound=_JOINTS),
-    "speeds swapped": Fault(_packet(_swapped_speeds)),
+    "speeds swapped": Fault(_packet(_swapped_speeds), of_speeds=True),
     "arms swapped": Fault(_packet(_swapped_arms), unsound=_JOINTS, arms=2),
     "encoder noise of 5 mrad": Fault(_angles(noise=5e-3)),
     # speeds
-    "speed NaN once": Fault(_speeds(_one, NAN), _TICK, _ON),
-    "speed inf for ever": Fault(_speeds(_one, offset=np.inf), ends=_STOPS),
-    "speed spike, one tick": Fault(_speeds(_motor, 0.0, 100.0), _TICK, _ON),
-    "speeds zero": Fault(_speeds(gain=0.0)),
-    "speeds mirrored": Fault(_speeds(gain=-1.0)),
-    "speed noise of 0.05 rad/s": Fault(_speeds(noise=0.05)),
+    "speed NaN once": Fault(_speeds(_one, NAN), _TICK, _ON, of_speeds=True),
+    "speed inf for ever": Fault(_speeds(_one, offset=np.inf), ends=_STOPS, of_speeds=True),
+    "speed spike, one tick": Fault(_speeds(_motor, 0.0, 100.0), _TICK, _ON, of_speeds=True),
+    "speeds zero": Fault(_speeds(gain=0.0), of_speeds=True),
+    "speeds mirrored": Fault(_speeds(gain=-1.0), of_speeds=True),
+    "speed noise of 0.05 rad/s": Fault(_speeds(noise=0.05), of_speeds=True),
     # wrists
     "wrench NaN once": Fault(_wrists(_one, NAN), _TICK, _ON),
     "wrench NaN, 19 ticks": Fault(_wrists(_one, NAN), 0.018, _ON),

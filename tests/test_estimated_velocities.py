@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from numpy.linalg import norm, solve
+from numpy.random import default_rng
+from numpy.testing import assert_array_equal
 from pytest import approx
-from rigs import rig_of
+from rigs import rig_of, vector
 from samples import first, parametrize
 
 import osc_contact as osc
@@ -15,6 +17,7 @@ from benchmarks.random_tasks import Errors, RandomTask, draw, spring_wall
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.control.accelerations import expected_acceleration
 from osc_contact.lab.checks.preflight import encoders
+from osc_contact.sensing.dead_encoders import DeadEncoders
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 
 DT = 1e-3
@@ -219,3 +222,26 @@ def test_encoders_of_16_bits_on_springy_walls(number, stiffness):
     command = recording["alpha_cmd"][judged, 0]
     error = recording["alpha_true"][judged, 0] - command
     assert np.sqrt(np.mean(error**2)) < 0.05 * np.mean(command)
+
+
+@parametrize("noise", [1e-5, 2e-5, 1e-4])
+def test_a_noisy_encoder_that_repeats_itself_is_dead_and_one_at_rest_is_not(noise):
+    """At rest in the middle of a step, where its readings repeat most."""
+    step = 1e-5
+    encoders = DeadEncoders(vector(noise, noise), vector(step, step))
+    readings = np.round(default_rng(1).normal(0.0, noise, (50_000, 2)) / step) * step
+    assert not any(encoders.update(q).any() for q in readings)
+    stuck = readings[-1]
+    ticks = 0
+    while not encoders.update(np.array([readings[ticks, 0], stuck[1]]))[1]:
+        ticks += 1
+    assert 5 < ticks < 80 and ticks == approx(encoders.most[1], abs=1.0)
+    assert_array_equal(encoders.update(stuck + step), False)
+
+
+def test_repetition_is_no_evidence_without_noise_and_without_new_samples():
+    ideal = DeadEncoders(np.zeros(1), np.full(1, 1e-3))
+    noisy = DeadEncoders(np.full(1, 2e-5), np.full(1, 1e-5))
+    for k in range(1000):
+        assert not ideal.update(np.ones(1))
+        assert not noisy.update(np.ones(1), fresh=k == 0)

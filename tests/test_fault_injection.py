@@ -10,7 +10,15 @@ from scenario_runs import run_of
 
 import osc_contact as osc
 from benchmarks import fault_injection
-from benchmarks.fault_injection import Case, Run, Verdict, read_verdict, runs, try_fault
+from benchmarks.fault_injection import (
+    Case,
+    Run,
+    Verdict,
+    Watch,
+    read_verdict,
+    runs,
+    try_fault,
+)
 from benchmarks.faults import FAULTS, NAN
 from benchmarks.kept import Kept
 from benchmarks.pushes import push_arm
@@ -63,13 +71,14 @@ def test_every_kind_of_fault_in_contact_and_some_elsewhere(where):
     [
         ("encoders stuck, speeds zero", Case(scenario="panda_wrist", seed=1129)),
         ("encoder stuck", Case("approach", every=2, seed=1129)),
+        ("encoder stuck", Case(scenario="collisions", every=2, seed=1129)),
         ("one wrist mirrored", Case(scenario="ur5_wipe", every=3, seed=1131)),
         ("a post at the forearm", Case(scenario="three_arm_plate", every=3, seed=1129)),
     ],
     ids=str,
 )
 def test_drawn_moments_that_were_once_found_wrong(name, case):
-    """A quiet arm; speeds that end with their encoder; what grows until the stop."""
+    """A quiet arm; speeds estimated from a stuck encoder; what grows until the stop."""
     verdict = try_fault(name, case, fault_for=2.0, stopped_for=0.6)
     assert not verdict.wrong, verdict
     assert verdict.state is SAFE_STOP
@@ -133,6 +142,39 @@ def test_the_limit_of_a_post_is_that_of_the_speed_at_which_it_is_met():
         speeds.append(run.trial.kept.get("speed", 0.0))
     assert speeds[run.first] < 1e-3 < speeds[-1]
     assert (np.diff(speeds) >= 0.0).all()
+
+
+def test_speeds_are_estimated_from_readings_that_a_fault_has_changed():
+    """The speed of a stuck encoder ends, too; a fault of speeds alone is one of the estimate."""
+    for name, still in (("encoder stuck", True), ("speed noise of 0.05 rad/s", False)):
+        run = Run(Case(scenario="approach_and_slide"), name, begin=2.0)
+        seen = Verdict("no fault", run.case)
+        joint = run.act[0]
+        run.trial.kept[f"pick{len(run.act)}"] = 0
+        while run.k < run.first + 40:
+            run.step(seen, FAULTS[name] if run.k >= run.first else None)
+        speed = run.controller.records.memory.joints.v[joint]
+        assert abs(run.true.measure().v[joint]) > 0.02
+        assert (abs(speed) < 0.005) == still, (name, speed)
+
+
+def test_the_limit_of_a_weak_motor_has_the_impact_of_a_landing():
+    """From the true speed at which the face is met; none where contacts stay closed."""
+    fault = "torque constant of 50 %"
+    for case, begin, lands in ((Case("approach"), 0.43, True), (Case(), IN_CONTACT, False)):
+        run = Run(case, fault, begin)
+        seen = Verdict(fault, case)
+        watch = None
+        run.trial.kept[f"pick{len(run.act)}"] = 2  # of the left quill
+        while run.k < run.first + 150:
+            at_fault = run.k >= run.first
+            if at_fault and watch is None:
+                watch = Watch(run, seen, False)
+            reference = run.step(seen, FAULTS[fault] if at_fault else None)
+            if watch is not None:
+                watch.look(reference)
+        assert (watch.impacts > 5.0).any() == lands, watch.impacts
+        assert watch.impacts.max() < 200.0
 
 
 def test_moments_are_drawn_from_the_whole_run_and_are_the_same_again():

@@ -24,6 +24,7 @@ from osc_contact.lab.scenarios.hardware import Clock, EncoderSpec, SensorsSpec
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.loop.judge import Plant
 from osc_contact.robots.model import sliding
+from osc_contact.sensing.dead_encoders import DeadEncoders
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.sensing.vision_fusion import Registration, VisionFusion
 from osc_contact.spatial import Array
@@ -190,7 +191,8 @@ class ObservedRobot:
     """A robot whose measurements are completed for its controller.
 
     Joint velocities are estimated from encoders, the motion of bodies from vision. Readings are
-    brought up to date by the sensors' known delay. Ideal readings pass unchanged.
+    brought up to date by the sensors' known delay. Ideal readings pass unchanged. Positions and
+    velocities of encoders that are dead are NaN.
 
     Attributes:
         vision: what fuses the camera's pictures with the encoders; None: no vision.
@@ -230,6 +232,10 @@ class ObservedRobot:
             self._accepted = np.full(chain.nq, np.nan)
             self._missed = np.zeros(chain.nq)
             self._joints, _ = joint_estimate(scenario, chain)
+            noise, step = (
+                _joint_errors(chain, spec.encoder, attrgetter(e)) for e in ("noise", "resolution")
+            )
+            self._dead = DeadEncoders(noise, step)
         self.vision: VisionFusion | None = None
         if (camera := spec.vision) is not None:
             self.vision = VisionFusion(
@@ -262,8 +268,10 @@ class ObservedRobot:
                 return measurement
             fresh = stamps.encoders > self._read
             q = np.where(bad, np.nan, measurement.q)
-            q, v = self._joints.update(q, self._acceleration, fresh)
-            q = np.where(bad, np.nan, q + self._delay * v)
+            dead = self._dead.update(measurement.q, fresh)
+            q, v = self._joints.update(np.where(dead, np.nan, q), self._acceleration, fresh)
+            q = np.where(bad | dead, np.nan, q + self._delay * v)
+            v = np.where(dead, np.nan, v)  # only predicted
             measurement = replace(measurement, q=q, v=v, estimated=True)
         if self.vision is not None and measurement.touched is not None:
             touched = self.vision.update(

@@ -1,0 +1,63 @@
+"""Encoders that are dead: their readings repeat although noise would change them."""
+
+from __future__ import annotations
+
+from math import erf, inf, log, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from osc_contact.spatial import Array
+
+_BY_CHANCE = 1e-12  #: probability of an unlikely repetition: once in years at 1 kHz
+
+
+class DeadEncoders:
+    """Detection of encoders of known noise that read the very same number for too long.
+
+    Of a joint at rest, normal noise of deviation σ lets a reading of resolution δ be any given
+    number with the probability p ≤ erf(δ/(√8 σ)); in motion p is smaller. The same number n times
+    in a row after a first reading is unlikely from n = ln 10⁻¹²/ln p on. Encoders without noise
+    repeat themselves at rest: they are never called dead.
+
+    A speed estimated from such an encoder tends to zero together with its position, and filters
+    conceal the repetition: readings have to be checked before velocities are estimated from them.
+
+    Attributes:
+        most: (k,) number of repetitions that is unlikely; inf: any number is likely.
+    """
+
+    def __init__(self, noise: Array, resolution: Array) -> None:
+        """Compute the numbers of repetitions.
+
+        Args:
+            noise: (k,) standard deviation of the readings (rad, m); 0: ideal.
+            resolution: (k,) of the readings (rad, m); 0: no two readings with noise are the same.
+        """
+        pairs = zip(np.atleast_1d(noise), np.atleast_1d(resolution), strict=True)
+        self.most = np.array([_unlikely_repetitions(*pair) for pair in pairs])
+        self._last = np.full(len(self.most), np.nan)
+        self._repeated = np.zeros(len(self.most))
+
+    def update(self, measured: Array, fresh: bool = True) -> NDArray[np.bool_]:
+        """Return which encoders (k,) are dead after a new reading.
+
+        Args:
+            measured: (k,) positions (rad, m). fresh: False if it is an old reading, which is no
+                evidence (slower sensor, lost sample).
+        """
+        if fresh:
+            same = measured == self._last
+            self._repeated = np.where(same, self._repeated + 1.0, 0.0)
+            self._last = np.array(measured, dtype=float)
+        return self._repeated > self.most
+
+
+def _unlikely_repetitions(noise: float, resolution: float) -> float:
+    """Number of equal readings in a row that is unlikely at rest; see `DeadEncoders`."""
+    if not noise > 0.0:
+        return inf
+    likely = erf(resolution / (sqrt(8.0) * noise))
+    if likely >= 1.0:
+        return inf
+    return log(_BY_CHANCE) / log(likely) if likely > 0.0 else 1.0
