@@ -177,6 +177,16 @@ def test_the_limit_of_a_weak_motor_has_the_impact_of_a_landing():
         assert watch.impacts.max() < 200.0
 
 
+def test_rest_is_judged_of_a_drifting_encoder_only_where_speeds_are_read():
+    """Speeds that are estimated from it agree with it, so that the arm follows the drift."""
+    name = "encoder drifts by 0.2 rad/s"
+    run = Run(Case())
+    for run.estimated in (True, False):
+        verdict = Verdict(name, run.case, state=SAFE_STOP, rest_speed=1.0)
+        run._judge_end(verdict, FAULTS[name], 100.0, False)
+        assert bool(verdict.wrong) != run.estimated, verdict.wrong
+
+
 def test_moments_are_drawn_from_the_whole_run_and_are_the_same_again():
     some = [case for name, case in runs(5) if name == "encoder stuck"]
     first_ones = [Run(case, "encoder stuck") for case in some[:12]]
