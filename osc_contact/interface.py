@@ -48,6 +48,11 @@ class Stamps:
 
     Attributes:
         encoders, joint_torques, wrists, vision: time of the last sample of that kind.
+
+    Example:
+        >>> stamps = osc.Stamps(encoders=12.004, wrists=12.003)
+        >>> print(f"the wrists are {1e3 * (stamps.encoders - stamps.wrists):.0f} ms late")
+        the wrists are 1 ms late
     """
 
     encoders: float = 0.0
