@@ -23,7 +23,7 @@ from osc_contact.law.ceilings import (
 )
 from osc_contact.law.reasons import NO_REASON
 from osc_contact.law.records import views
-from osc_contact.loop.start_rules import speed_ceiling
+from osc_contact.loop.reference_rules import speed_ceiling
 from osc_contact.settings.control import HEADROOM, LEAST_CEILING
 
 DT = 1e-3

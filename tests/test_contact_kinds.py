@@ -26,8 +26,8 @@ from osc_contact.lab.scenarios.contact_keys import (
     make_pair,
 )
 from osc_contact.lab.scenarios.loader import parse_scenario
+from osc_contact.loop.reference_rules import pulls
 from osc_contact.loop.rules import findings
-from osc_contact.loop.start_rules import pulls
 from osc_contact.settings.quantities import Dimension
 
 HEAD = """\

@@ -13,7 +13,7 @@ from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
 from osc_contact.lab.runs.run import start
-from osc_contact.loop.start_rules import least_peak
+from osc_contact.loop.arm_rules import least_peak
 
 SINE = "signals: [{type: sine, amplitude: 50 mm, frequency: 0.5 Hz, start: 0 s, ramp: 1 s}]"
 LEFT = "contacts.left_end.face"

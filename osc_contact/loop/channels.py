@@ -42,13 +42,15 @@ class Subject:
     phased: bool
 
 
-def channels(of: Subject, truths: ReadsTruth | None, first: int, rows: Array) -> dict[str, Array]:
+def channels(
+    subject: Subject, truths: ReadsTruth | None, first: int, rows: Array
+) -> dict[str, Array]:
     """Compute the channels of k ticks, except those of the contact monitor.
 
     Args:
-        of: description of the recorded system. truths: evaluates the numbers stored by the judge;
-            None: without a judge. first: number of the first tick. rows: (k,) stored rows with
-            named fields.
+        subject: description of the recorded system. truths: evaluates the numbers stored by the
+            judge; None: without a judge, measured values stand in for the truth. first: number of
+            the first tick. rows: (k,) stored rows with named fields.
 
     Returns:
         Arrays (k, …) by the name of their channel.
@@ -56,15 +58,18 @@ def channels(of: Subject, truths: ReadsTruth | None, first: int, rows: Array) ->
     k = len(rows)
     alpha = rows["alpha"]
     squeeze = rows["squeeze_d"]
-    phase = _phases(of, rows)
-    truth = _measured_truths(of, rows, phase) if truths is None else truths.truths(rows["truth"])
+    phase = _phases(subject, rows)
+    if truths is None:
+        truth = _measured_truths(subject, rows, phase)
+    else:
+        truth = truths.truths(rows["truth"])
     N = np.concatenate((np.zeros((6, 0, k)), *truth.N), axis=1)
-    points, directions = _feet(of, truth, k)
+    points, directions = _feet(subject, truth, k)
     wrench = rows["f_meas"] - rows["bias_out"]
     projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, for faces at rest or in motion
     total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
-    made = {
-        "t": np.arange(first, first + k) * of.dt,
+    series = {
+        "t": np.arange(first, first + k) * subject.dt,
         **{name: rows[name] for name in ("q", "v", "tau")},
         "tick_s": rows["tick_s"][:, 0],
         "pose": truth.X_WO.coordinates(k),
@@ -76,13 +81,13 @@ def channels(of: Subject, truths: ReadsTruth | None, first: int, rows: Array) ->
         "N": N.transpose(2, 0, 1),
         "contact_point": points,
         "contact_direction": directions,
-        "face_pose": _face_poses(of, truth, k),
+        "face_pose": _face_poses(subject, truth, k),
         "wrench_meas": wrench,
         "power_total": total,
         "power_projected": projected,
         "motion_error": rows["free_error"],
         "squeeze_cmd": squeeze[:, 0] if np.isnan(squeeze[:, 1:]).all() else squeeze,
-        "squeeze": rows["squeeze"][:, 0] if of.arms < 3 else rows["squeeze"],
+        "squeeze": rows["squeeze"][:, 0] if subject.arms < 3 else rows["squeeze"],
         "alpha_given_up": rows["given_up"],
         "friction": rows["friction"],
         "normal_std": np.where(rows["normal_std"] > 0.0, rows["normal_std"], np.nan),
@@ -90,12 +95,12 @@ def channels(of: Subject, truths: ReadsTruth | None, first: int, rows: Array) ->
         "contact_phase": phase,
     }
     if truths is None:
-        del made["alpha_true"]
-    return {name: np.ascontiguousarray(values) for name, values in made.items()}
+        del series["alpha_true"]
+    return {name: np.ascontiguousarray(values) for name, values in series.items()}
 
 
 def work_out(
-    of: Subject, truths: ReadsTruth | None, parts: Iterable[tuple[int, Array]]
+    subject: Subject, truths: ReadsTruth | None, parts: Iterable[tuple[int, Array]]
 ) -> Iterator[dict[str, Array]]:
     """Compute all channels of a journal's rows, block by block.
 
@@ -104,57 +109,77 @@ def work_out(
     may have either sign the absolute value is used.
 
     Args:
-        of: description of the recorded system. truths: evaluates the numbers stored by the judge;
-            None: without a judge. parts: chunks of the journal, each the number of its first row
-            and its rows.
+        subject: description of the recorded system. truths: evaluates the numbers stored by the
+            judge; None: without a judge. parts: chunks of the journal, each the number of its first
+            row and its rows.
+
+    Yields:
+        Channels by name, of at most 1,000 successive ticks.
     """
-    pushing = np.array([pushes_only(of.pairs[i]) for i in of.owners], dtype=bool)
-    monitor = ContactMonitor(len(of.owners), of.dt)
+    unilateral = np.array([pushes_only(subject.pairs[i]) for i in subject.owners], dtype=bool)
+    monitor = ContactMonitor(len(subject.owners), subject.dt)
     for first, rows in _blocks(parts):
-        if of.phased:  # results of the controller's own monitor
-            holding = ~pushing & (rows["active"][:, of.owners] > 0.0)
-            closed = (rows["closed"] > 0.0) | holding  # a bilateral contact is always closed
-            collision = (rows["collision"] > 0.0) & pushing
+        if subject.phased:  # results of the controller's own monitor
+            bilateral_active = ~unilateral & (rows["active"][:, subject.owners] > 0.0)
+            closed = (rows["closed"] > 0.0) | bilateral_active  # a bilateral one is always closed
+            collision = (rows["collision"] > 0.0) & unilateral
         else:
-            alpha = np.where(pushing, rows["alpha"], np.abs(rows["alpha"]))
+            alpha = np.where(unilateral, rows["alpha"], np.abs(rows["alpha"]))
             closed, collision = watch_series(monitor, alpha, rows["speed"])
-        seen = {"contact_seen": closed, "collision_seen": collision}
-        yield channels(of, truths, first, rows) | seen
+        detections = {"contact_seen": closed, "collision_seen": collision}
+        yield channels(subject, truths, first, rows) | detections
 
 
 def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
-    """Divide the rows of a journal into blocks at multiples of 1,000 ticks.
+    """Divide the rows of a journal into blocks at multiples of 1,000 ticks, and where rows lack.
 
     Args:
         parts: chunks in order, each the number of its first row and its rows.
+
+    Yields:
+        Number of the first row of a block, and the rows of the block.
     """
     begin = 0
-    waiting: list[Array] = []
+    pieces: list[Array] = []  # of the block that begins at `begin`
     for first, rows in parts:
         while len(rows):
-            count = sum(map(len, waiting))
+            count = sum(len(piece) for piece in pieces)
             if count and (first != begin + count or first % _TOGETHER == 0):
-                yield begin, np.concatenate(waiting)
-                waiting = []
-            if not waiting:
+                yield begin, np.concatenate(pieces)
+                pieces = []
+            if not pieces:
                 begin = first
-            cut = _TOGETHER - first % _TOGETHER
-            waiting.append(rows[:cut])
-            first = first + len(waiting[-1])
-            rows = rows[cut:]
-    if waiting:
-        yield begin, np.concatenate(waiting)
+            room = _TOGETHER - first % _TOGETHER
+            pieces.append(rows[:room])
+            first = first + len(pieces[-1])
+            rows = rows[room:]
+    if pieces:
+        yield begin, np.concatenate(pieces)
 
 
-def _phases(of: Subject, rows: Array) -> Array:
-    """Phase (k, contacts) of each contact, OPEN if it is not active."""
-    phase = rows["active"] * (rows["phase"] if of.phased else Phase.CLOSED)  # OPEN is 0
+def _phases(subject: Subject, rows: Array) -> Array:
+    """Value of `Phase` (k, contacts) of each contact in k ticks, OPEN if it is not active.
+
+    Without contact phases an active contact counts as CLOSED.
+
+    Args:
+        subject: description of the recorded system.
+        rows: (k,) stored rows with the fields `active` and, with contact phases, `phase`.
+    """
+    phase_if_active = rows["phase"] if subject.phased else Phase.CLOSED
+    phase = rows["active"] * phase_if_active  # `active` is 0 or 1, and OPEN is 0
     return phase.astype(np.int64)
 
 
-def _measured_truths(of: Subject, rows: Array, phase: Array) -> Truths:
-    """Measured values in place of the truth, for recordings without a judge."""
-    pairs = of.pairs
+def _measured_truths(subject: Subject, rows: Array, phase: Array) -> Truths:
+    """Values by the controller in place of the truth, for recordings without a judge.
+
+    Args:
+        subject: description of the recorded system.
+        rows: (k,) stored rows with the controller's results.
+        phase: (k, contacts) values of `Phase`; a contact counts as closed in CLOSED.
+    """
+    pairs = subject.pairs
     k = len(rows)
     X_WO = _poses(rows["X_WO"].reshape(k, 4, 4))
     X_WE = rows["X_WE"].reshape(k, len(pairs), 4, 4)
@@ -168,51 +193,59 @@ def _poses(X: Array) -> Poses:
     return Poses(X[:, :3, :3].transpose(1, 2, 0), X[:, :3, 3].T)
 
 
-def _feet(of: Subject, truth: Truths, k: int) -> Array:
+def _feet(subject: Subject, truth: Truths, k: int) -> Array:
     """Mean contact point and first direction of force of each contact, (2, k, contacts, 3).
 
     Contact points are the intersections of the lines of force with the touched surface, in world
     axes (m).
+
+    Args:
+        subject: description of the recorded system, with its contacts.
+        truth: poses and lines of force at k instants.
+        k: number of instants.
     """
     feet = []
-    for pair, own, X_WE in zip(of.pairs, truth.N, truth.X_WE, strict=True):
-        p, n = feet_over(pair, own, truth.X_WO, X_WE)
-        feet.append((p.mean(axis=1).T, n[:, 0].T))
+    for pair, lines, X_WE in zip(subject.pairs, truth.N, truth.X_WE, strict=True):
+        points, directions = feet_over(pair, lines, truth.X_WO, X_WE)
+        feet.append((points.mean(axis=1).T, directions[:, 0].T))
     return np.reshape(feet, (-1, 2, k, 3)).transpose(1, 2, 0, 3)
 
 
-def _face_poses(of: Subject, truth: Truths, k: int) -> Array:
+def _face_poses(subject: Subject, truth: Truths, k: int) -> Array:
     """Poses (k, contacts, 7) of the touched bodies in the world: x y z (m), quaternion x y z w.
 
     Args:
-        of: rig with its contacts and the placements of the bodies. truth: truth at k instants.
-        k: number of instants.
+        subject: description of the recorded system, with the placements X_WB of the bodies.
+        truth: motions X_WE of the bodies at k instants. k: number of instants.
     """
-    out = np.zeros((k, len(of.pairs), 7))
-    for i, (X_WB, X_WE) in enumerate(zip(of.placements, truth.X_WE, strict=True)):
+    coordinates = np.zeros((k, len(subject.pairs), 7))
+    for i, (X_WB, X_WE) in enumerate(zip(subject.placements, truth.X_WE, strict=True)):
         R = X_WB[:3, :3, None]
         p = X_WB[:3, 3:]
         if X_WE is not None:
             R = X_WE.rotate(R)
             p = X_WE.act(p)
-        out[:, i] = Poses(R, p).coordinates(k)
-    return out
+        coordinates[:, i] = Poses(R, p).coordinates(k)
+    return coordinates
 
 
 def add_stages(recording: Recording) -> None:
     """Add the stage of a plan in each tick, if there was a plan, from the events of a recording.
 
-    The channel `stage` has the number of the stage, −1 before the first one; the names stand in
-    `meta["stages"]`.
+    The channel `stage` has the number of the stage, −1 before the first one; `meta["stages"]` has
+    the names by number.
+
+    Args:
+        recording: recording of a run; changed in place.
     """
-    begun = [event for event in recording.events if event["event"] == "stage"]
-    if not begun:
+    beginnings = [event for event in recording.events if event["event"] == "stage"]
+    if not beginnings:
         return
-    names = [""] * (1 + max(event["number"] for event in begun))
-    for event in begun:
+    names = [""] * (1 + max(event["number"] for event in beginnings))
+    for event in beginnings:
         names[event["number"]] = event["name"]
-    numbers = np.array([-1, *(event["number"] for event in begun)])
-    starts = np.array([event["t"] for event in begun])
+    numbers = np.array([-1, *(event["number"] for event in beginnings)])
+    starts = np.array([event["t"] for event in beginnings])
     t = recording["t"]
     half = 0.5 / recording.meta["control_rate_hz"]
     recording.channels["stage"] = numbers[np.searchsorted(starts, t + half)]
@@ -220,14 +253,14 @@ def add_stages(recording: Recording) -> None:
 
 
 def recording_of(
-    of: Subject, truths: ReadsTruth | None, journal: Journal, meta: Mapping[str, Any]
+    subject: Subject, truths: ReadsTruth | None, journal: Journal, meta: Mapping[str, Any]
 ) -> Recording:
     """Make a recording from the rows of a journal.
 
     Args:
-        of: description of the recorded system. truths: evaluates the numbers stored by the judge;
-            None: without a judge. journal: rows, read from the beginning. meta: meta data of the
-            recording.
+        subject: description of the recorded system. truths: evaluates the numbers stored by the
+            judge; None: without a judge. journal: rows, read from the beginning. meta: meta data of
+            the recording.
     """
     ticks = sum(len(rows) for _, rows in journal.rows())
-    return Recording(meta, gather(ticks, work_out(of, truths, journal.rows())))
+    return Recording(meta, gather(ticks, work_out(subject, truths, journal.rows())))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from inspect import signature
 from time import perf_counter
@@ -11,7 +12,7 @@ from typing import Any
 
 from osc_contact.errors import InvalidInputError, brief
 from osc_contact.interface import Reference, Robot
-from osc_contact.loop.os_signals import raised_signals
+from osc_contact.loop.os_signals import RaisedSignals, raised_signals
 from osc_contact.loop.protocols import Controls, Leads, Records, Shows, references_of
 from osc_contact.loop.realtime import LoopReport, SideWork, at_once, realtime_process
 from osc_contact.loop.shadow import Shadow
@@ -79,48 +80,23 @@ def run_loop(
     """
     drawing = Drawing(viewer, recorder)
     _require_robot(robot, controller)
-    period = controller.dt
-    report = LoopReport(period)
-    judge = Shadow(controller) if shadow else None
+    report = LoopReport(controller.dt)
     stops = StopCalls(robot.stop, recorder)
-    lead = references if isinstance(references, Leads) else None
-    given: Iterable[Reference]
-
+    plan = references if isinstance(references, Leads) else None
+    loop = _Loop(
+        robot=robot,
+        controller=controller,
+        recorder=recorder,
+        drawing=drawing,
+        report=report,
+        stops=stops,
+        plan=plan,
+        shadow=Shadow(controller) if shadow else None,
+        progress=progress,
+    )
     with raised_signals() as signals, _process(realtime, recorder, report) as side:
         try:
-            if isinstance(references, Leads):
-                references.begin(controller, robot.measure(), stops.log)
-                given = references_of(references)
-            else:
-                given = references
-            if check and not shadow:
-                given = checked(robot, controller, given)
-            for k, reference in enumerate(given):
-                measurement = robot.measure()
-                if lead is not None:
-                    measurement = lead.placed(measurement)
-                start = perf_counter()
-                tau = controller.tick(measurement, reference)
-                seconds = perf_counter() - start
-                if not shadow:
-                    stops.follow(controller)
-                if recorder is not None:
-                    signals.whole(recorder.append, measurement, reference, tau, seconds)
-                    if drawing.wanted:
-                        if side is None:
-                            drawing.show(recorder.latest())
-                        elif k % SHOWN == 0 and side.idle:
-                            side.submit(partial(drawing.show, recorder.latest()))
-                if judge is not None:
-                    tau = judge.torques(measurement)
-                ready = perf_counter()
-                robot.command(tau, period)
-                report.note(start, getattr(robot, "read_to_write", ready - start))
-                if side is not None:
-                    report.require()
-                    side.give_way()
-                if progress is not None and k % NEWS == NEWS - 1:
-                    progress((k + 1) * period)
+            loop.run(loop.begin(references, check=check), signals, side)
             signals.busy = True
         except BaseException as error:
             signals.busy = True
@@ -128,20 +104,129 @@ def run_loop(
             if failure is not None:
                 error.add_note(f"robot.stop() then failed, too: {failure!r}")
             raise
-        reason = getattr(lead, "reason", "")
+        reason = getattr(plan, "reason", "")
         stops.log("stop", reason=reason)
         robot.stop(reason)
-    if judge is not None:
-        report.shadow = judge.report()
+    if loop.shadow is not None:
+        report.shadow = loop.shadow.report()
     return report
+
+
+@dataclass(kw_only=True)
+class _Loop:
+    """Parts of one call of `run_loop`, and its ticks.
+
+    Attributes:
+        robot, controller, recorder, progress: arguments of `run_loop`.
+        drawing: pictures for the viewer.
+        report: timing, updated in each tick.
+        stops: calls of `Robot.stop` with their reasons.
+        plan: the references if they are a plan; else None.
+        shadow: torques and checks of shadow mode; None in a usual run.
+    """
+
+    robot: Robot
+    controller: Controls
+    recorder: Records | None
+    drawing: Drawing
+    report: LoopReport
+    stops: StopCalls
+    plan: Leads | None
+    shadow: Shadow | None
+    progress: Callable[[float], None] | None
+
+    def begin(self, references: Iterable[Reference] | Leads, *, check: bool) -> Iterable[Reference]:
+        """Begin a plan, and check robot, controller and references before the first command.
+
+        Args:
+            references: argument of `run_loop`.
+            check: False leaves the check out; in shadow mode it is left out, too.
+
+        Returns:
+            References of the ticks.
+
+        Raises:
+            InvalidInputError: the plan or the check refuses the task.
+        """
+        sequence: Iterable[Reference]
+        if isinstance(references, Leads):
+            references.begin(self.controller, self.robot.measure(), self.stops.log)
+            sequence = references_of(references)
+        else:
+            sequence = references
+        if check and self.shadow is None:
+            sequence = checked(self.robot, self.controller, sequence)
+        return sequence
+
+    def run(
+        self, references: Iterable[Reference], signals: RaisedSignals, side: SideWork | None
+    ) -> None:
+        """Measure, compute, record and command once for each reference.
+
+        Args:
+            references: references of the ticks.
+            signals: signals of the operating system, deferred while a tick is recorded.
+            side: thread of a real-time loop for files and pictures; None: they are made in between.
+
+        Raises:
+            PlantError: the robot fails, or deadlines are missed in real time.
+        """
+        robot = self.robot
+        controller = self.controller
+        period = self.report.period
+        for k, reference in enumerate(references):
+            measurement = robot.measure()
+            if self.plan is not None:
+                measurement = self.plan.placed(measurement)
+            start = perf_counter()
+            tau = controller.tick(measurement, reference)
+            seconds = perf_counter() - start
+            if self.shadow is None:
+                self.stops.follow(controller)
+            if self.recorder is not None:
+                signals.whole(self.recorder.append, measurement, reference, tau, seconds)
+                self._draw(k, side)
+            if self.shadow is not None:
+                tau = self.shadow.torques(measurement)
+            ready = perf_counter()
+            robot.command(tau, period)
+            self.report.note(start, getattr(robot, "read_to_write", ready - start))
+            if side is not None:
+                self.report.require()
+                side.give_way()
+            if self.progress is not None and k % NEWS == NEWS - 1:
+                self.progress((k + 1) * period)
+
+    def _draw(self, k: int, side: SideWork | None) -> None:
+        """Show tick k to the viewer, if there is one, without delaying a real-time loop.
+
+        Args:
+            k: number of the tick.
+            side: thread that shows every `SHOWN`-th tick while it is idle; None: every tick is
+                shown at once.
+        """
+        if self.recorder is None or not self.drawing.wanted:
+            return
+        if side is None:
+            self.drawing.show(self.recorder.latest())
+        elif k % SHOWN == 0 and side.idle:
+            side.submit(partial(self.drawing.show, self.recorder.latest()))
 
 
 @contextmanager
 def _process(realtime: bool, recorder: Any, report: LoopReport) -> Iterator[SideWork | None]:
     """Context of a loop with `realtime`: the process and a thread for side work.
 
-    Yields the thread, or None without `realtime`. On exit waits for the side work, adds the report
-    to the recording, and raises an error of the side work.
+    On exit it waits for the side work, adds the report to the recording, and raises an error of the
+    side work.
+
+    Args:
+        realtime: argument of `run_loop`; False: the context changes nothing.
+        recorder: recorder of the loop or None; its writes are handed to the thread.
+        report: timing of the loop; receives notes on requests that the system refused.
+
+    Yields:
+        The thread; None without `realtime`.
     """
     if not realtime:
         yield None
@@ -168,10 +253,11 @@ def _require_robot(robot: Robot, controller: Controls) -> None:
     Raises:
         InvalidInputError: a method is missing, or `robot.stop` does not accept a reason.
     """
-    for name, value, methods in (
+    required = (
         ("robot", robot, ("measure", "command", "stop")),
         ("controller", controller, ("tick", "dt")),
-    ):
+    )
+    for name, value, methods in required:
         lacking = [method for method in methods if not hasattr(value, method)]
         if lacking:
             raise InvalidInputError(

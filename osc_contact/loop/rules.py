@@ -18,6 +18,7 @@ from osc_contact.interface import Measurement, Reference, Scene
 from osc_contact.settings.control import Gains, SafetySettings
 from osc_contact.spatial import Array
 
+#: Values of a rule's quantity, each with the words that its sentence is formatted with.
 Values = Iterator[tuple[float, Mapping[str, object]]]
 
 
@@ -72,8 +73,11 @@ def rule(
     """Function decorator that makes a quantity a `Rule`.
 
     Args:
-        sentence: format of the finding's text. doubtful: limit for a warning. refused: limit for
-            refusal; None: that of a warning.
+        sentence: format of the finding's text. doubtful: limit for a warning, in the quantity's
+            unit. refused: limit for refusal; None: a value above `doubtful` is refused.
+
+    Returns:
+        Decorator of a function that takes a task and yields values with the words of the sentence.
     """
     limit = doubtful if refused is None else refused
     return lambda quantity: Rule(quantity, doubtful, limit, sentence)
@@ -83,12 +87,17 @@ doubt = partial(rule, refused=np.inf)  #: decorator of a rule with warnings only
 
 
 def findings(rules: Iterable[Rule], task: Any) -> list[Finding]:
-    """Evaluate several rules on a task; return all findings in the order of the rules."""
-    return [one for rule in rules for one in rule.findings(task)]
+    """Evaluate several rules on a task; return all findings in the order of the rules.
+
+    Args:
+        rules: rules whose quantities take this task.
+        task: a `Task`, or a `Rig` for rules on a scenario.
+    """
+    return [finding for rule in rules for finding in rule.findings(task)]
 
 
 def rounded(x: Array, digits: int = 4) -> list[float]:
-    """Round a vector, for messages."""
+    """Round the elements of a vector to a number of decimals, as a list for messages."""
     return np.round(x, digits).tolist()
 
 

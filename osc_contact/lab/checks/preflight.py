@@ -35,8 +35,11 @@ from osc_contact.lab.rig import hardware
 from osc_contact.lab.rig.contacts import urdf_of
 from osc_contact.lab.rig.rig import Rig, landings
 from osc_contact.lab.scenarios.bodies import CartSpec
+from osc_contact.loop.arm_rules import weights
+from osc_contact.loop.reference_rules import pulls
+from osc_contact.loop.robot_task import task_of_robot
 from osc_contact.loop.rules import Finding, Task, Values, doubt, findings, rounded, rule
-from osc_contact.loop.start_rules import judge_motion, judge_robot, pulls, task_of_robot, weights
+from osc_contact.loop.start_rules import judge_motion, judge_robot
 from osc_contact.spatial import Array, norm
 
 MOST_TICKS = 100_000  #: references that are taken from an iterator
