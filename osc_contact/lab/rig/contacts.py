@@ -1,7 +1,7 @@
 """Contact pairs and bodies of the environment, made from a scenario.
 
 Every pair is built in the world's coordinates at the start: its environment frame E coincides with
-the world while the body it is on stands where it began.
+the world as long as the touched body is in its initial pose.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.lab.scenarios.signals import total
 from osc_contact.spatial import Array, norm
 
-_STEP = 1e-6  #: m, rad; by so much an object is moved to see its gaps change
+_STEP = 1e-6  #: displacement of the object for the differences of gaps (m, rad)
 
 
 @dataclass(frozen=True)
 class EnvironmentBody:
-    """A body of the environment.
+    """Body of the environment, which contacts touch.
 
     Attributes:
-        name: in pictures.
-        urdf: its file and package folders.
+        name: name of the body in pictures.
+        urdf: file of its shape, and package folders.
         placement: X_WB, pose of its frame in the world at the start.
-        motion: how it slides, None: not at all.
-        contacts: (k,) numbers of the contacts that are on it.
+        motion: motion of the body in the scenario; None: it is at rest.
+        contacts: (k,) indices of the contacts that touch it.
     """
 
     name: str
@@ -51,60 +51,67 @@ class EnvironmentBody:
 
 
 def urdf_of(scenario: Scenario, part: Any) -> Path:
-    """The file of an arm, or of the object, of a scenario."""
+    """File of an arm or of the object of a scenario.
+
+    Args:
+        scenario: scenario whose folder relative paths refer to.
+        part: description with a field `urdf`: an arm, or the object.
+
+    Raises:
+        ModelError: the file is not found.
+    """
     return robots.resolve_urdf(part.urdf, scenario.folder)[0]
 
 
 def pose_of(spec: PoseSpec) -> pin.SE3:
-    """The pose that a scenario gives."""
+    """Convert a pose of a scenario, position and roll-pitch-yaw angles, to `pin.SE3`."""
     return pin.SE3(pin.rpy.rpyToMatrix(*spec.rpy), np.array(spec.xyz))
 
 
 def build_pairs(scenario: Scenario) -> tuple[ContactPair, ...]:
-    """The contact pairs of a scenario, in its order."""
+    """Make the contact pairs of a scenario, in its order; pairs that are objects are returned."""
     poses = _body_poses(scenario)
     world = pin.SE3.Identity()
-    return tuple(
-        spec.pair
-        if isinstance(spec, OwnContactSpec)
-        else make_pair(spec, poses.get(getattr(spec, "body", ""), world), scenario.folder)
-        for spec in scenario.contacts
-    )
+    pairs: list[ContactPair] = []
+    for spec in scenario.contacts:
+        if isinstance(spec, OwnContactSpec):
+            pairs.append(spec.pair)
+        else:
+            X_WB = poses.get(getattr(spec, "body", ""), world)
+            pairs.append(make_pair(spec, X_WB, scenario.folder))
+    return tuple(pairs)
 
 
 def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
-    """Refuse pairs given as objects whose N does not go with their gaps: d gaps/dt = −NᵀV.
+    """Refuse pairs given as objects whose N contradicts their gaps: d gaps/dt = −NᵀV.
 
     Args:
-        scenario: scenario with its contacts. X_WO: pose near which they are to touch.
+        scenario: scenario with its contacts. X_WO: pose of the object near the contacts.
 
     Raises:
-        ScenarioError: with the gaps' rates, and the cure.
+        ScenarioError: a gap changes by another rate, or N has another shape than the gaps.
     """
     for spec in scenario.contacts:
         if not isinstance(spec, OwnContactSpec):
             continue
         N = np.asarray(spec.pair.contact(X_WO, np.zeros(6)).N)
-        before = np.asarray(spec.pair.gaps(X_WO), dtype=float)
-        if N.shape != (6, len(before)):
+        gaps = np.asarray(spec.pair.gaps(X_WO), dtype=float)
+        if N.shape != (6, len(gaps)):
             raise ScenarioError(
-                f"contact '{spec.name}': N has shape {N.shape}, and gaps gives {len(before)} "
+                f"contact '{spec.name}': N has shape {N.shape}, and gaps gives {len(gaps)} "
                 "numbers; there is one column of N (6,) for each gap"
             )
         for j, column in enumerate(N.T):
-            V = _STEP * column / max(norm(column), 1e-12)
-            rate = (spec.pair.gaps(moved(X_WO, V))[j] - before[j]) / _STEP
-            expected = -column @ V / _STEP
+            displacement = _STEP * column / max(norm(column), 1e-12)
+            rate = (spec.pair.gaps(moved(X_WO, displacement))[j] - gaps[j]) / _STEP
+            expected = -column @ displacement / _STEP
             if abs(rate - expected) > 0.5 * abs(expected):
+                is_reversed = rate * expected < 0.0
+                cure = "reverse the sign of N or of gaps" if is_reversed else "check both"
                 raise ScenarioError(
                     f"contact '{spec.name}': along column {j + 1} of its N the gap changes by "
                     f"{rate:.3g} m per metre instead of {expected:.3g}: N points into the "
-                    "environment and gaps shrink along it; "
-                    + (
-                        "reverse the sign of N or of gaps"
-                        if rate * expected < 0.0
-                        else "check both"
-                    )
+                    f"environment and gaps shrink along it; {cure}"
                 )
 
 
@@ -114,36 +121,49 @@ def misplaced(
     bodies: Sequence[EnvironmentBody],
     X_WO: pin.SE3,
 ) -> tuple[ContactPair, ...]:
-    """The pairs in the controller's model, each body displaced by the scenario's error.
+    """Make the pairs of the controller's model, each body displaced by the scenario's error.
 
-    A body is modelled `face_offset` nearer to the object along the first line of force at
-    it, and turned by `face_tilt` about an axis across that line, through where it meets the body.
+    A body is modelled `face_offset` nearer to the object along its first line of force, and rotated
+    by `face_tilt` about an axis across this line, through the point where it meets the body.
 
     Args:
-        scenario: scenario with its `model_error`. pairs: where they are. bodies: that they are on.
+        scenario: scenario with its `model_error`. pairs: the true pairs. bodies: bodies that they
+            touch.
         X_WO: pose of the object in contact.
+
+    Raises:
+        ScenarioError: a pair that is given as an object would be displaced.
     """
     error = scenario.model_error
     if error.face_offset == 0.0 and error.face_tilt == 0.0:
         return pairs
-    found = list(pairs)
+    modelled = list(pairs)
     for body in bodies:
         if not body.contacts:
             continue
-        (foot, *_), (inward, *_) = feet(pairs[body.contacts[0]], X_WO)
-        outward = -inward
-        across = np.cross([0.0, 0.0, 1.0], outward)
-        size = norm(across)
-        across = triad(outward)[:, 0] if size < 1e-3 else across / size
-        about = pin.exp3(error.face_tilt_about * outward) @ across
-        turn = pin.SE3(pin.exp3(error.face_tilt * about), foot + error.face_offset * outward)
+        points, directions = feet(pairs[body.contacts[0]], X_WO)
+        foot = points[0]
+        outward = -directions[0]
+        horizontal = np.cross([0.0, 0.0, 1.0], outward)
+        size = norm(horizontal)
+        across = triad(outward)[:, 0] if size < 1e-3 else horizontal / size
+        axis = pin.exp3(error.face_tilt_about * outward) @ across
+        tilt = pin.SE3(pin.exp3(error.face_tilt * axis), foot + error.face_offset * outward)
         for i in body.contacts:
-            found[i] = _displaced(scenario, i, turn * pin.SE3(np.eye(3), -foot))
-    return tuple(found)
+            modelled[i] = _displaced(scenario, i, tilt * pin.SE3(np.eye(3), -foot))
+    return tuple(modelled)
 
 
 def _displaced(scenario: Scenario, i: int, X: pin.SE3) -> ContactPair:
-    """Contact i with the body that it is on displaced by X in the world."""
+    """Make contact i with its touched body displaced by X in the world.
+
+    Args:
+        scenario: scenario with the contacts. i: index of the contact. X: displacement of the body,
+            X_WB_new = X X_WB.
+
+    Raises:
+        ScenarioError: the pair is given as an object.
+    """
     spec = scenario.contacts[i]
     if isinstance(spec, OwnContactSpec):
         raise ScenarioError(
@@ -160,46 +180,57 @@ def _displaced(scenario: Scenario, i: int, X: pin.SE3) -> ContactPair:
 
 
 def _body_poses(scenario: Scenario) -> dict[str, pin.SE3]:
+    """Pose X_WB of each body of `environment` in a scenario, by its name."""
     return {body.name: pose_of(body.pose) for body in scenario.environment}
 
 
 def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:
-    """The bodies of a scenario: those that bring one face for one contact, then the shared ones.
+    """Make the bodies of a scenario: first the faces of single contacts, then `environment`.
 
     Raises:
         ModelError: a URDF is not found.
     """
-    bodies: list[Any] = []
+    bodies: list[EnvironmentBody] = []
+
+    def add(name: str, spec: Any, X_WB: pin.SE3, contacts: list[int]) -> None:
+        """Append a body.
+
+        Args:
+            name: name of the body. spec: description with the fields `urdf` and `motion`.
+            X_WB: initial pose. contacts: indices of the contacts that touch it.
+        """
+        urdf = robots.resolve_urdf(spec.urdf, scenario.folder)
+        bodies.append(EnvironmentBody(name, urdf, X_WB, spec.motion, tuple(contacts)))
+
     for i, spec in enumerate(scenario.contacts):
         if isinstance(spec, OnFaceSpec):
-            placement = pin.SE3(triad(np.array(spec.face.normal)), np.array(spec.face.point))
-            bodies.append((f"face_{spec.name}", spec.face, placement, [i]))
+            X_WB = pin.SE3(triad(np.array(spec.face.normal)), np.array(spec.face.point))
+            add(f"face_{spec.name}", spec.face, X_WB, [i])
     for body in scenario.environment:
-        on = [i for i, c in enumerate(scenario.contacts) if getattr(c, "body", None) == body.name]
-        bodies.append((body.name, body, pose_of(body.pose), on))
-    return tuple(
-        EnvironmentBody(
-            name, robots.resolve_urdf(spec.urdf, scenario.folder), X_WB, spec.motion, tuple(on)
-        )
-        for name, spec, X_WB, on in bodies
-    )
+        contacts = [
+            i
+            for i, spec in enumerate(scenario.contacts)
+            if getattr(spec, "body", None) == body.name
+        ]
+        add(body.name, body, pose_of(body.pose), contacts)
+    return tuple(bodies)
 
 
 def touched_bodies(bodies: Sequence[EnvironmentBody], count: int) -> tuple[int, ...]:
-    """The body of each contact, a number of `bodies`.
+    """Index in `bodies` of the touched body of each contact.
 
     Args:
         bodies: bodies of the environment. count: number of contacts.
     """
-    of = {i: k for k, body in enumerate(bodies) for i in body.contacts}
-    return tuple(of[i] for i in range(count))
+    body_of_contact = {i: k for k, body in enumerate(bodies) for i in body.contacts}
+    return tuple(body_of_contact[i] for i in range(count))
 
 
 def placements_of(bodies: Sequence[EnvironmentBody], on: Sequence[int]) -> Array:
-    """(contacts, 4, 4) X_WB at the start, of the body of each contact.
+    """Initial pose X_WB of the touched body of each contact, (contacts, 4, 4).
 
     Args:
-        bodies: bodies of the environment. on: the body of each contact.
+        bodies: bodies of the environment. on: index of the touched body of each contact.
     """
     return np.reshape([bodies[i].placement.homogeneous for i in on], (-1, 4, 4))
 
@@ -209,8 +240,8 @@ class OwnMotion:
     """Motion of a body of the environment as objects, for `motion` in a scenario made in Python.
 
     Attributes:
-        rail: how the plants move it; driven by any function of time, or free.
-        body: its answer to forces in the controller's model; None: like a face at rest.
+        rail: motion in the plants: driven by a function of time, or free along the rail.
+        body: response to forces in the controller's model; None: that of a face at rest.
 
     Example:
         >>> slope = osc.Rail(direction=[1, 0, -1], inertia=20.0, stiffness=5e3, damping=50.0)
@@ -222,7 +253,10 @@ class OwnMotion:
 
 
 def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
-    """Convert the description of a body's motion in a scenario to objects."""
+    """Convert the description of a body's motion in a scenario to objects.
+
+    A conveyor is driven; every other body moves along its rail by forces.
+    """
     if isinstance(motion, OwnMotion):
         return motion
     if isinstance(motion, ConveyorSpec):
@@ -230,18 +264,23 @@ def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
         axis, through = np.zeros((2, 3)) if turn is None else np.array((turn.axis, turn.through))
         driven = partial(_commanded, motion)
         return OwnMotion(Rail(np.array(motion.direction), axis, through, driven), Conveyor())
-    given = motion.model_dump(exclude={"type", "mass"})
+    fields = motion.model_dump(exclude={"type", "mass"})
     if isinstance(motion, CartSpec):
-        given["inertia"] = motion.mass
-    rail = Rail(**given)
+        fields["inertia"] = motion.mass
+    rail = Rail(**fields)
     return OwnMotion(rail, Guided(rail))
 
 
 def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
-    """Travel (m) and angle (rad) of a driven body at time t, (2,), with their first two rates."""
-    turn = () if motion.turn is None else motion.turn.signals
-    s, rates, second = np.array((total(motion.signals, t), total(turn, t))).T
-    return s, rates, second
+    """Travel (m) and angle (rad) of a driven body, (2,), with first and second derivatives.
+
+    Args:
+        motion: signals of the body. t: time (s).
+    """
+    rotation_signals = () if motion.turn is None else motion.turn.signals
+    travel_and_angle = (total(motion.signals, t), total(rotation_signals, t))
+    positions, rates, accelerations = np.array(travel_and_angle).T
+    return positions, rates, accelerations
 
 
 def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail]:
@@ -250,8 +289,10 @@ def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail]:
     Raises:
         ScenarioError: a driven body does not start where the contacts touch.
     """
-    found = [Rail() if body.motion is None else _own_motion(body.motion).rail for body in bodies]
-    for body, rail in zip(bodies, found, strict=True):
+    body_rails = [
+        Rail() if body.motion is None else _own_motion(body.motion).rail for body in bodies
+    ]
+    for body, rail in zip(bodies, body_rails, strict=True):
         if rail.motion is not None:
             (travel, angle), (speed, rate), _ = rail.motion(0.0)
             if max(map(abs, (travel, angle, speed, rate))) > 1e-9:
@@ -260,7 +301,7 @@ def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail]:
                     f"{angle:g} rad with {rate:g} rad/s, away from where the contacts touch; give "
                     "sines a ramp, or use minimum_jerk"
                 )
-    return found
+    return body_rails
 
 
 def known_bodies(bodies: Sequence[EnvironmentBody], contacts: int, how: str) -> list[Body | None]:
@@ -270,18 +311,18 @@ def known_bodies(bodies: Sequence[EnvironmentBody], contacts: int, how: str) -> 
         bodies: bodies of the environment. contacts: number of contacts.
         how: value of `model_error.environment`.
     """
-    known: list[Body | None] = [None] * contacts
+    models: list[Body | None] = [None] * contacts
     for body in bodies:
-        answer = None
+        model = None
         if body.motion is not None and how != "ignored":
-            answer = _own_motion(body.motion).body
+            model = _own_motion(body.motion).body
         if how == "yielding":
-            rail = answer.rail if isinstance(answer, Guided) else Rail()
-            sprung = rail.joints == [0] and rail.stiffness > 0.0
-            answer = Yielding() if sprung else None
+            rail = model.rail if isinstance(model, Guided) else Rail()
+            is_sprung = rail.joints == [0] and rail.stiffness > 0.0  # a translation with a spring
+            model = Yielding() if is_sprung else None
         for i in body.contacts:
-            known[i] = answer
-    return known
+            models[i] = model
+    return models
 
 
 def tracked(
@@ -296,8 +337,8 @@ def tracked(
     Raises:
         ScenarioError: several contacts are on one body, so that they cannot be distinguished.
     """
-    held = collision_shapes(object_urdf)
-    found = {}
+    object_shapes = collision_shapes(object_urdf)
+    contacts: dict[int, TrackedContact] = {}
     for body in bodies:
         if len(body.contacts) > 1:
             names = ", ".join(pairs[i].name for i in body.contacts)
@@ -305,8 +346,10 @@ def tracked(
                 f"control.contacts: detected finds all that touches '{body.name}' as one contact, "
                 f"but {names} are on it; declare one contact for each body, or use declared"
             )
-        shapes = collision_shapes(body.urdf[0])
-        face = [CollisionShape(s.name, s.shape, body.placement * s.placement) for s in shapes]
+        body_shapes = [
+            CollisionShape(part.name, part.shape, body.placement * part.placement)
+            for part in collision_shapes(body.urdf[0])
+        ]
         for i in body.contacts:
-            found[i] = TrackedContact(held, face, pairs[i].name)
-    return tuple(found[i] for i in range(len(pairs)))
+            contacts[i] = TrackedContact(object_shapes, body_shapes, pairs[i].name)
+    return tuple(contacts[i] for i in range(len(pairs)))

@@ -1,5 +1,4 @@
-"""From a scenario to what makes its rig real: drives and sensors for the plant, and what the
-controller needs in front of it because of them."""
+"""Drives and sensors of a rig, made from a scenario, and the robot between plant and controller."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -29,19 +28,28 @@ from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.sensing.vision_fusion import Registration, VisionFusion
 from osc_contact.spatial import Array
 
-_NOISE = 0.02  #: rad, m; encoders may jump by as much
+_NOISE = 0.02  #: jump of an encoder's reading that counts as plausible without motion (rad, m)
+
+
+#: Function that reads one error (noise, bias or resolution) from the description of a quantity.
+ReadsError = Callable[[Any], float]
 
 
 def flexible_joints(
     scenario: Scenario, chain: ClosedChain, state: ChainState
 ) -> FlexibleJoints | None:
-    """The springs of a scenario, at the state from which its first mode is counted.
+    """Springs of flexible joints of a scenario, from its numbers or its first natural frequency.
 
     Args:
-        scenario: scenario with `arms`. chain: model of the arms. state: at the start.
+        scenario: scenario with `arms`. chain: model of the arms. state: state in which the joint
+            inertias and the natural frequency are taken.
+
+    Returns:
+        Stiffness, damping and motor inertia of each motor joint; None: the joints are stiff.
 
     Raises:
-        ScenarioError: numbers for an arm that is not there, or not one for each motor.
+        ScenarioError: numbers are given for an unknown arm, or not one for each motor, or rotors
+            are given twice.
     """
     spec = scenario.plant.flexible_joints
     if spec is None:
@@ -51,25 +59,29 @@ def flexible_joints(
             "the rotors of joints with springs are plant.flexible_joints.motor_inertia; set "
             "arms.armature to 0, or leave plant.flexible_joints out"
         )
-    own = joint_inertias(state, chain.actuated)
+    link_inertia = joint_inertias(state, chain.actuated)
     rotors = spec.motor_inertia
-    J = _per_motor(chain, "motor_inertia", rotors) if isinstance(rotors, dict) else rotors * own
+    if isinstance(rotors, dict):
+        motor_inertia = _per_motor(chain, "motor_inertia", rotors)
+    else:  # a multiple of the links' inertia
+        motor_inertia = rotors * link_inertia
     if spec.frequency is None:
-        K = _per_motor(chain, "stiffness", spec.stiffness or {})
+        stiffness = _per_motor(chain, "stiffness", spec.stiffness or {})
     else:
-        K = stiffness_for(state, chain.actuated, spec.frequency)
-    # motor and link swing against each other with the reduced inertia
-    return FlexibleJoints(K, 2.0 * spec.damping_ratio * np.sqrt(K * J * own / (J + own)), J)
+        stiffness = stiffness_for(state, chain.actuated, spec.frequency)
+    # motor and link swing against each other with the reduced inertia J_m J_l / (J_m + J_l)
+    root = np.sqrt(stiffness * motor_inertia * link_inertia / (motor_inertia + link_inertia))
+    return FlexibleJoints(stiffness, 2.0 * spec.damping_ratio * root, motor_inertia)
 
 
 def drives(
     scenario: Scenario, chain: ClosedChain, springs: FlexibleJoints | None, seed: int
 ) -> JointDrives:
-    """Springs, motor errors and friction of every motor joint.
+    """Make the drives of all motor joints: springs, errors of the motors, and friction.
 
     Args:
-        scenario, chain: as of `flexible_joints`. springs: springs of it. seed: seed of the motors'
-            errors.
+        scenario: scenario with `plant`. chain: model of the arms. springs: springs of flexible
+            joints; None: stiff joints. seed: seed of the motors' errors.
     """
     spec = scenario.plant
     motors = None
@@ -81,65 +93,92 @@ def drives(
     return JointDrives(springs, motors, friction)
 
 
-def _per_motor(chain: ClosedChain, key: str, given: Mapping[str, Sequence[float]]) -> Array:
-    """(n_a,) numbers of all arms, in the order of the motors."""
+def _per_motor(chain: ClosedChain, key: str, by_arm: Mapping[str, Sequence[float]]) -> Array:
+    """Concatenate the numbers of all arms to (n_a,), in the order of the motors.
+
+    Args:
+        chain: model of the arms. key: key of `plant.flexible_joints`, for messages.
+        by_arm: numbers of each arm's motors, by the arm's name.
+
+    Raises:
+        ScenarioError: numbers are given for an unknown arm, or not one for each motor.
+    """
     names = [arm.name for arm in chain.arms]
-    if extra := sorted(set(given) - set(names)):
-        raise ScenarioError(f"plant.flexible_joints.{key}: no arm {extra}; there are {names}")
-    numbers = [list(given.get(name, ())) for name in names]
-    for arm, own in zip(chain.arms, numbers, strict=True):
+    if unknown := sorted(set(by_arm) - set(names)):
+        raise ScenarioError(f"plant.flexible_joints.{key}: no arm {unknown}; there are {names}")
+    numbers = [list(by_arm.get(name, ())) for name in names]
+    for arm, arm_numbers in zip(chain.arms, numbers, strict=True):
         motors = arm.model.nv - len(arm.passive_joints)
-        if len(own) != motors:
+        if len(arm_numbers) != motors:
             raise ScenarioError(
                 f"plant.flexible_joints.{key}: give {motors} numbers for arm '{arm.name}', one for "
-                f"each motor; got {own}"
+                f"each motor; got {arm_numbers}"
             )
     return np.concatenate(numbers)
 
 
 def sensors(spec: SensorsSpec, chain: ClosedChain, markers: Array) -> Sensors:
-    """The plant's sensors with the errors of a scenario.
+    """Make the plant's sensors with the errors of a scenario.
 
     Args:
-        spec: `plant.sensors`. chain: model of the arms.
-        markers: (contacts, 4, 4) frames of the bodies that cameras track in E, the world at the
-            start.
+        spec: sensors of the scenario. chain: model of the arms.
+        markers: (contacts, 4, 4) frames of the bodies that cameras track, in E, which is the world
+            at the start.
     """
 
-    def six(wrist: Any, error: Any) -> Array:
+    def joint_torque_errors(torque: Any, error: ReadsError) -> Array:
+        """Errors (n_a,) of the joint torque sensors (N m, N), given as shares of the limits."""
+        return error(torque) * chain.tau_max
+
+    def wrist_errors(wrist: Any, error: ReadsError) -> Array:
+        """Errors (6,) of a wrist sensor: three of the force (N), three of the torque (N m)."""
         return np.repeat([error(wrist.force), error(wrist.torque)], 3)
 
     return Sensors(
         encoders=_sensor(spec.encoder, partial(_joint_errors, chain)),
-        joint_torques=_sensor(spec.joint_torque, lambda torque, e: e(torque) * chain.tau_max),
-        wrists=_sensor(spec.wrist, six),
+        joint_torques=_sensor(spec.joint_torque, joint_torque_errors),
+        wrists=_sensor(spec.wrist, wrist_errors),
         vision=spec.vision,
         markers=markers,
     )
 
 
 def _sensor(
-    clock: Clock | None, size: Callable[[Any, Any], Array]
+    spec: Clock | None, sizes: Callable[[Any, ReadsError], Array]
 ) -> tuple[Clock, SensorErrors] | None:
-    """A clock, and `size` of noise, bias and resolution."""
-    if clock is None:
+    """Clock and errors of one kind of sensor; None: the sensor is ideal.
+
+    Args:
+        spec: rate, delay and errors of the sensor in the scenario.
+        sizes: function that returns the sizes of an error of all channels, from the description and
+            a function that reads this error from a part of it.
+    """
+    if spec is None:
         return None
-    errors = map(attrgetter, ("noise", "bias", "resolution"))
-    return clock, SensorErrors(*[size(clock, error) for error in errors])
+    noise, bias, resolution = (
+        sizes(spec, attrgetter(error)) for error in ("noise", "bias", "resolution")
+    )
+    return spec, SensorErrors(noise, bias, resolution)
 
 
-def _joint_errors(chain: ClosedChain, spec: EncoderSpec, error: Callable[[Any], float]) -> Array:
-    """(n,) an error of the encoders, by whether the joint turns or slides."""
+def _joint_errors(chain: ClosedChain, spec: EncoderSpec, error: ReadsError) -> Array:
+    """Sizes (n,) of an error of the encoders: a length for sliding joints (m), else an angle (rad).
+
+    Args:
+        chain: model of the arms. spec: encoders of the scenario. error: function that reads the
+            error from `spec.length` or `spec.angle`.
+    """
     return np.where(sliding(chain.model), error(spec.length), error(spec.angle))
 
 
 def torque_loop(
     scenario: Scenario, chain: ClosedChain, joints: FlexibleJoints | None
 ) -> JointTorqueLoop | None:
-    """The joint torque loop of a scenario, or None.
+    """Make the joint torque loop of a scenario; None without one, or with stiff joints.
 
     Args:
-        scenario, chain: as of `flexible_joints`. joints: the springs; None: stiff joints.
+        scenario: scenario with `control.joint_torque`. chain: model of the arms. joints: springs of
+            flexible joints; None: stiff joints.
     """
     spec = scenario.control.joint_torque
     if spec is None or joints is None:
@@ -148,28 +187,38 @@ def torque_loop(
 
 
 def joint_estimate(scenario: Scenario, chain: ClosedChain) -> tuple[VelocityEstimate, Array]:
-    """What estimates the velocities of joints, and (n,) the rms error of their readings (rad, m).
+    """Make the estimator of joint velocities of a scenario.
 
     Args:
         scenario: scenario with encoders. chain: model of the arms.
+
+    Returns:
+        Estimator, and rms error (n,) of the encoders' readings: noise, and resolution as a uniform
+        distribution (rad, m).
     """
     spec = scenario.sensors.encoder
     assert spec is not None
     estimate = scenario.control.estimate
-    noise, step = (_joint_errors(chain, spec, attrgetter(e)) for e in ("noise", "resolution"))
-    error = np.maximum(np.hypot(noise, step / np.sqrt(12.0)), 1e-9)
-    unknown = np.where(sliding(chain.model), estimate.joint_linear, estimate.joint_angular)
+    noise = _joint_errors(chain, spec, attrgetter("noise"))
+    resolution = _joint_errors(chain, spec, attrgetter("resolution"))
+    error = np.maximum(np.hypot(noise, resolution / np.sqrt(12.0)), 1e-9)
+    unknown_acceleration = np.where(
+        sliding(chain.model), estimate.joint_linear, estimate.joint_angular
+    )
     dt = 1.0 / scenario.control.rate
-    made = VelocityEstimate.optimal
-    if estimate.measured_forces:
-        made = VelocityEstimate.learning
-    return made(error, unknown, dt, 1.0 / spec.rate), error
+    make = VelocityEstimate.learning if estimate.measured_forces else VelocityEstimate.optimal
+    return make(error, unknown_acceleration, dt, 1.0 / spec.rate), error
 
 
 class TorqueLoopRobot:
-    """A plant behind its joint torque loop, which makes the joints carry what is commanded."""
+    """Plant behind its joint torque loop, which controls the torques behind the joints' springs.
+
+    Attributes:
+        plant: plant with flexible joints. loop: controller of the motors, at its own rate.
+    """
 
     def __init__(self, plant: Plant, loop: JointTorqueLoop) -> None:
+        """Put the loop in front of the plant; sensors and `stop` are the plant's."""
         self.plant = plant
         self.loop = loop
         self.measure = plant.measure
@@ -177,25 +226,33 @@ class TorqueLoopRobot:
         self._sampled = -1.0
 
     def command(self, tau: Array, duration: float) -> None:
-        """The loop's periods within one of the controller."""
+        """Run the loop for one period of the controller.
+
+        Args:
+            tau: (n_a,) desired torques of the joints (N m, N). duration: period (s), a whole number
+                of the loop's periods.
+        """
         for _ in range(round(duration / self.loop.dt)):
-            read = self.plant.measure()
-            assert read.joint_torques is not None  # the MuJoCo plant has them
-            sampled = self.plant.time if read.stamps is None else read.stamps.joint_torques
-            u = self.loop.command(tau, read.joint_torques, fresh=sampled > self._sampled)
+            measurement = self.plant.measure()
+            torques = measurement.joint_torques
+            stamps = measurement.stamps
+            assert torques is not None  # the MuJoCo plant has them
+            sampled = self.plant.time if stamps is None else stamps.joint_torques
+            motor_torques = self.loop.command(tau, torques, fresh=sampled > self._sampled)
             self._sampled = sampled
-            self.plant.command(u, self.loop.dt)
+            self.plant.command(motor_torques, self.loop.dt)
 
 
 class ObservedRobot:
-    """A robot whose measurements are completed for its controller.
+    """Robot whose measurements are completed by estimates for its controller.
 
     Joint velocities are estimated from encoders, the motion of bodies from vision. Readings are
-    brought up to date by the sensors' known delay. Ideal readings pass unchanged. Positions and
-    velocities of encoders that are dead are NaN.
+    extrapolated over the sensors' known delay. Ideal readings pass unchanged. Positions and
+    velocities of dead encoders are NaN.
 
     Attributes:
-        vision: what fuses the camera's pictures with the encoders; None: no vision.
+        robot: robot that measures. controller: controller of the loop.
+        vision: fusion of the camera's pictures with the encoders; None: no vision.
     """
 
     def __init__(
@@ -205,19 +262,20 @@ class ObservedRobot:
         scenario: Scenario,
         markers: Array,
     ) -> None:
-        """Set up the estimates from the errors the scenario gives the sensors.
+        """Make the estimators from the sensor errors of the scenario.
 
         Args:
-            robot: that measures. controller: controller of it. scenario: scenario with the sensors.
-            markers: as of `sensors`.
+            robot: robot that measures. controller: its controller. scenario: scenario with the
+                sensors. markers: (contacts, 4, 4) frames of the bodies that cameras track, in E.
         """
         self.robot = robot
         self.controller = controller
         self.stop = robot.stop
         chain = controller.chain
-        self._acceleration = np.zeros(chain.nq)  #: of the joints, as expected since the last tick
+        #: accelerations of the joints that the last command causes (rad/s², m/s²)
+        self._acceleration = np.zeros(chain.nq)
         self.dt = 1.0 / scenario.control.rate
-        self._read = -1.0  #: when encoders were sampled last
+        self._sampled = -1.0  #: time at which encoders were sampled last (s)
         self._ticks = 0
         spec = scenario.sensors
         estimate = scenario.control.estimate
@@ -227,15 +285,15 @@ class ObservedRobot:
             limit = chain.model.velocityLimit
             limit = np.where(limit > 0.0, limit, np.inf)
             period = max(self.dt, 1.0 / spec.encoder.rate)
-            self._reach = scenario.control.safety.plausible_speed * limit * period
+            #: largest plausible change of a reading in a period (rad, m)
+            self._largest_change = scenario.control.safety.plausible_speed * limit * period
             self._delay = spec.encoder.delay
             self._accepted = np.full(chain.nq, np.nan)
             self._missed = np.zeros(chain.nq)
             self._joints, _ = joint_estimate(scenario, chain)
-            noise, step = (
-                _joint_errors(chain, spec.encoder, attrgetter(e)) for e in ("noise", "resolution")
-            )
-            self._dead = DeadEncoders(noise, step)
+            noise = _joint_errors(chain, spec.encoder, attrgetter("noise"))
+            resolution = _joint_errors(chain, spec.encoder, attrgetter("resolution"))
+            self._dead = DeadEncoders(noise, resolution)
         self.vision: VisionFusion | None = None
         if (camera := spec.vision) is not None:
             self.vision = VisionFusion(
@@ -249,12 +307,18 @@ class ObservedRobot:
             )
 
     def _implausible(self, q: Array) -> NDArray[np.bool_]:
-        """(n,) which joints are not finite, or moved faster than they can since they were read."""
-        far = np.abs(q - self._accepted) > _NOISE + self._reach * (1.0 + self._missed)
-        bad = ~np.isfinite(q) | far
-        self._missed = np.where(bad, self._missed + 1.0, 0.0)
-        self._accepted = np.where(bad, self._accepted, q)
-        return bad
+        """Mask (n,) of readings that are not finite or changed faster than the joint can move.
+
+        A plausible reading becomes the one that later readings are compared with.
+
+        Args:
+            q: (n,) readings of the encoders (rad, m).
+        """
+        largest_change = _NOISE + self._largest_change * (1.0 + self._missed)
+        implausible = ~np.isfinite(q) | (np.abs(q - self._accepted) > largest_change)
+        self._missed = np.where(implausible, self._missed + 1.0, 0.0)
+        self._accepted = np.where(implausible, self._accepted, q)
+        return implausible
 
     def measure(self) -> Measurement:
         """Measurement for a controller, with estimates of the velocities that are not measured."""
@@ -263,14 +327,14 @@ class ObservedRobot:
         if stamps is None:
             return measurement
         if self._joints is not None:
-            bad = self._implausible(measurement.q)
-            if bad.any() and self._joints.x is None:
+            implausible = self._implausible(measurement.q)
+            if implausible.any() and self._joints.x is None:  # the estimate has not begun
                 return measurement
-            fresh = stamps.encoders > self._read
-            q = np.where(bad, np.nan, measurement.q)
+            fresh = stamps.encoders > self._sampled
+            q = np.where(implausible, np.nan, measurement.q)
             dead = self._dead.update(measurement.q, fresh)
             q, v = self._joints.update(np.where(dead, np.nan, q), self._acceleration, fresh)
-            q = np.where(bad | dead, np.nan, q + self._delay * v)
+            q = np.where(implausible | dead, np.nan, q + self._delay * v)
             v = np.where(dead, np.nan, v)  # only predicted
             measurement = replace(measurement, q=q, v=v, estimated=True)
         if self.vision is not None and measurement.touched is not None:
@@ -283,13 +347,18 @@ class ObservedRobot:
             )
             measurement = replace(measurement, touched=touched)
         self._ticks += 1
-        self._read = stamps.encoders
+        self._sampled = stamps.encoders
         return measurement
 
     def command(self, tau: Array, duration: float) -> None:
-        """See `Robot.command`."""
-        if self._joints is not None:  # accelerations are of use
-            self._acceleration = self.controller.joint_acceleration()
+        """Command the robot, and store the joint accelerations that the next estimate expects.
+
+        Args:
+            tau: (n_a,) motor torques (N m, N). duration: control period (s).
+        """
+        if self._joints is not None:
             if self._measured_forces:
                 self._acceleration = expected_acceleration(self.controller)
+            else:
+                self._acceleration = self.controller.joint_acceleration()
         self.robot.command(tau, duration)

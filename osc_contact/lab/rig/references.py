@@ -1,4 +1,4 @@
-"""References at time t, from the signals of a scenario."""
+"""References of a run at any time, from the signals of a scenario."""
 
 from __future__ import annotations
 
@@ -28,13 +28,18 @@ from osc_contact.spatial import Array, Poses, as_array, axial, cross, norm, rota
 
 
 def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
-    """The one direction (3,) of translation that every contact permits at X_WO.
+    """Direction (3,) of the only translation that all contacts permit, a unit vector.
+
+    The largest component of the direction is positive.
+
+    Args:
+        pairs: contacts. X_WO: pose of the object in contact.
 
     Raises:
-        ScenarioError: the contacts leave none, or more than one.
+        ScenarioError: the contacts permit no translation, or several.
     """
-    _, s, Vh = np.linalg.svd(contact_at(pairs, X_WO).N[:3].T)
-    rank = np.count_nonzero(s > 1e-6)
+    _, singular_values, Vh = np.linalg.svd(contact_at(pairs, X_WO).N[:3].T)
+    rank = np.count_nonzero(singular_values > 1e-6)
     if rank != 2:
         raise ScenarioError(
             f"direction: common_tangent needs contact forces that span a plane; {len(pairs)} "
@@ -50,9 +55,9 @@ def force_names(scenario: Scenario) -> list[str]:
 
 
 def force_steps(scenario: Scenario) -> list[float]:
-    """Times at which a desired contact force jumps (s); forces are not judged just after them.
+    """Times at which a desired contact force jumps (s), in order; forces settle after them.
 
-    Contacts that engage after a tare are such steps, too.
+    The engagement of contacts after a tare is such a step, too.
     """
     signals = chain.from_iterable(scenario.force.values())
     steps = {signal.start for signal in signals if isinstance(signal, Step)}
@@ -61,10 +66,11 @@ def force_steps(scenario: Scenario) -> list[float]:
     return sorted(steps)
 
 
-_WHOLE = np.array([[1.0], [0.0], [0.0]])  #: the constant 1, with its derivatives
-_AT_ONCE = 1000  #: references that are worked out together
-_COMPARED = 100_000  #: ticks whose forces are compared together
-_BEGINNING = 3.0  #: times the approach after a tare, until the motion is that of the signals
+_WHOLE = np.array([[1.0], [0.0], [0.0]])  #: the constant 1 with its derivatives, (3, 1)
+_AT_ONCE = 1000  #: number of references that are computed together
+_COMPARED = 100_000  #: number of ticks whose forces are compared together
+#: Time in which the motion rises to that of the signals after a tare, over the approach's time.
+_BEGINNING = 3.0
 
 
 @dataclass(frozen=True)
@@ -74,14 +80,16 @@ class References:
     Attributes:
         scenario: source of the signals.
         X_start: pose of the object in contact at t = 0.
-        ways: of each move its direction (3,), or the `SurfaceMotion` that it follows.
-        standoff: (6,) displacement off the contacts during the tare phase (zero: none).
-        showing: (6,) motion of `control.dither`, at its origin, for each metre along the line.
+        ways: for each move its direction (3,), or the `SurfaceMotion` that it follows.
+        standoff: (6,) displacement of the object off the contacts during the tare (m, rad), at O in
+            world axes; zero without a tare.
+        showing: (6,) twist of `control.dither` at O for a speed of 1 m/s along the line between two
+            contacts (1, rad/m).
     """
 
     scenario: Scenario
     X_start: pin.SE3
-    ways: tuple[Any, ...]
+    ways: tuple[Array | SurfaceMotion, ...]
     standoff: Array
     showing: Array
 
@@ -94,15 +102,15 @@ class References:
         standoff: Array,
         showing: Array | None = None,
     ) -> References:
-        """Resolve `common_tangent`, and what moves follow.
+        """Make the references of a scenario; resolve directions and surfaces of its moves.
 
         Args:
-            scenario: scenario with the signals. X_start: pose of the object at the start.
-            pairs: the contacts. standoff: (contacts,) gaps at the start (m).
-            showing: as an attribute; None: zero.
+            scenario: scenario with the signals. X_start: pose of the object in contact.
+            pairs: contacts. standoff: (6,) displacement off the contacts during the tare (m, rad).
+            showing: (6,) twist of `control.dither`; None: zero.
 
         Raises:
-            ScenarioError: see `common_tangent`; or a move names no contact on a surface.
+            ScenarioError: `common_tangent` is not unique, or a move names no contact on a surface.
         """
         ways = tuple(_way(move, pairs, X_start) for move in scenario.motion)
         showing = np.zeros(6) if showing is None else showing
@@ -123,22 +131,27 @@ class References:
         return tare.duration + tare.approach
 
     def at(self, t: float) -> Reference:
-        """The reference at time t (s); accelerations are classical."""
+        """Reference at time t (s); its accelerations are classical."""
         return next(iter(self.over(np.array([t]))))
 
     def each(self, ticks: int, period: float) -> Iterator[Reference]:
-        """The references of so many ticks, one after the other."""
+        """Yield the references of successive ticks, from t = 0 on.
+
+        Args:
+            ticks: number of references. period: time between them (s).
+        """
         for start in range(0, ticks, _AT_ONCE):
             yield from self.over(np.arange(start, min(start + _AT_ONCE, ticks)) * period)
 
     def forces(self, t: Array) -> Array:
-        """(r, k) desired magnitudes at times t (k,)."""
+        """Desired force magnitudes (r, k) at times t (k,) (s), in N."""
         names = force_names(self.scenario)
         signals = self.scenario.force
-        return np.reshape([total(signals[name], t)[0] for name in names], (len(names), len(t)))
+        magnitudes = [total(signals[name], t)[0] for name in names]
+        return np.reshape(magnitudes, (len(names), len(t)))
 
     def commands(self, t: Array) -> Array:
-        """(r, k) desired magnitudes at times t (k,), 0 of contacts that are not active."""
+        """Desired force magnitudes (r, k) at times t (k,) (s), 0 for inactive contacts (N)."""
         forces = self.forces(t)
         active = self.active(t)
         if active is None:
@@ -163,82 +176,114 @@ class References:
         return [(float(times[k]), active[k]) for k in new]
 
     def active(self, t: Array) -> Array | None:
-        """(k, contacts) which contacts are active at times t (k,), 1 or 0; None: none are named."""
+        """Matrix (k, contacts) with 1 for contacts that are active at times t (k,) (s), else 0.
+
+        None: the scenario states no times, so that all contacts are active.
+        """
         spans = self.scenario.active
         if not spans:
             return None
         always = ((-np.inf, np.inf),)
-        named = [spans.get(contact.name, always) for contact in self.scenario.contacts]
-        return np.column_stack(
-            [np.any([(t >= begin) & (t < end) for begin, end in own], axis=0) for own in named]
-        ).astype(float)
+        columns = []
+        for contact in self.scenario.contacts:
+            contact_spans = spans.get(contact.name, always)
+            in_spans = [(t >= begin) & (t < end) for begin, end in contact_spans]
+            columns.append(np.any(in_spans, axis=0))
+        return np.column_stack(columns).astype(float)
 
     @cached_property
     def largest_commands(self) -> tuple[float, float]:
-        """Largest command of one contact or squeeze in the run, and largest sum of all (N)."""
+        """Largest commanded force of one contact or squeeze, and largest sum of all of them (N)."""
         arms = len(self.scenario.arms)
-        squeezes = abs(self.scenario.squeeze) * np.ones(arms * (arms - 1) // 2)
+        pairs_of_arms = arms * (arms - 1) // 2
+        squeezes = abs(self.scenario.squeeze) * np.ones(pairs_of_arms)
         ticks = round(self.scenario.duration * self.scenario.control.rate) + 1
-        largest = total = 0.0
+        largest = 0.0
+        largest_sum = 0.0
         for start in range(0, ticks, _COMPARED):
             t = np.arange(start, min(start + _COMPARED, ticks)) / self.scenario.control.rate
             forces = np.abs(self.commands(t))
             largest = max(largest, float(forces.max(initial=0.0)))
-            total = max(total, float(forces.sum(axis=0).max()))
-        return max(largest, squeezes.max(initial=0.0)), total + squeezes.sum()
+            largest_sum = max(largest_sum, float(forces.sum(axis=0).max()))
+        return max(largest, squeezes.max(initial=0.0)), largest_sum + squeezes.sum()
 
     @cached_property
     def overview(self) -> tuple[Array, Plan]:
-        """Times (2000,) through the whole run, and the references there."""
+        """Times (2000,) through the whole run (s), and the references at these times."""
         t = np.linspace(0.0, self.scenario.duration, 2000)
         return t, self.over(t)
 
     def over(self, t: Array) -> Plan:
-        """The references at many times t (k,), worked out together."""
-        x = np.zeros((3, 3, len(t)))  # displacement, velocity, acceleration by linear moves
-        place = np.zeros((3, 3, len(t)))  # of the origin without them
-        place[0] = self.X_start.translation[:, None]
-        turn = _Turn.start(len(t))
+        """References at many times t (k,) (s), computed together.
+
+        Signals s are (3, k): values, first and second derivatives. The motion begins smoothly after
+        a tare; moves on a surface come first, then rotations in the scenario's order, then
+        displacements off the contacts and by a dither.
+        """
         tare = self.scenario.tare
-        begun = _WHOLE  # share of the motion
-        twists = []
+        dither = self.scenario.control.dither
+        share = _WHOLE  # share of the motion that has begun
+        twists = []  # displacements (6,) with their signals (3, k)
         if tare is not None:
-            begun = np.array(rise(t, self.engage_at, _BEGINNING * tare.approach))
-            near = np.array(rise(t, tare.duration, tare.approach))
-            twists.append((self.standoff, _WHOLE - near))
-        slid = [
-            (on, np.einsum("ij,djk->dik", on.axes, product(begun, move.over(t))))
-            for on, move in zip(self.ways, self.scenario.motion, strict=True)
-            if isinstance(move, SurfaceMove)
-        ]
-        if slid:
-            on = slid[0][0]
-            place, turn = on.over(np.einsum("ij,dik->djk", on.axes, sum(x for _, x in slid)))
+            share = np.array(rise(t, self.engage_at, _BEGINNING * tare.approach))
+            nearness = np.array(rise(t, tare.duration, tare.approach))
+            twists.append((self.standoff, _WHOLE - nearness))
+        if dither is not None:
+            twists.append((self.showing, slides(dither, self.engage_at, t)))
+        origin, turn = self._on_surface(t, share)
+        displacement = np.zeros((3, 3, len(t)))  # of the origin by linear moves, as `origin`
         for move, direction in zip(self.scenario.motion, self.ways, strict=True):
-            if isinstance(move, SurfaceMove):
+            if isinstance(move, SurfaceMove) or isinstance(direction, SurfaceMotion):
                 continue
-            s = product(begun, total(move.signals, t))
+            s = product(share, total(move.signals, t))
             if move.kind == "linear":
-                x += direction[:, None] * s[:, None]
+                displacement += direction[:, None] * s[:, None]
             else:
                 turn = turn.then(direction, s)
                 if move.through is not None:
-                    place = _swung(place, direction, np.array(move.through), s)
-        if self.scenario.control.dither is not None:
-            shown = slides(self.scenario.control.dither, self.engage_at, t)
-            twists.append((self.showing, shown))
+                    origin = _swung(origin, direction, np.array(move.through), s)
         for twist, s in twists:
-            x += twist[:3, None] * s[:, None]
+            displacement += twist[:3, None] * s[:, None]
             turn = turn.then(twist[3:], s)
-        plan = Plan.of(place + x, turn, self.X_start, self.forces(t), self.scenario.squeeze)
+        place = origin + displacement
+        plan = Plan.of(place, turn, self.X_start, self.forces(t), self.scenario.squeeze)
         return replace(plan, active=self.active(t), commands=self.commands(t).T)
+
+    def _on_surface(self, t: Array, share: Array) -> tuple[Array, _Turn]:
+        """Motion of the origin and rotation of the object by the moves on a surface.
+
+        The displacements of all such moves are added in the tangential plane at the start.
+
+        Args:
+            t: (k,) times (s). share: (3, k) or (3, 1) share of the motion that has begun, with its
+                derivatives.
+
+        Returns:
+            Position, velocity and acceleration (3, 3, k) of the origin (m, s), and the rotation
+            from the start; at rest if there are no moves on a surface.
+        """
+        surface: SurfaceMotion | None = None
+        displacements = []  # (3, 3, k) derivative, axis of the world, time
+        for motion, move in zip(self.ways, self.scenario.motion, strict=True):
+            if isinstance(move, SurfaceMove) and isinstance(motion, SurfaceMotion):
+                u = product(share, move.over(t))
+                displacements.append(np.einsum("ij,djk->dik", motion.axes, u))
+                surface = motion if surface is None else surface
+        if surface is not None:
+            return surface.over(np.einsum("ij,dik->djk", surface.axes, sum(displacements)))
+        at_rest = np.zeros((3, 3, len(t)))
+        at_rest[0] = self.X_start.translation[:, None]
+        return at_rest, _Turn.start(len(t))
 
 
 def _way(move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3) -> Array | SurfaceMotion:
-    """The direction (3,) of a move, or the surface that it follows.
+    """Direction (3,) of a move, or the surface that it follows.
+
+    Args:
+        move: move of a scenario. pairs: contacts. X_start: pose of the object in contact.
 
     Raises:
-        ScenarioError: see `common_tangent`; or it names no contact on a surface.
+        ScenarioError: `common_tangent` is not unique, or the move names no contact on a surface.
     """
     if move.direction == "common_tangent":
         return common_tangent(pairs, X_start)
@@ -255,14 +300,15 @@ def _way(move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3) -> Ar
 
 @dataclass(frozen=True)
 class Plan:
-    """References at k times, one after the other.
+    """References at k successive times.
 
     Attributes:
-        X_WD: (k, 7) desired poses: position and quaternion x, y, z, w.
-        V_D, A_D: (k, 6) their derivatives, as in `Reference`.
-        alpha_d: (k, r) desired magnitudes. squeeze_d: the same at all times.
-        active: (k, contacts) which contacts are active, 1 or 0; None: none are named.
-        commands: (k, r) alpha_d of active contacts, 0 of the others.
+        X_WD: (k, 7) desired poses: position (m) and quaternion x, y, z, w.
+        V_D, A_D: (k, 6) desired twists and classical accelerations at O, world axes (m, rad, s).
+        alpha_d: (k, r) desired force magnitudes (N). squeeze_d: desired internal force at all times
+            (N).
+        active: (k, contacts) 1 for active contacts, else 0; None: the scenario names none.
+        commands: (k, r) alpha_d of active contacts, 0 of the others (N).
     """
 
     X_WD: Array
@@ -281,7 +327,8 @@ class Plan:
 
         Args:
             place: (3, 3, k) position, velocity and acceleration of the origin (m, s).
-            turn: rotation from X_start. X_start: pose of the object at the start.
+            turn: rotation from the start, with its derivatives. X_start: pose of the object at the
+                start.
             alpha: (r, k) desired forces (N). squeeze: desired internal force (N).
         """
         p, v, a = place
@@ -298,15 +345,21 @@ class Plan:
         )
 
     def __iter__(self) -> Iterator[Reference]:
+        """Yield the references in the order of their times."""
         active = [None] * len(self.X_WD) if self.active is None else self.active
         fields = (self.X_WD, self.V_D, self.A_D, self.alpha_d, active)
-        for X, V, A, alpha, here in zip(*fields, strict=True):
-            yield Reference(pin.XYZQUATToSE3(X), V, A, alpha, self.squeeze_d, here)
+        for X, V, A, alpha, active_now in zip(*fields, strict=True):
+            yield Reference(pin.XYZQUATToSE3(X), V, A, alpha, self.squeeze_d, active_now)
 
 
 @dataclass(frozen=True)
 class _Turn:
-    """Rotations (3, 3, k) with angular velocities and accelerations (3, k), world axes."""
+    """Rotation of the object from the start at k times.
+
+    Attributes:
+        R: (3, 3, k) rotation matrices, world axes.
+        omega: (3, k) angular velocities (rad/s). omega_dot: (3, k) angular accelerations (rad/s²).
+    """
 
     R: Array
     omega: Array
@@ -314,58 +367,77 @@ class _Turn:
 
     @classmethod
     def start(cls, count: int) -> _Turn:
+        """Make the rotation of an object at rest in its initial orientation, at some times."""
         zero = np.zeros((3, count))
         return cls(np.repeat(np.eye(3)[:, :, None], count, axis=2), zero, zero)
 
     def then(self, axis: Array, s: Array) -> _Turn:
-        """Followed by a turn of s[0]·axis about a direction fixed in the world; s (3, k)."""
-        angle, rate, second = axis[:, None] * s[:, None]
+        """Compose this rotation with a later one about an axis that is fixed in the world.
+
+        R = E R₁, ω = ω₂ + E ω₁, ω̇ = ω̇₂ + E ω̇₁ + ω₂ × E ω₁.
+
+        Args:
+            axis: (3,) axis in world axes, times the angle for s[0] = 1 (rad).
+            s: (3, k) factor of the angle, with first and second derivative (s).
+        """
+        angle, rate, acceleration = axis[:, None] * s[:, None]
         E = rotations(angle)
         omega = rotated(E, self.omega)
-        omega_dot = second + rotated(E, self.omega_dot) + cross(rate, omega)
+        omega_dot = acceleration + rotated(E, self.omega_dot) + cross(rate, omega)
         return _Turn(rotated(E, self.R), rate + omega, omega_dot)
 
 
 def _swung(place: Array, axis: Array, through: Array, s: Array) -> Array:
-    """A point's (3, 3, k) position, velocity, acceleration once turned by s (3, k) about an axis
-    (3,) through a point (3,) of the world."""
+    """Motion of a point that is carried by a rotation about an axis fixed in the world.
+
+    Args:
+        place: (3, 3, k) position, velocity and acceleration of the point without the rotation
+            (m, s). axis: (3,) axis of unit length, world axes. through: (3,) point on the axis (m).
+        s: (3, k) angle about the axis with first and second derivative (rad, s).
+
+    Returns:
+        (3, 3, k) position, velocity and acceleration of the point (m, s).
+    """
     angle, w, w_dot = axis[:, None] * s[:, None]
-    c = through[:, None]
+    centre = through[:, None]
     E = rotations(angle)
     p, v, a = place
-    arm = rotated(E, p - c)
-    carried = rotated(E, v)
-    velocity = cross(w, arm)
-    second = cross(w_dot, arm) + cross(w, velocity) + 2.0 * cross(w, carried) + rotated(E, a)
-    return np.array([c + arm, velocity + carried, second])
+    lever = rotated(E, p - centre)
+    relative = rotated(E, v)
+    velocity = cross(w, lever)
+    coriolis = 2.0 * cross(w, relative)
+    acceleration = cross(w_dot, lever) + cross(w, velocity) + coriolis + rotated(E, a)
+    return np.array([centre + lever, velocity + relative, acceleration])
 
 
-# The tool follows a surface: references for a ball that moves on it, turned with its normal.
+# The tool follows a surface: references for a ball that moves on it, rotated with its normal.
 
 
 # Fourth-order central differences at the steps −2 … 2.
 _STEPS = np.arange(-2.0, 3.0)
-_FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
-_SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0
-_STEP = 2e-3  #: s
+_FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0  #: weights of the first derivative
+_SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0  #: weights of the second derivative
+_STEP = 2e-3  #: length of a step (s)
 
 
 class SurfaceMotion:
     """Motion of the object while its ball moves on a surface at rest.
 
-    From the start pose the object is turned by the shortest way from the normal there to the normal
-    at the foot; its ball touches.
+    The ball touches the surface, and the object is rotated from its pose at the start by the
+    shortest rotation from the normal at the start to the normal at the contact point.
 
     Attributes:
-        axes: (3, 2) of the plane that touches the surface at the start, world.
+        axes: (3, 2) unit vectors of the tangential plane at the start, world axes.
     """
 
     def __init__(self, pair: SphereOnSurface, X_start: pin.SE3, direction: npt.ArrayLike) -> None:
-        """Take the start.
+        """Set the surface and the pose at the start, and choose the axes of the tangential plane.
 
         Args:
-            pair: the contact, its environment frame where the world's is.
-            X_start: pose of the object in contact. direction: (3,) roughly the first axis.
+            pair: contact of a ball with the surface; its environment frame coincides with the
+                world.
+            X_start: pose of the object in contact. direction: (3,) vector whose tangential part is
+                the first axis.
 
         Raises:
             InvalidInputError: the direction is along the normal.
@@ -373,37 +445,42 @@ class SurfaceMotion:
         self._pair = pair
         self._X = X_start
         self._ball = X_start.act(pair.centre)
-        _, _, n = pair.nearest(self._ball[:, None])
-        self._n = n[:, 0]
-        along = as_array("direction", direction, (3,))
-        first = along - (along @ self._n) * self._n
-        size = norm(first)
-        if size < 1e-3 * norm(along) or size == 0.0:
+        _, _, normals = pair.nearest(self._ball[:, None])
+        self._normal = normals[:, 0]
+        wanted = as_array("direction", direction, (3,))
+        tangent = wanted - (wanted @ self._normal) * self._normal
+        size = norm(tangent)
+        if size < 1e-3 * norm(wanted) or size == 0.0:
             raise InvalidInputError(
-                f"direction = {along} is along the normal of the surface, {self._n.round(4)}; give "
-                "one across it"
+                f"direction = {wanted} is along the normal of the surface, "
+                f"{self._normal.round(4)}; give one across it"
             )
-        self.axes = np.column_stack((first / size, cross(self._n, first / size)))
+        self.axes = np.column_stack((tangent / size, cross(self._normal, tangent / size)))
 
     def over(self, u: Array) -> tuple[Array, _Turn]:
-        """Position, velocity, acceleration (3, 3, k) of the origin; the turn from the start.
+        """Motion of the object's origin and rotation of the object at k times.
 
-        Derivatives are differences along the path itself.
+        Derivatives are differences of five poses along the path, at times around each of the k
+        times.
 
         Args:
-            u: (3, 2, k) displacement along the axes, velocity and acceleration (m, s).
+            u: (3, 2, k) displacement of the ball along the axes, velocity, acceleration (m, s).
+
+        Returns:
+            Position, velocity and acceleration (3, 3, k) of the origin (m, s), and the rotation
+            from the start.
         """
         k = u.shape[2]
-        s = _STEP * _STEPS[:, None, None]
-        path = u[0] + s * u[1] + 0.5 * s * s * u[2]
-        path = np.einsum("ij,sjk->isk", self.axes, path).reshape(3, -1)
-        _, foot, n = self._pair.nearest(self._ball[:, None] + path)
-        R = _shortest(self._n, n)
-        arm = self._ball - self._X.translation
-        origin = foot + self._pair.radius * n - np.einsum("ijk,j->ik", R, arm)
+        step = _STEP * _STEPS[:, None, None]
+        path = u[0] + step * u[1] + 0.5 * step * step * u[2]  # (5, 2, k)
+        displacement = np.einsum("ij,sjk->isk", self.axes, path).reshape(3, -1)
+        _, foot, normals = self._pair.nearest(self._ball[:, None] + displacement)
+        R = _shortest(self._normal, normals)
+        lever = self._ball - self._X.translation
+        origin = foot + self._pair.radius * normals - np.einsum("ijk,j->ik", R, lever)
         place = _derivatives(origin.reshape(3, 5, k))
-        turn, first, second = _derivatives(R.reshape(3, 3, 5, k))
-        return place, _Turn(turn, _odd(first, turn), _odd(second, turn))
+        turn, R_dot, R_ddot = _derivatives(R.reshape(3, 3, 5, k))
+        return place, _Turn(turn, _odd(R_dot, turn), _odd(R_ddot, turn))
 
 
 def surface_references(
@@ -416,18 +493,20 @@ def surface_references(
     duration: float | None = None,
     **path: Any,
 ) -> Iterator[Reference]:
-    """References for `run_loop`: one each period, the tool following a surface that rests.
+    """Yield references for `run_loop`, by which the tool follows a surface at rest.
 
     Args:
-        pair, X_start: see `SurfaceMotion`. period: of the references (s).
-        direction: (3,) roughly the first axis of the path's plane, world.
-        force: desired (N), or one for each reference.
-        duration: s; default: until the path ends.
+        pair: contact of a ball with the surface; its environment frame coincides with the world.
+        X_start: pose of the object in contact. period: time between references (s).
+        direction: (3,) vector whose tangential part is the first axis of the path's plane, world
+            axes.
+        force: desired contact force (N), or one for each reference.
+        duration: duration of the references (s); None: until the path ends.
         path: keys of a move of kind `surface`: points, raster, signals, feed, dwell, …
 
     Raises:
-        ValueError: keys of the path that do not fit. InvalidInputError: a pair without a curved
-            face; see `SurfaceMotion`.
+        ValueError: keys of the path contradict one another. InvalidInputError: a pair without a
+            curved face, or a direction along the normal.
     """
     if not isinstance(pair, SphereOnSurface):
         raise InvalidInputError(
@@ -442,23 +521,40 @@ def surface_references(
 
 
 def _derivatives(x: Array) -> Array:
-    """(3, …, k) values, first and second derivatives from (…, 5, k) values at the steps."""
+    """Values, first and second derivatives in the middle of five steps, by differences.
+
+    Args:
+        x: (…, 5, k) values at the times t + `_STEPS` × `_STEP`.
+
+    Returns:
+        (3, …, k).
+    """
     first = np.einsum("s,...sk->...k", _FIRST, x) / _STEP
     second = np.einsum("s,...sk->...k", _SECOND, x) / _STEP**2
     return np.array([x[..., 2, :], first, second])
 
 
 def _odd(rate: Array, R: Array) -> Array:
-    """(3, k) the vector of the odd part of rate Rᵀ: ω of Ṙ, ω̇ of R̈."""
+    """Vector (3, k) of the skew-symmetric part of Ṙ Rᵀ, which is ω, or of R̈ Rᵀ, which is ω̇.
+
+    Args:
+        rate: (3, 3, k) first or second derivative of R. R: (3, 3, k) rotation matrices.
+    """
     return 0.5 * axial(np.einsum("ijk,ljk->ilk", rate, R))
 
 
 def _shortest(start: Array, n: Array) -> Array:
-    """(3, 3, k) the shortest turns from a unit vector (3,) to others (3, k)."""
+    """Matrices (3, 3, k) of the shortest rotations from a unit vector to others.
+
+    R = c 1 + [a]× + a aᵀ/(1 + c) with a = start × n and c = startᵀn.
+
+    Args:
+        start: (3,) unit vector. n: (3, k) unit vectors, none opposite to it.
+    """
     a = cross(start[:, None], n)
     c = start @ n
     R = np.einsum("ik,jk->ijk", a, a) / (1.0 + c) + c * np.eye(3)[:, :, None]
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # the matrix [a]×
         R[i, j] -= a[k]
         R[j, i] += a[k]
     return R
@@ -466,21 +562,23 @@ def _shortest(start: Array, n: Array) -> Array:
 
 # A bounded motion that shows the normals of contacts, and how well forces are known without it.
 #
-# The force ±s u between two points of contact, u the line through both, adds nothing to what wrists
-# read. Only the normals distinguish it from the commanded forces: errors of these along u, of the
-# standard deviation σ each, leave s uncertain by ασ/√(τ_1² + τ_2²), τ_j the part of u along face j,
-# and the force on j by |u·n_j| of that. A normal shows where its point slides (`law.normals`).
+# Forces ±s u at two contact points, u the unit vector of the line through both, balance: wrists do
+# not measure s. Only the normals distinguish these forces from the commanded ones. Errors of the
+# normals along u, with standard deviation σ each, leave s uncertain by ασ/√(τ_1² + τ_2²), where τ_j
+# is the part of u along face j, and the force on face j by |u·n_j| times that. A normal is
+# estimated while its contact point slides (`law.normals`).
 
-SHOWN_TO = np.deg2rad(0.5)  #: rad, of normals after a dither, under all errors of a workcell
+SHOWN_TO = np.deg2rad(0.5)  #: error of normals after a dither with all errors of a workcell (rad)
 
 
 def slides(dither: Dither, start: float, t: Array) -> Array:
-    """(3, k) way along the line (m) at times t (k,), its rate and second derivative.
+    """Displacement along the line (m) at k times, with its first two derivatives, (3, k).
 
-    A sine that rises within a quarter of the time and fades in the last one.
+    The displacement is a sine that rises in the first quarter of the time and fades in the last.
 
     Args:
-        dither: its settings. start: when it begins (s). t: (k,) times (s).
+        dither: amplitude, frequency and duration. start: time of its beginning (s). t: (k,) times
+            (s).
     """
     quarter = 0.25 * dither.duration
     sine = Sine[Length](
@@ -490,71 +588,96 @@ def slides(dither: Dither, start: float, t: Array) -> Array:
 
 
 def opposed(pairs: Sequence[ContactPair], state: ChainState) -> tuple[Array, Array, Array] | None:
-    """Line u (3,) between the two points furthest apart, the points (2, 3), normals (2, 3).
+    """Line between the two contact points that are furthest apart.
 
-    Only contacts of one point count; None: there are not two of them.
+    Only contacts of one point count.
+
+    Args:
+        pairs: contacts. state: state of the arms, with the pose of the object.
+
+    Returns:
+        Unit vector u (3,) of the line, the two points (2, 3) (m), and their directions of force
+        (2, 3), in world axes; None: there are no two such points.
     """
-    single = [pair for pair in pairs if knows_where_it_slides(pair)]
-    found = [(p[0], n[0]) for p, n in (feet(pair, state.X_WO) for pair in single) if len(p) == 1]
-    if len(found) < 2:
+    lines_of_force = []  # point and direction of force of each contact with one point
+    for pair in pairs:
+        if knows_where_it_slides(pair):
+            points, directions = feet(pair, state.X_WO)
+            if len(points) == 1:
+                lines_of_force.append((points[0], directions[0]))
+    if len(lines_of_force) < 2:
         return None
-    a, b = max(combinations(found, 2), key=lambda two: norm(two[1][0] - two[0][0]))
-    line = b[0] - a[0]
+
+    def distance(two: tuple[tuple[Array, Array], tuple[Array, Array]]) -> float:
+        """Distance of the points of two contacts (m)."""
+        (first_point, _), (second_point, _) = two
+        return norm(second_point - first_point)
+
+    (first, first_normal), (second, second_normal) = max(
+        combinations(lines_of_force, 2), key=distance
+    )
+    line = second - first
     if norm(line) < 1e-6:
         return None
-    return line / norm(line), np.array((a[0], b[0])), np.array((a[1], b[1]))
+    u = line / norm(line)
+    return u, np.array((first, second)), np.array((first_normal, second_normal))
 
 
 def showing_twist(pairs: Sequence[ContactPair], state: ChainState, N: Array) -> Array:
-    """(6,) the motion of least energy that arms and contacts permit along the line, 1 m/s there.
+    """Twist (6,) of least energy that arms and contacts permit with 1 m/s along a line.
 
-    Zero where there is no line between two points, or where nothing can slide along it.
+    The line is that between the two contact points furthest apart; the speed is that of the point
+    in its middle. The twist is zero if there are no two points, or no motion along the line.
 
     Args:
-        pairs: the contacts. state: state of the arms. N: (6, r) of all contacts at O.
+        pairs: contacts. state: state of the arms. N: (6, r) directions of force of all contacts, at
+            O in world axes.
     """
-    found = opposed(pairs, state)
-    if found is None:
+    line = opposed(pairs, state)
+    if line is None:
         return np.zeros(6)
-    u, points, _ = found
+    u, points, _ = line
     along = np.concatenate((u, np.cross(points.mean(axis=0) - state.X_WO.translation, u)))
     V = least_motion(state, np.column_stack((N, along)), np.append(np.zeros(N.shape[1]), 1.0))
     return V if abs(along @ V - 1.0) < 1e-6 else np.zeros(6)
 
 
 def least_motion(state: ChainState, F: Array, power: Array) -> Array:
-    """(6,) the motion of least kinetic energy that the arms permit with Fᵀ × it = power.
+    """Twist V (6,) of least kinetic energy that the arms permit with FᵀV = power.
 
     Args:
-        state: state of the arms. F: (6, k) wrenches. power: (k,) of each; least squares where no
-            motion has them all.
+        state: state of the arms, with S and the metric of the kinetic energy. F: (6, k) wrenches.
+        power: (k,) power of each wrench (W); least squares if no motion has all of them.
     """
     rows = F.T @ state.S
-    mobile = np.linalg.solve(state.S.T @ state.metric @ state.S, rows.T)
-    multipliers = np.linalg.lstsq(rows @ mobile, power, rcond=1e-9)[0]
-    return state.S @ (mobile @ multipliers)
+    mobility = np.linalg.solve(state.S.T @ state.metric @ state.S, rows.T)
+    multipliers = np.linalg.lstsq(rows @ mobility, power, rcond=1e-9)[0]
+    return state.S @ (mobility @ multipliers)
 
 
 def known_to(pairs: Sequence[ContactPair], state: ChainState, std: float) -> float:
-    """Standard deviation of the forces of two points on one another, as a share of their size.
+    """Standard deviation of the forces of two opposed contacts, as a share of these forces.
 
     Args:
-        pairs: the contacts. state: state of the arms. std: of their normals along the line (rad).
+        pairs: contacts. state: state of the arms. std: standard deviation of their normals along
+            the line between them (rad).
     """
-    found = opposed(pairs, state)
-    if found is None:
+    line = opposed(pairs, state)
+    if line is None:
         return 0.0
-    u, _, normals = found
-    along = np.abs(normals @ u)
-    left = np.sqrt(np.maximum(1.0 - along**2, 0.0))
-    return float(along.max() * std / max(norm(left), 1e-3))
+    u, _, normals = line
+    normal_parts = np.abs(normals @ u)
+    tangential_parts = np.sqrt(np.maximum(1.0 - normal_parts**2, 0.0))
+    return float(normal_parts.max() * std / max(norm(tangential_parts), 1e-3))
 
 
 def gain_in_words(share: float, std: float) -> str:
-    """What a dither would bring; empty where it is not worth it.
+    """Sentence on the benefit of a dither; empty if the benefit is small.
 
     Args:
-        share: of the forces, for each rad of the normals, see `known_to`. std: of the normals now.
+        share: relative error of the forces for each radian of the normals' error, see `known_to`
+            (1/rad).
+        std: standard deviation of the normals without a dither (rad).
     """
     if not share * std > 0.01 or std < 2.0 * SHOWN_TO:
         return ""
