@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.control.controller import Controller
+from osc_contact.control.status import Phase
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import OscContactError, PlantError
 from osc_contact.files import write_whole
@@ -23,13 +24,13 @@ from osc_contact.recorder import Recording
 from osc_contact.settings.control import PhaseSettings
 from osc_contact.spatial import Array
 
-MASS_ERROR = 0.15  #: of the largest element, by which mass matrices may differ
-TORQUE_ERROR = 0.05  #: of the motors' limits, by which torques at rest may differ
-FORCES = (5.0, 8.0)  #: N, of the approach and of the step
-SLIDE = 0.02  #: m
-ERROR = 0.1  #: of the force, rms
+MASS_ERROR = 0.15  #: largest difference of mass matrices, over the largest element
+TORQUE_ERROR = 0.05  #: largest difference of torques at rest, over the motors' limits
+FORCES = (5.0, 8.0)  #: desired forces (N): during the approach, and after the step
+SLIDE = 0.02  #: distances of the slide along the plate and of the retreat from it (m)
+ERROR = 0.1  #: largest rms error of the force, over the desired force
 NUDGE = (0.0, 1.0, 0.0)  #: direction of the push at the tool, in axes of the base
-PATIENCE = 10.0  #: s, until it comes
+PATIENCE = 10.0  #: longest time until the push comes (s)
 READ_S = 0.3  #: time over which the readings of a robot at rest are averaged (s)
 ENGAGE_S = 0.05  #: time at rest before the approach (s)
 APPROACH_S = 15.0  #: longest time of the approach (s)
@@ -97,18 +98,18 @@ class Commissioning:
             f"contact: presses with {FORCES[0]:g} and {FORCES[1]:g} N, slides": self._press,
         }
         done = 0
-        for what, step in steps.items():
+        for title, step in steps.items():
             if not self.holds_itself:
                 self.robot.stop("the next step is to be confirmed")
-            if not self.confirm(what):
-                self.lines.append(f"- {what}: left out")
+            if not self.confirm(title):
+                self.lines.append(f"- {title}: left out")
                 break
             try:
                 if not self.holds_itself:
                     self._recover()
-                self.lines += [f"- {what}", *(f"  - {line}" for line in step())]
+                self.lines += [f"- {title}", *(f"  - {line}" for line in step())]
             except OscContactError as error:
-                self.lines += [f"- {what}: failed", f"  - {error}"]
+                self.lines += [f"- {title}: failed", f"  - {error}"]
                 break
             done += 1
         self.robot.stop()
@@ -135,11 +136,12 @@ class Commissioning:
             Lines of the report.
 
         Raises:
-            PlantError: they differ by more than `MASS_ERROR` and `TORQUE_ERROR`.
+            PlantError: mass matrices differ by more than `MASS_ERROR`, or torques by more than
+                `TORQUE_ERROR`.
         """
-        read = [self._read() for _ in range(round(READ_S / self.dt))]
+        measurements = [self._read() for _ in range(round(READ_S / self.dt))]
         data = self._model.createData()
-        q = read[-1].q
+        q = measurements[-1].q
         mass_matrix: Callable[[], Array] | None = getattr(self.robot, "mass_matrix", None)
         if mass_matrix is None:
             yield "mass matrices are not compared: the robot has no mass_matrix()"
@@ -153,30 +155,38 @@ class Commissioning:
                     "largest element; is this the model of the robot, with its hand?"
                 )
             yield f"mass matrices differ by {100 * worst:.2g} %"
-        given = [m.joint_torques for m in read if m.joint_torques is not None]
-        if not given:
+        readings = [m.joint_torques for m in measurements if m.joint_torques is not None]
+        if not readings:
             yield "torques at rest are not compared: the robot measures none"
         else:
-            torques = np.mean(given, axis=0)
-            left = torques - pin.computeGeneralizedGravity(self._model, data, q)
-            share = np.abs(left) / self._chain.tau_max
-            if share.max() > TORQUE_ERROR:
-                j = share.argmax()
+            torques = np.mean(readings, axis=0)
+            differences = torques - pin.computeGeneralizedGravity(self._model, data, q)
+            shares = np.abs(differences) / self._chain.tau_max
+            if shares.max() > TORQUE_ERROR:
+                j = shares.argmax()
                 raise PlantError(
                     f"at rest joint '{self._chain.joint_names[j]}' carries {torques[j]:.3g} N m, "
-                    f"{left[j]:.3g} N m more than the model's weight; correct masses, hand or "
-                    "payload"
+                    f"{differences[j]:.3g} N m more than the model's weight; correct masses, hand "
+                    "or payload"
                 )
-            yield f"torques at rest differ by {100 * share.max():.2g} % of the limits"
-        wrenches = np.array([m.wrenches[0] for m in read])
+            yield f"torques at rest differ by {100 * shares.max():.2g} % of the limits"
+        wrenches = np.array([m.wrenches[0] for m in measurements])
         mean = wrenches.mean(axis=0).round(2).tolist()
         noise = wrenches.std(axis=0).round(3).tolist()
         yield f"wrist: {mean}, noise {noise} N, N m"
 
     def _nudge(self) -> Iterator[str]:
-        """Compare sign and axes of the wrench with a push of the tool while the arm is held."""
+        """Compare sign and axes of the wrench with a push of the tool while the arm is held.
+
+        Yields:
+            Lines of the report.
+
+        Raises:
+            PlantError: no push is measured, or one in another direction.
+        """
 
         def outside() -> Array:
+            """Mean wrench (6,) of the wrist over some ticks, in world axes (N, N m)."""
             return mean_outside(self._chain, self._read)
 
         base = self._chain.arms[0].base
@@ -184,16 +194,24 @@ class Commissioning:
         yield "the wrist reads the push in its direction"
 
     def _shadow(self) -> Iterator[str]:
-        """Judge the model while somebody leads the arm, see `loop.shadow`."""
-        q, X = self._stands()
+        """Judge the model while somebody leads the arm, see `loop.shadow`.
+
+        Yields:
+            Lines of the report.
+
+        Raises:
+            PlantError: the model does not explain the torques, so that forces must not be
+                commanded.
+        """
+        q, X = self._present_state()
         controller = Controller(self._chain, [], dt=self.dt, posture=q)
         ticks = round(self.shadow_time / self.dt)
         hold = repeat(pose_reference(X.translation, X.rotation), ticks)
-        found = run_loop(self.robot, controller, hold, shadow=True, realtime=self.realtime).shadow
-        assert found is not None
-        yield from found.lines()
-        if not found.forces:
-            raise PlantError("; ".join(found.findings))
+        report = run_loop(self.robot, controller, hold, shadow=True, realtime=self.realtime).shadow
+        assert report is not None
+        yield from report.lines()
+        if not report.forces:
+            raise PlantError("; ".join(report.findings))
         if self.holds_itself:
             self._recover()
 
@@ -210,14 +228,21 @@ class Commissioning:
         if not self.holds_itself:
             self._held.settle(round(READ_S / self.dt))
 
-    def _stands(self) -> tuple[Array, pin.SE3]:
-        """Return the joint positions (n,) and the pose of the tip now."""
+    def _present_state(self) -> tuple[Array, pin.SE3]:
+        """Measure the joint positions (n,) and compute the pose of the tip from them."""
         q = np.asarray(self.robot.measure().q)
         return (q, self._chain.state(q).X_WO)
 
     def _press(self) -> Iterator[str]:
-        """Approach a plate, press with two forces, slide and retreat."""
-        q, X = self._stands()
+        """Approach a plate, press with two forces, slide and retreat.
+
+        Yields:
+            Lines of the report.
+
+        Raises:
+            PlantError: no plate is found, or the rms error of a force is larger than `ERROR`.
+        """
+        q, X = self._present_state()
         below = X.translation - [0.0, 0.0, self.gap]
         plate = VertexOnFace(np.zeros(3), point=below, normal=np.array([0.0, 0.0, 1.0]))
         life = PhaseSettings(travel=self.gap + 0.03)
@@ -233,10 +258,11 @@ class Commissioning:
         yield f"from state to torques: {latency(loop.as_dict())}"
         shown = "" if self.draw is None else f"; ![forces]({self.draw(recording, self.folder)})"
         yield f"landed after {motion.landed * self.dt:.2f} s{shown}"
-        read, commanded = (recording[key][:, 0] for key in ("alpha_meas", "alpha_cmd"))
+        measured = recording["alpha_meas"][:, 0]
+        commanded = recording["alpha_cmd"][:, 0]
         for k, force in zip(motion.judged, FORCES, strict=True):
-            part = slice(k - round(JUDGE_S / self.dt), k)
-            error = np.sqrt(np.mean((read[part] / commanded[part] - 1.0) ** 2))
+            interval = slice(k - round(JUDGE_S / self.dt), k)
+            error = np.sqrt(np.mean((measured[interval] / commanded[interval] - 1.0) ** 2))
             yield f"{force:g} N: {100 * error:.2g} % rms"
             if error > ERROR:
                 raise PlantError(
@@ -247,7 +273,14 @@ class Commissioning:
 
 @dataclass
 class _Motion:
-    """References of the first contact."""
+    """References of the first contact: approach, two forces, slide and retreat.
+
+    Attributes:
+        controller: controller of the loop, whose contact phase shows the landing.
+        X: pose of the tip at the start.
+        landed: tick in which the contact was found closed; 0: not yet.
+        judged: ticks at which the intervals end in which the two forces are judged.
+    """
 
     controller: Controller
     X: pin.SE3
@@ -255,19 +288,24 @@ class _Motion:
     judged: tuple[int, int] = (0, 0)
 
     def each(self) -> Iterator[Reference]:
-        """Return the references of the ticks: approach, two forces, slide and retreat."""
+        """Yield the reference of each tick, until 5 s after the landing or the approach is over."""
         dt = self.controller.dt
         engaged = round(ENGAGE_S / dt)
         for k in range(round((APPROACH_S + 5.0) / dt)):
-            if not self.landed and k > engaged and self.controller.phases()[0] == 2:
+            if not self.landed and k > engaged and self.controller.phases()[0] == Phase.CLOSED:
                 self.landed = k
                 first, second = (k + round(t / dt) for t in JUDGED_S)
                 self.judged = (first, second)
             t = dt * (k - self.landed) if self.landed else 0.0
             if t > 5.0:
                 return
-            slid = rise(t, 2.0, 2.0)
-            raised = rise(t, 4.0, 0.8)
-            force = 0.0 if k < engaged or t > 4.0 else FORCES[t > JUDGED_S[0]]
-            p, v, a = SLIDE * np.column_stack((np.zeros(3), slid, raised))
+            slide = rise(t, 2.0, 2.0)  # share of the way, with its first and second derivative
+            retreat = rise(t, 4.0, 0.8)
+            if k < engaged or t > 4.0:
+                force = 0.0
+            elif t > JUDGED_S[0]:
+                force = FORCES[1]
+            else:
+                force = FORCES[0]
+            p, v, a = SLIDE * np.column_stack((np.zeros(3), slide, retreat))
             yield pose_reference(self.X.translation + p, self.X.rotation, v, a, alpha_d=[force])

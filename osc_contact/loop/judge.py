@@ -38,12 +38,13 @@ class Truth:
 
 @dataclass(frozen=True)
 class Truths:
-    """`Truth` at k instants.
+    """True states and contact forces at k instants, each as in `Truth`.
 
     Attributes:
-        alpha: (k, r). closed: (k, contacts). X_WO: k poses. V_O: (k, 6).
-        X_WE: of each contact k poses, or None: its face rests.
-        N: of each contact its lines of force (6, r_i, k) at O, world axes.
+        alpha: (k, r) contact force magnitudes (N). closed: (k, contacts) whether contacts touch.
+        X_WO: k poses of the object. V_O: (k, 6) its twists at O, world axes (m/s, rad/s).
+        X_WE: for each contact k poses of the frame of its face; None: the face is at rest.
+        N: for each contact its lines of force (6, r_i, k) at O, world axes.
     """
 
     alpha: Array
@@ -54,6 +55,7 @@ class Truths:
     N: tuple[Array, ...]
 
     def __getitem__(self, i: int) -> Truth:
+        """Return the truth at instant i; faces at rest have the identity, or None if all rest."""
         faces = None
         if any(X is not None for X in self.X_WE):
             faces = tuple(pin.SE3.Identity() if X is None else X[i] for X in self.X_WE)
@@ -92,7 +94,7 @@ class NotedTruths:
     """True states and forces, computed from the rows that `Watched` records."""
 
     def __init__(self, contacts: Sequence[ContactPair]) -> None:
-        """Set the contacts, in the order of the controller's."""
+        """Set the contacts, in the order of the controller's contacts."""
         self._contacts = contacts
 
     def truths(self, noted: Array) -> Truths:
@@ -102,14 +104,13 @@ class NotedTruths:
             noted: (k, m) rows returned by `Watched.noted`: X_WO and each X_WE (3×4 by rows), V_O, 1
                 if bodies move, then for each contact 1 if closed, then the magnitudes α.
         """
-        c = len(self._contacts)
-        poses, V_O, moving, closed, alpha = np.split(
-            noted, np.cumsum([12 * (1 + c), 6, 1, c]), axis=1
-        )
-        X = poses.reshape(-1, 1 + c, 3, 4).transpose(1, 2, 3, 0).copy()
-        X_WO, *faces = (Poses(x[:, :3], x[:, 3]) for x in X)
-        X_WE = tuple(faces) if moving.any() else (None,) * c
-        N = tuple(normals_over(p, X_WO, E) for p, E in zip(self._contacts, X_WE, strict=True))
+        contacts = len(self._contacts)
+        ends = np.cumsum([12 * (1 + contacts), 6, 1, contacts])  # of the fields in a row
+        poses, V_O, moving, closed, alpha = np.split(noted, ends, axis=1)
+        matrices = poses.reshape(-1, 1 + contacts, 3, 4).transpose(1, 2, 3, 0).copy()
+        X_WO, *faces = (Poses(matrix[:, :3], matrix[:, 3]) for matrix in matrices)
+        X_WE = tuple(faces) if moving.any() else (None,) * contacts
+        N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(self._contacts, X_WE, strict=True))
         return Truths(alpha, closed > 0.0, X_WO, V_O, X_WE, N)
 
 
@@ -171,10 +172,10 @@ class Pictured(Protocol):
 
 
 def require_duration(duration: float) -> None:
-    """Refuse a step that takes no time, or no number.
+    """Refuse the duration of a simulation step (s) that is not positive and finite.
 
     Raises:
-        InvalidInputError: with what was given.
+        InvalidInputError: the duration is zero, negative, infinite or NaN.
     """
     if not 0.0 < duration < inf:
         raise InvalidInputError(f"duration = {duration} s; a step takes a positive, finite time")

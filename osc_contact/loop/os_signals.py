@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, NoReturn, ParamSpec
 
-Given = ParamSpec("Given")
+Parameters = ParamSpec("Parameters")  #: arguments of a protected call
 
-#: Signals that end a program, with their default handlers, as far as the system has them.
-_USUAL: dict[int, Any] = {
+#: Signals that end a program, with Python's default handlers, as far as the system has them.
+_DEFAULT_HANDLERS: dict[int, Any] = {
     getattr(signal, name): signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
     for name in ("SIGINT", "SIGTERM", "SIGHUP")
     if hasattr(signal, name)
@@ -43,15 +43,17 @@ class RaisedSignals:
         if not self.busy or len(self.seen) > 2:
             self.end()
 
-    def whole(self, call: Callable[Given, None], *given: Given.args, **named: Given.kwargs) -> None:
-        """Call something that no signal interrupts; one that came meanwhile ends the block then.
+    def whole(
+        self, call: Callable[Parameters, None], *args: Parameters.args, **kwargs: Parameters.kwargs
+    ) -> None:
+        """Call a function with signals deferred; a deferred signal ends the block after the call.
 
         Args:
-            call: function.
-            given, named: its arguments.
+            call: function that must not be interrupted, such as `Recorder.append`.
+            args, kwargs: arguments of the function.
         """
         self.busy = True
-        call(*given, **named)
+        call(*args, **kwargs)
         self.busy = False
         if self.seen:
             self.end()
@@ -60,8 +62,9 @@ class RaisedSignals:
         """Raise the exception of the first signal.
 
         Raises:
-            KeyboardInterrupt: the signal is that of Ctrl-C.
-            SystemExit: another signal; the exit code is 128 plus its number, as of a shell.
+            KeyboardInterrupt: the signal is SIGINT, sent by Ctrl-C.
+            SystemExit: the signal is another one; the exit code is 128 plus its number, the
+                convention of shells.
         """
         if self.seen[0] == signal.SIGINT:
             raise KeyboardInterrupt
@@ -70,17 +73,24 @@ class RaisedSignals:
 
 @contextmanager
 def raised_signals() -> Iterator[RaisedSignals]:
-    """Context in which signals end a block by an exception; deferred ones do so at its end."""
+    """Context in which signals end a block by an exception; deferred ones do so at its end.
+
+    Only default handlers are replaced, so that a program's own handlers stay in use, and only in
+    the main thread, because Python handles signals there.
+
+    Yields:
+        Signals received so far, and the calls that no signal interrupts.
+    """
     signals = RaisedSignals()
     if threading.current_thread() is threading.main_thread():
-        for number, usual in _USUAL.items():
-            if signal.getsignal(number) == usual:
+        for number, default in _DEFAULT_HANDLERS.items():
+            if signal.getsignal(number) == default:
                 signal.signal(number, signals.note)
     try:
         yield signals
     finally:
-        for number, usual in _USUAL.items():
+        for number, default in _DEFAULT_HANDLERS.items():
             if signal.getsignal(number) == signals.note:
-                signal.signal(number, usual)
+                signal.signal(number, default)
     if signals.seen:
         signals.end()

@@ -22,32 +22,39 @@ class Controls(Protocol):
 
 @runtime_checkable
 class Leads(Protocol):
-    """Source of references that depend on what happens, as the loop uses it: a plan."""
+    """Source of references that depend on the course of the run, as the loop uses a `Plan`."""
 
     @property
     def ended(self) -> bool:
-        """Whether the loop ends."""
+        """Whether there are no more references, so that the loop ends."""
 
     def begin(
         self, controller: Any, measurement: Measurement, log: Callable[..., None] | None = None
     ) -> None:
-        """Check and begin.
+        """Check that the controller can follow the references, and begin with the first one.
 
         Args:
             controller: controller of the loop.
             measurement: reading of the robot at rest.
-            log: records an event of the loop.
+            log: function that records an event of the loop with its facts; None: no record.
+
+        Raises:
+            InvalidInputError: the controller cannot follow these references.
         """
 
     def step(self) -> Reference:
-        """Reference of the next tick, from the results of the last one."""
+        """Reference of the next tick, from the controller's results in the last tick."""
 
     def placed(self, measurement: Measurement) -> Measurement:
-        """Measurement of a tick with the poses of touched bodies that were found meanwhile."""
+        """Measurement of a tick with the poses of touched bodies that were found in the run.
+
+        Args:
+            measurement: reading of the robot, which is not changed.
+        """
 
 
 def references_of(lead: Leads) -> Iterator[Reference]:
-    """References of a plan until it has ended."""
+    """Yield the references of a plan, one for each tick, until the plan has ended."""
     while not lead.ended:
         yield lead.step()
 

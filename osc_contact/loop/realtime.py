@@ -73,8 +73,11 @@ class LoopReport:
         late = seconds > LATE_SHARE * self.period or read - self._last > LATE_CYCLES * self.period
         self._last = read
         self.ticks += 1
-        self.missed += late
-        self.in_a_row = self.in_a_row + 1 if late else 0
+        if late:
+            self.missed += 1
+            self.in_a_row += 1
+        else:
+            self.in_a_row = 0
 
     def require(self) -> None:
         """End the loop if too many consecutive deadlines were missed.
@@ -96,10 +99,11 @@ class LoopReport:
 
         The keys are "p50", "p99", "p99_9" and "max".
         """
-        shares = {"p50": 0.5, "p99": 0.99, "p99_9": 0.999}
         counts = np.cumsum(self.histogram)
-        bins = {name: np.searchsorted(counts, x * self.ticks) for name, x in shares.items()}
-        times = {name: 1e6 * BIN_S * (int(k) + 1) for name, k in bins.items()}
+        times = {}
+        for name, share in (("p50", 0.5), ("p99", 0.99), ("p99_9", 0.999)):
+            k = int(np.searchsorted(counts, share * self.ticks))
+            times[name] = 1e6 * BIN_S * (k + 1)  # the upper end of the bin
         return {**times, "max": 1e6 * self.largest}
 
     def as_dict(self) -> Json:
@@ -130,12 +134,13 @@ def at_once(call: Callable[[], object]) -> None:
 def realtime_process() -> Iterator[list[str]]:
     """Request real-time priority and locked memory, and stop garbage collection, for a block.
 
-    Yields sentences on requests that the system refused, which are also logged.
+    Yields:
+        Sentences on requests that the system refused, which are also logged.
     """
     notes: list[str] = []
     before = None
     try:
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        before = (os.sched_getscheduler(0), os.sched_getparam(0))
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except (AttributeError, OSError) as error:
         notes.append(
@@ -197,7 +202,11 @@ class SideWork:
         return self._last.done()
 
     def submit(self, call: Callable[[], object]) -> None:
-        """Queue a call; an error in it is logged and stored in `failure`."""
+        """Queue a call for the thread; an error in it is logged and stored in `failure`.
+
+        Args:
+            call: function without arguments.
+        """
         self._last = self._thread.submit(self._make, call)
 
     def give_way(self) -> None:
@@ -219,5 +228,6 @@ class SideWork:
 
 
 def _lower_priority() -> None:
+    """Give the present thread a priority one below the loop's, if the process is real-time."""
     if hasattr(os, "SCHED_FIFO") and os.sched_getscheduler(0) == os.SCHED_FIFO:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY - 1))

@@ -54,7 +54,15 @@ _logger = logging.getLogger("osc_contact.recorder")
 _BLOCK = 500  #: largest number of rows that are written to the journal at once
 _EVERY = 0.08  #: s, longest time between writes to a named journal
 #: Attributes of `TickResult` that are stored, with their numbers of elements.
-_FOUND = {"f_meas": 6, "bias_out": 6, "V_O": 6, "X_WO": 16, "f_c": 6, "error": 6, "free_error": 6}
+_RESULTS = {
+    "f_meas": 6,
+    "bias_out": 6,
+    "V_O": 6,
+    "X_WO": 16,
+    "f_c": 6,
+    "error": 6,
+    "free_error": 6,
+}
 
 
 class Recorder:
@@ -132,32 +140,38 @@ class Recorder:
         self.log("start", state=controller.state.name, **about)
 
     def _lay_out(self, of: Subject) -> None:
-        """Lay out the fields of a row: first those that are NaN for a tick without a result."""
+        """Lay out the fields of a row: first those that are NaN for a tick without a result.
+
+        Allocates the buffers that `append` fills, so that a tick allocates little.
+
+        Args:
+            of: description of the recorded system.
+        """
         chain = self._controller.chain
         contacts = len(of.pairs)
         r = len(of.owners)
         squeezes = internal_forces(len(chain.arms))
-        found = {**_FOUND, "squeeze": squeezes, "friction": chain.nq}
-        unknown = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **found}
+        results = {**_RESULTS, "squeeze": squeezes, "friction": chain.nq}
+        unknown = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **results}
         if self.truth is None:
             unknown["X_WE"] = 16 * contacts
         numbers = {"tick_s": 1, "status": 1, "squeeze_d": squeezes, "given_up": r}
-        whole = {"active": contacts}
+        integers = {"active": contacts}
         if of.phased:
-            whole |= {"phase": contacts, "closed": r, "collision": r}
-        sizes = {**unknown, "tau": chain.n_a, **numbers, "normal_std": r, **whole}
-        self._names = tuple(found)
+            integers |= {"phase": contacts, "closed": r, "collision": r}
+        sizes = {**unknown, "tau": chain.n_a, **numbers, "normal_std": r, **integers}
+        self._result_names = tuple(results)
         self._fields = [(name, "<f8", (size,)) for name, size in sizes.items()]
         self._rows = np.zeros((_BLOCK, sum(sizes.values())))
-        self._still = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
+        self._rest_poses = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
         self._unknown = np.full(sum(unknown.values()), np.nan)
         self._numbers = np.zeros(sum(numbers.values()))
         self._squeezes, self._given_up = np.split(self._numbers[2:], [squeezes])
-        self._squeeze: float | None = None  #: of the last tick, if its numbers are as noted
-        # read off the controller's records
-        self._read = np.zeros(2 * r + sum(found.values()) + r)
-        self._found, self._normal_std = np.split(self._read, [len(self._read) - r])
-        self._whole = np.zeros(sum(whole.values()), np.int64)
+        self._squeeze: float | None = None  #: of the last tick, if `_squeezes` still has it
+        # numbers copied from the controller's records: α, speeds, results, normal_std
+        self._floats = np.zeros(2 * r + sum(results.values()) + r)
+        self._results, self._normal_std = np.split(self._floats, [len(self._floats) - r])
+        self._integers = np.zeros(sum(integers.values()), np.int64)
 
     @property
     def _patience(self) -> float:
@@ -180,32 +194,20 @@ class Recorder:
         """
         if self._k == _BLOCK or perf_counter() - self._flushed > self._patience:
             self.flush()
-        row = self._rows[self._k]
         status = self._controller.status
-        numbers = self._numbers
-        numbers[0] = seconds
-        numbers[1] = status
-        squeeze = reference.squeeze_d
-        if status is not Status.OK or squeeze is not self._squeeze:
-            self._squeeze = squeeze if status is Status.OK and type(squeeze) is float else None
-            self._squeezes[:] = np.nan  # after a single one; that distinguishes it from several
-            with suppress(TypeError, ValueError):  # the tick was held
-                self._squeezes[: np.size(squeeze)] = squeeze
-            cost = self._controller.given_up if status is Status.SATURATED else None
-            self._given_up[:] = 0.0
-            if cost is not None and len(cost.force) == len(self._given_up):
-                self._given_up[:] = cost.force
-        known = (tau, numbers, self._normal_std, self._whole)
+        self._note_numbers(reference, seconds)
+        known = (tau, self._numbers, self._normal_std, self._integers)
+        row = self._rows[self._k]
         try:
             self._read_records()
             parts: tuple[np.ndarray[Any, Any], ...]
             command = reference.alpha_d
             if reference.active is not None:  # there is no command for contacts that are not active
                 command = command * (np.asarray(reference.active) != 0)[self.of.owners]
-            parts = (measurement.q, measurement.v, command, self._found)
+            parts = (measurement.q, measurement.v, command, self._results)
             if self.truth is None:
                 touched = measurement.touched
-                parts += (self._still if touched is None else np.ravel(touched.X_WE),)
+                parts += (self._rest_poses if touched is None else np.ravel(touched.X_WE),)
             np.concatenate(parts + known, out=row)
         except (InvalidInputError, TypeError, ValueError, IndexError):  # no result, or misshapen
             np.concatenate((self._unknown, *known), out=row)
@@ -219,6 +221,31 @@ class Recorder:
             self.log(event, **facts)
         self._k += 1
         self.count += 1
+
+    def _note_numbers(self, reference: Reference, seconds: float) -> None:
+        """Set the numbers of a row that are known for every tick, also for one without a result.
+
+        These are computing time, status, desired internal forces and forces that were given up;
+        the latter two are written only when they may have changed.
+
+        Args:
+            reference: input of the tick. seconds: computing time (s).
+        """
+        status = self._controller.status
+        self._numbers[0] = seconds
+        self._numbers[1] = status
+        squeeze = reference.squeeze_d
+        if status is Status.OK and squeeze is self._squeeze:
+            return
+        self._squeeze = squeeze if status is Status.OK and type(squeeze) is float else None
+        # NaN after a single internal force distinguishes it from several equal ones
+        self._squeezes[:] = np.nan
+        with suppress(TypeError, ValueError):  # the tick was held: the reference is not valid
+            self._squeezes[: np.size(squeeze)] = squeeze
+        loss = self._controller.given_up if status is Status.SATURATED else None
+        self._given_up[:] = 0.0
+        if loss is not None and len(loss.force) == len(self._given_up):
+            self._given_up[:] = loss.force
 
     def log(self, event: str, **facts: Any) -> None:
         """Store an event with the wall-clock time, in the recording and in a file beside its rows.
@@ -250,21 +277,28 @@ class Recorder:
         if result is not self._last:
             self._last = result
             self._locate(result)
-        self._words.view(np.float64).take(self._read_at, out=self._read, mode="clip")
-        self._words.take(self._whole_at, out=self._whole, mode="clip")
+        words = self._record_words
+        words.view(np.float64).take(self._float_places, out=self._floats, mode="clip")
+        words.take(self._integer_places, out=self._integers, mode="clip")
 
     def _locate(self, result: TickResult) -> None:
-        """Find the position of each stored number in the controller's records."""
+        """Find the position of each stored number in the controller's records.
+
+        Args:
+            result: results of a tick, which refer to the records.
+        """
         records = result.records
         columns = records.memory.columns
         contacts = records.memory.contacts
-        found = [columns.alpha, columns.speed, *(getattr(result, name) for name in self._names)]
-        whole = [contacts.active]
+        results = [getattr(result, name) for name in self._result_names]
+        integers = [contacts.active]
         if self.of.phased:
-            whole += [contacts.phase, columns.closed, columns.collision]
-        self._words = records.rows.raw.view(np.int64)
-        self._read_at = records.places(*found, columns.normal_std)
-        self._whole_at = records.places(*whole)
+            integers += [contacts.phase, columns.closed, columns.collision]
+        self._record_words = records.rows.raw.view(np.int64)
+        self._float_places = records.places(
+            columns.alpha, columns.speed, *results, columns.normal_std
+        )
+        self._integer_places = records.places(*integers)
 
     def flush(self) -> None:
         """Append the rows stored since the last call to the journal."""
@@ -280,7 +314,13 @@ class Recorder:
         self._flushed = perf_counter()
 
     def _noted(self, start: int) -> Array:
-        """Stored rows from `start` on with named fields, and with the judge's numbers."""
+        """Rows (k,) that are not in the journal yet, with named fields.
+
+        With a judge each row has a field `truth` with the judge's numbers.
+
+        Args:
+            start: index of the first row returned.
+        """
         rows = self._rows[start : self._k]
         fields = self._fields
         if self.truth is not None:
@@ -295,7 +335,11 @@ class Recorder:
         return Tick(partial(channels, self.of, self.truth, self.count - 1, row))
 
     def note(self, meta: Mapping[str, Any]) -> None:
-        """Add to the meta data of the recording."""
+        """Add entries to the meta data of the recording.
+
+        Args:
+            meta: JSON data; later entries replace earlier ones of the same key.
+        """
         self._meta |= meta
 
     def recording(self, meta: Mapping[str, Any] | None = None) -> Recording:
@@ -351,26 +395,38 @@ def subject_of(
 
 
 def own_subject(controller: Controller) -> Subject:
-    """Description of the system with the contacts of the controller's own model."""
+    """Description of a system whose true contacts are those of the controller's model.
+
+    Args:
+        controller: the controller; touched bodies are placed at the world's origin.
+    """
     pairs = tuple(controller.contacts)
     world = np.tile(np.eye(4), (len(pairs), 1, 1))
     return subject_of(controller, pairs, world, force_owners(pairs))
 
 
 def describe_subject(of: Subject, controller: Controller) -> Json:
-    """Meta data of a recording: names, limits, losses, rate and versions."""
+    """Meta data of a recording: names, limits, losses, rate and versions.
+
+    Args:
+        of: description of the recorded system. controller: controller of the loop.
+
+    Returns:
+        JSON data by key; the limit of a motor without a limit is None.
+    """
     chain = controller.chain
     limits = [limit if limit < np.inf else None for limit in chain.tau_max.tolist()]
     motors = [chain.joint_names[j] for j in chain.actuated]
+    losses = []
+    for arm in chain.arms:
+        losses += joint_losses(arm.model, f"{arm.name}/")
     return {
         "version": version("osc-contact"),
         "law_hash": law_hash(),
         "arm_names": [arm.name for arm in chain.arms],
         "joint_names": chain.joint_names,
         "effort_limits": dict(zip(motors, limits, strict=True)),
-        "joint_losses": [
-            one for arm in chain.arms for one in joint_losses(arm.model, f"{arm.name}/")
-        ],
+        "joint_losses": losses,
         "contact_names": [pair.name for pair in of.pairs],
         "columns": of.owners.tolist(),
         "control_rate_hz": 1.0 / controller.dt,

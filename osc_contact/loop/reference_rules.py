@@ -68,8 +68,9 @@ def measured_range(task: Task) -> Values:
 def force_ceilings(task: Task) -> Values:
     """Commanded forces of single contacts, and their sum, divided by the ceilings that are set.
 
-    Each force, and the internal force of two arms, is compared with `safety.contact_ceiling`; the
-    sum of all of them, internal forces included, with `safety.wrist_ceiling`.
+    Each force, and the internal force of two arms, is compared with
+    `control.safety.contact_ceiling`; the sum of all of them, internal forces included, with
+    `control.safety.wrist_ceiling`.
     """
     forces = np.abs(task.forces)
     total = forces.sum(axis=1)

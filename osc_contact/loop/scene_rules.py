@@ -25,15 +25,21 @@ def _scene_of(task: Task) -> Scene:
 
 
 def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]:
-    """Yield points of contact near the tool: pair, point, outward normal, distance, nearest geom.
+    """Yield the contact points that are near the tool in the pose at the start.
 
-    Points and normals are in world axes; the distance (m) is that from the point to the geom.
+    Yields:
+        Pair; point (3,) and outward normal (3,) of its face, in world axes (m); distance of the
+        point from the nearest geom of the scene (m); name of that geom.
     """
+    scene = _scene_of(task)
+    if not scene.tool_touches:
+        return
     X = task.state.X_WO
-    for pair in task.pairs if _scene_of(task).tool_touches else ():
+    for pair in task.pairs:
         if has_place(pair) and pushes_only(pair) and np.abs(pair.gaps(X)).max() < NEAR_M:
             for point, inward in zip(*feet(pair, X), strict=True):
-                yield pair, point, -inward, *_scene_of(task).distance(point)
+                distance, geom = scene.distance(point)
+                yield pair, point, -inward, distance, geom
 
 
 @rule("{why}")
@@ -64,14 +70,14 @@ def touchable(task: Task) -> Values:
 def masses(task: Task) -> Values:
     """Logarithm of the ratio of modelled and true masses, of all that moves and of the load."""
     chain = task.chain
-    kinds = {
+    compared = {
         "all that moves": (chain.moved_mass, _scene_of(task).moved_mass),
         "what the wrist carries": (chain.outboard_mass, _scene_of(task).carried_mass),
     }
-    for what, (modelled, true) in kinds.items():
+    for name, (modelled, true) in compared.items():
         if true > 0.0 and modelled > 0.0:
             ratio = abs(np.log(modelled / true))
-            yield ratio, {"what": what, "modelled": modelled, "true": true}
+            yield ratio, {"what": name, "modelled": modelled, "true": true}
 
 
 @rule(
@@ -95,10 +101,10 @@ def loose(task: Task) -> Values:
 )
 def place(task: Task) -> Values:
     """Distance of a face from the geometry of the scene (m)."""
-    for pair, point, _, away, geom in _faces(task):
-        side = "before" if away > 0.0 else "inside"
+    for pair, point, _, distance, geom in _faces(task):
+        side = "before" if distance > 0.0 else "inside"
         words = {"name": pair.name, "point": rounded(point), "side": side, "geom": geom}
-        yield abs(away), words
+        yield abs(distance), words
 
 
 @rule(
@@ -109,19 +115,32 @@ def place(task: Task) -> Values:
 )
 def turn(task: Task) -> Values:
     """Angle (deg) between the modelled normal and the direction in which the scene recedes."""
-    for pair, point, normal, away, geom in _faces(task):
-        if abs(away) > PLACE_REFUSED:
+    scene = _scene_of(task)
+    for pair, point, normal, distance, geom in _faces(task):
+        if abs(distance) > PLACE_REFUSED:
             continue
-        distance = _scene_of(task).distance
-        steps = SCENE_PROBE_M * np.eye(3)
-        rise = np.array([distance(point + e)[0] - distance(point - e)[0] for e in steps])
-        own = rise / max(norm(rise), 1e-12)
-        plane = getattr(pair, "normal", None)
+        scene_normal = _gradient(scene, point)
+        plane_normal = getattr(pair, "normal", None)
+        is_plane = plane_normal is not None and np.allclose(plane_normal, normal)
         # at edges and corners geometry recedes in many directions
-        if (plane is not None and np.allclose(plane, normal)) or normal @ own <= 0.0:
-            angle = float(np.degrees(np.arccos(np.clip(normal @ own, -1.0, 1.0))))
-            words = {"normal": rounded(normal, 3), "own": rounded(own, 3), "geom": geom}
+        if is_plane or normal @ scene_normal <= 0.0:
+            angle = float(np.degrees(np.arccos(np.clip(normal @ scene_normal, -1.0, 1.0))))
+            words = {"normal": rounded(normal, 3), "own": rounded(scene_normal, 3), "geom": geom}
             yield angle, {"name": pair.name, **words}
+
+
+def _gradient(scene: Scene, point: Array) -> Array:
+    """Unit vector (3,) along which the distance from a scene increases most, by differences.
+
+    Args:
+        scene: bodies around a robot.
+        point: (3,) point in the world (m).
+    """
+    steps = SCENE_PROBE_M * np.eye(3)
+    increase = np.array(
+        [scene.distance(point + step)[0] - scene.distance(point - step)[0] for step in steps]
+    )
+    return increase / max(norm(increase), 1e-12)
 
 
 @rule(
@@ -133,8 +152,8 @@ def turn(task: Task) -> Values:
 def penetration(task: Task) -> Values:
     """Penetration of the tool into the scene (m)."""
     if _scene_of(task).tool_touches:
-        away, geom = _scene_of(task).clearance()
-        yield -away, {"geom": geom}
+        distance, geom = _scene_of(task).clearance()
+        yield -distance, {"geom": geom}
 
 
 @rule(
@@ -145,13 +164,13 @@ def penetration(task: Task) -> Values:
 )
 def tool(task: Task) -> Values:
     """Difference between the tool's distance from the scene and the least gap of contacts (m)."""
-    faces = list(_faces(task))
-    if faces and max(abs(away) for *_, away, _ in faces) <= PLACE_DOUBTFUL:
+    distances = [abs(distance) for _, _, _, distance, _ in _faces(task)]
+    if distances and max(distances) <= PLACE_DOUBTFUL:
         X = task.state.X_WO
         gap = min(np.min(pair.gaps(X)) for pair in task.pairs if pushes_only(pair))
-        away, geom = _scene_of(task).clearance()
-        words = {"geom": geom, "gap": round(1e3 * gap, 3) + 0.0, "away": 1e3 * away}
-        yield abs(away - gap), words
+        clearance, geom = _scene_of(task).clearance()
+        gap_mm = round(1e3 * gap, 3) + 0.0  # + 0.0 turns −0.0 into 0.0
+        yield abs(clearance - gap), {"geom": geom, "gap": gap_mm, "away": 1e3 * clearance}
 
 
 #: All rules on a robot's scene; a new rule is added to this list.

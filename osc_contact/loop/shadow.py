@@ -96,7 +96,7 @@ class ShadowReport:
 
 
 class Shadow:
-    """One run in shadow mode."""
+    """Run in shadow mode: torques of gravity compensation, and measurements to judge the model."""
 
     def __init__(self, controller: Any) -> None:
         """Prepare a run.
@@ -124,10 +124,10 @@ class Shadow:
     def torques(self, measurement: Measurement) -> Array:
         """Torques (n,) that compensate the weight of the model (N m, N); stores the measurement."""
         q = np.asarray(measurement.q, dtype=float)
-        sent = np.array(pin.computeGeneralizedGravity(self.chain.model, self.data, q))
-        sent = np.clip(np.nan_to_num(sent), -self.chain.tau_max, self.chain.tau_max)
-        self.rows.append(np.concatenate((q, measurement.v, sent, measurement.wrenches[0])))
-        return sent
+        tau = np.array(pin.computeGeneralizedGravity(self.chain.model, self.data, q))
+        tau = np.clip(np.nan_to_num(tau), -self.chain.tau_max, self.chain.tau_max)
+        self.rows.append(np.concatenate((q, measurement.v, tau, measurement.wrenches[0])))
+        return tau
 
     def report(self) -> ShadowReport:
         """Compare the stored measurements with the model.
@@ -143,21 +143,24 @@ class Shadow:
                 f"shadow mode noted {len(rows) * self.dt:.3g} s; let it run for ten seconds, and "
                 "move every joint by hand"
             )
-        rest = rows[: round(REST_S / self.dt) : EVERY]
-        bias = np.mean([self._outside(r[:n], r[3 * n :]) for r in rest], axis=0)
-        around = range(HALF, len(rows) - HALF, EVERY)
-        samples = [self._sample(rows[k - HALF : k + HALF + 1]) for k in around]
-        v, acceleration, left, felt = (np.array(x) for x in zip(*samples, strict=True))
-        kappa = self._scale(v, acceleration, left, felt)
-        used = 1.0 if np.isnan(kappa) else kappa
-        joints = tuple(
-            self._joint(j, v[:, j], acceleration[:, j], left[:, j] - used * felt[:, j])
-            for j in range(n)
-        )
+        rows_at_rest = rows[: round(REST_S / self.dt) : EVERY]
+        bias = np.mean([self._outside(row[:n], row[3 * n :]) for row in rows_at_rest], axis=0)
+        centres = range(HALF, len(rows) - HALF, EVERY)
+        samples = [self._sample(rows[k - HALF : k + HALF + 1]) for k in centres]
+        v, acceleration, remainder, push = (np.array(x) for x in zip(*samples, strict=True))
+        kappa = self._scale(v, acceleration, remainder, push)
+        scale = 1.0 if np.isnan(kappa) else kappa
+        torques = remainder - scale * push
+        joints = tuple(self._joint(j, v[:, j], acceleration[:, j], torques[:, j]) for j in range(n))
         return ShadowReport(joints, bias, kappa, list(self._judge(joints, bias, kappa)))
 
     def _outside(self, q: Array, wrench: Array) -> Array:
-        """Wrist reading less the modelled load (6,), at the object's origin in world axes."""
+        """Wrist reading less the modelled load (6,), at the object's origin in world axes (N, N m).
+
+        Args:
+            q: (n,) joint positions (m, rad).
+            wrench: (6,) reading of the wrist, in the sensor's frame (N, N m).
+        """
         state = self.chain.state(q)
         origin = pin.SE3(np.eye(3), state.X_WO.translation)
         sensor = state.sensors[0]
@@ -165,65 +168,103 @@ class Shadow:
         return origin.actInv(sensor.act(pin.Force(wrench))).vector - state.bias_out
 
     def _sample(self, rows: Array) -> tuple[Array, ...]:
-        """Speed, acceleration, τ − (M q̈ + h) and Jᵀf (n,) each, averaged over a few ticks.
+        """Means over a few ticks: the motion of the joints, and torques beyond the model's.
 
         Args:
             rows: (2 HALF + 1, 3n + 6) q, v, sent torques and wrench of consecutive ticks.
+
+        Returns:
+            Speeds v, accelerations q̈, remainder τ − (M q̈ + h) of the sent torques, and torques
+            Jᵀf of the measured wrench; (n,) each.
         """
         n = self.chain.nq
-        q, v, sent, wrench = np.split(rows.mean(axis=0), [n, 2 * n, 3 * n])
+        q, v, tau, wrench = np.split(rows.mean(axis=0), [n, 2 * n, 3 * n])
         acceleration = (rows[-1, n : 2 * n] - rows[0, n : 2 * n]) / (2 * HALF * self.dt)
-        needed = np.array(pin.rnea(self.inboard, self.data, q, v, acceleration))
+        modelled = np.array(pin.rnea(self.inboard, self.data, q, v, acceleration))
         J = columns_of(pin.computeFrameJacobian(self.inboard, self.data, q, self.chain.sensors[0]))
-        return v, acceleration, sent - needed, J.T @ wrench
+        return v, acceleration, tau - modelled, J.T @ wrench
 
-    def _scale(self, v: Array, acceleration: Array, left: Array, felt: Array) -> float:
+    def _scale(self, v: Array, acceleration: Array, remainder: Array, push: Array) -> float:
         """Least-squares estimate of κ from all joints, each with its own friction and inertia.
 
+        The parts of both torques that friction, offset and inertia of a joint explain are removed
+        before remainder = κ push is solved for all joints together, each over its motor's limit.
+
         Args:
-            v, acceleration, left, felt: (k, n) samples from `_sample`.
+            v, acceleration, remainder, push: (k, n) samples, see `_sample`.
+
+        Returns:
+            κ; NaN if the pushes were too small.
         """
-        over = under = 0.0
-        for j, most in enumerate(self.chain.tau_max):
-            own = _columns(v[:, j], acceleration[:, j])
-            both = np.column_stack((left[:, j], felt[:, j]))
-            torque, push = (both - own @ np.linalg.lstsq(own, both)[0]).T / most
-            over += torque @ push
-            under += push @ push
-        return over / under if under > FELT**2 * felt.size else float("nan")
+        numerator = 0.0
+        denominator = 0.0
+        for j, tau_max in enumerate(self.chain.tau_max):
+            regressors = _columns(v[:, j], acceleration[:, j])
+            both = np.column_stack((remainder[:, j], push[:, j]))
+            explained = regressors @ np.linalg.lstsq(regressors, both)[0]
+            own_remainder, own_push = (both - explained).T / tau_max
+            numerator += own_remainder @ own_push
+            denominator += own_push @ own_push
+        if not denominator > FELT**2 * push.size:
+            return float("nan")
+        return numerator / denominator
 
     def _joint(self, j: int, v: Array, a: Array, torque: Array) -> JointFinding:
         """Fit friction, offset and inertia of a joint to the torque beyond the model.
 
         Args:
-            j: index of the joint. v, a: (k,) its speeds and accelerations. torque: (k,) torque
-                beyond the model's (N m, N).
+            j: index of the joint. v, a: (k,) speeds and accelerations of the joint (rad/s, rad/s²;
+                m/s, m/s²). torque: (k,) torque beyond the model's (N m, N).
         """
         moved = bool(np.abs(v).max() > FASTEST)
-        columns = _columns(v, a)
-        found = np.linalg.lstsq(columns, torque)[0]
-        rms = float(np.sqrt(np.mean((torque - columns @ found) ** 2)))
-        coulomb, viscous, offset, inertia = found.tolist()
+        regressors = _columns(v, a)
+        parameters = np.linalg.lstsq(regressors, torque)[0]
+        rms = float(np.sqrt(np.mean((torque - regressors @ parameters) ** 2)))
+        coulomb, viscous, offset, inertia = parameters.tolist()
         name = self.chain.joint_names[j]
         return JointFinding(name, moved, coulomb, viscous, offset, inertia, rms)
 
     def _judge(self, joints: tuple[JointFinding, ...], bias: Array, kappa: float) -> Iterator[str]:
+        """Yield a sentence on each error of model or sensor, because of which forces are unsafe.
+
+        Args:
+            joints: fitted deviations of the joints.
+            bias: (6,) reading of the wrist at rest less the modelled load (N, N m).
+            kappa: share of the measured wrench that the joints confirm; NaN: unknown.
+        """
+        yield from self._judge_joints(joints)
+        yield from self._judge_wrench(bias, kappa)
+
+    def _judge_joints(self, joints: tuple[JointFinding, ...]) -> Iterator[str]:
+        """Yield a sentence on each joint that was not moved or deviates from its model.
+
+        Args:
+            joints: fitted deviations, one of each joint of the chain.
+        """
         for joint, most in zip(joints, TOO_LARGE * self.chain.tau_max, strict=True):
             if not joint.moved:
                 yield f"joint '{joint.name}' was not moved; push the tool so that it turns"
                 continue
-            for what, value in (("friction", joint.coulomb), ("a torque offset", joint.offset)):
+            for cause, value in (("friction", joint.coulomb), ("a torque offset", joint.offset)):
                 if abs(value) > most:
                     yield (
-                        f"joint '{joint.name}' has {what} of {value:.2g} N m, more than {most:.2g} "
-                        "N m, which the model does not explain: give the arm its friction, or "
-                        "correct its masses"
+                        f"joint '{joint.name}' has {cause} of {value:.2g} N m, more than "
+                        f"{most:.2g} N m, which the model does not explain: give the arm its "
+                        "friction, or correct its masses"
                     )
             if joint.rms > UNEXPLAINED / TOO_LARGE * most:
                 yield (
                     f"joint '{joint.name}' leaves {joint.rms:.2g} N m unexplained: is it, or a "
                     "joint near it, reversed or out of order, or the wrench of another frame?"
                 )
+
+    def _judge_wrench(self, bias: Array, kappa: float) -> Iterator[str]:
+        """Yield a sentence on bias, sign and scale of the wrist sensor if one of them is wrong.
+
+        Args:
+            bias: (6,) reading of the wrist at rest less the modelled load (N, N m).
+            kappa: share of the measured wrench that the joints confirm; NaN: unknown.
+        """
         if norm(bias[:3]) > BIAS[0] or norm(bias[3:]) > BIAS[1]:
             yield (
                 f"the wrist reads {np.round(bias, 2).tolist()} N, N m more at rest than hangs on "
@@ -241,10 +282,12 @@ class Shadow:
 
 
 def _columns(v: Array, a: Array) -> Array:
-    """Regressors (k, 4) of dry and viscous friction, offset and inertia.
+    """Regressors (k, 4) of a joint's torque: dry and viscous friction, offset and inertia.
+
+    The sign of the speed, for dry friction, is smoothed by tanh at speeds below `STILL`.
 
     Args:
-        v, a: (k,) speeds and accelerations of one joint.
+        v, a: (k,) speeds and accelerations of one joint (rad/s, rad/s²; m/s, m/s²).
     """
     sign = np.tanh(v / STILL)
     return np.column_stack((sign, v, np.ones(len(v)), a))

@@ -32,6 +32,7 @@ class StopCalls:
     """
 
     def __init__(self, stop: Callable[[str], object], recorder: Records | None) -> None:
+        """Set the robot's `stop` and the recorder; nothing is called yet."""
         self._stop = stop
         self._stopped = False
         self._needs_brakes = False
@@ -45,11 +46,13 @@ class StopCalls:
         Args:
             controller: its attributes `state`, `reason` and `unbraked` are read if it has them.
         """
-        before = (self._stopped, self._needs_brakes)
+        was_stopped = self._stopped
+        needed_brakes = self._needs_brakes
         self._stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
         unbraked = bool(getattr(controller, "unbraked", None))
-        self._needs_brakes = self._stopped and (self._needs_brakes or unbraked)
-        if self._stopped and before != (self._stopped, self._needs_brakes):
+        self._needs_brakes = self._stopped and (needed_brakes or unbraked)
+        is_new = not was_stopped or self._needs_brakes != needed_brakes
+        if self._stopped and is_new:
             self.call(getattr(controller, "reason", ""))
 
     def call(self, reason: str) -> Exception | None:
@@ -98,7 +101,11 @@ class Drawing:
         return self._viewer is not None
 
     def show(self, tick: Mapping[str, Any]) -> None:
-        """Draw the channels of one tick."""
+        """Draw the channels of one tick.
+
+        Args:
+            tick: channels by name; nothing is drawn if there is no viewer or it has failed.
+        """
         if self._viewer is None:
             return
         try:
@@ -162,6 +169,7 @@ class SteppedLoop(Generic[Law]):
         scene: Callable[[], Scene] | None = None,
         plan: Leads | None = None,
     ) -> None:
+        """Set the parts of the loop; nothing is checked or called before the first `step`."""
         lacking = [name for name in ("tick", "dt") if not hasattr(controller, name)]
         if lacking:
             raise InvalidInputError(
@@ -198,7 +206,7 @@ class SteppedLoop(Generic[Law]):
                 "the loop has ended; make a new SteppedLoop, with a new controller or one that was "
                 "reset"
             )
-        measurement, reference = self._led(measurement, reference)
+        measurement, reference = self._input_of_tick(measurement, reference)
         if self._check:
             checked(_RestingRobot(measurement, self._scene), self.controller, [reference])
             self._check = False
@@ -212,10 +220,14 @@ class SteppedLoop(Generic[Law]):
                 self._drawing.show(self._recorder.latest())
         return tau
 
-    def _led(
+    def _input_of_tick(
         self, measurement: Measurement, reference: Reference | None
     ) -> tuple[Measurement, Reference]:
-        """Measurement and reference of a tick, those of the plan where there is one.
+        """Measurement and reference of a tick; with a plan, its reference and placed bodies.
+
+        Args:
+            measurement: readings at the beginning of the period.
+            reference: the caller's reference; None with a plan, which begins in the first call.
 
         Raises:
             InvalidInputError: there are a plan and a reference, or neither; or the plan is refused.

@@ -102,7 +102,7 @@ def require_model(robot: Robot, chain: ClosedChain | None) -> ClosedChain:
 
 
 class HeldRobot:
-    """Robot at rest that is read, and held where it began by its model.
+    """Robot that is read, and held by its model in the posture of its first measurement.
 
     Attributes:
         robot: driver of the robot.
@@ -139,23 +139,23 @@ class HeldRobot:
             PlantError: wrong sizes, numbers that are not finite, stamps of other types, or stamps
                 that do not advance.
         """
-        m = self.robot.measure()
+        measurement = self.robot.measure()
         n = self.chain.nq
         arms = len(self.chain.arms)
         for name, shape in (("q", (n,)), ("v", (n,)), ("wrenches", (arms, 6))):
-            given = np.asarray(getattr(m, name))
-            if given.shape != shape or not np.isfinite(given).all():
-                raise PlantError(f"measure(): {name} is {given.tolist()}; give {shape} numbers")
+            values = np.asarray(getattr(measurement, name))
+            if values.shape != shape or not np.isfinite(values).all():
+                raise PlantError(f"measure(): {name} is {values.tolist()}; give {shape} numbers")
         try:
-            require_stamps(m)
+            require_stamps(measurement)
         except InvalidInputError as error:
             raise PlantError(f"measure(): {error}") from error
-        if self.fresh.look(m) & OUTDATED or self.fresh.repeated > MOST_REPEATED:
+        if self.fresh.look(measurement) & OUTDATED or self.fresh.repeated > MOST_REPEATED:
             raise PlantError(
-                f"measure(): stamps ({m.stamps}) or sequence ({m.sequence}) do not advance; give "
-                "the time of each reading, by the clock of the robot"
+                f"measure(): stamps ({measurement.stamps}) or sequence ({measurement.sequence}) do "
+                "not advance; give the time of each reading, by the clock of the robot"
             )
-        return m
+        return measurement
 
     def step(self, tau: Array) -> None:
         """Command torques (n,), cut off at the motors' limits, for a period, and read the robot."""
@@ -173,6 +173,11 @@ class HeldRobot:
     def settle(self, ticks: int) -> None:
         """Brake the joints and return them slowly to the start, for some ticks.
 
+        The desired acceleration −20 v − 25 (q − q_start) returns them without overshoot.
+
+        Args:
+            ticks: number of control periods.
+
         Raises:
             PlantError: a joint moves away.
         """
@@ -181,13 +186,13 @@ class HeldRobot:
             v = self.now.v
             desired = -20.0 * v - 25.0 * (q - self.rest.q)
             self.step(self.weight(q) + self.mass(q) @ desired)
-            away = np.abs(q - self.rest.q)
-            if away.max() > FAR or np.abs(v).max() > FAST:
-                worst = away.argmax()
+            distances = np.abs(q - self.rest.q)
+            if distances.max() > FAR or np.abs(v).max() > FAST:
+                worst = distances.argmax()
                 raise PlantError(
                     f"joint '{self.names[worst]}' leaves its place though it is braked: "
-                    f"{away[worst]:.3g} rad away at {v[worst]:.3g} rad/s; are speeds or torques "
-                    "reversed, or is the unit of one another?"
+                    f"{distances[worst]:.3g} rad away at {v[worst]:.3g} rad/s; are speeds or "
+                    "torques reversed, or is the unit of one another?"
                 )
 
 
@@ -195,7 +200,14 @@ class _Check(HeldRobot):
     """Course of a check: the robot, its model, and the readings now and at the start."""
 
     def run(self, nudge: ArrayLike | None, patience: float) -> Iterator[str]:
-        """Check everything but `Robot.stop`; for arguments and errors see `check_robot`.
+        """Check readings, weight, wrenches and torques of the robot; it is not stopped.
+
+        Args:
+            nudge: (3,) direction of a push of the tip in world axes; None: no push.
+            patience: time to wait for the push (s).
+
+        Raises:
+            PlantError: a rule of the contract is violated, see `check_robot`.
 
         Yields:
             Sentences on properties that could not be checked.
@@ -224,6 +236,9 @@ class _Check(HeldRobot):
     def hold(self) -> None:
         """Check that torques that balance the model's weight hold the arm.
 
+        The measured accelerations are compared with those of each likely cause: weight missing,
+        weight twice, or two joints swapped.
+
         Raises:
             PlantError: joints accelerate; the message names the likeliest cause.
         """
@@ -231,24 +246,24 @@ class _Check(HeldRobot):
         v = self.now.v
         for _ in range(HOLD):
             self.step(self.weight(self.now.q))
-        seen = (self.now.v - v) / (HOLD * self.dt)
-        falls = np.linalg.solve(self.mass(q), self.weight(q))
-        if np.abs(seen).max() < max(FALLING * np.abs(falls).max(), 0.2):
+        accelerations = (self.now.v - v) / (HOLD * self.dt)
+        lift = np.linalg.solve(self.mass(q), self.weight(q))  # by the weight's torques alone
+        if np.abs(accelerations).max() < max(FALLING * np.abs(lift).max(), 0.2):
             return
         missing = "their weight seems to be missing: the robot does not add it, and command() must"
         twice = "their weight seems to come twice: the robot adds it, and command() must not"
-        causes = {missing: -falls, twice: falls}
+        causes = {missing: -lift, twice: lift}
         for i, j in combinations(range(len(q)), 2):
             order = np.arange(len(q))
             order[[i, j]] = (j, i)
             torques = self.weight(q) - self.weight(q[order])
             cause = f"joints '{self.names[i]}' and '{self.names[j]}' seem to be swapped"
             causes[cause] = np.linalg.solve(self.mass(q[order]), torques)[order]
-        cause = min(causes, key=lambda cause: norm(causes[cause] - seen))
-        worst = np.abs(seen).argmax()
+        likeliest = min(causes, key=lambda cause: norm(causes[cause] - accelerations))
+        worst = np.abs(accelerations).argmax()
         raise PlantError(
             f"torques that balance the arm's weight speed up joint '{self.names[worst]}' by "
-            f"{seen[worst]:.3g} rad/s²; {cause}"
+            f"{accelerations[worst]:.3g} rad/s²; {likeliest}"
         )
 
     def weigh(self) -> Iterator[str]:
@@ -278,9 +293,10 @@ class _Check(HeldRobot):
             )
 
     def outside(self) -> Array:
-        """Mean wrench (6,) of the wrists, see `mean_outside`, while the arm is held."""
+        """Mean wrench (6,) of the wrists while the arm is held, in world axes at O (N, N m)."""
 
         def read() -> Measurement:
+            """Hold the arm for a period; return the measurement after it."""
             self.settle(1)
             return self.now
 
@@ -289,51 +305,60 @@ class _Check(HeldRobot):
     def pulse(self, joint: int) -> None:
         """Check that torques of both signs move this joint, as the model predicts, and no other.
 
+        Torques rise until the joint moves, because its friction is unknown.
+
+        Args:
+            joint: index of the joint in `names`.
+
         Raises:
             PlantError: no joint or another joint moves, or this one moves in another way.
         """
         name = self.names[joint]
         for share in SHARES:
-            own = self.mass(self.now.q)[joint, joint]
+            inertia = self.mass(self.now.q)[joint, joint]
             torque = self.torque_of(joint, share)
-            gained, turned, summed = self.push(joint, torque)
+            changes, displacement, summed_speeds = self.push(joint, torque)
             self.settle(2 * PULSE)
-            if np.abs(gained).max() > MOVED:
+            if np.abs(changes).max() > MOVED:
                 break
-        other = np.abs(gained).argmax()
-        predicted = torque / own * PULSE * self.dt
-        if np.abs(gained).max() <= MOVED:
+        fastest = np.abs(changes).argmax()
+        predicted = torque / inertia * PULSE * self.dt
+        if np.abs(changes).max() <= MOVED:
             raise PlantError(
                 f"joint '{name}' does not move with {torque:.3g} N m; are torques in another unit "
                 "or order, or brakes engaged?"
             )
-        if abs(gained[joint]) < ALONE * abs(gained[other]):
+        if abs(changes[joint]) < ALONE * abs(changes[fastest]):
             raise PlantError(
-                f"the torque of joint '{name}' moves joint '{self.names[other]}'; positions, "
+                f"the torque of joint '{name}' moves joint '{self.names[fastest]}'; positions, "
                 "speeds or torques have the joints in another order than the model"
             )
-        if gained[joint] < 0.0:
+        if changes[joint] < 0.0:
             raise PlantError(f"joint '{name}' moves against its torque; one of them is reversed")
-        if not 0.5 < turned / summed < 2.0:
+        if not 0.5 < displacement / summed_speeds < 2.0:
             raise PlantError(
-                f"the positions of joint '{name}' change by {turned:.3g} where its speeds add up "
-                f"to {summed:.3g}; give both in rad (m) and seconds, not in degrees"
+                f"the positions of joint '{name}' change by {displacement:.3g} where its speeds "
+                f"add up to {summed_speeds:.3g}; give both in rad (m) and seconds, not in degrees"
             )
-        if gained[joint] > 5.0 * predicted:
+        if changes[joint] > 5.0 * predicted:
             raise PlantError(
-                f"joint '{name}' gains {gained[joint]:.3g} rad/s where the model predicts "
+                f"joint '{name}' gains {changes[joint]:.3g} rad/s where the model predicts "
                 f"{predicted:.3g}; are positions and speeds in degrees, or masses too large?"
             )
 
     def torque_of(self, joint: int, share: float) -> float:
         """Torque of a pulse (N m, N), at most a share of the motor's limit.
 
-        It is lower where the model predicts more than SPEED, but not at the higher shares, which
-        are tried after the joint did not move.
+        The torque is lower where the model predicts a speed above `SPEED`, but not at the higher
+        shares, which are tried after the joint did not move.
+
+        Args:
+            joint: index of the joint in `names`.
+            share: largest torque over the motor's limit, one of `SHARES`.
         """
-        own = self.mass(self.now.q)[joint, joint]
+        inertia = self.mass(self.now.q)[joint, joint]
         most = share * float(self.chain.tau_max[joint])
-        torque = own * min(most / own, SPEED / (PULSE * self.dt))
+        torque = inertia * min(most / inertia, SPEED / (PULSE * self.dt))
         return max(torque, most) if share > SHARES[1] else torque
 
     def push(self, joint: int, torque: float) -> tuple[Array, float, float]:
@@ -345,19 +370,19 @@ class _Check(HeldRobot):
         """
         M = self.mass(self.now.q)
         tau = M[:, joint] * torque / M[joint, joint]  # the other joints do not accelerate
-        gained = np.zeros(self.chain.nq)
-        turned = 0.0
-        summed = 0.0
+        changes = np.zeros(self.chain.nq)
+        displacement = 0.0
+        summed_speeds = 0.0
         for sign in (1.0, -1.0):
             before = self.now
             for _ in range(PULSE):
                 self.step(self.weight(self.now.q) + sign * tau)
-                summed += sign * self.now.v[joint] * self.dt
+                summed_speeds += sign * self.now.v[joint] * self.dt
                 if abs(self.now.v[joint]) > SPEED:
                     break
-            gained += 0.5 * sign * (self.now.v - before.v)
-            turned += sign * (self.now.q[joint] - before.q[joint])
-        return (gained, turned, summed)
+            changes += 0.5 * sign * (self.now.v - before.v)
+            displacement += sign * (self.now.q[joint] - before.q[joint])
+        return (changes, displacement, summed_speeds)
 
     def stop(self) -> None:
         """Stop the robot twice: the contract permits repeated calls."""
@@ -374,14 +399,14 @@ def mean_outside(chain: ClosedChain, read: Callable[[], Measurement]) -> Array:
     """
     sums = []
     for _ in range(MEAN):
-        m = read()
-        state = chain.state(m.q)
+        measurement = read()
+        state = chain.state(measurement.q)
         origin = pin.SE3(np.eye(3), state.X_WO.translation)
-        felt = np.zeros(6)
-        for X, wrench in zip(state.sensors, m.wrenches, strict=True):
+        total = np.zeros(6)
+        for X, wrench in zip(state.sensors, measurement.wrenches, strict=True):
             if X is not None:
-                felt = felt + origin.actInv(X.act(pin.Force(wrench))).vector
-        sums.append(felt)
+                total = total + origin.actInv(X.act(pin.Force(wrench))).vector
+        sums.append(total)
     return np.mean(sums, axis=0)
 
 
@@ -402,12 +427,12 @@ def require_nudge(
     at_rest = outside()[:3]
     direction = direction / norm(direction)
     for _ in range(round(patience / (MEAN * dt))):
-        felt = at_rest - outside()[:3]
-        if norm(felt) > 2.0 * SafetySettings().load_error:
-            if felt @ direction < 0.7 * norm(felt):
+        push = at_rest - outside()[:3]  # the wrist reads the arm's force, which is opposite
+        if norm(push) > 2.0 * SafetySettings().load_error:
+            if push @ direction < 0.7 * norm(push):
                 raise PlantError(
                     f"the tip was pushed along {np.round(direction, 2).tolist()}, and the "
-                    f"wrist reads {np.round(-felt, 1).tolist()} N more in world axes; the sign "
+                    f"wrist reads {np.round(-push, 1).tolist()} N more in world axes; the sign "
                     "or the axes of the frame are others: give the wrench that the arm exerts "
                     "on the gripper, in the sensor's axes"
                 )

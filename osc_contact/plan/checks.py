@@ -74,9 +74,19 @@ def require_plan(
 
 
 def _require_contacts(stage: Stage, names: Sequence[str]) -> None:
-    """Refuse conditions on contacts that are not active in the stage, and unknown contacts."""
-    conditions = [one for one in (stage.until, stage.unless) if isinstance(one, End)]
-    contacts = [name for one in conditions for name in one.contacts]
+    """Refuse conditions on contacts that are not active in the stage, and unknown contacts.
+
+    Args:
+        stage: stage of a plan.
+        names: names of all contacts of the controller.
+
+    Raises:
+        InvalidInputError: such a contact, with its name.
+    """
+    contacts: list[str] = []
+    for condition in (stage.until, stage.unless):
+        if isinstance(condition, End):
+            contacts += condition.contacts
     for name in (*contacts, *stage.places):
         if name not in names:
             raise InvalidInputError(f"there is no contact {name!r}; {did_you_mean(name, names)}")
@@ -89,15 +99,30 @@ def _require_contacts(stage: Stage, names: Sequence[str]) -> None:
 
 
 def _directions(controller: Controller, active: Array, X: pin.SE3) -> Array:
-    """Independent directions of force (6, r) of the active contacts."""
+    """Independent directions of force (6, r) of the active contacts, at O in world axes.
+
+    Args:
+        controller: controller with the contacts.
+        active: (contacts,) 1 for active contacts, else 0.
+        X: pose of the object.
+    """
     pairs = controller.settings.contacts
-    chosen = np.flatnonzero(active).tolist()
-    parts = [pairs[k].contact(X, AT_REST) for k in chosen]
-    return Contact.stack(parts).N if parts else np.zeros((6, 0))
+    contacts = [pairs[k].contact(X, AT_REST) for k in np.flatnonzero(active).tolist()]
+    return Contact.stack(contacts).N if contacts else np.zeros((6, 0))
 
 
 def _require_forces(stage: Stage, alpha_d: Array, most: float, controller: Controller) -> None:
-    """Refuse forces above the largest one, or above the ceiling of a contact."""
+    """Refuse forces above the largest one, or above the ceiling of a contact.
+
+    Args:
+        stage: stage of a plan.
+        alpha_d: (r,) desired forces of the stage (N).
+        most: measured force above which the stage would fail (N).
+        controller: controller with the ceiling `control.safety.contact_ceiling`.
+
+    Raises:
+        InvalidInputError: a force or the sum of all forces is too large.
+    """
     total = float(np.abs(alpha_d).sum())
     if total > most:
         raise InvalidInputError(
@@ -114,7 +139,18 @@ def _require_forces(stage: Stage, alpha_d: Array, most: float, controller: Contr
 
 
 def _require_motion(stage: Stage, names: Sequence[str], N: Array, dt: float, X: pin.SE3) -> None:
-    """Refuse a motion of which the contacts of its stage permit nothing."""
+    """Refuse a motion whose velocity or rotation the contacts of its stage block altogether.
+
+    Args:
+        stage: stage of a plan.
+        names: names of all contacts of the controller.
+        N: (6, r) independent directions of force of the stage's contacts.
+        dt: control period (s).
+        X: pose of the object at the start.
+
+    Raises:
+        InvalidInputError: contacts take away more than the share `BLOCKED` of the motion.
+    """
     now = Sensed(
         X=X,
         V=np.zeros(6),
@@ -130,12 +166,12 @@ def _require_motion(stage: Stage, names: Sequence[str], N: Array, dt: float, X: 
     except (InvalidInputError, LookupError):
         return  # its direction follows from stages before it, and is checked when the stage begins
     for kind, rows in (("velocity", slice(0, 3)), ("turn", slice(3, 6))):
-        mine = np.flatnonzero(np.any(demand.rows[:, rows] != 0.0, axis=1))
-        values = demand.values[mine]
+        chosen = np.flatnonzero(np.any(demand.rows[:, rows] != 0.0, axis=1))
+        values = demand.values[chosen]
         size = float(np.linalg.norm(values))
         if size == 0.0:
             continue
-        _, misfit = permitted_twist(N, Demand(demand.rows[mine], values))
+        _, misfit = permitted_twist(N, Demand(demand.rows[chosen], values))
         if float(np.linalg.norm(misfit)) > BLOCKED * size:
             contacts = " and ".join(stage.forces)
             raise InvalidInputError(

@@ -21,7 +21,7 @@ from osc_contact.spatial import Array, as_array, unit_vector
 #: Condition under way: whether it is met, by the signals of a tick and the control period (s).
 Watch = Callable[[Sensed, float], bool]
 MADE_FOR = 0.05  #: s for which contacts must be closed before they count as made
-ORIGIN: Array = np.zeros(3)
+ORIGIN: Array = np.zeros(3)  #: origin of the object's frame (m)
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,10 @@ class End:
     """Condition for the end of a stage.
 
     Attributes:
-        begin: begins to watch; returns the condition under way.
+        begin: function that begins to watch when the stage begins; returns a function of each
+            tick's signals and the control period (s) that is true when the condition is met.
         words: the condition in words, for verdicts.
-        contacts: names of the contacts of which it speaks.
+        contacts: names of the contacts that the condition depends on.
     """
 
     begin: Callable[[Sensed], Watch]
@@ -39,58 +40,84 @@ class End:
     contacts: tuple[str, ...] = ()
 
     def __and__(self, other: End) -> End:
-        """Condition that both are met in the same tick."""
+        """Condition that this one and another are met in the same tick."""
         return _joined(self, other, all, "and")
 
     def __or__(self, other: End) -> End:
-        """Condition that one of both is met."""
+        """Condition that this one or another is met."""
         return _joined(self, other, any, "or")
 
     def lasting(self, seconds: float) -> End:
-        """Condition that this one is met for some time without interruption (s)."""
+        """Condition that this one is met for some time without interruption.
+
+        Args:
+            seconds: least time (s).
+        """
 
         def begin(now: Sensed) -> Watch:
+            """Begin to watch, with a time of zero."""
             watch = self.begin(now)
-            held = 0.0
+            met_for = 0.0
 
             def met(now: Sensed, dt: float) -> bool:
-                nonlocal held
-                held = held + dt if watch(now, dt) else 0.0
-                return held >= seconds
+                """Add a period to the time if the condition is met, else begin again at zero."""
+                nonlocal met_for
+                met_for = met_for + dt if watch(now, dt) else 0.0
+                return met_for >= seconds
 
             return met
 
         return End(begin, f"{self.words} for {seconds:g} s", self.contacts)
 
 
-def _joined(one: End, two: End, rule: Callable[[tuple[bool, bool]], bool], word: str) -> End:
+def _joined(left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], word: str) -> End:
+    """Join two conditions, both of which are evaluated in each tick.
+
+    Args:
+        left, right: the conditions.
+        rule: `all` or `any`, applied to both results.
+        word: "and" or "or", for verdicts.
+    """
+
     def begin(now: Sensed) -> Watch:
-        watches = (one.begin(now), two.begin(now))
+        """Begin to watch both conditions."""
+        left_watch = left.begin(now)
+        right_watch = right.begin(now)
 
         def met(now: Sensed, dt: float) -> bool:
-            first, second = (watch(now, dt) for watch in watches)
-            return rule((first, second))
+            """Evaluate both conditions, because each may count time, and join the results."""
+            left_met = left_watch(now, dt)
+            right_met = right_watch(now, dt)
+            return rule((left_met, right_met))
 
         return met
 
-    return End(begin, f"{one.words} {word} {two.words}", (*one.contacts, *two.contacts))
+    return End(begin, f"{left.words} {word} {right.words}", (*left.contacts, *right.contacts))
 
 
 def when(test: Callable[[Sensed], bool], words: str = "") -> End:
-    """Condition of one's own.
+    """Condition that a function of a tick's signals returns True.
 
     Args:
-        test: whether it is met, by the signals of a tick.
+        test: function of the signals that returns whether the condition is met.
         words: words for verdicts; empty: the function's name.
     """
-    return End(lambda now: lambda now, dt: bool(test(now)), words or getattr(test, "__name__", "?"))
+
+    def begin(now: Sensed) -> Watch:
+        """Begin to watch; the function has no memory."""
+        return lambda now, dt: bool(test(now))
+
+    return End(begin, words or getattr(test, "__name__", "?"))
 
 
 def as_end(condition: End | Callable[[Sensed], bool]) -> End:
-    """Condition of a stage, which may be given as a function of the signals.
+    """Return a condition itself, or make one of a function of the signals.
+
+    Args:
+        condition: value of `until` or `unless` of a stage.
 
     Raises:
-        InvalidInputError: neither a condition nor a function.
+        InvalidInputError: the value is neither a condition nor a function.
     """
     if isinstance(condition, End):
         return condition
@@ -103,47 +130,46 @@ def as_end(condition: End | Callable[[Sensed], bool]) -> End:
 
 
 def made(*contacts: str, lasting: float = MADE_FOR) -> End:
-    """All these contacts are closed.
+    """Condition that all these contacts are closed.
 
     Args:
-        contacts: their names.
-        lasting: s for which they must be closed.
+        contacts: names of the contacts.
+        lasting: time for which they must be closed without interruption (s).
     """
 
-    def test(now: Sensed) -> bool:
+    def all_closed(now: Sensed) -> bool:
+        """Return whether all these contacts are closed in a tick."""
         return all(now.phases[name] == Phase.CLOSED for name in contacts)
 
-    words = f"{' and '.join(contacts)} made"
-    end = End(lambda now: lambda now, dt: test(now), words, contacts)
-    return _renamed(end.lasting(lasting), words)
+    end = when(all_closed).lasting(lasting)
+    return End(end.begin, f"{' and '.join(contacts)} made", contacts)
 
 
 def lost(*contacts: str, lasting: float = MADE_FOR) -> End:
-    """One of these contacts is not closed, or closed for moments only.
+    """Condition that one of these contacts is not closed, or closed for moments only.
 
     Args:
-        contacts: their names.
-        lasting: s for which it must not be closed, except for less than 50 ms at a time.
+        contacts: names of the contacts.
+        lasting: time for which one must not be closed, except for less than `MADE_FOR` at a time
+            (s).
     """
 
     def begin(now: Sensed) -> Watch:
-        held = dict.fromkeys(contacts, 0.0)
+        """Begin to watch, with times of zero for each contact."""
+        closed_for = dict.fromkeys(contacts, 0.0)
         lost_for = dict.fromkeys(contacts, 0.0)
 
         def met(now: Sensed, dt: float) -> bool:
+            """Update the times of each contact by a period, and compare the longest loss."""
             for name in contacts:
-                closed = now.phases[name] == Phase.CLOSED
-                held[name] = held[name] + dt if closed else 0.0
-                lost_for[name] = 0.0 if held[name] >= MADE_FOR else lost_for[name] + dt
+                is_closed = now.phases[name] == Phase.CLOSED
+                closed_for[name] = closed_for[name] + dt if is_closed else 0.0
+                lost_for[name] = 0.0 if closed_for[name] >= MADE_FOR else lost_for[name] + dt
             return max(lost_for.values()) >= lasting
 
         return met
 
     return End(begin, f"{' or '.join(contacts)} lost", contacts)
-
-
-def _renamed(end: End, words: str) -> End:
-    return End(end.begin, words, end.contacts)
 
 
 def moved(
@@ -153,60 +179,66 @@ def moved(
     point: ArrayLike = ORIGIN,
     since: str | None = None,
 ) -> End:
-    """A point of the object has moved.
+    """Condition that a point of the object has moved.
 
     Args:
-        distance: m.
-        direction: (3,) along which it is measured, in the world; None: the straight distance.
-        point: (3,) in the object (m).
-        since: name of the stage at whose end it began to count; None: the beginning of this one.
+        distance: least distance (m).
+        direction: (3,) direction along which the distance is measured, in world axes; None: the
+            straight distance.
+        point: (3,) point in the object's frame (m).
+        since: name of the stage from whose end on the distance is measured; None: from the
+            beginning of the present stage.
     """
     p = as_array("moved: point", point, (3,))
-    d = None if direction is None else unit_vector("moved: direction", direction)
+    axis = None if direction is None else unit_vector("moved: direction", direction)
 
-    def test(now: Sensed) -> bool:
-        way = now.X.act(p) - now.where_ended(since).act(p)
-        return float(np.linalg.norm(way) if d is None else d @ way) >= distance
+    def has_moved(now: Sensed) -> bool:
+        """Return whether the point has moved by the distance in a tick."""
+        displacement = now.X.act(p) - now.where_ended(since).act(p)
+        if axis is None:
+            return float(np.linalg.norm(displacement)) >= distance
+        return float(axis @ displacement) >= distance
 
-    return when(test, f"moved by {1e3 * distance:g} mm")
+    return when(has_moved, f"moved by {1e3 * distance:g} mm")
 
 
 def pressed(force: float, on: str | ArrayLike) -> End:
-    """The object presses with at least some force.
+    """Condition that the object presses with at least some force.
 
     Args:
-        force: N.
-        on: name of a contact, or direction (3,) of the force in the world.
+        force: least measured force (N).
+        on: name of a contact, or direction (3,) of the force in world axes.
     """
     if isinstance(on, str):
         name = on
         end = when(lambda now: now.forces[name] >= force, f"{force:g} N on {name}")
         return End(end.begin, end.words, (name,))
-    d = unit_vector("pressed: on", on)
-    return when(lambda now: float(d @ now.wrench[:3]) >= force, f"{force:g} N")
+    axis = unit_vector("pressed: on", on)
+    return when(lambda now: float(axis @ now.wrench[:3]) >= force, f"{force:g} N")
 
 
 def at_rest(speed: float = 1e-3, rate: float = 0.02) -> End:
-    """The object rests.
+    """Condition that the object rests.
 
     Args:
-        speed: below which its origin rests (m/s).
-        rate: below which it does not turn (rad/s).
+        speed: speed of its origin below which it rests (m/s).
+        rate: angular speed below which it rests (rad/s).
     """
 
-    def test(now: Sensed) -> bool:
-        moving = float(np.linalg.norm(now.V[:3]))
-        turning = float(np.linalg.norm(now.V[3:]))
-        return moving < speed and turning < rate
+    def rests(now: Sensed) -> bool:
+        """Return whether both speeds are below their limits in a tick."""
+        linear = float(np.linalg.norm(now.V[:3]))
+        angular = float(np.linalg.norm(now.V[3:]))
+        return linear < speed and angular < rate
 
-    return when(test, "at rest")
+    return when(rests, "at rest")
 
 
 def after(seconds: float) -> End:
-    """Some time has passed since the stage began, without pauses (s)."""
+    """Condition that some time (s) has passed since the stage began, without pauses."""
     return when(lambda now: now.t >= seconds, f"after {seconds:g} s")
 
 
 def finished() -> End:
-    """The motion of the stage has reached its end."""
+    """Condition that the motion of the stage has reached its end."""
     return when(lambda now: now.finished, "motion finished")

@@ -31,7 +31,7 @@ ARRIVED_ANGLE = 1e-4  #: rad, the same of a turn
 Axes = Literal["world", "object"]
 
 _LINEAR = np.eye(6)[:3]  #: rows of a demand: the velocity of the origin
-_ANGULAR = np.eye(6)[3:]
+_ANGULAR = np.eye(6)[3:]  #: rows of a demand: the angular velocity
 
 
 @dataclass
@@ -57,7 +57,8 @@ class Motion:
     """Motion of a stage.
 
     Attributes:
-        begin: begins the motion where the object is.
+        begin: function that begins the motion when the stage begins, where the object is; returns
+            a function of each tick's signals and the control period (s), which returns the demand.
         words: the motion in words, for reports.
     """
 
@@ -65,17 +66,21 @@ class Motion:
     words: str
 
     def __and__(self, other: Motion) -> Motion:
-        """Both motions at once, which end when both have ended."""
+        """Combine two motions, which are made at once, and end when both have ended."""
 
         def begin(now: Sensed) -> Course:
-            courses = (self.begin(now), other.begin(now))
+            """Begin both motions."""
+            own_course = self.begin(now)
+            other_course = other.begin(now)
 
             def demand(now: Sensed, dt: float) -> Demand:
-                one, two = (course(now, dt) for course in courses)
+                """Stack the demands of both motions in a tick."""
+                own = own_course(now, dt)
+                others = other_course(now, dt)
                 return Demand(
-                    np.vstack((one.rows, two.rows)),
-                    np.concatenate((one.values, two.values)),
-                    one.finished and two.finished,
+                    np.vstack((own.rows, others.rows)),
+                    np.concatenate((own.values, others.values)),
+                    own.finished and others.finished,
                 )
 
             return demand
@@ -84,7 +89,7 @@ class Motion:
 
 
 def dwell() -> Motion:
-    """No motion.
+    """Rest: a motion that demands nothing, and is finished at once.
 
     Example:
         >>> print(motions.dwell().words)
@@ -92,6 +97,7 @@ def dwell() -> Motion:
     """
 
     def demand(now: Sensed, dt: float) -> Demand:
+        """Demand no component of the twist."""
         return Demand(np.zeros((0, 6)), np.zeros(0), finished=True)
 
     return Motion(lambda now: demand, "dwell")
@@ -108,23 +114,23 @@ def along(
     """Motion of the object's origin along a direction.
 
     Args:
-        direction: (3,) in world axes, or in the object's.
-        speed: m/s.
-        distance: m, at which it ends; inf: never.
-        axes: of the direction.
-        yields: force against the motion (N) at which it stops; above, it goes back at up to half
-            the speed. None: it does not depend on forces.
+        direction: (3,) direction in world axes or in the object's, as `axes` states.
+        speed: largest speed (m/s).
+        distance: distance at which the motion ends (m); inf: it does not end.
+        axes: axes of the direction.
+        yields: force against the motion (N) at which it stops; above this force it goes back at up
+            to half the speed. None: the motion does not depend on forces.
 
     Raises:
-        InvalidInputError: no direction, or a number that is not positive.
+        InvalidInputError: the direction is zero, or a number is not positive.
     """
-    given = unit_vector("along: direction", direction)
+    unit = unit_vector("along: direction", direction)
     most = _positive("along: speed", speed)
     way = _positive("along: distance", distance)
     limit = None if yields is None else _positive("along: yields", yields)
 
-    begin = _steady(_TRANSLATION, given, axes, most, way, limit)
-    return Motion(begin, f"along {_written(given)} at {1e3 * most:g} mm/s")
+    begin = _steady(_TRANSLATION, unit, axes, most, way, limit)
+    return Motion(begin, f"along {_written(unit)} at {1e3 * most:g} mm/s")
 
 
 def about(
@@ -135,95 +141,102 @@ def about(
     axes: Axes = "world",
     yields: float | None = None,
 ) -> Motion:
-    """Turn of the object about an axis through its origin.
+    """Rotation of the object about an axis through its origin.
 
     Args:
-        axis: (3,) in world axes, or in the object's.
-        rate: rad/s.
-        angle: rad, at which it ends; inf: never.
-        axes: of the axis.
-        yields: couple against the turn (N m) at which it stops; above, it turns back. None: it does
-            not depend on forces.
+        axis: (3,) axis in world axes or in the object's, as `axes` states.
+        rate: largest angular speed (rad/s).
+        angle: angle at which the motion ends (rad); inf: it does not end.
+        axes: axes in which `axis` is given.
+        yields: couple against the rotation (N m) at which it stops; above this couple it turns
+            back at up to half the speed. None: the motion does not depend on forces.
 
     Raises:
-        InvalidInputError: no axis, or a number that is not positive.
+        InvalidInputError: the axis is zero, or a number is not positive.
     """
-    given = unit_vector("about: axis", axis)
+    unit = unit_vector("about: axis", axis)
     most = _positive("about: rate", rate)
     way = _positive("about: angle", angle)
     limit = None if yields is None else _positive("about: yields", yields)
 
-    begin = _steady(_ROTATION, given, axes, most, way, limit)
-    return Motion(begin, f"about {_written(given)} at {most:g} rad/s")
+    begin = _steady(_ROTATION, unit, axes, most, way, limit)
+    return Motion(begin, f"about {_written(unit)} at {most:g} rad/s")
 
 
 def turn_to(
     axis: ArrayLike, direction: ArrayLike | Callable[[Sensed], ArrayLike], rate: float
 ) -> Motion:
-    """Turn that brings an axis of the object to a direction of the world, the shortest way.
+    """Rotation that brings an axis of the object to a direction of the world, the shortest way.
 
-    The turn about the axis itself is left to the contacts.
+    The rotation about the axis itself is left to the contacts.
 
     Args:
-        axis: (3,) in the object's axes.
-        direction: (3,) in world axes, or a function of the signals when the stage begins.
-        rate: rad/s.
+        axis: (3,) axis in the object's axes.
+        direction: (3,) direction in world axes, or a function of the signals when the stage begins.
+        rate: largest angular speed (rad/s).
 
     Raises:
-        InvalidInputError: no axis or direction, or a rate that is not positive.
+        InvalidInputError: axis or direction is zero, or the rate is not positive.
     """
-    given = unit_vector("turn_to: axis", axis)
+    unit = unit_vector("turn_to: axis", axis)
     most = _positive("turn_to: rate", rate)
     if not callable(direction):
         unit_vector("turn_to: direction", direction)
 
     def begin(now: Sensed) -> Course:
-        given_now = direction(now) if callable(direction) else direction
-        target = unit_vector("turn_to: direction", given_now)
+        """Begin the rotation, with the direction at the beginning of the stage."""
+        goal = direction(now) if callable(direction) else direction
+        target = unit_vector("turn_to: direction", goal)
 
         def demand(now: Sensed, dt: float) -> Demand:
-            a = now.aim.rotation @ given
-            left = _turn_between(a, target)
-            angle = float(np.linalg.norm(left))
+            """Demand both components of the angular velocity across the axis."""
+            a = now.aim.rotation @ unit
+            rotation = _turn_between(a, target)
+            angle = float(np.linalg.norm(rotation))
             w = _ending(most, angle, ANGULAR_ACCELERATION, dt)
             across = _null_space(a[None]).T  # two axes at right angles to a
-            values = across @ left * (w / max(angle, 1e-12))
+            values = across @ rotation * (w / max(angle, 1e-12))
             return Demand(across @ _ANGULAR, values, angle < ARRIVED_ANGLE)
 
         return demand
 
-    return Motion(begin, f"turn {_written(given)} at {most:g} rad/s")
+    return Motion(begin, f"turn {_written(unit)} at {most:g} rad/s")
 
 
 def to(pose: pin.SE3 | Callable[[Sensed], pin.SE3], speed: float, rate: float = 0.5) -> Motion:
-    """Straight way of the object's origin to a pose, and the shortest turn meanwhile.
+    """Straight way of the object's origin to a pose, and the shortest rotation meanwhile.
 
     Args:
-        pose: pose of the object, or a function of the signals when the stage begins.
-        speed: m/s.
-        rate: rad/s.
+        pose: pose of the object in the world, or a function of the signals when the stage begins.
+        speed: largest speed of the origin (m/s).
+        rate: largest angular speed (rad/s).
 
     Raises:
-        InvalidInputError: a number that is not positive.
+        InvalidInputError: a number is not positive.
     """
-    fastest = _positive("to: speed", speed)
-    turning = _positive("to: rate", rate)
+    largest_speed = _positive("to: speed", speed)
+    largest_rate = _positive("to: rate", rate)
 
     def begin(now: Sensed) -> Course:
+        """Begin the motion, with the pose at the beginning of the stage."""
         goal = pose(now) if callable(pose) else pose
 
         def demand(now: Sensed, dt: float) -> Demand:
+            """Demand the whole twist, towards the pose."""
             way = goal.translation - now.aim.translation
-            turn = pin.log3(goal.rotation @ now.aim.rotation.T)
-            far, angle = float(np.linalg.norm(way)), float(np.linalg.norm(turn))
-            v = way * (_ending(fastest, far, LINEAR_ACCELERATION, dt) / max(far, 1e-12))
-            w = turn * (_ending(turning, angle, ANGULAR_ACCELERATION, dt) / max(angle, 1e-12))
-            there = far < ARRIVED and angle < ARRIVED_ANGLE
-            return Demand(np.eye(6), np.concatenate((v, w)), there)
+            rotation = pin.log3(goal.rotation @ now.aim.rotation.T)
+            distance = float(np.linalg.norm(way))
+            angle = float(np.linalg.norm(rotation))
+            v = _ending(largest_speed, distance, LINEAR_ACCELERATION, dt)
+            w = _ending(largest_rate, angle, ANGULAR_ACCELERATION, dt)
+            linear = way * (v / max(distance, 1e-12))
+            angular = rotation * (w / max(angle, 1e-12))
+            arrived = distance < ARRIVED and angle < ARRIVED_ANGLE
+            return Demand(np.eye(6), np.concatenate((linear, angular)), arrived)
 
         return demand
 
-    return Motion(begin, f"to a pose at {1e3 * fastest:g} mm/s")
+    return Motion(begin, f"to a pose at {1e3 * largest_speed:g} mm/s")
 
 
 def through(points: ArrayLike, speed: float, *, relative: bool = False) -> Motion:
@@ -232,63 +245,66 @@ def through(points: ArrayLike, speed: float, *, relative: bool = False) -> Motio
     The part of the way along contact normals is left to the contacts.
 
     Args:
-        points: (k, 3) in the world (m), or relative to where the stage begins.
-        speed: m/s.
-        relative: whether points are relative to the place at which the stage begins.
+        points: (k, 3) points in the world, or relative to the beginning of the stage (m).
+        speed: largest speed (m/s).
+        relative: True: points are relative to the place of the origin when the stage begins.
 
     Raises:
-        InvalidInputError: points of another shape, or a speed that is not positive.
+        InvalidInputError: points have another shape, or the speed is not positive.
     """
-    given = as_array("through: points", points, (None, 3))
+    positions = as_array("through: points", points, (None, 3))
     most = _positive("through: speed", speed)
 
     def begin(now: Sensed) -> Course:
-        path = given + (now.aim.translation if relative else 0.0)
-        k = 0
+        """Begin the motion towards the first point."""
+        path = positions + (now.aim.translation if relative else 0.0)
+        k = 0  # index of the next point
 
         def demand(now: Sensed, dt: float) -> Demand:
+            """Demand the velocity of the origin towards the next point that is not reached."""
             nonlocal k
             while k < len(path):
-                sliding = _null_space(now.N[:3].T)
-                way = sliding @ sliding.T @ (path[k] - now.aim.translation)
-                far = float(np.linalg.norm(way))
-                if far >= most * dt + ARRIVED:
-                    left = far if k + 1 == len(path) else inf
-                    return Demand(
-                        _LINEAR, way * (_ending(most, left, LINEAR_ACCELERATION, dt) / far)
-                    )
+                tangents = _null_space(now.N[:3].T)
+                way = tangents @ tangents.T @ (path[k] - now.aim.translation)
+                distance = float(np.linalg.norm(way))
+                if distance >= most * dt + ARRIVED:
+                    is_last = k + 1 == len(path)
+                    to_stop = distance if is_last else inf  # the motion stops only at the last one
+                    v = _ending(most, to_stop, LINEAR_ACCELERATION, dt)
+                    return Demand(_LINEAR, way * (v / distance))
                 k += 1
             return Demand(_LINEAR, np.zeros(3), finished=True)
 
         return demand
 
-    return Motion(begin, f"through {len(given)} points at {1e3 * most:g} mm/s")
+    return Motion(begin, f"through {len(positions)} points at {1e3 * most:g} mm/s")
 
 
 def raster(
     along: ArrayLike, across: ArrayLike, length: float, width: float, pitch: float, speed: float
 ) -> Motion:
-    """Lines beside one another, to and fro, from where the stage begins.
+    """Parallel lines, to and fro, from where the stage begins.
 
     Args:
-        along: (3,) direction of the lines in the world.
-        across: (3,) direction from line to line.
+        along: (3,) direction of the lines in world axes.
+        across: (3,) direction from line to line in world axes.
         length: length of the lines (m).
-        width: width of the area that they fill (m).
-        pitch: from line to line (m).
-        speed: m/s.
+        width: width of the area that the lines fill (m).
+        pitch: distance of neighbouring lines (m).
+        speed: largest speed (m/s).
 
     Raises:
-        InvalidInputError: no directions, or a number that is not positive.
+        InvalidInputError: a direction is zero, or a number is not positive.
     """
-    a = unit_vector("raster: along", along)
-    b = unit_vector("raster: across", across)
+    line = unit_vector("raster: along", along)
+    step = unit_vector("raster: across", across)
     lines = 1 + round(_positive("raster: width", width) / _positive("raster: pitch", pitch))
-    ends = (0.0, _positive("raster: length", length))
+    far_end = _positive("raster: length", length)
     points = []
     for k in range(lines):
-        for far in ends if k % 2 == 0 else ends[::-1]:
-            points.append(far * a + k * pitch * b)
+        forwards = k % 2 == 0
+        for distance in (0.0, far_end) if forwards else (far_end, 0.0):
+            points.append(distance * line + k * pitch * step)
     return through(points, speed, relative=True)
 
 
@@ -296,13 +312,13 @@ def spiral(axis: ArrayLike, pitch: float, speed: float, radius: float) -> Motion
     """Spiral of Archimedes of the object's origin, from where the stage begins.
 
     Args:
-        axis: (3,) at right angles to its plane, in the world.
+        axis: (3,) normal of the plane of the spiral, in world axes.
         pitch: distance of neighbouring turns (m).
-        speed: m/s.
-        radius: at which it ends (m).
+        speed: largest speed (m/s).
+        radius: radius at which the spiral ends (m).
 
     Raises:
-        InvalidInputError: no axis, or a number that is not positive.
+        InvalidInputError: the axis is zero, or a number is not positive.
     """
     normal = unit_vector("spiral: axis", axis)
     per_angle = _positive("spiral: pitch", pitch) / (2.0 * pi)
@@ -311,19 +327,23 @@ def spiral(axis: ArrayLike, pitch: float, speed: float, radius: float) -> Motion
     rows = _null_space(normal[None]).T @ _LINEAR
 
     def begin(now: Sensed) -> Course:
+        """Begin at the centre of the spiral, r = pitch / (2π) × angle."""
         angle = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
+            """Demand the velocity along the spiral, in the two axes of its plane."""
             nonlocal angle
             r = per_angle * angle
             if r >= end:
                 return Demand(rows, np.zeros(2), finished=True)
-            reach = hypot(r, per_angle)
-            turning = min(most / reach, sqrt(LINEAR_ACCELERATION / reach))
-            angle += turning * dt
-            c, s = cos(angle), sin(angle)
-            outward = turning * per_angle
-            values = (outward * c - turning * r * s, outward * s + turning * r * c)
+            path_per_angle = hypot(r, per_angle)
+            # limits of the speed and of the centripetal acceleration
+            w = min(most / path_per_angle, sqrt(LINEAR_ACCELERATION / path_per_angle))
+            angle += w * dt
+            c = cos(angle)
+            s = sin(angle)
+            outward = w * per_angle
+            values = (outward * c - w * r * s, outward * s + w * r * c)
             return Demand(rows, np.array(values))
 
         return demand
@@ -334,21 +354,22 @@ def spiral(axis: ArrayLike, pitch: float, speed: float, radius: float) -> Motion
 def rock(
     axis: ArrayLike, angle: float, frequency: float, cycles: float = inf, *, axes: Axes = "world"
 ) -> Motion:
-    """Sinusoidal turn of the object to and fro about an axis through its origin.
+    """Sinusoidal rotation of the object to and fro about an axis through its origin.
 
     Its amplitude grows during the first cycle.
 
     Args:
-        axis: (3,) in world axes, or in the object's.
+        axis: (3,) axis in world axes or in the object's, as `axes` states.
         angle: amplitude (rad).
-        frequency: Hz.
-        cycles: after which it ends; inf: never.
-        axes: of the axis.
+        frequency: frequency of the oscillation (Hz).
+        cycles: number of cycles after which it ends; inf: it does not end.
+        axes: axes in which `axis` is given.
 
     Raises:
-        InvalidInputError: no axis, a number that is not positive, or too large an acceleration.
+        InvalidInputError: the axis is zero, a number is not positive, or the acceleration is too
+            large.
     """
-    given = unit_vector("rock: axis", axis)
+    unit = unit_vector("rock: axis", axis)
     amplitude = _positive("rock: angle", angle)
     per_second = _positive("rock: frequency", frequency)
     most = _positive("rock: cycles", cycles)
@@ -360,43 +381,45 @@ def rock(
         )
 
     def begin(now: Sensed) -> Course:
+        """Begin with an angle of zero."""
         cycle = 0.0
-        before = 0.0
+        last_angle = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
-            nonlocal cycle, before
-            a = now.aim.rotation @ given if axes == "object" else given
+            """Demand the angular velocity about the axis."""
+            nonlocal cycle, last_angle
+            a = now.aim.rotation @ unit if axes == "object" else unit
             cycle = min(cycle + per_second * dt, most)
-            turned = amplitude * min(cycle, 1.0) * sin(2.0 * pi * cycle)
-            w = (turned - before) / dt
-            before = turned
+            new_angle = amplitude * min(cycle, 1.0) * sin(2.0 * pi * cycle)
+            w = (new_angle - last_angle) / dt
+            last_angle = new_angle
             return Demand((a @ _ANGULAR)[None], np.array([w]), cycle >= most)
 
         return demand
 
-    return Motion(begin, f"rock about {_written(given)} by {amplitude:g} rad")
+    return Motion(begin, f"rock about {_written(unit)} by {amplitude:g} rad")
 
 
 def permitted_twist(N: Array, demand: Demand) -> tuple[Array, Array]:
     """Twist V (6,) with NᵀV = 0 that meets a demand S V = s, and its misfit S V − s (k,).
 
-    What contacts and demand leave open is zero: first the angular velocity as far as possible, then
-    the linear one, so that metres and radians are not added.
+    Components that contacts and demand leave open are zero: first the angular velocity as far as
+    possible, then the linear velocity, so that metres and radians are not added.
 
     Args:
-        N: (6, r) directions of force of the active contacts.
+        N: (6, r) directions of force of the active contacts, at O in world axes.
         demand: S and s.
     """
-    open_ones = ((_ANGULAR, np.zeros(3)), (_LINEAR, np.zeros(3)))
-    V = _permitted(N, ((demand.rows, demand.values), *open_ones))
+    at_rest = ((_ANGULAR, np.zeros(3)), (_LINEAR, np.zeros(3)))
+    V = _permitted(N, ((demand.rows, demand.values), *at_rest))
     return V, demand.rows @ V - demand.values
 
 
 def permitted_displacement(N: Array, e: Array) -> Array:
-    """Displacement (6,) with Nᵀd = 0 next to e: its angles as far as possible, then its position.
+    """Displacement d (6,) with Nᵀd = 0 next to e: the angles as far as possible, then the position.
 
-    A small body is turned easily: the projection Ω_m in its own metric would make a rotation of
-    most of what contacts do not permit.
+    The projection Ω_m in the metric of a small body would replace most of a displacement that the
+    contacts do not permit by a rotation, because a small body is turned with little energy.
 
     Args:
         N: (6, r) directions of force of the active contacts.
@@ -406,11 +429,15 @@ def permitted_displacement(N: Array, e: Array) -> Array:
 
 
 def _permitted(N: Array, wanted: Iterable[tuple[Array, Array]]) -> Array:
-    """Vector V (6,) with NᵀV = 0 that meets A V = b, by least squares, each within those before.
+    """Vector V (6,) with NᵀV = 0 that meets several equations A V = b in order of priority.
+
+    Each equation is solved by least squares with the motions that the equations before it leave
+    open, whose basis is Z.
 
     Args:
-        N: (6, r).
-        wanted: A (k, 6) and b (k,), the most important one first.
+        N: (6, r) directions of force of the active contacts.
+        wanted: A (k, 6) and b (k,) of each equation, the most important one first. Each A has rows
+            of one unit.
     """
     V = np.zeros(6)
     Z = _null_space(N.T)
@@ -426,10 +453,12 @@ def _permitted(N: Array, wanted: Iterable[tuple[Array, Array]]) -> Array:
 
 
 _INDEPENDENT = 1e-6  #: least singular value of independent rows of about unit length
-#: Least singular value with which permitted motions meet a demand: one of which contacts permit
-#: a smaller share is blocked. Normals of one face that are estimated apart differ a little.
+#: Least singular value with which permitted motions meet a demand; a demand of which contacts
+#: permit a smaller share is blocked. Estimated normals of the same face differ a little.
 _LEAST_SHARE = 0.02
-_LEAST_TURN = 0.5  #: rad/m, the same of turns: about an axis more than 2 m away a turn is a shift
+#: Least singular value with which permitted motions meet a demanded rotation (rad/m): a rotation
+#: about an axis more than 2 m away counts as a translation.
+_LEAST_TURN = 0.5
 
 
 def _null_space(A: Array) -> Array:
@@ -441,7 +470,10 @@ def _null_space(A: Array) -> Array:
 
 
 def _turn_between(a: Array, b: Array) -> Array:
-    """Rotation vector (3,) of the shortest turn from unit vector a to unit vector b."""
+    """Rotation vector (3,) of the shortest rotation from unit vector a to unit vector b (rad).
+
+    If b = −a, the axis is any one at right angles to a.
+    """
     axis = np.cross(a, b)
     size = float(np.linalg.norm(axis))
     angle = float(np.arctan2(size, a @ b))
@@ -451,12 +483,12 @@ def _turn_between(a: Array, b: Array) -> Array:
 
 
 class _Kind(NamedTuple):
-    """Translation or rotation.
+    """Kind of a motion, translation or rotation, with its limits.
 
     Attributes:
-        rows: (3, 6) of which the product with a twist is its velocity of this kind.
-        deceleration: with which it ends (m/s², rad/s²).
-        arrived: distance from the end at which it has ended (m, rad).
+        rows: (3, 6) matrix whose product with a twist is the linear or the angular velocity.
+        deceleration: deceleration with which the motion ends (m/s², rad/s²).
+        arrived: distance from the end at which the motion has ended (m, rad).
     """
 
     rows: Array
@@ -471,49 +503,67 @@ _ROTATION = _Kind(_ANGULAR, ANGULAR_ACCELERATION, ARRIVED_ANGLE)
 def _steady(
     kind: _Kind, direction: Array, axes: Axes, speed: float, way: float, limit: float | None
 ) -> Callable[[Sensed], Course]:
-    """Beginning of a motion along, or about, one direction.
+    """Make the function `begin` of a motion along, or about, one direction.
 
     Args:
         kind: translation or rotation.
         direction: (3,) unit vector in world axes, or in the object's, as `axes` states.
         axes: axes of the direction.
-        speed: largest speed (m/s, rad/s). way: distance at which it ends (m, rad).
+        speed: largest speed (m/s, rad/s). way: distance at which the motion ends (m, rad).
         limit: force or couple against the motion at which it stops (N, N m); None: it never does.
     """
 
     def begin(now: Sensed) -> Course:
-        gone = 0.0
+        """Begin with the whole way before the object."""
+        covered = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
-            nonlocal gone
-            row = (now.aim.rotation @ direction if axes == "object" else direction) @ kind.rows
-            gone += dt * float(row @ now.V_D)
-            rate = _ending(speed, way - gone, kind.deceleration, dt)
+            """Demand the speed along the direction, lower towards the end and against a force."""
+            nonlocal covered
+            axis = now.aim.rotation @ direction if axes == "object" else direction
+            row = axis @ kind.rows
+            covered += dt * float(row @ now.V_D)
+            rate = _ending(speed, way - covered, kind.deceleration, dt)
             rate *= _yielding(limit, float(row @ now.wrench))
-            return Demand(row[None], np.array([rate]), way - gone < kind.arrived)
+            return Demand(row[None], np.array([rate]), way - covered < kind.arrived)
 
         return demand
 
     return begin
 
 
-def _ending(speed: float, left: float, deceleration: float, dt: float) -> float:
-    """Speed with which what is `left` of a way ends at rest."""
-    if left <= 0.0:
+def _ending(speed: float, distance: float, deceleration: float, dt: float) -> float:
+    """Largest speed from which the rest of a way ends at rest (m/s, rad/s).
+
+    Args:
+        speed: largest speed of the motion (m/s, rad/s).
+        distance: rest of the way (m, rad); from zero on the speed is zero.
+        deceleration: deceleration at the end (m/s², rad/s²).
+        dt: control period (s), in which the motion must not pass the end.
+    """
+    if distance <= 0.0:
         return 0.0
-    return min(speed, sqrt(2.0 * deceleration * left), left / dt)
+    return min(speed, sqrt(2.0 * deceleration * distance), distance / dt)
 
 
 def _yielding(limit: float | None, force: float) -> float:
-    """Share of the speed, between `BACK` and 1, for a force against the motion."""
+    """Share of the speed, between `BACK` and 1, for a force against the motion.
+
+    Args:
+        limit: force or couple at which the share is zero (N, N m); None: it is always 1.
+        force: measured force or couple of the object on its environment along the motion (N, N m).
+    """
     return 1.0 if limit is None else min(max(1.0 - force / limit, BACK), 1.0)
 
 
 def _positive(name: str, value: float) -> float:
     """Return a number > 0 as a float.
 
+    Args:
+        name: function and argument, for the message. value: number in SI units.
+
     Raises:
-        InvalidInputError: it is none.
+        InvalidInputError: the number is zero, negative or NaN.
     """
     number = float(value)
     if not number > 0.0:
@@ -522,5 +572,5 @@ def _positive(name: str, value: float) -> float:
 
 
 def _written(direction: Array) -> str:
-    """Direction (3,) for reports."""
+    """Write a direction (3,) with two digits, for reports."""
     return "[" + ", ".join(f"{x:.2g}" for x in direction) + "]"

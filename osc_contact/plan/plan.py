@@ -30,8 +30,8 @@ from osc_contact.plan.sensed import Sensed, Senses, forces_of
 from osc_contact.plan.stage import Stage, StageVerdict
 from osc_contact.spatial import Array, pose_error
 
-SETTLED = 0.1  #: s from the beginning of a stage that tares, whose readings are not averaged
-BRAKED = 1.0  #: s after a stop for which a plan still gives references, while the arms are braked
+SETTLED = 0.1  #: time at the beginning of a stage that tares, whose readings are left out (s)
+BRAKED = 1.0  #: time after a stop for which a plan gives references while the arms are braked (s)
 
 
 class Outcome(Enum):
@@ -46,7 +46,7 @@ class Outcome(Enum):
     ABORTED = "aborted"
 
 
-_OVER = (Outcome.DONE, Outcome.FAILED, Outcome.ABORTED)
+_OVER = (Outcome.DONE, Outcome.FAILED, Outcome.ABORTED)  #: states that a plan does not leave
 
 
 class Plan:
@@ -57,13 +57,14 @@ class Plan:
     where it is, without contacts; after the last stage its forces remain.
 
     Args:
-        stages: in their order.
-        largest: measured force on what the object touches (N) above which a stage has failed.
-        tries: number of failures that end the plan, also where a stage follows a failure.
+        stages: stages in their order.
+        largest: measured force of the object on its environment above which a stage has failed (N).
+        tries: number of failures that end the plan, also if a stage follows a failure.
 
     Attributes:
         outcome: state of the plan. reason: why it failed, was aborted or stopped.
-        verdicts: on the stages passed, in their order, stages entered again among them.
+        verdicts: verdict on each stage that was passed, in order; a stage that was entered several
+            times has several.
 
     Raises:
         InvalidInputError: no stages, equal names, or a stage that follows and does not exist.
@@ -84,6 +85,7 @@ class Plan:
     """
 
     def __init__(self, stages: Sequence[Stage], *, largest: float = inf, tries: int = 3) -> None:
+        """Check that the stages make a plan; the plan has not begun."""
         require_stages(stages)
         self.stages = tuple(stages)
         self.largest = largest
@@ -108,13 +110,13 @@ class Plan:
         """Check the plan, and begin with the first stage, or with that of `resume`.
 
         Args:
-            controller: its contacts are those that stages name.
+            controller: controller of the run, with the contacts that the stages name.
             measurement: reading of the robot at rest.
-            log: called with "stage" and its facts at the beginning of each stage, with "plan" and
-                the outcome at the end.
+            log: function that is called with "stage" and facts at the beginning of each stage, and
+                with "plan" and the outcome at the end; None: no calls.
 
         Raises:
-            InvalidInputError: a plan that has ended, and what `require_plan` refuses.
+            InvalidInputError: the plan has ended, or `require_plan` refuses it.
         """
         if self.outcome not in (Outcome.NEW, Outcome.RUNNING):
             raise InvalidInputError(
@@ -136,11 +138,15 @@ class Plan:
         self._enter(self._k)
 
     def step(self) -> Reference:
-        """Reference of the next tick, from the results of the last one."""
+        """Reference of the next tick, from the controller's results in the last tick.
+
+        Conditions are judged, and the next stage begins when one is met.
+        """
         dt = self._controller.dt
         now = self._senses.read()
         self._follow()
-        now.aim, now.V_D = self._aim, self._V
+        now.aim = self._aim
+        now.V_D = self._V
         self._time += dt
         if self._controller.state is SafetyState.SAFE_STOP and self.outcome not in _OVER:
             self._stop(self._controller.reason)
@@ -151,34 +157,38 @@ class Plan:
         return self._reference(now)
 
     def placed(self, measurement: Measurement) -> Measurement:
-        """Measurement with the poses of touched bodies that the stages have placed."""
+        """Measurement with the poses of touched bodies that the stages have placed.
+
+        Args:
+            measurement: reading of the robot, which is not changed.
+        """
         if not self._places:
             return measurement
         count = len(self._names)
-        known = measurement.touched
-        if known is None:
-            still = np.zeros((count, 6))
-            known = Touched(np.tile(np.eye(4), (count, 1, 1)), still, still)
-        X_WE = np.array(known.X_WE)
+        touched = measurement.touched
+        if touched is None:
+            at_rest = np.zeros((count, 6))
+            touched = Touched(np.tile(np.eye(4), (count, 1, 1)), at_rest, at_rest)
+        X_WE = np.array(touched.X_WE)
         for name, X in self._places.items():
             X_WE[self._names.index(name)] = X.homogeneous
-        return replace(measurement, touched=replace(known, X_WE=X_WE))
+        return replace(measurement, touched=replace(touched, X_WE=X_WE))
 
     @property
     def ended(self) -> bool:
-        """Whether a loop of its own ends: the plan is over, or was stopped a second ago."""
+        """Whether there are no more references: the plan is over, or was stopped a second ago."""
         if self.outcome is Outcome.STOPPED:
             return self._over_for > BRAKED
         return self.outcome in _OVER
 
     @property
     def contacts(self) -> tuple[str, ...]:
-        """Names of all contacts of its stages, each once."""
+        """Names of all contacts of the stages, each once."""
         return tuple(dict.fromkeys(name for stage in self.stages for name in stage.forces))
 
     @property
     def stage(self) -> Stage:
-        """The present stage, or the last one."""
+        """Stage that the plan is in, or was in when it ended."""
         return self.stages[self._k]
 
     # --- a person's side ------------------------------------------------------------------------
@@ -212,16 +222,18 @@ class Plan:
                 "controller.reset() before plan.resume()"
             )
         entered = {verdict.name for verdict in self.verdicts}
-        again = [
+        candidates = [
             k for k, stage in enumerate(self.stages) if stage.reentry and stage.name in entered
         ]
-        if not again:
+        if not candidates:
             raise InvalidInputError(
                 "no stage that was entered may begin again; give one of them reentry=True, or make "
                 "a new plan"
             )
-        self.outcome, self.reason, self._over_for = Outcome.RUNNING, "", 0.0
-        self._enter(again[-1])
+        self.outcome = Outcome.RUNNING
+        self.reason = ""
+        self._over_for = 0.0
+        self._enter(candidates[-1])
 
     def abort(self, reason: str = "aborted by the user") -> None:
         """End the plan; the object is held where it is, without contacts.
@@ -236,11 +248,14 @@ class Plan:
     # --- within a tick --------------------------------------------------------------------------
 
     def _enter(self, k: int) -> None:
-        """Begin stage k where the object is."""
+        """Begin stage k at the present pose of the object: forces, motion, conditions, verdict."""
         self._k = k
         stage = self.stages[k]
         now = self._senses.now
-        now.t, now.finished, now.start, now.aim = 0.0, False, now.X, self._aim
+        now.t = 0.0
+        now.finished = False
+        now.start = now.X
+        now.aim = self._aim
         self._alpha_d, self._active = forces_of(stage.forces, self._names, self._owners)
         for name, place in stage.places.items():
             self._places[name] = pin.SE3(place(now) if callable(place) else place)
@@ -251,20 +266,30 @@ class Plan:
         self._alarm: Watch | None = None
         if isinstance(stage.unless, End):
             self._alarm = stage.unless.begin(now)
-        self._squares, self._ticks = 0.0, 0
-        self._residual, self._weighed = np.zeros(6), 0
+        self._squares = 0.0  # sum of the squared force errors (N²) of `_ticks` ticks
+        self._ticks = 0
+        self._residual = np.zeros(6)  # sum of the residual wrenches of `_weighed` ticks
+        self._weighed = 0
         self._verdict = StageVerdict(stage.name, self._time)
         self._note("stage", name=stage.name, number=k)
 
     def _follow(self) -> None:
-        """Take from the reference what contacts do not permit, of its angles the least possible."""
+        """Move the aim to the object in the directions that contacts do not permit.
+
+        The deviation of the aim from the object keeps its permitted part, of its angles as much as
+        possible, so that a released contact causes no jump.
+        """
         if self._controller.records.memory.ticked and self._controller.status is not Status.HELD:
             X = self._senses.now.X
             e = permitted_displacement(self._senses.now.N, pose_error(self._aim, X))
             self._aim = pin.SE3(pin.exp3(e[3:]) @ X.rotation, X.translation + e[:3])
 
     def _judge(self, now: Sensed) -> None:
-        """Note the forces of the last tick; end the stage where a condition is met."""
+        """Update the verdict by the last tick; end the stage if a condition is met.
+
+        Args:
+            now: signals after the last tick.
+        """
         stage = self.stage
         dt = self._controller.dt
         now.t += dt
@@ -288,19 +313,32 @@ class Plan:
             self._fail(stage.unless.words)
         elif self._watch(now, dt):
             self._end_stage(until.words, failed=False)
-            if self._weighed:
-                self._controller.f_tare = self._residual / self._weighed
-            now.passed[stage.name] = now.X
-            following = self._k + 1 if stage.then is None else self._number(stage.then)
-            if following == len(self.stages):
-                self._finish(Outcome.DONE, "")
-            else:
-                self._enter(following)
+            self._leave(now)
         elif now.t > stage.within:
             self._fail(f"{stage.within:g} s without: {until.words}")
 
+    def _leave(self, now: Sensed) -> None:
+        """Tare if the stage does so, store its last pose, and begin the next stage or finish.
+
+        Args:
+            now: signals after the last tick of the stage.
+        """
+        stage = self.stage
+        if self._weighed:
+            self._controller.f_tare = self._residual / self._weighed
+        now.passed[stage.name] = now.X
+        following = self._k + 1 if stage.then is None else self._number(stage.then)
+        if following == len(self.stages):
+            self._finish(Outcome.DONE, "")
+        else:
+            self._enter(following)
+
     def _fail(self, why: str) -> None:
-        """Go on with the stage that follows a failure, or end the plan."""
+        """Continue with the stage that follows a failure, or end the plan.
+
+        Args:
+            why: reason for the verdict on the stage.
+        """
         stage = self.stage
         self._end_stage(why, failed=True)
         self._failures += 1
@@ -313,57 +351,87 @@ class Plan:
             self._enter(self._number(stage.fails))
 
     def _stop(self, reason: str) -> None:
-        """Note a stop of the controller, once."""
+        """Stop the plan because the controller has stopped; further calls change nothing.
+
+        Args:
+            reason: reason of the controller.
+        """
         if self.outcome is not Outcome.STOPPED:
             self._end_stage(reason, failed=True)
             self._finish(Outcome.STOPPED, f"stage {self.stage.name!r}: {reason}")
 
     def _end_stage(self, why: str, *, failed: bool) -> None:
+        """Complete the verdict on the present stage, and append it to `verdicts`.
+
+        Args:
+            why: condition that ended the stage, or why it failed. failed: whether it failed.
+        """
         verdict = self._verdict
         verdict.duration = self._time - verdict.begin
         verdict.rms = sqrt(self._squares / max(self._ticks, 1))
-        verdict.ended_by, verdict.failed = why, failed
+        verdict.ended_by = why
+        verdict.failed = failed
         self.verdicts.append(verdict)
 
     def _finish(self, outcome: Outcome, reason: str) -> None:
-        self.outcome, self.reason = outcome, reason
+        """End the plan, or stop it; only after its last stage the contact forces remain.
+
+        Args:
+            outcome: state of the plan from now on. reason: reason for reports; empty if it is done.
+        """
+        self.outcome = outcome
+        self.reason = reason
         self._over_for = 0.0
         if outcome is not Outcome.DONE:
             self._alpha_d, self._active = forces_of({}, self._names, self._owners)
         self._note("plan", outcome=outcome.value, reason=reason)
 
     def _number(self, name: str) -> int:
+        """Index of the stage of a name in `stages`."""
         return [stage.name for stage in self.stages].index(name)
 
     def _reference(self, now: Sensed) -> Reference:
-        """Reference of the next tick: the aim moves as far as contacts and its limits permit."""
+        """Reference of the next tick; the aim moves as far as contacts and accelerations permit.
+
+        Args:
+            now: signals after the last tick; `finished` is updated.
+        """
         dt = self._controller.dt
         V = np.zeros(6)
         if self.outcome is Outcome.RUNNING:
             demand = self._course(now, dt)
             now.finished = demand.finished
             V, _ = permitted_twist(now.N, demand)
-        before = self._V
-        self._V = _changed(before, V, dt)
-        A = (self._V - before) / dt
-        turned = pin.exp3(self._V[3:] * dt) @ self._aim.rotation
-        self._aim = pin.SE3(turned, self._aim.translation + self._V[:3] * dt)
+        last = self._V
+        self._V = _changed(last, V, dt)
+        A = (self._V - last) / dt
+        rotation = pin.exp3(self._V[3:] * dt) @ self._aim.rotation
+        self._aim = pin.SE3(rotation, self._aim.translation + self._V[:3] * dt)
         if self.outcome is Outcome.STOPPED:  # the arms are braked
-            self._aim, self._V, A = now.X, np.zeros(6), np.zeros(6)
+            self._aim = now.X
+            self._V = np.zeros(6)
+            A = np.zeros(6)
         return Reference(self._aim, self._V, A, alpha_d=self._alpha_d, active=self._active)
 
     def _note(self, event: str, **facts: Any) -> None:
+        """Log an event of the plan with its facts, if `begin` was given a log."""
         if self._log is not None:
             self._log(event, **facts)
 
 
 def _changed(V: Array, goal: Array, dt: float) -> Array:
-    """Twist (6,) one tick later, on the straight way to a goal (6,), with limited acceleration."""
+    """Twist (6,) one tick later, on the straight way to a goal, with limited acceleration.
+
+    Linear and angular part reach the goal together.
+
+    Args:
+        V: (6,) present twist. goal: (6,) desired twist (m/s, rad/s). dt: control period (s).
+    """
     step = goal - V
     most = CHANGES * dt
-    share = max(
+    ticks = max(
         float(np.linalg.norm(step[:3])) / (most * LINEAR_ACCELERATION),
         float(np.linalg.norm(step[3:])) / (most * ANGULAR_ACCELERATION),
         1.0,
     )
-    return V + step / share
+    return V + step / ticks

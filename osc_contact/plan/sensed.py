@@ -71,11 +71,15 @@ class Senses:
     """Reader of the signals of a controller, tick by tick.
 
     Args:
-        controller: its contacts, and the results of its ticks.
+        controller: controller whose contacts and results are read.
         X: pose of the object where the plan begins.
+
+    Attributes:
+        now: signals after the last call of `read`.
     """
 
     def __init__(self, controller: Controller, X: pin.SE3) -> None:
+        """Begin with an object at rest at X, without forces and contacts."""
         self._controller = controller
         self._names = [pair.name for pair in controller.settings.contacts]
         self._owners = force_owners(controller.settings.contacts)
@@ -93,7 +97,10 @@ class Senses:
         )
 
     def read(self) -> Sensed:
-        """Signals after the last tick; those before it where none has been computed."""
+        """Update the signals from the controller's last tick, and return them.
+
+        They are unchanged if no tick has been computed yet.
+        """
         controller = self._controller
         if not controller.records.memory.ticked:
             return self.now

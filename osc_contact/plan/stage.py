@@ -16,13 +16,13 @@ from osc_contact.plan.sensed import Sensed
 
 @dataclass(frozen=True)
 class Stage:
-    """Stage of a plan: contacts with their forces, a motion, and what ends both.
+    """Stage of a plan: contacts with their forces, a motion, and a condition that ends both.
 
     Attributes:
         name: name, unique in its plan.
         forces: the active contacts by name, with the force of each (N), distributed evenly over its
             columns of N, or a force for each column. With a force of 0 a contact is active, too.
-        motion: motion in what these contacts permit.
+        motion: motion of the object, as far as these contacts permit it.
         until: condition that ends the stage, or a function of the signals.
         unless: condition with which the stage has failed.
         within: time after which the stage has failed (s).
@@ -59,6 +59,11 @@ class Stage:
     tare: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
+        """Make conditions of functions, and check the fields.
+
+        Raises:
+            InvalidInputError: a field has another type, or a limit is not positive.
+        """
         object.__setattr__(self, "until", as_end(self.until))
         if self.unless is not None:
             object.__setattr__(self, "unless", as_end(self.unless))

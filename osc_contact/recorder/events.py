@@ -20,7 +20,7 @@ ALWAYS = frozenset({"start", "stop", "brakes", "reset", "end", "setting", "setti
 
 
 def events_beside(path: Path) -> Path:
-    """File of the events that belong to a recording, or to the rows of a run."""
+    """File of the events that belong to a file of a recording or of rows: NAME.events.jsonl."""
     return path.with_name(f"{path.stem}.events.jsonl")
 
 
@@ -30,11 +30,11 @@ def to_line(event: Json) -> str:
 
 
 def _plain(value: object) -> object:
-    """JSON data with text in place of NaN and infinities."""
+    """Convert JSON data so that it has text in place of NaN and infinities, at any depth."""
     if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_plain(one) for one in value]
+        return [_plain(item) for item in value]
     if isinstance(value, float) and not abs(value) < float("inf"):
         return str(value)
     return value
@@ -87,18 +87,19 @@ class EventLog:
             self.omitted += 1
             return
         now = datetime.now(UTC).isoformat(timespec="microseconds")
-        made = {"time": now, "t": t, "event": event, **facts}
-        self.events.append(made)
+        entry = {"time": now, "t": t, "event": event, **facts}
+        self.events.append(entry)
         if self._descriptor >= 0 and self.error is None:
-            later(partial(self._write, to_line(made).encode()))
+            later(partial(self._write, to_line(entry).encode()))
 
     def _write(self, line: bytes) -> None:
-        """Write a line to the file; an error is kept."""
+        """Write a line to the file; an error is stored in `error`, and ends the writing."""
         try:
             os.write(self._descriptor, line)
         except OSError as error:
             self.error = RecordingError(f"no more events are written to {self._path}: {error}")
 
     def __del__(self) -> None:
+        """Close the file."""
         if getattr(self, "_descriptor", -1) >= 0:
             os.close(self._descriptor)

@@ -41,11 +41,11 @@ _DAMAGED = (McapError, ValueError, KeyError, TypeError, OverflowError, MemoryErr
 
 
 class JournalFile:
-    """Journal that is written.
+    """Journal that is open for writing.
 
     Attributes:
         path: the file; None: an unnamed temporary one.
-        error: error that ended the writing, of a full or failing disk, else None; rows that were
+        error: error of a full or failing disk that ended the writing, else None; rows that were
             written before stay readable.
     """
 
@@ -65,8 +65,8 @@ class JournalFile:
         self._ended = False
         try:
             if path is None:
-                with tempfile.TemporaryFile(buffering=0) as made:
-                    self._number = os.dup(made.fileno())
+                with tempfile.TemporaryFile(buffering=0) as file:
+                    self._number = os.dup(file.fileno())
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.unlink(missing_ok=True)  # the older file stays open for its readers
@@ -106,15 +106,18 @@ class JournalFile:
             self._write(_bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MCAP0_MAGIC)
 
     def _write(self, data: bytes) -> None:
-        """Append bytes as a whole; an error is kept, and a part that was written is cut off."""
-        left = memoryview(data)
-        at = self._whole
+        """Append bytes to the file, all of them or none.
+
+        An error is stored in `error`, and a part that was written is cut off.
+        """
+        remainder = memoryview(data)
+        position = self._whole
         try:
-            while left:
-                count = os.pwrite(self._number, left, at)
-                left = left[count:]
-                at = at + count
-            self._whole = at
+            while remainder:
+                count = os.pwrite(self._number, remainder, position)
+                remainder = remainder[count:]
+                position = position + count
+            self._whole = position
         except OSError as error:
             self.error = RecordingError(
                 f"recording stops after {self._count} ticks: {self.path or 'temporary file'}: "
@@ -123,16 +126,17 @@ class JournalFile:
             os.ftruncate(self._number, self._whole)  # the part of a chunk that had room
 
     def __del__(self) -> None:
+        """Close the file."""
         if hasattr(self, "_number"):
             os.close(self._number)
 
 
 class Journal:
-    """Journal that is read, complete or not.
+    """Journal that is open for reading, complete or cut short.
 
     Attributes:
         about: description of the rows, see `JournalFile`.
-        missing: sentences on missing and damaged parts; complete after all rows were read.
+        missing: sentences on missing and damaged parts, filled while `rows` reads the file.
     """
 
     def __init__(self, source: Path | int) -> None:
@@ -155,13 +159,13 @@ class Journal:
                     self._file = mmap.mmap(-1, 1, access=mmap.ACCESS_READ)
         except OSError as error:
             raise RecordingError(f"no recording {source}: {error.strerror}") from error
-        found = next((data for channel, data in self._messages() if channel == _ABOUT), None)
-        if found is None:
+        about = next((data for channel, data in self._messages() if channel == _ABOUT), None)
+        if about is None:
             raise RecordingError(f"{self._name} is no recording, or is damaged where it begins")
-        self.about: dict[str, Any] = json.loads(found)
+        self.about: dict[str, Any] = json.loads(about)
 
     def rows(self) -> Iterator[tuple[int, Array]]:
-        """Rows of all complete chunks in order, each row once.
+        """Yield the rows of all complete chunks in order, each row once.
 
         Yields:
             Number of the first row, and rows (k,) as a structured array.
@@ -170,7 +174,7 @@ class Journal:
             RecordingError: rows of an unknown layout, for example of another version.
         """
         self.missing = []
-        after = 0
+        following = 0  # number of the row that is expected next
         for channel, data in self._messages():
             if channel != _ROWS:
                 continue
@@ -184,28 +188,32 @@ class Journal:
                 raise RecordingError(
                     f"{self._name} has rows of an unknown kind: {error}"
                 ) from error
-            if first > after:
-                self.missing.append(f"ticks {after} to {first - 1} are missing")
-            again = max(0, min(after - first, len(rows)))
-            if again:
-                last = first + again - 1
+            if first > following:
+                self.missing.append(f"ticks {following} to {first - 1} are missing")
+            repeated = max(0, min(following - first, len(rows)))
+            if repeated:
+                last = first + repeated - 1
                 self.missing.append(f"ticks {first} to {last} come again, and are left out there")
-            if again < len(rows):
-                after = first + len(rows)
-                yield (first + again, rows[again:])
+            if repeated < len(rows):
+                following = first + len(rows)
+                yield (first + repeated, rows[repeated:])
 
     def _messages(self) -> Iterator[tuple[int, bytes]]:
-        """Messages of all complete chunks: MCAP channel and data.
+        """Yield the messages of all complete chunks.
 
-        Reading continues with the next chunk after a damaged one.
+        Reading continues with the next chunk after a damaged one. A file without an end is noted in
+        `missing`.
+
+        Yields:
+            MCAP channel of the message, and its data.
         """
         file = self._file
-        at = lost = 0
-        while 0 <= at < len(file):
-            file.seek(at)
+        position = damage = 0
+        while 0 <= position < len(file):
+            file.seek(position)
             records = StreamReader(
                 cast(IO[bytes], file),
-                skip_magic=at > 0,
+                skip_magic=position > 0,
                 emit_chunks=True,
                 record_size_limit=_MOST,
             ).records
@@ -214,25 +222,25 @@ class Journal:
                     if isinstance(record, Chunk):
                         if record.compression or zlib.crc32(record.data) != record.uncompressed_crc:
                             break
-                        for one in breakup_chunk(record):
-                            if isinstance(one, Message):
-                                yield (one.channel_id, one.data)
-                    at = file.tell()
-                    file.madvise(mmap.MADV_DONTNEED)  # what was read needs no memory
+                        for part in breakup_chunk(record):
+                            if isinstance(part, Message):
+                                yield (part.channel_id, part.data)
+                    position = file.tell()
+                    file.madvise(mmap.MADV_DONTNEED)  # pages that were read need no memory
                 else:
                     return  # a footer was read
             except _DAMAGED:
                 pass
-            lost = at
-            # where the first chunk that begins later does; none: −1
-            at = max(file.find(_SIGN, at + 1 + _INSIDE) - _INSIDE, -1)
-        left = len(file) - lost
-        words = f"; its last {left} bytes are no whole chunk" if left else ""
+            damage = position
+            # beginning of the first chunk after the damage; −1 if there is none
+            position = max(file.find(_SIGN, position + 1 + _INSIDE) - _INSIDE, -1)
+        size = len(file) - damage
+        words = f"; its last {size} bytes are no whole chunk" if size else ""
         self.missing.append(f"the run was cut short, the file has no end{words}")
 
 
 def _bytes(record: McapRecord) -> bytes:
-    """Bytes of an MCAP record."""
+    """Serialise an MCAP record, with its type and length in front."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]

@@ -46,10 +46,10 @@ class JudgedTicks:
         self._since: list[float | None] = [None] * contacts
 
     def add(self, piece: Mapping[str, npt.NDArray[np.generic]]) -> tuple[Flags, Flags, Flags]:
-        """Flags of judged ticks in the next piece.
+        """Flags of judged ticks in the next piece of the recording.
 
         Args:
-            piece: channels `READ` of the k ticks that follow the piece before.
+            piece: channels `READ` of the k ticks that follow those of the last call.
 
         Returns:
             (k, c) flags of each contact; (k, r) flags of each force magnitude, not set while a
@@ -73,6 +73,9 @@ class JudgedTicks:
     def _settled(self, i: int, t: Array, commanded: Flags, closed: Flags) -> Flags:
         """Flags (k,) of the ticks at which contact i is judged.
 
+        A contact is judged from `LANDING_S` after it first closed, and not before `SETTLE_S`, until
+        no force is commanded; a contact that was closed from the first tick on has not landed.
+
         Args:
             i: index of the contact.
             t: (k,) times (s).
@@ -87,13 +90,14 @@ class JudgedTicks:
                 self._since[i] = None
                 self.open[i] = False
                 continue
-            here = closed[start:stop]
-            if self._since[i] is None and here.any():
-                self._since[i] = float(t[start + int(np.argmax(here))])
+            closed_here = closed[start:stop]
+            if self._since[i] is None and closed_here.any():
+                self._since[i] = float(t[start + int(np.argmax(closed_here))])
             since = self._since[i]
             self.open[i] = since is None
             if since is not None:
-                begin = max(SETTLE_S, since + LANDING_S if since > 0.0 else 0.0)
+                landed = since + LANDING_S if since > 0.0 else 0.0
+                begin = max(SETTLE_S, landed)
                 settled[start:stop] = t[start:stop] >= begin - 1e-9
         return settled
 
@@ -101,12 +105,21 @@ class JudgedTicks:
 def judged_ticks(recording: Recording) -> tuple[Flags, Flags]:
     """Flags of judged ticks: (T, r) of force magnitudes, (T,) of the run; see `JudgedTicks`."""
     ticks = JudgedTicks(recording)
-    found = [ticks.add(piece)[1:] for piece in recording.pieces(*READ)]
-    return (np.concatenate([one[0] for one in found]), np.concatenate([one[1] for one in found]))
+    magnitude_flags = []
+    run_flags = []
+    for piece in recording.pieces(*READ):
+        _, magnitudes, run = ticks.add(piece)
+        magnitude_flags.append(magnitudes)
+        run_flags.append(run)
+    return (np.concatenate(magnitude_flags), np.concatenate(run_flags))
 
 
 def stretches(flags: Flags) -> Iterator[tuple[int, int]]:
-    """Ranges [start, stop) of successive ticks with equal flags."""
+    """Yield the ranges [start, stop) of successive ticks with equal flags.
+
+    Args:
+        flags: (k,) flag of each tick.
+    """
     if not len(flags):
         return
     edges = np.flatnonzero(flags[1:] != flags[:-1]) + 1

@@ -42,7 +42,7 @@ def is_mapped(column: Array) -> bool:
 
 
 def read_column(column: Array, start: int = 0, stop: int | None = None) -> Array:
-    """Rows of a column; those of a mapped file are copied, and the memory of its pages is released.
+    """Read rows of a column; those of a mapped file are copied, and its pages are released.
 
     Args:
         column: column of a recording.
@@ -66,6 +66,9 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
         ticks: number of rows of all parts together.
         parts: columns of successive rows, with equal names in each part.
 
+    Returns:
+        Columns by name, each with `ticks` rows; those in a file are read-only.
+
     Raises:
         RecordingError: the disk is full, or fails.
     """
@@ -78,7 +81,7 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
                 for name, values in part.items():
                     row = values[0].nbytes
                     if name not in offsets:
-                        offsets[name] = -(-size // _ALIGNED) * _ALIGNED
+                        offsets[name] = -(-size // _ALIGNED) * _ALIGNED  # rounded up
                         size = offsets[name] + ticks * row
                     file.seek(offsets[name] + start * row)
                     file.write(values.tobytes())
@@ -182,7 +185,11 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
 
 
 def checksum(path: Path) -> int:
-    """Checksum of an archive's content, computed from the names and checksums of its entries."""
+    """Checksum of an archive's content, computed from the names and checksums of its entries.
+
+    Args:
+        path: an .npz file.
+    """
     with zipfile.ZipFile(path) as archive:
         words = "".join(f"{info.filename}:{info.CRC};" for info in archive.infolist())
     return zlib.crc32(words.encode())
@@ -203,8 +210,8 @@ def _require_size(source: Path, entries: list[zipfile.ZipInfo], size: int) -> No
         raise RecordingError(
             f"{source} has {len(entries)} entries; at most {_MOST_ENTRIES} are read"
         )
-    stored = sum(e.file_size for e in entries if e.compress_type == zipfile.ZIP_STORED)
-    packed = sum(e.file_size for e in entries) - stored
+    stored = sum(info.file_size for info in entries if info.compress_type == zipfile.ZIP_STORED)
+    packed = sum(info.file_size for info in entries) - stored
     if stored > size:
         raise RecordingError(
             f"{source} is damaged: its entries claim {stored} bytes, the file has {size}"
@@ -217,20 +224,25 @@ def _require_size(source: Path, entries: list[zipfile.ZipInfo], size: int) -> No
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes] | None) -> Array:
-    """Array of an entry, whose checksum is verified.
+    """Read the array of an entry, or map it from the file, and verify its checksum.
 
     Args:
         archive: the archive.
-        info: its entry.
+        info: entry of the archive.
         file: the open archive, to map the array from it; None: the array is read.
+
+    Raises:
+        ValueError: the entry has Python objects or another size than its header states.
+        BadZipFile: the checksum is wrong.
     """
     with archive.open(info) as entry:
         dtype, shape, start, order = _header(info, entry)
         if file is None or not shape or order == "F":
             return np.frombuffer(entry.read(), dtype).reshape(shape, order=order).copy()
-        while entry.read(1 << 20):
+        while entry.read(1 << 20):  # reading to the end verifies the checksum
             pass
     whole = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    # a ZIP entry has 30 bytes, of which the last four are the lengths of two names that follow
     names = struct.unpack_from("<HH", whole, info.header_offset + 26)
     return np.ndarray(shape, dtype, whole, info.header_offset + 30 + sum(names) + start)
 
@@ -238,14 +250,22 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes] | No
 def _header(
     info: zipfile.ZipInfo, entry: IO[bytes]
 ) -> tuple[np.dtype[Any], tuple[int, ...], int, Literal["C", "F"]]:
-    """Type, shape, first byte and order of the numbers of an entry, which must fill it.
+    """Read the header of an array, and check that its numbers fill the entry.
+
+    Args:
+        info: entry of the archive, for its size and name.
+        entry: the entry, opened at its first byte.
+
+    Returns:
+        Type and shape of the array, offset of its first number in the entry (bytes), and order:
+        "F" by columns, "C" by rows.
 
     Raises:
         ValueError: Python objects, or a size that differs from that of the entry.
     """
     version = npy.read_magic(entry)
-    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-    shape, in_columns, dtype = read(entry)
+    read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, in_columns, dtype = read_header(entry)
     start = int(entry.tell())
     if dtype.hasobject:
         raise ValueError(f"{info.filename} holds Python objects, which are not read")
@@ -267,6 +287,7 @@ class Channels(UserDict[str, Array]):
     """Channels by name; a channel that stays on disk is read as a whole at each access."""
 
     def __getitem__(self, name: str) -> Array:
+        """Read a channel; its first axis is the tick."""
         return read_column(self.data[name])
 
 
@@ -339,10 +360,15 @@ class Recording:
             raise RecordingError(f"channels differ in their number of ticks: {lengths}")
 
     def __getitem__(self, name: str) -> Array:
-        """Return the channel `name`."""
+        """Read a channel; its first axis is the tick.
+
+        Raises:
+            RecordingError: there is no such channel.
+        """
         return self.rows(0, len(self), name)[name]
 
     def __contains__(self, name: object) -> bool:
+        """Return whether there is a channel of this name."""
         return name in self.channels
 
     @property
@@ -356,7 +382,14 @@ class Recording:
         return len(next(iter(self.channels.data.values()), ()))
 
     def rows(self, start: int, stop: int, *names: str) -> dict[str, Array]:
-        """Ticks start to stop − 1 of some channels, by default of all.
+        """Read ticks start to stop − 1 of some channels.
+
+        Args:
+            start: first tick. stop: tick after the last one.
+            names: names of channels; none: all channels.
+
+        Returns:
+            Arrays by name, with the ticks as first axis.
 
         Raises:
             RecordingError: there is no such channel.
@@ -370,29 +403,46 @@ class Recording:
         return rows
 
     def pieces(self, *names: str) -> Iterator[dict[str, Array]]:
-        """Ticks of some channels, by default of all, in pieces of some thousand."""
-        stays = any(map(is_mapped, self.channels.data.values()))
-        many = _FROM_DISK if stays else _PIECE
-        for start in range(0, len(self), many):
-            yield self.rows(start, start + many, *names)
+        """Yield some channels in pieces of some thousand ticks, so that memory stays small.
+
+        Args:
+            names: names of channels; none: all channels.
+
+        Yields:
+            Arrays by name, with successive ticks as first axis.
+        """
+        on_disk = any(is_mapped(column) for column in self.channels.data.values())
+        size = _FROM_DISK if on_disk else _PIECE
+        for start in range(0, len(self), size):
+            yield self.rows(start, start + size, *names)
 
     def at(self, tick: int) -> Json:
-        """Values of all channels at a tick; negative ticks count from the end."""
+        """Values of all channels at a tick; negative ticks count from the end.
+
+        Raises:
+            IndexError: there is no such tick.
+        """
         tick = range(len(self))[tick]
         return {name: values[0] for name, values in self.rows(tick, tick + 1).items()}
 
     def thinned(self, most: int) -> Recording:
-        """Recording of every k-th tick, in memory, with the least k that leaves ≤ `most` ticks."""
-        step = -(-len(self) // most)
+        """Recording of every k-th tick, in memory, with the least k that leaves ≤ `most` ticks.
+
+        Args:
+            most: largest number of ticks of the result; a shorter recording is returned itself.
+        """
+        step = -(-len(self) // most)  # quotient, rounded up
         if step <= 1:
             return self
-        kept: dict[str, list[Array]] = {name: [] for name in self.channels}
+        parts: dict[str, list[Array]] = {name: [] for name in self.channels}
         start = 0
         for piece in self.pieces():
+            first = -start % step  # first tick of the piece whose number is a multiple of step
             for name, values in piece.items():
-                kept[name].append(values[-start % step :: step].copy())
+                parts[name].append(values[first::step].copy())
             start += len(values)
-        return Recording(self.meta, {name: np.concatenate(some) for name, some in kept.items()})
+        columns = {name: np.concatenate(pieces) for name, pieces in parts.items()}
+        return Recording(self.meta, columns)
 
     def save(self, path: StrPath) -> Path:
         """Write an .npz file, which appears complete or not at all, and return its path.
@@ -466,11 +516,12 @@ class Recording:
         order = content.get("order", list(columns))
         times_file = _times_file(source)
         if times_file.is_file():
-            measured, times = _read(times_file)
-            if measured.get("of") == checksum(source):
+            times_content, times = _read(times_file)
+            if times_content.get("of") == checksum(source):
                 columns |= times
                 if isinstance(meta, dict):
-                    meta |= {k: v for k, v in measured["meta"].items() if k in _META_TIMES}
+                    meta_times = times_content["meta"].items()
+                    meta |= {key: value for key, value in meta_times if key in _META_TIMES}
         names = [*(name for name in order if name in columns), *columns]
         recording = cls(meta, {name: columns[name] for name in names})
         recording.events = _read_events(source)
@@ -478,9 +529,13 @@ class Recording:
 
 
 def _read_events(source: Path) -> list[Json]:
-    """Events in the file that belongs to a recording; [] for a file of another recording.
+    """Read the events that belong to a recording from the file beside it.
 
-    A file that cannot be read gives [], too.
+    Args:
+        source: file of the recording, whose checksum the file of the events must state.
+
+    Returns:
+        Events in order; none if the file is missing, damaged or of another recording.
     """
     try:
         lines = events_beside(source).read_text("utf-8").splitlines()
@@ -488,21 +543,33 @@ def _read_events(source: Path) -> list[Json]:
         fits = first["of"] == checksum(source)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
-    return [one for one in events if isinstance(one, dict)] if fits else []
+    if not fits:
+        return []
+    return [event for event in events if isinstance(event, dict)]
 
 
 def _times_file(path: Path) -> Path:
-    """File of the measured times of a recording."""
+    """File of the measured times beside a recording: run.times.npz for run.npz."""
     return path.with_name(f"{path.stem}.times.npz")
 
 
 def _text(**content: Json | list[str] | int) -> str:
-    """Content of the text of a recording's file as JSON, with the version of the format."""
+    """Write the text of a recording's file as JSON, with the version of the format.
+
+    Args:
+        content: entries of the text, such as `meta`.
+    """
     return json.dumps({"format": _FORMAT, **content}, allow_nan=False)
 
 
 def _read(source: Path) -> tuple[Json, dict[str, Array]]:
-    """Read the text, parsed, and the arrays of a recording's file.
+    """Read the text and the arrays of a recording's file, and check the version of the format.
+
+    Args:
+        source: file written by `Recording.save`.
+
+    Returns:
+        Content of the text, which has an entry `meta`, and arrays by name.
 
     Raises:
         RecordingError: the file is damaged, not a recording, or of another version.
@@ -560,7 +627,11 @@ def write_csv(recording: Recording, file: IO[bytes]) -> None:
 
 
 def _titles(name: str, values: Array) -> Iterator[str]:
-    """Titles of the columns of a channel: its name with the indices of each number of a tick."""
+    """Yield a title for each number of a channel in a tick: its name and indices, as in N.0.1.
+
+    Args:
+        name: name of the channel. values: (ticks, …) values of the channel.
+    """
     for index in np.ndindex(values.shape[1:]):
         yield ".".join((name, *map(str, index)))
 
@@ -585,8 +656,9 @@ def write_mcap(recording: Recording, file: IO[bytes]) -> None:
     for piece in recording.pieces():
         for t, *values in zip(piece.get("t", count(number)), *piece.values(), strict=False):
             message = dict(zip(piece, map(_finite, values), strict=True))
-            at = round(float(t) * 1e9)
-            writer.add_message(channel, at, json.dumps(message).encode(), at, number)
+            nanoseconds = round(float(t) * 1e9)
+            data = json.dumps(message).encode()
+            writer.add_message(channel, nanoseconds, data, nanoseconds, number)
             number += 1
     writer.finish()  # type: ignore[no-untyped-call]
 
