@@ -1,7 +1,7 @@
-"""What is wrong with a task before it runs: a table of rules on what can be compared beforehand.
+"""Checks of a task before it runs: rules on the scenario, its contacts, plant and sensors.
 
-A rule is one function that gives a quantity, under the limits from which it is doubtful and
-refused, and the sentence of the finding. A task is given by a file, or in Python.
+A rule is a function that yields a quantity, with a limit for a warning, a limit for refusal, and
+the sentence of the finding. A task is given by a file, or in Python.
 """
 
 from __future__ import annotations
@@ -42,16 +42,17 @@ from osc_contact.loop.rules import Finding, Task, Values, doubt, findings, round
 from osc_contact.loop.start_rules import judge_motion, judge_robot
 from osc_contact.spatial import Array, norm
 
-MOST_TICKS = 100_000  #: references that are taken from an iterator
-NOISY = 0.05  #: of a mean command; more of it by the noise of encoders is doubtful
-BESIDE_M = 0.005  #: a contact further than this beside body or object is refused
-PROBE_M = 0.002  #: how far in front of and behind a contact geometry is looked for
+MOST_TICKS = 100_000  #: largest number of references that are taken from an iterator
+NOISY = 0.05  #: largest rms force by the noise of encoders without a warning, over the mean command
+BESIDE_M = 0.005  #: largest distance of a contact from the geometry of body and object (m)
+PROBE_M = 0.002  #: distance before and behind a contact at which geometry is probed (m)
+#: Keys of contacts whose vectors point out of the body, or out of the object.
 OUTWARD = {"body": ("face_normal", "edge_outward"), "object": ("normal", "edge_outward")}
 _logger = logging.getLogger("osc_contact.preflight")
 
 
 def task_of_rig(rig: Rig) -> Task:
-    """The task of a scenario: its plan, and the chain and contacts of its plant."""
+    """Make the task of a scenario: references, and the true chain and contacts of its plant."""
     scenario = rig.scenario
     times, plan = rig.references.overview
     tare = scenario.tare
@@ -101,27 +102,26 @@ def preflight(
     controller: Controller | None = None,
     references: Iterable[Reference] = (),
 ) -> tuple[Finding, ...]:
-    """Everything that is wrong or doubtful about a task, before it runs.
+    """Errors and warnings on a task, found before it runs.
 
-    Of every task are compared: motions with the contacts, the arms' reach, the joints' ranges and
-    speeds, forces with the contacts, forces and weights with the motors, the control rate with the
-    gains. Of a scenario, too:
-    the start pose with the scenario's, faces with object and arms, contacts with the bodies they
-    are on, carts, springs in the joints with their loop, masses and sensors with the tare. Of a
-    robot: the wrists with the load they carry, the first reference with the pose, the rate of
-    X_WD with V_D; where the robot has a `scene` (`MujocoRobot`), also contacts, tool and masses
-    with that. `run_loop` makes the checks of a robot by itself.
+    For every task: motions are compared with the contacts, the reach of the arms, ranges and speeds
+    of the joints; forces with the contacts; forces and weights with the motors; the control rate
+    with the gains. For a scenario also: the start pose with the given one; faces with object and
+    arms; contacts with the touched bodies; carts; flexible joints with the joint torque loop;
+    masses and sensors with the tare. For a robot: the wrist readings with the load; the first
+    reference with the pose; the rate of X_WD with V_D; contacts, tool and masses with the `scene`
+    of the robot, if it has one (`MujocoRobot`). `run_loop` checks a robot by itself.
 
     Args:
-        task: a scenario, see `build_rig`; or a robot at rest where the run will start, which is
-            measured once.
+        task: rig of a scenario, see `build_rig`; or a robot at rest where the run will start, which
+            is measured.
         controller: controller of the robot; it is not changed.
-        references: of the run, as for `run_loop`, which needs them anew; at most the first 100,000
-            are looked at.
+        references: references of the run, one for each tick; at most the first 100,000 are checked.
+            Of an iterator these are consumed: give `run_loop` a new one.
 
     Raises:
-        InvalidInputError: a robot without controller or references, or forces that do not fit the
-            contacts.
+        InvalidInputError: a robot without controller or references, or with another number of
+            desired forces than the contacts have.
     """
     if isinstance(task, Rig):
         return (*findings(MODEL_RULES, task), *judge_rig(task))
@@ -133,27 +133,34 @@ def preflight(
 
 
 def judge_rig(rig: Rig) -> tuple[Finding, ...]:
-    """Findings of `preflight` that are the same whatever the controller's model has wrong."""
-    of = task_of_rig(rig)
-    return (*findings(RIG_RULES, rig), *findings((weights, pulls), of), *judge_motion(of))
+    """Findings of `preflight` that do not depend on the errors of the controller's model.
+
+    They can be shared by rigs that differ in `model_error` only.
+
+    Args:
+        rig: rig of a scenario.
+    """
+    task = task_of_rig(rig)
+    return (*findings(RIG_RULES, rig), *findings((weights, pulls), task), *judge_motion(task))
 
 
 def require_ready(rig: Rig, robot: Sequence[Finding] | None = None) -> list[str]:
-    """The doubts about a task, which are logged too.
+    """Refuse a rig that cannot run; log warnings and return their sentences.
 
     Args:
-        rig: rig of the task. robot: what `judge_rig` has found, if it was called before.
+        rig: rig of the task. robot: findings of `judge_rig`, if it was called before; None: it is
+            called.
 
     Raises:
-        ScenarioError: it cannot run; with everything that `preflight` refuses.
+        ScenarioError: the task cannot run; the message has all errors that `preflight` finds.
     """
-    found = [*findings(MODEL_RULES, rig), *(judge_rig(rig) if robot is None else robot)]
-    refused = [one.text for one in found if one.refused]
-    if refused:
-        raise ScenarioError("\n".join(refused))
-    for one in found:
-        _logger.warning("doubtful: %s", one.text)
-    return [one.text for one in found]
+    all_findings = [*findings(MODEL_RULES, rig), *(judge_rig(rig) if robot is None else robot)]
+    refusals = [finding.text for finding in all_findings if finding.refused]
+    if refusals:
+        raise ScenarioError("\n".join(refusals))
+    for finding in all_findings:
+        _logger.warning("doubtful: %s", finding.text)
+    return [finding.text for finding in all_findings]
 
 
 # --- a scenario ---------------------------------------------------------------------------------
@@ -164,7 +171,7 @@ def require_ready(rig: Rig, robot: Sequence[Finding] | None = None) -> list[str]
     "read; name a frame of its URDF as wrist_sensor"
 )
 def sensors(rig: Rig) -> Values:
-    """Arms that measure no force."""
+    """Find arms without a wrist sensor in a task with contacts; the value is 1 for such an arm."""
     for arm in rig.chain.arms if rig.pairs else ():
         yield arm.wrist_sensor is None, {"name": arm.name}
 
@@ -174,22 +181,26 @@ def sensors(rig: Rig) -> Values:
     "force; set tare={{}} to zero them in free space before contact"
 )
 def tare(rig: Rig) -> Values:
-    """Weights that the wrists read and the model does not know; the exact plant has no tare."""
+    """Number of known errors of masses and wrist sensors that no tare removes.
+
+    Exact plants have no tare.
+    """
     scenario = rig.scenario
     if not rig.pairs or scenario.tare is not None or scenario.plant.exact:
         return
     error = scenario.model_error
     wrist = scenario.sensors.wrist
-    wrong = [
+    errors = [
         f"model_error.{key} is {getattr(error, key):g}"
         for key in ("object_mass", "arm_mass", "hidden_mass")
         if getattr(error, key) != type(error).model_fields[key].default
     ]
-    for key, unit in {} if wrist is None else {"force": "N", "torque": "N m"}.items():
-        bias = getattr(wrist, key).bias
-        if bias > 0.0:
-            wrong.append(f"sensors.wrist.{key} has a bias of {bias:g} {unit}")
-    yield len(wrong), {"wrong": " and ".join(wrong)}
+    if wrist is not None:
+        for key, unit in (("force", "N"), ("torque", "N m")):
+            bias = getattr(wrist, key).bias
+            if bias > 0.0:
+                errors.append(f"sensors.wrist.{key} has a bias of {bias:g} {unit}")
+    yield len(errors), {"wrong": " and ".join(errors)}
 
 
 @doubt(
@@ -197,7 +208,7 @@ def tare(rig: Rig) -> Values:
     "forces takes it for normal force; {other}give control.friction={{mu: …}}"
 )
 def friction(rig: Rig) -> Values:
-    """Friction that the filter of fig. 5 takes for normal force."""
+    """Friction coefficient of the plant that the filter of fig. 5 attributes to normal forces."""
     control = rig.scenario.control
     if rig.scenario.plant.exact or control.friction is not None or not rig.pairs:
         return
@@ -209,7 +220,7 @@ def friction(rig: Rig) -> Values:
 
 @rule("{why}")
 def springs(rig: Rig) -> Values:
-    """Springs, or a joint torque loop, that cannot be."""
+    """Find springs of flexible joints, or a joint torque loop, that cannot be made."""
     try:
         hardware.torque_loop(rig.scenario, rig.chain, rig.springs)
     except OscContactError as error:
@@ -223,12 +234,15 @@ def springs(rig: Rig) -> Values:
     -100.0,
 )
 def swinging(rig: Rig) -> Values:
-    """Frequency of joints without a torque loop (−Hz)."""
+    """First natural frequency of flexible joints without a torque loop, negated (−Hz).
+
+    It is negated because a low frequency is the finding, and rules compare with upper limits.
+    """
     if any(springs.findings(rig)) or rig.scenario.control.joint_torque is not None:
         return
     if rig.springs is not None:
-        found = modes(rig.state, rig.chain.actuated, rig.springs.stiffness)
-        first = found[found > 0.0].min(initial=np.inf)
+        frequencies = modes(rig.state, rig.chain.actuated, rig.springs.stiffness)
+        first = frequencies[frequencies > 0.0].min(initial=np.inf)
         yield -first, {"first": first, "rate": 1e-3 / rig.scenario.plant.step}
 
 
@@ -239,7 +253,10 @@ def swinging(rig: Rig) -> Values:
     0.2,
 )
 def carts(rig: Rig) -> Values:
-    """Largest travel (m) of carts under the commanded forces."""
+    """Largest travel (m) of carts on their rails under the commanded forces, weight and preload.
+
+    The motion m s̈ + c ṡ + k s = force is integrated over the run with 2000 steps.
+    """
     t, plan = rig.references.overview
     dt = t[1] - t[0]
     for body in rig.bodies:
@@ -250,30 +267,32 @@ def carts(rig: Rig) -> Values:
         c = cart.damping
         k = cart.stiffness
         u = np.array(cart.direction)
-        push = np.full(len(t), cart.preload - 9.81 * m * u[2])
+        forces = np.full(len(t), cart.preload - 9.81 * m * u[2])
         for i in body.contacts:
-            along = feet(rig.pairs[i], rig.state.X_WO)[1] @ u
-            push += plan.commands[:, rig.owners == i] @ along
-        s = speed = most = 0.0
-        for force in push:  # implicit in spring and damper: stable for any of them
+            _, directions = feet(rig.pairs[i], rig.state.X_WO)
+            forces += plan.commands[:, rig.owners == i] @ (directions @ u)
+        s = 0.0
+        speed = 0.0
+        largest = 0.0
+        for force in forces:  # implicit in spring and damper: stable for any of them
             speed = (m * speed + dt * (force - k * s)) / (m + dt * c + dt**2 * k)
             s += dt * speed
-            most = max(most, abs(s))
+            largest = max(largest, abs(s))
         words = {
             "name": body.name,
-            "left": push[-1],
+            "left": forces[-1],
             "duration": rig.scenario.duration,
-            "preload": cart.preload - push.mean(),
+            "preload": cart.preload - forces.mean(),
         }
-        yield most, words
+        yield largest, words
 
 
 @doubt("{sentence}, {value:.2g} times its command; lower control.life.speed", 2.0)
 def landing(rig: Rig) -> Values:
-    """Expected peaks of contacts that are still to be made, over their commands."""
-    for one in landings(rig):
-        if one.free and one.command > 0.0:
-            yield one.peak / one.command, {"sentence": one.sentence}
+    """Expected peak forces of contacts that are open at the start, over their commands."""
+    for expected in landings(rig):
+        if expected.free and expected.command > 0.0:
+            yield expected.peak / expected.command, {"sentence": expected.sentence}
 
 
 # --- places: a scenario ---------------------------------------------------------------------------
@@ -285,13 +304,13 @@ def landing(rig: Rig) -> Values:
     "object: reverse contacts.{name}.face.normal"
 )
 def normals(rig: Rig) -> Values:
-    """Faces that bring their own plate and face away from the robot."""
+    """Least distance (m) by which object and arm tips are behind a contact's own face."""
     points = np.array([rig.state.X_WO.translation, *rig.state.grasp_points])
     for spec in rig.scenario.contacts:
         face = getattr(spec, "face", None)
         if face is not None:
-            behind = np.min((np.array(face.point) - points) @ face.normal)
-            yield behind, {"name": spec.name}
+            depth = np.min((np.array(face.point) - points) @ face.normal)
+            yield depth, {"name": spec.name}
 
 
 @rule(
@@ -302,24 +321,33 @@ def normals(rig: Rig) -> Values:
     0.1,
 )
 def start(rig: Rig) -> Values:
-    """A start pose that moved, at the object's origin or at a contact (m)."""
-    given = rig.X_given
-    now = rig.state.X_WO
-    points = [now.translation]
-    for pair in filter(has_place, rig.pairs):
-        points.extend(feet(pair, now)[0])
-    moved = max(norm(p - given.act(now.actInv(p))) for p in points)
+    """Distance (m) between the given start pose and the pose in contact.
+
+    The largest distance of the object's origin and its contact points counts.
+    """
+    X_given = rig.X_given
+    X = rig.state.X_WO
+    points = [X.translation]
+    for pair in rig.pairs:
+        if has_place(pair):
+            points.extend(feet(pair, X)[0])
+    distance = max(norm(p - X_given.act(X.actInv(p))) for p in points)
     words = {
-        "where": rounded(now.translation),
-        "turned": np.rad2deg(norm(pin.log3(given.rotation.T @ now.rotation))),
-        "given": rounded(given.translation),
+        "where": rounded(X.translation),
+        "turned": np.rad2deg(norm(pin.log3(X_given.rotation.T @ X.rotation))),
+        "given": rounded(X_given.translation),
     }
-    yield moved, words
+    yield distance, words
 
 
 @dataclass(frozen=True)
 class _Solid:
-    """A body with its collision shapes, for distances to points of the world."""
+    """Body with its collision shapes, for distances from points of the world.
+
+    Attributes:
+        name: name of the body in messages, in quotation marks. urdf: file of its shapes.
+        placement: pose of the body in the world.
+    """
 
     name: str
     urdf: Path
@@ -329,23 +357,29 @@ class _Solid:
     def shapes(self) -> list[tuple[Any, pin.SE3]]:
         """Collision shapes of the body's file with their poses; empty unless all are convex."""
         try:
-            return [(s.shape, self.placement * s.placement) for s in collision_shapes(self.urdf)]
+            parts = collision_shapes(self.urdf)
+            return [(part.shape, self.placement * part.placement) for part in parts]
         except (InvalidInputError, ModelError):
             return []
 
     def distance(self, point: Array) -> float:
         """Distance (m) of a point (3,) in the world from the body; not positive inside."""
-        ball = coal.Sphere(1e-6), pin.SE3(np.eye(3), point)
-        return min(nearest(*one, *ball).distance for one in self.shapes)
+        ball = coal.Sphere(1e-6)
+        X_ball = pin.SE3(np.eye(3), point)
+        return min(nearest(shape, X, ball, X_ball).distance for shape, X in self.shapes)
 
 
 def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
-    """Number and pair of each contact that has a place, with the body and the object it is on."""
-    held = _Solid("the object", urdf_of(rig.scenario, rig.scenario.object), rig.state.X_WO)
+    """Yield the contacts that have a place, with the solids that they are between.
+
+    Yields:
+        Index of the contact; pair; solids by kind, "body" and "object".
+    """
+    solid_object = _Solid("the object", urdf_of(rig.scenario, rig.scenario.object), rig.state.X_WO)
     bodies = [_Solid(f"'{body.name}'", body.urdf[0], body.placement) for body in rig.bodies]
     for i, pair in enumerate(rig.pairs):
         if has_place(pair):
-            yield i, pair, {"body": bodies[rig.on[i]], "object": held}
+            yield i, pair, {"body": bodies[rig.on[i]], "object": solid_object}
 
 
 @rule(
@@ -354,13 +388,20 @@ def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
     BESIDE_M,
 )
 def beside(rig: Rig) -> Values:
-    """Contacts beside their bodies or the object; those of the exact plant have no ends."""
-    for _, pair, solids in () if rig.scenario.plant.exact else _solids(rig):
+    """Distance (m) of contact points from the geometry of body and object.
+
+    Faces of exact plants are unbounded, so that nothing is compared. One finding for each contact
+    and solid is enough.
+    """
+    if rig.scenario.plant.exact:
+        return
+    for _, pair, solids in _solids(rig):
+        points, _ = feet(pair, rig.state.X_WO)
         for solid in solids.values():
-            for point in feet(pair, rig.state.X_WO)[0] if solid.shapes else ():
-                away = solid.distance(point)
-                yield away, {"name": pair.name, "point": rounded(point, 3), "solid": solid}
-                if away > BESIDE_M:
+            for point in points if solid.shapes else ():
+                distance = solid.distance(point)
+                yield distance, {"name": pair.name, "point": rounded(point, 3), "solid": solid}
+                if distance > BESIDE_M:
                     break
 
 
@@ -370,21 +411,29 @@ def beside(rig: Rig) -> Values:
     PROBE_M,
 )
 def inverted(rig: Rig) -> Values:
-    """Normals that are reversed: the force would push out of the body, or out of the object."""
+    """Increase (m) of the distance from a solid along the direction into it: reversed normals.
+
+    The distance from the body decreases along the direction of force, that from the object against
+    it, unless a normal is reversed.
+    """
     for i, pair, solids in _solids(rig):
+        if not pushes_only(pair):
+            continue
         points, directions = feet(pair, rig.state.X_WO)
         spec = rig.scenario.contacts[i]
-        for kind, solid in solids.items() if pushes_only(pair) else ():
+        for kind, solid in solids.items():
             key = next((key for key in OUTWARD[kind] if hasattr(spec, key)), None)
-            if key is None or not solid.shapes or max(map(solid.distance, points)) >= BESIDE_M:
+            if key is None or not solid.shapes:
                 continue
-            steps = PROBE_M * directions * (1.0 if kind == "body" else -1.0)
-            rise = min(
-                solid.distance(p + d) - solid.distance(p - d)
-                for p, d in zip(points, steps, strict=True)
+            if max(solid.distance(point) for point in points) >= BESIDE_M:
+                continue
+            inward = PROBE_M * directions * (1.0 if kind == "body" else -1.0)
+            increase = min(
+                solid.distance(point + step) - solid.distance(point - step)
+                for point, step in zip(points, inward, strict=True)
             )
-            yield rise, {"name": pair.name, "solid": solid, "key": key}
-            if rise > PROBE_M:
+            yield increase, {"name": pair.name, "solid": solid, "key": key}
+            if increase > PROBE_M:
                 break
 
 
@@ -395,13 +444,16 @@ def inverted(rig: Rig) -> Values:
     0.005,
 )
 def inside(rig: Rig) -> Values:
-    """Depth of the object in a body, for another cause than those above (m)."""
+    """Penetration (m) of the object into a body that reversed normals do not explain."""
     if rig.scenario.plant.exact or any(normals.findings(rig)) or any(inverted.findings(rig)):
         return
-    pairs = {solids["body"].name: solids.values() for _, _, solids in _solids(rig)}
-    for name, (body, held) in pairs.items():
-        for a in body.shapes if held.shapes else ():
-            depth = max(-nearest(*a, *b).distance for b in held.shapes)
+    touched = {solids["body"].name: solids for _, _, solids in _solids(rig)}
+    for name, solids in touched.items():
+        object_shapes = solids["object"].shapes
+        for shape, X in solids["body"].shapes if object_shapes else ():
+            depth = max(
+                -nearest(shape, X, own_shape, X_own).distance for own_shape, X_own in object_shapes
+            )
             yield depth, {"name": name}
 
 
@@ -412,9 +464,10 @@ def inside(rig: Rig) -> Values:
     NOISY,
 )
 def encoders(rig: Rig) -> Values:
-    """Rms force that the brake makes of the encoders' noise, of the mean command.
+    """Rms force that the brake causes by the noise of the encoders, over the mean command.
 
-    The contacts answer by δα = (NᵀΦN)⁻¹κ NᵀδV on faces that do not yield, δV the mean of the arms'.
+    On unyielding faces a velocity error δV, the mean of those of the arms, causes the forces
+    δα = (NᵀΦN)⁻¹κ NᵀδV.
     """
     brake = getattr(rig.gains.force, "brake", 0.0)
     if rig.scenario.sensors.encoder is None or not rig.pairs or not brake:
@@ -423,30 +476,31 @@ def encoders(rig: Rig) -> Values:
     N = rig.contact.N
     if N.shape[1] != len(rig.force_names):  # dependent contacts share their forces
         return
-    M = np.linalg.inv(N.T @ rig.state.Phi @ N)
-    speeds = estimate.noise_gain * error
-    arms = zip(rig.state.arms, rig.chain.slices, strict=True)
-    made = np.hstack([M @ N.T @ arm.J * speeds[own] for arm, own in arms])
-    forces = brake * np.sqrt((made**2).sum(axis=1)) / len(rig.chain.arms)
+    apparent_mass = np.linalg.inv(N.T @ rig.state.Phi @ N)
+    speed_errors = estimate.noise_gain * error  # (n,)
+    by_joint = [
+        apparent_mass @ N.T @ arm.J * speed_errors[joints]
+        for arm, joints in zip(rig.state.arms, rig.chain.slices, strict=True)
+    ]
+    squares = np.hstack(by_joint) ** 2  # errors of the joints are independent
+    forces = brake * np.sqrt(squares.sum(axis=1)) / len(rig.chain.arms)
     commands = np.abs(rig.references.overview[1].commands).mean(axis=0)
     for name, force, command in zip(rig.force_names, forces, commands, strict=True):
         value = force / command if command > 0.0 else 0.0
-        less = min(NOISY / value, 1.0) if value > 0.0 else 1.0
-        yield (
-            value,
-            {
-                "name": name,
-                "step": error.max(),
-                "percent": 100.0 * value,
-                "command": command,
-                "enough": error.max() * less**4,  # speeds are as (error σ_a³)^¼
-                "angular": rig.scenario.control.estimate.joint_angular * less ** (4.0 / 3.0),
-            },
-        )
+        reduction = min(NOISY / value, 1.0) if value > 0.0 else 1.0
+        words = {
+            "name": name,
+            "step": error.max(),
+            "percent": 100.0 * value,
+            "command": command,
+            "enough": error.max() * reduction**4,  # speed errors are as (error σ_a³)^¼
+            "angular": rig.scenario.control.estimate.joint_angular * reduction ** (4.0 / 3.0),
+        }
+        yield value, words
 
 
-PLACE_RULES = (normals, inverted, inside, start, beside)
-#: What a scenario has to follow; a new rule is entered here. For those of every task and of a
-#: robot see `osc_contact.loop.start_rules`.
+PLACE_RULES = (normals, inverted, inside, start, beside)  #: rules on the places of contacts
+#: All rules on a scenario; a new rule is added to this list. The rules on every task and on a robot
+#: are listed in `osc_contact.loop.start_rules`.
 RIG_RULES = (sensors, springs, swinging, *PLACE_RULES, friction, encoders, carts, landing)
-MODEL_RULES = (tare,)  #: of a scenario; they look at what the controller's model has wrong
+MODEL_RULES = (tare,)  #: rules on a scenario that depend on the errors of the controller's model

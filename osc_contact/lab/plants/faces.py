@@ -16,37 +16,47 @@ from osc_contact.spatial import Array, classical_to_spatial
 
 
 class TouchedLater(Touched):
-    """Readings that are worked out when one of them is read; a copy of it is a plain `Touched`.
+    """Readings of touched bodies that are computed when one of them is read.
 
-    They are those of the instant at which it was made: nothing that changes later is in them.
+    Most ticks do not read them, and they are costly. They are the readings of the instant at which
+    the object is made. A copy of the object is a plain `Touched`.
     """
 
     @classmethod
-    def of(cls, work_out: Callable[[], Touched]) -> Touched:
-        """Readings that a function gives, which is called once or not at all."""
-        made = cls.__new__(cls)
-        made.__dict__["_work_out"] = work_out
-        return made
+    def of(cls, compute: Callable[[], Touched]) -> Touched:
+        """Make readings from a function that computes them; it is called at most once."""
+        readings = cls.__new__(cls)
+        readings.__dict__["_compute"] = compute
+        return readings
 
     def __getattr__(self, name: str) -> Any:
-        """A reading, where none was read before."""
-        if name not in Touched.__dataclass_fields__ or "_work_out" not in self.__dict__:
+        """Compute all readings at the first access to one, which is not an attribute yet.
+
+        Raises:
+            AttributeError: there is no such reading.
+        """
+        if name not in Touched.__dataclass_fields__ or "_compute" not in self.__dict__:
             raise AttributeError(name)
-        self.__dict__.update(vars(self.__dict__.pop("_work_out")()))
+        self.__dict__.update(vars(self.__dict__.pop("_compute")()))
         return self.__dict__[name]
 
     def __reduce__(self) -> tuple[type[Touched], tuple[Array, Array, Array]]:
+        """Return the parts of a copy, which is a plain `Touched`."""
         return Touched, (self.X_WE, self.V_E, self.A_E)
 
 
 class Faces:
-    """The bodies of an environment, where they are on their rails, and what touches them.
+    """Bodies of an environment, with their states on their rails and the contacts on them.
 
     Attributes:
-        rails: rail of each body. on: the body of each contact.
-        s, rates, second: (bodies, 2) coordinates and derivatives; of `second` that of drives.
-        driven: motions by body. moving: whether any body has a joint, driven or free.
-        free: numbers of the bodies that follow the contact force, and of the joint of each.
+        rails: rail of each body. on: index of the body of each contact.
+        s: (bodies, 2) travel (m) and angle (rad) of each body. rates: (bodies, 2) their first
+            derivatives.
+        second: (bodies, 2) second derivatives of driven bodies; zero for others.
+        driven: function of time that prescribes the motion, by the index of a driven body.
+        moving: whether any body has a joint, driven or free.
+        free: indices of the bodies that follow the contact forces, and of the joint of each (0
+            travel, 1 angle).
     """
 
     def __init__(
@@ -55,11 +65,12 @@ class Faces:
         on: Sequence[int] | None,
         contacts: int = 0,
     ) -> None:
-        """Every body in its assembled pose.
+        """Set rails and contacts, with every body at rest in its initial pose.
 
         Args:
-            rails: rail of each body; default: all rest. on: the body of each contact; default: each
-                has its own. contacts: their number.
+            rails: rail of each body; None: all bodies are at rest. on: index of the body of each
+                contact; None: each contact has its own body. contacts: number of contacts, needed
+                if `on` is None.
         """
         self.on = tuple(range(contacts) if on is None else on)
         self.rails = tuple(rails or [Rail()] * (max(self.on, default=-1) + 1))
@@ -80,16 +91,16 @@ class Faces:
         self._commanded: tuple[float, Array] = nan, np.zeros((3, len(self._driven), 2))
 
     def reset(self) -> None:
-        """Every body in its assembled pose, the driven ones where their motions begin."""
-        for x in (self.s, self.rates, self.second):
-            x[:] = 0.0
+        """Put all bodies in their initial pose, driven ones at the beginning of their motion."""
+        for state in (self.s, self.rates, self.second):
+            state[:] = 0.0
         self._forget()
         self.drive(0.0)
 
     def drive(self, t: float) -> None:
-        """Put the driven bodies where their motions are at time t (s).
+        """Set the state of the driven bodies at time t (s).
 
-        The motions are evaluated once an instant, however often that is.
+        The motions are evaluated once for each time, also if this is called repeatedly.
         """
         if not self.driven:
             return
@@ -100,10 +111,12 @@ class Faces:
         self.s[bodies], self.rates[bodies], self.second[bodies] = self._commanded[1]
 
     def pulls(self, gravity: Array) -> list[float]:
-        """Force along each free joint besides the contacts' (N, N m); hinges are balanced.
+        """Force along each free joint without contact forces: weight, preload, spring (N, N m).
+
+        Hinges are balanced: their weight has no moment.
 
         Args:
-            gravity: (3,) m/s².
+            gravity: (3,) acceleration of gravity, world axes (m/s²).
         """
         forces = []
         for i, k in zip(*self.free, strict=True):
@@ -114,21 +127,25 @@ class Faces:
         return forces
 
     def poses(self) -> list[pin.SE3]:
-        """X_WE of the body at each contact."""
+        """Pose X_WE of the frame of each contact's face."""
         return [self.rails[body].pose(self.s[body]) for body in self.on]
 
     def twists(self, X_WE: Sequence[pin.SE3]) -> list[Array]:
-        """V_E, (6,) each, of the bodies at the contacts, at the origins of their poses."""
+        """Twist V_E (6,) of each contact's body, at the origin of its pose, world axes.
+
+        Args:
+            X_WE: poses by `poses`.
+        """
         return [
             self.rails[body].twist(self.s[body], self.rates[body], X.translation)
             for body, X in zip(self.on, X_WE, strict=True)
         ]
 
     def parts(self, contacts: Sequence[ContactPair], X_WO: pin.SE3, V_O: Array) -> list[Contact]:
-        """N and n_γ of every contact with the object at X_WO, V_O (6,) and the bodies as they are.
+        """N and n_γ of each contact, for a state of the object and the present state of the bodies.
 
         Args:
-            contacts: the pairs. X_WO: pose of the object. V_O: its twist.
+            contacts: contact pairs. X_WO: pose of the object. V_O: (6,) its twist at O, world axes.
         """
         X_WE = self.poses()
         pairs = zip(contacts, X_WE, self.twists(X_WE), strict=True)
@@ -137,48 +154,65 @@ class Faces:
     def gaps(
         self, contacts: Sequence[ContactPair], X_WO: pin.SE3
     ) -> tuple[Array, Callable[[], Array]]:
-        """(r,) gaps (m) of the contacts with the object at X_WO, and what gives their N (6, r)."""
+        """Gaps (r,) of the contacts (m), and a function that computes their N (6, r).
+
+        Args:
+            contacts: contact pairs. X_WO: pose of the object.
+        """
         pairs = zip(contacts, self.poses(), strict=True)
         gaps = [np.zeros(0), *(pair.gaps(X_WO, X_E) for pair, X_E in pairs)]
         return np.concatenate(gaps), partial(self.normals, contacts, X_WO)
 
     def normals(self, contacts: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
-        """N (6, r) of all contacts with the object at X_WO."""
+        """Directions of force N (6, r) of all contacts with the object at X_WO, world axes."""
         return stacked(self.parts(contacts, X_WO, np.zeros(6)))[0]
 
     def touched(self) -> Touched | None:
-        """Readings of encoders on the rails and drives; None where nothing can move."""
+        """Readings of encoders on rails and drives at present; None if no body can move."""
         if not self.moving:
             return None
         s, rates, second = np.array((self.s, self.rates, self.second))
-        return TouchedLater.of(partial(self._work_out, s, rates, second))
+        return TouchedLater.of(partial(self._readings, s, rates, second))
 
-    def _work_out(self, s: Array, rates: Array, second: Array) -> Touched:
-        """The readings at given coordinates and derivatives, (bodies, 2) each."""
-        motion = {}
+    def _readings(self, s: Array, rates: Array, second: Array) -> Touched:
+        """Poses, twists and known accelerations of the bodies of all contacts.
+
+        Only driven bodies have known accelerations; those of others are zero.
+
+        Args:
+            s, rates, second: (bodies, 2) coordinates of the rails with first and second derivatives
+                (m, rad, s).
+        """
+        poses = {}
+        twists = {}
+        accelerations = {}
         for body in set(self.on):
             rail = self.rails[body]
             X_WE = rail.pose(s[body])
-            A_E = np.zeros(6)
+            origin = X_WE.translation
+            poses[body] = X_WE.homogeneous
+            twists[body] = rail.twist(s[body], rates[body], origin)
+            accelerations[body] = np.zeros(6)
             if body in self.driven:
-                A_E = rail.acceleration(s[body], rates[body], second[body], X_WE.translation)
-            motion[body] = X_WE.homogeneous, rail.twist(s[body], rates[body], X_WE.translation), A_E
-        shapes = (-1, 4, 4), (-1, 6), (-1, 6)
-        each = ([motion[body][k] for body in self.on] for k in range(3))
-        return Touched(*(np.reshape(x, shape) for x, shape in zip(each, shapes, strict=True)))
+                accelerations[body] = rail.acceleration(s[body], rates[body], second[body], origin)
+        return Touched(
+            np.reshape([poses[body] for body in self.on], (-1, 4, 4)),
+            np.reshape([twists[body] for body in self.on], (-1, 6)),
+            np.reshape([accelerations[body] for body in self.on], (-1, 6)),
+        )
 
     def closing(self, parts: Sequence[Contact], point: Array) -> tuple[Array, Array]:
-        """Nᵀ × the motion of the bodies: how fast each gap closes with them.
+        """Rates at which the motion of the bodies changes the gaps: Nᵀ times their motion.
 
         Args:
-            parts: the contacts. point: (3,) where their columns are given.
+            parts: contacts with N. point: (3,) point to which the columns of N refer (m).
 
         Returns:
-            (r, bodies, 2) for the twist per unit rate; (r,) for the spatial acceleration that the
-            rates and the drives make.
+            (r, bodies, 2) NᵀV for a unit rate of each joint; (r,) Nᵀa for the spatial acceleration
+            a by present rates and drives.
         """
         r = sum(part.r for part in parts)
-        along = np.zeros((r, len(self.rails), 2))
+        by_rate = np.zeros((r, len(self.rails), 2))
         drift = np.zeros(r)
         end = 0
         for part, body in zip(parts, self.on, strict=True):
@@ -187,14 +221,14 @@ class Faces:
             rail = self.rails[body]
             s = self.s[body]
             rates = self.rates[body]
-            for k, rate in enumerate(np.eye(2)):
-                along[rows, body, k] = part.N.T @ rail.twist(s, rate, point)
+            for k, unit_rate in enumerate(np.eye(2)):
+                by_rate[rows, body, k] = part.N.T @ rail.twist(s, unit_rate, point)
             a = rail.acceleration(s, rates, self.second[body], point)
             drift[rows] = part.N.T @ classical_to_spatial(a, rail.twist(s, rates, point))
-        return along, drift
+        return by_rate, drift
 
 
 def stacked(parts: Sequence[Contact]) -> tuple[Array, Array]:
-    """N (6, r) and n_γ (r,) of all contacts side by side."""
-    N = np.hstack([np.zeros((6, 0)), *(c.N for c in parts)])
-    return N, np.concatenate([np.zeros(0), *(c.n_gamma for c in parts)])
+    """Concatenate N (6, r) and n_γ (r,) of all contacts, in their order."""
+    N = np.hstack([np.zeros((6, 0)), *(part.N for part in parts)])
+    return N, np.concatenate([np.zeros(0), *(part.n_gamma for part in parts)])

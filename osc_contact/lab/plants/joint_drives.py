@@ -14,7 +14,7 @@ from osc_contact.spatial import Array, as_array
 if TYPE_CHECKING:
     from mujoco import MjsJoint, MjSpec
 
-SPRING = "spring"  #: suffix of the second joint that the plant puts behind a motor
+SPRING = "spring"  #: suffix of the name of the second joint, the spring between motor and link
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,12 @@ class FlexibleJoints:
 
 @dataclass(frozen=True)
 class Motors:
-    """Motors that are not ideal torque sources: u = τ + bias + ripple sin(cycles · θ + phase).
+    """Motors with torque errors: u = τ + bias + ripple sin(cycles · θ + phase).
 
     Attributes:
-        bias, ripple: (n_a,) N m (N of a sliding joint).
-        cycles: (n_a,) 1/rad (1/m) of motor travel, as felt at the joint. phase: (n_a,) rad.
+        bias, ripple: (n_a,) constant error and amplitude of the ripple (N m; N of a sliding joint).
+        cycles: (n_a,) angular frequency of the ripple over the motor's travel (rad/rad; rad/m).
+        phase: (n_a,) phase of the ripple (rad).
     """
 
     bias: Array
@@ -71,12 +72,13 @@ class Motors:
     def drawn(
         cls, tau_max: Array, sliding: Array, bias: float, ripple: float, rng: np.random.Generator
     ) -> Motors:
-        """Errors of a given size, relative to each motor's limit, with random sign and phase.
+        """Make errors of a given size, relative to each motor's limit, with random sign and phase.
 
         Args:
-            tau_max: (n_a,) limits. sliding: (n_a,) bool, joints that move along their axis.
-            bias, ripple: amplitudes as fractions of the limits.
-            rng: draws signs and phases.
+            tau_max: (n_a,) limits of the motors (N m, N). sliding: (n_a,) True for joints that move
+                along their axis.
+            bias, ripple: amplitudes over the limits.
+            rng: random generator of signs and phases.
         """
         n = len(tau_max)
         return cls(
@@ -87,17 +89,23 @@ class Motors:
         )
 
     def torque(self, tau: Array, theta: Array) -> Array:
-        """(n_a,) torques delivered for commanded tau at motor positions theta."""
+        """Delivered torques (n_a,) (N m, N).
+
+        Args:
+            tau: (n_a,) commanded torques (N m, N). theta: (n_a,) motor positions at the joint
+                (rad, m).
+        """
         return tau + self.bias + self.ripple * np.sin(self.cycles * theta + self.phase)
 
 
 @dataclass(frozen=True)
 class JointDrives:
-    """Everything between command and link; the default is an ideal, stiff, frictionless drive.
+    """Drives between command and link; the default is an ideal, stiff, frictionless drive.
 
     Attributes:
-        flexible: springs, or None. motors: their errors, or None.
-        friction: (n_a,) Coulomb friction at the motor's side of the spring (N m, N), or None.
+        flexible: springs between motors and links; None: stiff joints.
+        motors: errors of the motors; None: ideal ones.
+        friction: (n_a,) Coulomb friction at the motor's side of the spring (N m, N); None: none.
     """
 
     flexible: FlexibleJoints | None = None
@@ -105,18 +113,19 @@ class JointDrives:
     friction: Array | None = None
 
 
-_IMPEDANCE = 0.9999  #: the most that MuJoCo permits
+_IMPEDANCE = 0.9999  #: largest impedance that MuJoCo permits
 
 
 def set_dry_friction(joint: MjsJoint, friction: float, step: float) -> None:
-    """Let a joint have Coulomb friction, also when it is light.
+    """Set Coulomb friction of a joint so that it holds light links, too.
 
-    In MuJoCo a torque τ below the friction moves a joint of inertia I by (1 − d) T τ/(2 I). With
-    its defaults, an impedance d of 0.9 and a time T of 20 ms, light wrists would have viscous
-    friction that turns round 10 ms before they do.
+    In MuJoCo a torque τ below the friction moves a joint of inertia I at the speed
+    (1 − d) T τ/(2 I). With its defaults, an impedance d of 0.9 and a time T of 20 ms, the friction
+    of light wrists would be viscous, and change its sign 10 ms before their velocity does.
 
     Args:
-        joint: joint of a scene. friction: N m, N. step: of the engine (s).
+        joint: joint of a scene, changed. friction: Coulomb friction (N m, N). step: time step of
+            the engine (s).
     """
     joint.frictionloss = friction
     joint.solref_friction = [2 * step, 1.0]
@@ -124,13 +133,13 @@ def set_dry_friction(joint: MjsJoint, friction: float, step: float) -> None:
 
 
 def add_drives(spec: MjSpec, names: Sequence[str], drives: JointDrives) -> None:
-    """Put springs, motor inertias and friction into a MuJoCo scene.
+    """Add springs, motor inertias and friction to a MuJoCo scene.
 
-    The named joint keeps its name, its limits and its motor and becomes the motor's; a second,
-    sprung joint about the same axis follows it in the same body.
+    With springs, the named joint with its limits and its actuator becomes that of the motor; a
+    second joint about the same axis, with the spring, follows in the same body.
 
     Args:
-        spec: the scene. names: names of the driven joints. drives: what to add.
+        spec: scene, changed. names: names of the driven joints. drives: drives of these joints.
     """
     for i, name in enumerate(names):
         joint = spec.joint(name)

@@ -35,9 +35,9 @@ _log = logging.getLogger(__name__)
 class MujocoArm:
     """One arm of a MuJoCo simulation: its model, its readings and its torques.
 
-    The simulation stays where it is: `measure` reads its data, `apply` writes into them, and
-    whoever owns them calls `mj_step`. Where an environment hides that call, `driven` puts the
-    torques in from within each of its steps.
+    The simulation belongs to the caller: `measure` reads its data, `apply` writes torques into
+    them, and the caller calls `mj_step`. If an environment hides this call, `driven` applies the
+    torques from within each of its steps.
 
     Joints with exactly one plain motor are driven by it. Actuators of other joints (position
     servos) and the compensation of gravity are switched off in `model` for the links of the arm.
@@ -92,6 +92,7 @@ class MujocoArm:
         name: str = "arm",
         locked: Mapping[str, float] | None = None,
     ) -> None:
+        """Read the model of the arm, find its joints, motors and sensor, and let it be held."""
         try:
             import mujoco
         except ImportError as error:
@@ -102,8 +103,8 @@ class MujocoArm:
         self._body, _ = self._frame("tip", tip)
         _stop_gravity_compensation(model, self._body)
         if wrist_sensor is not None:
-            self._take_sensor(wrist_sensor)
-        number = {joint_name(model, j): j for j in range(model.njnt)}
+            self._find_sensor(wrist_sensor)
+        index_of = {joint_name(model, j): j for j in range(model.njnt)}
         read_arm = partial(
             Arm.from_mjcf,
             model,
@@ -113,21 +114,23 @@ class MujocoArm:
             wrist_sensor=wrist_sensor,
         )
         arm = read_arm(locked=locked)
-        if arm.locked:  # at their present positions
-            now = {j: float(data.qpos[model.jnt_qposadr[number[j]]]) for j in arm.locked}
-            arm = read_arm(locked={**now, **(locked or {})})
+        if arm.locked:  # at their present positions, unless others are given
+            present = {
+                joint: float(data.qpos[model.jnt_qposadr[index_of[joint]]]) for joint in arm.locked
+            }
+            arm = read_arm(locked={**present, **(locked or {})})
         self.chain = ClosedChain([arm], payload=payload)
-        joints = np.array([number[joint] for joint in list(arm.model.names)[1:]])
+        joints = np.array([index_of[joint] for joint in list(arm.model.names)[1:]])
         self._q = model.jnt_qposadr[joints]
         self._v = model.jnt_dofadr[joints]
         self._inputs = TorqueInputs(model, joints[self.chain.actuated])
         self.hold()
 
     def hold(self) -> None:
-        """Apply the torques that carry the arm at rest, and compute the readings they bring.
+        """Apply the torques that carry the arm at rest, and compute the readings under them.
 
         Call it after each reset of the simulation: the checks before the first torques compare the
-        wrist's reading with the weight of an arm at rest, not of one that falls.
+        reading of the wrist with the weight of an arm at rest.
         """
         chain = self.chain
         model = chain.model
@@ -137,7 +140,13 @@ class MujocoArm:
         self._mj.mj_forward(self.model, self.data)
 
     def _frame(self, argument: str, name: str) -> tuple[int, int | None]:
-        """Numbers of a body and, where the name is that of a site on it, of the site.
+        """Find a body, or a site and its body, by name.
+
+        Args:
+            argument: argument of the constructor, for the message. name: name of a body or site.
+
+        Returns:
+            Index of the body; index of the site, or None if the name is that of a body.
 
         Raises:
             PlantError: there is neither such a body nor such a site.
@@ -151,8 +160,12 @@ class MujocoArm:
         site = sites.index(name)
         return int(model.site_bodyid[site]), site
 
-    def _take_sensor(self, name: str) -> None:
-        """Find where the wrist's wrench is read, and the links that it weighs."""
+    def _find_sensor(self, name: str) -> None:
+        """Find the body of the wrist sensor, and its rows in the sensor data if it has any.
+
+        Args:
+            name: name of the site or body of the sensor.
+        """
         self._body, site = self._frame("wrist_sensor", name)
         self._rows: Array | None = None
         self._site = site
@@ -165,7 +178,7 @@ class MujocoArm:
             self._scratch = self._mj.MjData(self.model)
 
     def measure(self) -> Measurement:
-        """Read the encoders and the wrist as they are now; a site's sensors are one step old."""
+        """Read encoders and wrist sensor; sensors of a site are those of the last step's start."""
         data = self.data
         wrench = np.zeros((1, 6))
         if self.chain.arms[0].wrist_sensor is not None:
@@ -176,20 +189,22 @@ class MujocoArm:
     def _internal_wrench(self) -> Array:
         """Wrench (6,) between the sensor's body and its parent, at the sensor and in its axes.
 
-        It is that of the present state, computed in data of its own: amid a step the simulation has
-        new contacts already, and the forces of the old ones. MuJoCo's `cfrc_int` acts at the centre
-        of mass of the tree, in world axes, torque first.
+        It is computed from a copy of the present state: within a step the data of the simulation
+        have new contacts, but the forces of the old ones. MuJoCo's `cfrc_int` is at the centre of
+        mass of the tree, in world axes, torque first.
         """
         data = self._scratch
         self._mj.mj_copyData(data, self.model, self.data)
         self._mj.mj_forward(self.model, data)
         self._mj.mj_rnePostConstraint(self.model, data)
         if self._site is None:
-            place, R = data.xpos[self._body], data.xmat[self._body].reshape(3, 3)
+            p = data.xpos[self._body]
+            R = data.xmat[self._body].reshape(3, 3)
         else:
-            place, R = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
+            p = data.site_xpos[self._site]
+            R = data.site_xmat[self._site].reshape(3, 3)
         torque, force = data.cfrc_int[self._body].reshape(2, 3)
-        lever = place - data.subtree_com[self.model.body_rootid[self._body]]
+        lever = p - data.subtree_com[self.model.body_rootid[self._body]]
         return np.concatenate((R.T @ force, R.T @ (torque - np.cross(lever, force))))
 
     def apply(self, tau: ArrayLike) -> None:
@@ -213,15 +228,16 @@ class MujocoArm:
     def driven(self, law: Callable[[Measurement], Array], dt: float) -> Iterator[None]:
         """Apply the torques of a law from within the steps of the simulation.
 
-        MuJoCo calls the law before it computes the actuation of a step, whoever began the step. It
-        has one such hook for all simulations of a process: others are left alone, and blocks cannot
-        be nested. After an exception of the law the last torques are held; the exception is raised
-        at the end of the block.
+        MuJoCo calls the law before it computes the actuation of a step, in any code that makes a
+        step. It has one such hook for all simulations of a process: other simulations are not
+        affected, and blocks cannot be nested. After an exception of the law the last torques are
+        held; the exception is raised at the end of the block.
 
         Args:
-            law: returns torques (n_a,) for a measurement, for example by `SteppedLoop.step`.
-            dt: control period (s), a whole number of the simulation's steps; torques are held
-                meanwhile.
+            law: function that returns torques (n_a,) for a measurement, for example by
+                `SteppedLoop.step`.
+            dt: control period (s), a whole number of the simulation's steps, for which torques are
+                held.
 
         Raises:
             InvalidInputError: another hook is installed.
@@ -238,6 +254,11 @@ class MujocoArm:
         failure: Exception | None = None
 
         def control(model: Any, data: Any) -> None:
+            """Apply the law once for each control period; MuJoCo calls this in each of its steps.
+
+            Args:
+                model, data: simulation that makes the step; other simulations are ignored.
+            """
             nonlocal due, failure
             if model is not self.model or data is not self.data or failure is not None:
                 return
@@ -259,7 +280,7 @@ class MujocoArm:
             raise failure
 
     def scene(self) -> MujocoScene:
-        """Return distances from everything that the tool can touch now, and masses."""
+        """Distances from the geoms that the tool can touch in the present state, and masses."""
         model = self.model
         tool = geoms_beyond(model, self._body)
         tree = moving_geoms(model, self._body)
@@ -271,7 +292,11 @@ class MujocoArm:
 
 
 def _stop_gravity_compensation(model: Any, body: int) -> None:
-    """Switch MuJoCo's compensation of gravity off for all bodies of an arm's tree."""
+    """Switch MuJoCo's compensation of gravity off for all bodies of an arm's tree.
+
+    Args:
+        model: `mujoco.MjModel`, changed. body: index of a body of the arm.
+    """
     tree = model.body_rootid == model.body_rootid[body]
     if np.any(model.body_gravcomp[tree] != 0.0):
         model.body_gravcomp[tree] = 0.0

@@ -36,22 +36,26 @@ class TorqueInputs:
         kinds = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
         per_torque = mj.actuator_gear[:, 0] * mj.actuator_gainprm[:, 0]
         plain = (per_torque != 0.0) & ~np.any(kinds, axis=0)  # force is gain × control, at once
-        motors = []
+        motors = []  # index of each joint's motor; −1: torques are applied to the joint directly
         for joint in joints:
-            own = motors_of(mj, joint)
-            if len(own) == 1 and plain[own[0]]:
-                motors.append(own[0])
+            actuators = motors_of(mj, joint)
+            if len(actuators) == 1 and plain[actuators[0]]:
+                motors.append(actuators[0])
                 continue
             motors.append(-1)
-            mj.actuator_gainprm[own] = mj.actuator_biasprm[own] = 0.0
-        found = np.array(motors, dtype=int)
-        self._driven = found >= 0
-        self._motors = found[self._driven]
+            mj.actuator_gainprm[actuators] = mj.actuator_biasprm[actuators] = 0.0
+        motor_of_joint = np.array(motors, dtype=int)
+        self._driven = motor_of_joint >= 0
+        self._motors = motor_of_joint[self._driven]
         self._direct = mj.jnt_dofadr[joints][~self._driven]
         self._per_torque = per_torque[self._motors]
 
     def send(self, data: Any, tau: Array) -> None:
-        """Write torques (N m; N) of the joints into MuJoCo's data."""
+        """Write torques of the joints into MuJoCo's data.
+
+        Args:
+            data: `mujoco.MjData`, changed. tau: (n_a,) torques (N m; N).
+        """
         data.ctrl[self._motors] = tau[self._driven] / self._per_torque
         data.qfrc_applied[self._direct] = tau[~self._driven]
 
@@ -83,16 +87,24 @@ def sensor_rows(mj: Any, site: str) -> Array:
 
 
 def geoms_beyond(mj: Any, body: int) -> Array:
-    """Numbers of the geoms of a body and of all its descendants."""
+    """Indices of the geoms of a body and of all its descendants.
+
+    Args:
+        mj: `mujoco.MjModel`. body: index of the body.
+    """
     bodies = [body]
-    for other in range(body + 1, mj.nbody):
+    for other in range(body + 1, mj.nbody):  # descendants come later than their parents
         if mj.body_parentid[other] in bodies:
             bodies.append(other)
     return np.flatnonzero(np.isin(mj.geom_bodyid, bodies))
 
 
 def moving_geoms(mj: Any, body: int) -> Array:
-    """Mask (ngeom,) of the geoms that move with the kinematic tree of a body."""
+    """Mask (ngeom,) of the geoms in the kinematic tree of a body that can move.
+
+    Args:
+        mj: `mujoco.MjModel`. body: index of a body of the tree.
+    """
     bodies = mj.geom_bodyid
     tree: Array = mj.body_rootid[bodies] == mj.body_rootid[body]
     return tree & (mj.body_weldid[bodies] != 0)
@@ -113,14 +125,15 @@ def loose_joints(mj: Any, body: int, dofs: Array) -> dict[str, float]:
 
     tree = mj.body_rootid == mj.body_rootid[body]
     coupled = mj.eq_type == mjtEq.mjEQ_JOINT
-    joined = {*mj.eq_obj1id[coupled].tolist(), *mj.eq_obj2id[coupled].tolist()}
-    found = {}
+    coupled_joints = {*mj.eq_obj1id[coupled].tolist(), *mj.eq_obj2id[coupled].tolist()}
+    masses = {}
     for j in range(mj.njnt):
-        servos = mj.actuator_biasprm[motors_of(mj, j), 1]  # feedback of the position
-        held = np.any(servos) or mj.jnt_stiffness[j] > 0.0 or j in joined
-        if tree[mj.jnt_bodyid[j]] and mj.jnt_dofadr[j] not in dofs and not held:
-            found[joint_name(mj, j)] = float(mj.body_subtreemass[mj.jnt_bodyid[j]])
-    return found
+        position_gains = mj.actuator_biasprm[motors_of(mj, j), 1]
+        has_servo = bool(np.any(position_gains))
+        is_held = has_servo or mj.jnt_stiffness[j] > 0.0 or j in coupled_joints
+        if tree[mj.jnt_bodyid[j]] and mj.jnt_dofadr[j] not in dofs and not is_held:
+            masses[joint_name(mj, j)] = float(mj.body_subtreemass[mj.jnt_bodyid[j]])
+    return masses
 
 
 def require_name(kind: str, name: str, known: Sequence[str]) -> None:
@@ -128,12 +141,12 @@ def require_name(kind: str, name: str, known: Sequence[str]) -> None:
 
     Args:
         kind: kind of the named element, for the message.
-        name: to be found.
+        name: name of the element.
         known: names of all elements of that kind.
 
     Raises:
-        PlantError: the message names similar ones.
+        PlantError: there is no such element; the message has similar names.
     """
     if name not in known:
-        there = did_you_mean(name, filter(None, known))
-        raise PlantError(f"the MuJoCo model has no {kind} {name!r}; {there}")
+        similar = did_you_mean(name, filter(None, known))
+        raise PlantError(f"the MuJoCo model has no {kind} {name!r}; {similar}")

@@ -93,8 +93,8 @@ def given_pose(scenario: Scenario, chain: ClosedChain, posture: Array) -> pin.SE
     Raises:
         ModelError: `object.pose` is not given, and the joints do not determine the pose.
     """
-    given = scenario.object.pose
-    return object_pose(chain, posture) if given is None else pose_of(given)
+    pose = scenario.object.pose
+    return object_pose(chain, posture) if pose is None else pose_of(pose)
 
 
 def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: pin.SE3) -> Array:
@@ -128,7 +128,11 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
 
 
 def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
-    """Sentence on the contact that is furthest from its face at a pose; empty if it is near."""
+    """Sentence on the contact that is furthest from its face at a pose; empty if it is near.
+
+    Args:
+        pairs: contacts. X_WO: pose of the object.
+    """
     gaps = [(np.abs(pair.gaps(X_WO)).max(initial=0.0), pair.name) for pair in pairs]
     gap, name = max(gaps, default=(0.0, ""))
     if gap < FAR_M:
@@ -207,12 +211,17 @@ class Rig:
         sensors = hardware.sensors(scenario.sensors, self.chain, self.placements)
         return SensedPlant(plant, sensors, seed)
 
-    def at_start(self, read: Measurement) -> Measurement:
-        """Replace positions and speeds of a measurement by those of ideal sensors at the start."""
-        if read.touched is not None:
-            still = np.zeros_like(read.touched.V_E)
-            read = replace(read, touched=replace(read.touched, V_E=still))
-        return replace(read, q=self.q_start, v=np.zeros(self.chain.nq))
+    def at_start(self, measurement: Measurement) -> Measurement:
+        """Replace positions and speeds of a measurement by those of ideal sensors at the start.
+
+        Args:
+            measurement: reading of the plant at the start; it is not changed.
+        """
+        touched = measurement.touched
+        if touched is not None:
+            at_rest = np.zeros_like(touched.V_E)
+            measurement = replace(measurement, touched=replace(touched, V_E=at_rest))
+        return replace(measurement, q=self.q_start, v=np.zeros(self.chain.nq))
 
     def file_hashes(self) -> dict[str, str]:
         """Hashes (SHA-256) of the URDFs of arms, object and environment, by their keys."""
@@ -227,6 +236,10 @@ class Rig:
 
         The joint torque loop is added if the scenario has one, the estimates of velocities unless
         its sensors are ideal.
+
+        Args:
+            plant: plant of the rig. controller: controller of the loop, whose accelerations the
+                estimates use.
         """
         robot: Robot = plant
         loop = hardware.torque_loop(self.scenario, self.chain, self.springs)
@@ -257,8 +270,8 @@ class Rig:
         scenario with a tare therefore has an integral by default.
         """
         gains = self.scenario.gains
-        given = gains.motion.model_fields_set
-        if self.scenario.tare is None or {"stiffness", "integral_time"} & given:
+        own_settings = gains.motion.model_fields_set
+        if self.scenario.tare is None or {"stiffness", "integral_time"} & own_settings:
             return gains
         return gains.replaced(motion=gains.motion.replaced(integral_time=TARE_INTEGRAL_S))
 
@@ -343,7 +356,7 @@ def life_of(scenario: Scenario) -> PhaseSettings | None:
     return None if scenario.plant.exact else scenario.control.life
 
 
-MakesPlant = Callable[[Rig, int], Plant]
+MakesPlant = Callable[[Rig, int], Plant]  #: function that makes a plant from a rig and a seed
 #: Function that makes the reader of a plant's log, from a scenario and its contact pairs.
 MakesTruths = Callable[[Scenario, Sequence[ContactPair]], ReadsTruth]
 #: Functions that make the registered plants from a rig and a seed, by their names in scenarios.
@@ -378,31 +391,39 @@ def register_plant(
     return enter
 
 
-def _watched(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTruth:
+def _noted_by_rigid(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTruth:
+    """Make the reader of rows that the rigid plant of a scenario recorded.
+
+    Args:
+        scenario: scenario of the run, which is not needed. pairs: its contacts.
+    """
     return NotedTruths(pairs)
 
 
-@register_plant("rigid", exact=True, truths=_watched)
+@register_plant("rigid", exact=True, truths=_noted_by_rigid)
 def _rigid(rig: Rig, seed: int) -> Plant:
+    """Make the rigid plant of a rig, which uses no random numbers."""
     return RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step, rails(rig.bodies), rig.on)
 
 
 def _noted_by_mujoco(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTruth:
-    """Computation of the truth from rows recorded by the MuJoCo plant of a scenario.
+    """Make the reader of rows that the MuJoCo plant of a scenario recorded.
+
+    The reader needs the rails of the faces and the inertia of the object in its own frame.
 
     Args:
-        scenario: the scenario. pairs: its contacts.
+        scenario: scenario of the run. pairs: its contacts.
     """
     bodies = environment_bodies(scenario)
     faces = Faces(rails(bodies), touched_bodies(bodies, len(pairs)), len(pairs))
-    held = held_object(scenario, _true(scenario.model_error))
-    inertia = held.terms(pin.SE3.Identity(), np.zeros(6), np.zeros(3)).Lambda
+    true_object = held_object(scenario, _true(scenario.model_error))
+    inertia = true_object.terms(pin.SE3.Identity(), np.zeros(6), np.zeros(3)).Lambda
     return MujocoNotes(pairs, faces, inertia)
 
 
 @register_plant("mujoco", truths=_noted_by_mujoco)
 def _mujoco(rig: Rig, seed: int) -> Plant:
-    """MuJoCo plant of a rig, with disturbances drawn by a seed."""
+    """Make the MuJoCo plant of a rig; the seed determines the errors of its motors."""
     scenario = rig.scenario
     return MujocoPlant(
         rig.chain,
@@ -512,22 +533,27 @@ def held_object(scenario: Scenario, error: ModelErrorSpec) -> RigidObject:
         scenario: scenario with arms, grasps and object. error: factor of the mass, and a hidden
             point mass where the first arm grasps the object.
     """
-    held = RigidObject(robots.load_body(urdf_of(scenario, scenario.object)))
-    held = held.scaled(error.object_mass)
+    body = RigidObject(robots.load_body(urdf_of(scenario, scenario.object)))
+    body = body.scaled(error.object_mass)
     if error.hidden_mass > 0.0:
         X_TO = pose_of(scenario.grasps[scenario.arms[0].name])
         at_grasp = X_TO.inverse().translation
         point = pin.Inertia(error.hidden_mass, at_grasp, np.zeros((3, 3)))
-        held = RigidObject(held.inertia + point)
-    return held
+        body = RigidObject(body.inertia + point)
+    return body
 
 
-def _per_joint(given: Sequence[float] | None) -> float | Sequence[float] | None:
-    """Return the number in a list of one element, which is valid for all joints, or the list."""
-    return given[0] if given is not None and len(given) == 1 else given
+def _per_joint(numbers: Sequence[float] | None) -> float | Sequence[float] | None:
+    """Replace a list of one number, which is valid for all joints, by the number.
+
+    Args:
+        numbers: one number for all joints or for each of them; None: not given.
+    """
+    return numbers[0] if numbers is not None and len(numbers) == 1 else numbers
 
 
 def _grasp(spec: GraspSpec) -> Grasp:
+    """Make a grasp of the type and pose in a scenario, with its axis if the type has one."""
     axis = () if spec.axis is None else (spec.axis,)
     return GRASPS[spec.type].make(pose_of(spec), *axis)
 
@@ -567,34 +593,38 @@ class Landing:
 def landings(rig: Rig) -> list[Landing]:
     """Expected landings of all forces that can only push; empty without contact phases.
 
-    MuJoCo's contacts are springs with the natural frequency ω of `solref` for any mass: k = m ω². A
-    face of mass m_e on a spring causes two peaks, by its mass and by its spring; the larger one
-    counts.
+    The peak is v √(k m), with √(k m) = m ω as the impedance of the contact: MuJoCo's contacts are
+    springs with the natural frequency ω of `solref` for any mass, k = m ω². A face of mass m_e on a
+    spring causes two peaks, by its mass and by its spring; the larger one counts.
+
+    Args:
+        rig: rig of a scenario, at rest in contact.
     """
     life = rig.life
     if life is None or not rig.pairs:
         return []
     plant = rig.scenario.plant
-    rate = 1.0 / (plant.solref[0] * plant.solref[1] * sqrt(plant.solimp[1]))
+    omega = 1.0 / (plant.solref[0] * plant.solref[1] * sqrt(plant.solimp[1]))
     state = rig.state
     contact = rig.contact
     directions = np.vstack([feet(pair, state.X_WO)[1] for pair in rig.pairs])
     commands = rig.references.overview[1].commands
     columns = zip(rig.force_names, rig.owners, directions, (contact.N @ contact.R).T, strict=True)
-    out = []
+    expected = []
     for (name, owner, direction, N), desired in zip(columns, commands.T, strict=True):
+        if not pushes_only(rig.pairs[owner]):
+            continue
         mass = 1.0 / (N @ state.Phi @ N)
-        stiffness = mass * rate**2
-        met = mass * rate
+        stiffness = mass * omega**2
+        impedance = mass * omega
         motion = rig.bodies[rig.on[owner]].motion
-        if isinstance(motion, CartSpec) and (along := (direction @ motion.direction) ** 2):
-            met = rate / (1.0 / mass + along / motion.mass)
+        if isinstance(motion, CartSpec) and (share := (direction @ motion.direction) ** 2):
+            impedance = omega / (1.0 / mass + share / motion.mass)
             if motion.stiffness > 0.0:
-                stiffness = 1.0 / (1.0 / stiffness + along / motion.stiffness)
-                met = max(met, sqrt(stiffness * mass))
+                stiffness = 1.0 / (1.0 / stiffness + share / motion.stiffness)
+                impedance = max(impedance, sqrt(stiffness * mass))
         command = desired.max()
-        free = rig.scenario.tare is not None or not desired[0] > 0.0
-        peak = max(life.speed * met, command)
-        if pushes_only(rig.pairs[owner]):
-            out.append(Landing(name, life.speed, mass, stiffness, command, peak, free))
-    return out
+        peak = max(life.speed * impedance, command)
+        is_open = rig.scenario.tare is not None or not desired[0] > 0.0
+        expected.append(Landing(name, life.speed, mass, stiffness, command, peak, is_open))
+    return expected

@@ -25,23 +25,28 @@ from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import Flags, stretches
 from osc_contact.spatial import Array
 
-WINDOW_S = 4.0
-_SHORTEST_S = 1.0  #: of judged time that is looked at
-_PERIODS = 6  #: that fit into a window, at least
-_BAND = 0.2  #: half width of the band about a frequency, of that frequency
-_DOMINANT = 0.5  #: of the power that is not correlated with the command
-_FALL, _SCATTER = 0.3, 0.35  #: of the envelope over a window; of its logarithm about a line
-_LINE = 0.05  #: of a command's largest line: smaller ones are not commanded
-_SLOW = 1e-3  #: m/s; an object that moves along its contacts more slowly stands
-_ALONG = 3.0  #: times as fast as into the contact: motion along it
-_ARM = 0.1  #: m; a rotation counts as the motion of a point so far away
+WINDOW_S = 4.0  #: duration of a window (s)
+_SHORTEST_S = 1.0  #: least duration of judged time that is searched (s)
+_PERIODS = 6  #: least number of periods in a window
+_BAND = 0.2  #: half width of the band about a frequency, over that frequency
+_DOMINANT = 0.5  #: least share of the band in the power that is not correlated with the command
+_FALL = 0.3  #: largest relative fall of the envelope over a window
+_SCATTER = 0.35  #: largest standard deviation of the envelope's logarithm about a straight line
+_LINE = 0.05  #: least amplitude of a line of a command, over the command's largest line
+_SLOW = 1e-3  #: least speed along a contact that counts as motion (m/s)
+_ALONG = 3.0  #: least ratio of the speeds along and into a contact for a motion along it
+_ARM = 0.1  #: lever by which angular velocities are converted to speeds (m)
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """An oscillation of a force: amplitude (N), frequency (Hz), amplitude over mean command.
+    """Limit cycle of a force.
 
-    compliance: travel of the contact along its normal over the amplitude (m/N); None: not recorded.
+    Attributes:
+        amplitude: amplitude of the oscillation (N). frequency: its frequency (Hz).
+        relative: amplitude over the mean command.
+        compliance: travel of the contact along its normal over the amplitude (m/N); None: not
+            recorded.
     """
 
     amplitude: float
@@ -58,39 +63,42 @@ def find_cycle(
     along: Array | None = None,
     across: Array | None = None,
 ) -> tuple[float, float] | None:
-    """The limit cycle in one window of a force's error; None: there is none.
+    """Find the limit cycle in one window of a force's error.
 
     Args:
-        error: (n,) true minus commanded force (N), dt (s) apart.
-        dt: s.
-        commands: (n,) each, desired forces; their lines are no limit cycles.
-        driven_Hz: frequencies at which faces are driven.
-        along: (n, m) speeds of the object along its contacts (m/s). across: (n,) into this one.
+        error: (n,) true minus commanded force (N).
+        dt: time between samples (s).
+        commands: desired forces (n,) (N), whose lines are not limit cycles.
+        driven_Hz: frequencies at which faces are driven (Hz).
+        along: (n, m) speeds of the object along its contacts (m/s). across: (n,) speed into the
+            contact of this force (m/s); None: not recorded.
 
     Returns:
-        Amplitude (N) and frequency (Hz).
+        Amplitude (N) and frequency (Hz); None: there is no limit cycle.
     """
     n = len(error)
-    line = _levelled(error)
-    power = np.abs(np.fft.rfft(line * np.hanning(n))) ** 2
+    oscillation = _levelled(error)
+    power = np.abs(np.fft.rfft(oscillation * np.hanning(n))) ** 2
     bins = np.arange(len(power))
-    free = ~_commanded(n, dt, commands, driven_Hz, along, across)
-    free &= (bins >= _PERIODS) & (bins <= n // 4)
-    if not free.any() or not power[free].any():
+    is_free = ~_commanded(n, dt, commands, driven_Hz, along, across)
+    is_free &= (bins >= _PERIODS) & (bins <= n // 4)
+    if not is_free.any() or not power[is_free].any():
         return None
-    peak = int(np.argmax(np.where(free, power, 0.0)))
-    reach = max(_BAND * peak, 3.0)
-    bands = [np.abs(bins - m * peak) <= reach for m in (1, 2, 3)]
-    if power[free & np.any(bands, axis=0)].sum() < _DOMINANT * power[free].sum():
+    peak = int(np.argmax(np.where(is_free, power, 0.0)))
+    half_width = max(_BAND * peak, 3.0)
+    bands = [np.abs(bins - harmonic * peak) <= half_width for harmonic in (1, 2, 3)]
+    in_bands = np.any(bands, axis=0)
+    if power[is_free & in_bands].sum() < _DOMINANT * power[is_free].sum():
         return None
-    analytic = np.fft.ifft(np.where(bands[0] & free, 2.0 * np.fft.rfft(line), 0.0), n)
-    envelope = np.abs(analytic)[n // 10 : n - n // 10]
+    positive = np.where(bands[0] & is_free, 2.0 * np.fft.rfft(oscillation), 0.0)
+    analytic_signal = np.fft.ifft(positive, n)  # its magnitude is the envelope
+    envelope = np.abs(analytic_signal)[n // 10 : n - n // 10]  # without the ends of the window
     if not envelope.all():
         return None
-    log = np.log(envelope)
+    logarithm = np.log(envelope)
     x = np.linspace(-0.5, 0.5, len(envelope))
-    slope, _ = np.polyfit(x, log, 1)
-    if slope < np.log(1.0 - _FALL) or np.std(log - slope * x) > _SCATTER:
+    slope, _ = np.polyfit(x, logarithm, 1)
+    if slope < np.log(1.0 - _FALL) or np.std(logarithm - slope * x) > _SCATTER:
         return None
     return float(np.median(envelope)), peak / (n * dt)
 
@@ -103,7 +111,13 @@ def _commanded(
     along: Array | None,
     across: Array | None,
 ) -> Flags:
-    """(n/2 + 1,) the bins that hold a line of a command, or a low harmonic of one."""
+    """Mask (n/2 + 1,) of the frequency bins with a line of a command or its low harmonics.
+
+    Args:
+        n: number of samples. dt: time between samples (s). commands: desired forces (n,) (N).
+        driven_Hz: frequencies at which faces are driven (Hz). along: (n, m) speeds along the
+            contacts (m/s). across: (n,) speed into the contact (m/s); None: not recorded.
+    """
     lines = np.zeros(n // 2 + 1, dtype=bool)
     for command in commands:
         lines |= _lines(command, 1e-6 * np.abs(command).max(initial=1e-3))
@@ -115,35 +129,44 @@ def _commanded(
         centre = round(frequency * n * dt)
         lines[max(centre - 2, 0) : centre + 3] = True
     bins = np.arange(len(lines))
-    harmonics = [lines[np.round(bins / m).astype(int)] for m in (1, 2, 3)]
+    # bin b belongs to harmonic h of the line in bin b/h
+    harmonics = [lines[np.round(bins / harmonic).astype(int)] for harmonic in (1, 2, 3)]
     return np.any(harmonics, axis=0)
 
 
 def _lines(signal: Array, least: float) -> Flags:
-    """Bins in which a signal has a line of at least an amplitude."""
+    """Mask (n/2 + 1,) of the frequency bins in which a signal has a line.
+
+    Args:
+        signal: (n,) samples. least: least amplitude of a line, in the unit of the signal; lines
+            below the share `_LINE` of the largest line are left out, too.
+    """
     spectrum = _spectrum(signal)
     return spectrum > max(_LINE * spectrum.max(), least)
 
 
 def _spectrum(signal: Array) -> Array:
-    """(n/2 + 1,) amplitude of a signal's lines, its trend removed."""
+    """Amplitudes (n/2 + 1,) of a signal (n,) in each frequency bin, without its linear trend."""
     window = np.hanning(len(signal))
     return np.abs(np.fft.rfft(_levelled(signal) * window)) * (2.0 / window.sum())
 
 
 def _levelled(signal: Array) -> Array:
-    """A signal less its linear trend."""
+    """Signal (n,) without its mean and linear trend."""
     x = np.linspace(-1.0, 1.0, len(signal))
     level = signal - signal.mean()
     return level - x * (x @ level) / (x @ x)
 
 
 def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycle | None]:
-    """Largest limit cycle of each force magnitude, or None if none is large enough.
+    """Find the largest limit cycle of each force magnitude, relative to the mean command.
 
     Args:
         recording: recording with a judge. judged: (T, r) mask of the ticks that are evaluated.
         least: least amplitude relative to the mean command.
+
+    Returns:
+        Limit cycle of each force; None for a force without a limit cycle that is large enough.
     """
     dt = 1.0 / recording.meta["control_rate_hz"]
     driven = tuple(_frequencies(recording.meta.get("scenario", {})))
@@ -154,10 +177,10 @@ def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycl
         for start, stop in stretches(judged[:, j]):
             while judged[start, j] and stop - start >= _SHORTEST_S / dt - 0.5:
                 window = recording.rows(start, min(start + size, stop), *names)
-                found = _cycle_in(window, j, dt, driven, least)
-                before = worst[j]
-                if found and (before is None or found.relative > before.relative):
-                    worst[j] = found
+                cycle = _cycle_in(window, j, dt, driven, least)
+                largest = worst[j]
+                if cycle and (largest is None or cycle.relative > largest.relative):
+                    worst[j] = cycle
                 if stop - start < size:
                     break
                 start += size // 2
@@ -167,17 +190,24 @@ def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycl
 def _cycle_in(
     window: Mapping[str, Array], j: int, dt: float, driven_Hz: Sequence[float], least: float
 ) -> Cycle | None:
-    """The limit cycle of force j in some ticks of a recording."""
+    """Find the limit cycle of force j in some ticks of a recording; None if there is none.
+
+    Args:
+        window: channels of the ticks. j: index of the force. dt: control period (s).
+        driven_Hz: frequencies at which faces are driven (Hz). least: least amplitude relative to
+            the mean command.
+    """
     commands = window["alpha_cmd"]
     error = window["alpha_true"][:, j] - commands[:, j]
     mean = float(np.abs(commands[:, j]).mean())
-    if not np.sqrt(2.0) * error.std() > least * mean > 0.0:
+    amplitude_of_a_sine = np.sqrt(2.0) * error.std()
+    if not amplitude_of_a_sine > least * mean > 0.0:
         return None
     along, across = _speeds(window, j) if "N" in window else (None, None)
-    found = find_cycle(error, dt, list(commands.T), driven_Hz, along, across)
-    if found is None:
+    oscillation = find_cycle(error, dt, list(commands.T), driven_Hz, along, across)
+    if oscillation is None:
         return None
-    amplitude, frequency = found
+    amplitude, frequency = oscillation
     compliance = None
     if across is not None:
         speed = _spectrum(across)[round(frequency * len(error) * dt)]
@@ -186,20 +216,28 @@ def _cycle_in(
 
 
 def _speeds(window: Mapping[str, Array], j: int) -> tuple[Array, Array]:
-    """Speeds of the object along its contacts (k, 6), and into that of force j (k,)."""
+    """Speeds of the object along its contacts (k, 6), and into the contact of force j (k,) (m/s).
+
+    Angular velocities are converted to speeds by the lever `_ARM`, for a threshold only.
+
+    Args:
+        window: channels `twist` and `N` of k ticks. j: index of the force.
+    """
     scale = np.array([1.0, 1.0, 1.0, _ARM, _ARM, _ARM])
     V = window["twist"] * scale
     N = window["N"] / scale[:, None]
-    into = np.einsum("kij,ki->kj", N, V)
-    mobility = N.transpose(0, 2, 1) @ N + 1e-9 * np.eye(N.shape[2])  # columns may depend
-    return V - (N @ np.linalg.solve(mobility, into[:, :, None]))[:, :, 0], into[:, j]
+    inward = np.einsum("kij,ki->kj", N, V)
+    gram = N.transpose(0, 2, 1) @ N + 1e-9 * np.eye(N.shape[2])  # columns may depend
+    normal_part = (N @ np.linalg.solve(gram, inward[:, :, None]))[:, :, 0]
+    return V - normal_part, inward[:, j]
 
 
 def _frequencies(scenario: Any, of_faces: bool = False) -> Iterator[float]:
     """Yield the frequencies of sines by which faces and bodies are driven.
 
     Args:
-        scenario: keys of a scenario. of_faces: whether they belong to contacts or environment.
+        scenario: a scenario as JSON data, or a part of it. of_faces: whether the part belongs to
+            contacts or environment.
     """
     items = scenario.items() if isinstance(scenario, Mapping) else ()
     for key, value in items:

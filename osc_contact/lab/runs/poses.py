@@ -1,6 +1,7 @@
-"""Forward and inverse kinematics of arms and scenarios, within joint limits, for people.
+"""Forward and inverse kinematics of arms and scenarios for the command line, within joint limits.
 
-And a first scenario for any arm: it presses a stylus on a plate and slides along it.
+Also the draft of a first scenario for any arm, which presses a stylus on a plate and slides along
+it.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ from osc_contact.robots.model import joint_names, position_limits, sliding
 from osc_contact.settings.quantities import AngleVec3, JointValue, Vec3
 from osc_contact.spatial import Array, columns_of, norm, pose_error
 
-TRIES = 40  #: random postures from which a pose is sought, after the given one
-#: a pose that is missed by less is reached
-MISS_M = 1e-6
-MISS_RAD = 1e-5
-FARTHEST_M = 20.0  #: m; no arm's work is further from the origin of its scene
+TRIES = 40  #: number of random postures from which the search for a pose starts
+MISS_M = 1e-6  #: largest distance from a pose that counts as reached (m)
+MISS_RAD = 1e-5  #: largest angle from a pose that counts as reached (rad)
+FARTHEST_M = 20.0  #: largest coordinate of a place that is taken for metres (m)
+#: Vectors that are typed on the command line, with their types.
 VECTORS: dict[str, TypeAdapter[Any]] = {
     "xyz": TypeAdapter(Vec3),
     "rpy": TypeAdapter(AngleVec3),
@@ -46,10 +47,11 @@ VECTORS: dict[str, TypeAdapter[Any]] = {
 
 @dataclass(frozen=True)
 class Posture:
-    """Joint positions, and how far the object, or the tip, is from the desired pose.
+    """Joint positions, and the deviation of the object, or the tip, from the desired pose.
 
     Attributes:
-        q: (n,) rad, m. miss: (m, rad), of the arm that is furthest.
+        q: (n,) joint positions (rad, m).
+        miss: distance (m) and angle (rad) from the desired pose, each the largest of all arms.
     """
 
     q: Array
@@ -57,22 +59,23 @@ class Posture:
 
     @property
     def reached(self) -> bool:
-        """Whether the pose is met."""
+        """Whether the deviation is below `MISS_M` and `MISS_RAD`."""
         return self.miss[0] <= MISS_M and self.miss[1] <= MISS_RAD
 
 
 def arm_of(reference: str, tip: str | None = None) -> Arm:
-    """An arm by the name of a robot, or from a URDF or an MJCF file.
+    """Load an arm by the name of a robot, or from a URDF or an MJCF file.
 
     Args:
-        reference: as `robots.resolve_urdf` takes it.
-        tip: a frame; None: the only end of the robot.
+        reference: name or file, as for `robots.resolve_urdf`.
+        tip: frame that holds the object; None: the only end of the robot.
 
     Raises:
-        ModelError: no such robot or frame; or the robot has several ends and no tip is given.
+        ModelError: there is no such robot or frame, or the robot has several ends and no tip is
+            given.
     """
     path, folders = robots.resolve_urdf(reference)
-    name = "".join(c if c.isalnum() else "_" for c in path.stem)
+    name = "".join(letter if letter.isalnum() else "_" for letter in path.stem)
     model, _ = robots.load_robot(path, tip, package_dirs=folders)
     if tip is None:
         ends = robots.ends_of(model)
@@ -86,20 +89,20 @@ def arm_of(reference: str, tip: str | None = None) -> Arm:
 
 
 def chain_of(scenario: Scenario) -> tuple[ClosedChain, Array, pin.SE3]:
-    """Chain, posture (n,) and object pose of a scenario, before contacts move any of it."""
+    """Chain, posture (n,) and object pose of a scenario as given, not moved to its contacts."""
     chain = build_chain(scenario)
     posture = posture_of(scenario, chain)
     return chain, posture, given_pose(scenario, chain, posture)
 
 
 def numbers(kind: str, text: str) -> Array:
-    """A vector that a person typed: "0.4, 0, 30 cm" or "[180 deg, 0, 0]".
+    """Parse a vector from the command line, such as "0.4, 0, 30 cm" or "[180 deg, 0, 0]".
 
     Args:
-        kind: "xyz", "rpy" or "posture". text: numbers in SI, or with units.
+        kind: key of `VECTORS`: "xyz", "rpy" or "posture". text: numbers in SI units, or with units.
 
     Raises:
-        InvalidInputError: with what was expected.
+        InvalidInputError: the text is not such a vector.
     """
     import yaml
 
@@ -113,10 +116,14 @@ def numbers(kind: str, text: str) -> Array:
 
 
 def place(text: str) -> Array:
-    """(3,) m, a place that a person typed.
+    """Parse a position (3,) from the command line (m).
+
+    Args:
+        text: three numbers in m, or with units.
 
     Raises:
-        InvalidInputError: it is none, or further away than any arm reaches.
+        InvalidInputError: the text is not a position, or a coordinate is so large that it is
+            probably in mm.
     """
     xyz = numbers("xyz", text)
     if np.abs(xyz).max() > FARTHEST_M:
@@ -129,44 +136,53 @@ def place(text: str) -> Array:
 
 
 def degrees(chain: ClosedChain, q: Array) -> list[str]:
-    """A sentence where a posture outside the limits is within them if its angles are degrees.
+    """Hint that a posture outside the limits is within them if its angles are degrees.
 
     Args:
-        chain: the arms. q: (n,) joint positions (rad, m).
+        chain: arms. q: (n,) joint positions (rad, m).
+
+    Returns:
+        A sentence, or no sentence.
     """
-    slide = np.concatenate([sliding(arm.model) for arm in chain.arms])
-    turned = np.where(slide, q, np.radians(q))
-    if not outside_limits(chain, q) or outside_limits(chain, turned):
+    slides = np.concatenate([sliding(arm.model) for arm in chain.arms])
+    from_degrees = np.where(slides, q, np.radians(q))
+    if not outside_limits(chain, q) or outside_limits(chain, from_degrees):
         return []
-    units = ", ".join(f"{x:g}" if s else f"{x:g} deg" for x, s in zip(q, slide, strict=True))
-    return [f"plain numbers are radians, and these look like degrees: write '{units}'"]
+    with_units = ", ".join(
+        f"{x:g}" if is_sliding else f"{x:g} deg" for x, is_sliding in zip(q, slides, strict=True)
+    )
+    return [f"plain numbers are radians, and these look like degrees: write '{with_units}'"]
 
 
 def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = None) -> Posture:
-    """Joint positions within limits that put the object at the desired pose, or nearest to it.
+    """Find joint positions within limits at which the object is at a pose, or nearest to it.
 
     Args:
-        chain: the arms; without an object their tip. X_WO: the desired pose.
-        start: (n,) where to look first, before random postures between the limits.
-        seed: seed of these; None: 0. If it is given they come first, and may find other postures.
+        chain: arms; without an object the pose is that of their tip. X_WO: desired pose.
+        start: (n,) joint positions from which the search starts, before random ones.
+        seed: seed of the random postures; None: seed 0. If a seed is given, random postures come
+            before `start`, so that another posture may be found.
+
+    Raises:
+        ModelError: no search converges.
     """
-    missed = []
+    others = []
     random = robots.random_configurations(chain.model, TRIES, seed or 0)
     for q in (start, *random) if seed is None else (*random, start):
         try:
-            found = reach(chain, q, X_WO)
-        except ModelError:  # it circles about a pose out of reach
+            q_near = reach(chain, q, X_WO)
+        except ModelError:  # the iteration does not converge for a pose out of reach
             continue
-        posture = Posture(found, _miss(chain, found, X_WO))
+        posture = Posture(q_near, _miss(chain, q_near, X_WO))
         if posture.reached:
             return posture
-        missed.append(posture)
-    if not missed:
+        others.append(posture)
+    if not others:
         raise ModelError(
             f"no posture comes near {np.round(X_WO.translation, 4).tolist()} m; is it within the "
             "arms' reach?"
         )
-    return min(missed, key=lambda posture: sum(posture.miss))
+    return min(others, key=lambda posture: sum(posture.miss))
 
 
 def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
@@ -176,28 +192,34 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
         chain: model of the arms. q: (n,) joint positions. X_WO: pose of the object.
 
     Returns:
-        Distance (m) and angle (rad) between the object and where the arms hold it.
+        Largest distance (m) and angle (rad) between the pose and the pose in an arm's grasp. The
+        motions that a loose grasp permits do not count.
     """
     pin.forwardKinematics(chain.model, chain.data, q)
-    away = []
-    for tip, grasp in zip(chain.tip_poses(), chain.grasps, strict=True):
-        X = tip * grasp.X_TO
-        shift, turn = map(norm, np.split(pose_error(X_WO, X), 2))
-        # what a loose grasp permits is no miss
-        away.append((shift, turn) if grasp.is_rigid else (norm(grasp.miss(tip, X_WO)), 0.0))
-    shift, turn = np.max(away, axis=0).tolist()
-    return shift, turn
+    misses = []
+    for X_WT, grasp in zip(chain.tip_poses(), chain.grasps, strict=True):
+        if grasp.is_rigid:
+            displacement, rotation = np.split(pose_error(X_WO, X_WT * grasp.X_TO), 2)
+            misses.append((norm(displacement), norm(rotation)))
+        else:
+            misses.append((norm(grasp.miss(X_WT, X_WO)), 0.0))
+    distance, angle = np.max(misses, axis=0).tolist()
+    return distance, angle
 
 
 def rest(chain: ClosedChain) -> Array:
-    """(n,) the middle between the joints' limits, 0 where there are none."""
+    """Joint positions (n,) in the middle between the limits, 0 for joints without limits."""
     low, high = position_limits(chain.model)
     with np.errstate(invalid="ignore"):
         return np.nan_to_num(0.5 * (low + high), posinf=0.0, neginf=0.0)
 
 
 def as_dict(chain: ClosedChain, q: Array) -> Json:
-    """JSON-able: joints and poses, (4, 4) in the world."""
+    """Posture and poses as JSON data: joint positions by name, poses (4, 4) of tips and object.
+
+    Args:
+        chain: arms whose forward kinematics have been computed at q. q: (n,) joint positions.
+    """
     X = object_pose(chain, q)
     tips = zip(chain.arms, chain.tip_poses(), strict=True)
     return {
@@ -208,12 +230,16 @@ def as_dict(chain: ClosedChain, q: Array) -> Json:
 
 
 def pose_lines(chain: ClosedChain, q: Array) -> list[str]:
-    """Lines with postures and pose of the object, in the form of a scenario file."""
+    """Lines with postures, tips and pose of the object, in the form of a scenario file.
+
+    Args:
+        chain: arms. q: (n,) joint positions (rad, m).
+    """
     lines = []
-    for arm, s in zip(chain.arms, chain.slices, strict=True):
+    for arm, joints in zip(chain.arms, chain.slices, strict=True):
         values = ", ".join(
             f"{x:.6f}" if slides else f"{np.rad2deg(x):.4f} deg"
-            for x, slides in zip(q[s], sliding(arm.model), strict=True)
+            for x, slides in zip(q[joints], sliding(arm.model), strict=True)
         )
         lines.append(f"{arm.name} posture: [{values}]   # {', '.join(joint_names(arm.model))}")
     pin.forwardKinematics(chain.model, chain.data, q)
@@ -225,38 +251,42 @@ def pose_lines(chain: ClosedChain, q: Array) -> list[str]:
 
 
 def pose_text(X: pin.SE3) -> str:
-    """A pose as a scenario file writes it (m, deg)."""
+    """Write a pose as in a scenario file, with position (m) and roll, pitch, yaw (deg)."""
     angles = np.rad2deg(pin.rpy.matrixToRpy(X.rotation))
     return f"{{xyz: [{_listed(X.translation, 6)}], rpy: [{_listed(angles, 4, ' deg')}]}}"
 
 
 def _listed(values: Sequence[float] | Array, digits: int, unit: str = "") -> str:
+    """Write numbers with commas between; rounding errors about zero become 0, never −0.
+
+    Args:
+        values: numbers. digits: number of decimals. unit: unit after each number, with its space.
+    """
     return ", ".join(
         f"{round(float(x), digits) + 0.0:g}{unit}" if abs(x) < 1e-9 else f"{x:.{digits}f}{unit}"
         for x in values
     )
 
 
-#: radius of the stylus' ball, and how far it is from the tip
-BALL_M = 0.008
-LENGTH_M = 0.08
-#: random postures that are compared, and built until one is sound
-POSTURES = 600
-TRIED = 12
+BALL_M = 0.008  #: radius of the ball of the stylus (m)
+LENGTH_M = 0.08  #: distance of the ball's centre from the tip (m)
+POSTURES = 600  #: number of random postures that are compared
+TRIED = 12  #: number of the best postures that are tried until one has no findings
 
 
 @dataclass(frozen=True)
 class Press:
-    """Along which axis of the tip's frame a robot presses, and how hard.
+    """Axis along which a robot presses, and the force.
 
     Attributes:
-        axis: (3,) unit. force: N.
+        axis: (3,) unit vector in the tip's frame. force: desired force (N).
     """
 
     axis: tuple[float, float, float]
     force: float
 
     def __str__(self) -> str:
+        """Return the axis in the form of the command line, such as z or -x."""
         k = np.abs(self.axis).argmax()
         sign = "-" if self.axis[k] < 0.0 else ""
         return f"{sign}{'xyz'[k]}"
@@ -279,29 +309,33 @@ class Press:
                 f"press {text!r}: expected an axis of the tip and newtons, such as Z=15 or -X=5"
             )
         sign = -1.0 if name.startswith("-") else 1.0
-        x, y, z = (sign if one == letter else 0.0 for one in "XYZ")
+        x, y, z = (sign if axis == letter else 0.0 for axis in "XYZ")
         return cls((x, y, z), force)
 
 
 def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Path) -> str:
-    """The text of a scenario without findings of `preflight` and whose run is OK.
+    """Write a scenario in which a robot presses, without findings of `preflight`, and run it.
 
     Args:
-        robot: as the user called it. arm: the same. press: how.
-        posture: (n,) where it starts; None: a posture away from limits and singular ones, with
-            the stylus pointing down as far as the arm lets it.
-        target: file of the text, which relative paths begin from.
+        robot: name or file of the robot, as on the command line. arm: arm of the robot.
+        press: axis and force.
+        posture: (n,) posture at the start; None: a posture is searched that is far from joint
+            limits and singular postures, with the stylus pointing down as far as possible.
+        target: file of the text, to whose folder relative paths refer.
+
+    Returns:
+        Text of the scenario, whose run is OK.
 
     Raises:
-        ScenarioError: no posture is found, or the one given is refused; with the reason.
+        ScenarioError: no posture is found, or the given posture is refused.
     """
     reasons: list[str] = []
     for q in [posture] if posture is not None else _postures(arm, press):
         try:
             text = _text(robot, arm, press, q)
             scenario = parse_scenario(text, target)
-            found = [one.text for one in preflight(build_rig(scenario))]
-            complaints = found or _rehearsed(scenario)
+            complaints = [finding.text for finding in preflight(build_rig(scenario))]
+            complaints = complaints or _complaints_of_run(scenario)
             if not complaints:
                 return text
         except OscContactError as error:
@@ -319,44 +353,70 @@ def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Pat
     )
 
 
-def _rehearsed(scenario: Scenario) -> list[str]:
-    """Sentences on ticks or a verdict that are not OK in a run of the scenario."""
+def _complaints_of_run(scenario: Scenario) -> list[str]:
+    """Run a scenario; return sentences on ticks or a verdict that are not OK."""
     verdict = metrics(run(scenario))
-    counts = [f"{count} ticks {word}" for word, count in verdict["status"].items() if word != "ok"]
-    bad = [text for text in counts if not text.startswith("0 ")]
-    return bad if verdict["task"]["word"] == "OK" else [f"a run ends {verdict['task']['word']}"]
+    word = verdict["task"]["word"]
+    if word != "OK":
+        return [f"a run ends {word}"]
+    return [
+        f"{count} ticks {status}"
+        for status, count in verdict["status"].items()
+        if status != "ok" and count > 0
+    ]
 
 
 def _postures(arm: Arm, press: Press) -> Iterator[Array]:
-    """Random postures between the limits, the best first."""
+    """Yield the best of many random postures (n,) between the joint limits, the best first.
+
+    Args:
+        arm: arm of the robot. press: axis and force.
+    """
     model = arm.model
-    data = arm.model.createData()
-    tip = robots.frame_id(model, arm.tip)
-    axis = np.array(press.axis)
     low, high = position_limits(model)
-    limits = np.minimum(model.upperEffortLimit, 1e6)
     candidates = []
     scores = []
     for q in robots.random_configurations(model, POSTURES):
-        turned = (q + np.pi) % (2 * np.pi) - np.pi  # angles between ∓π, where limits allow it
-        q = np.where((turned >= low) & (turned <= high), turned, q)
+        wrapped = (q + np.pi) % (2 * np.pi) - np.pi  # angles between −π and π
+        q = np.where((wrapped >= low) & (wrapped <= high), wrapped, q)
         candidates.append(q)
-        pin.forwardKinematics(model, data, q)
-        X = pin.updateFramePlacement(model, data, tip)
-        J, M = _jacobian(model, data, q, tip)
-        down = X.rotation @ axis
-        sizes = np.linalg.svd(np.linalg.solve(np.linalg.cholesky(M), J.T), compute_uv=False)
-        load = pin.computeGeneralizedGravity(model, data, q) - J.T @ (press.force * down)
-        strain = np.abs(load / limits).max()
-        with np.errstate(invalid="ignore"):
-            room = np.minimum(q - low, high - q) / np.minimum(high - low, 2 * np.pi)
-        margin = np.nanmin(np.where(np.isfinite(room), room, 0.5))
-        rank = min(3, model.nv)
-        score = sizes[rank - 1] / max(sizes[0], 1e-12) + min(margin, 0.15) / 0.15 - 0.5 * down[2]
-        score += 0.5 * min(X.translation[2], 0.1) / 0.1 - max(0.0, strain - 0.4) * 5.0
-        scores.append(score)
+        scores.append(_score(arm, press, q))
     for k in np.argsort(scores)[::-1][:TRIED]:
         yield candidates[k]
+
+
+def _score(arm: Arm, press: Press, q: Array) -> float:
+    """Suitability of a posture for pressing down: a heuristic without unit, larger is better.
+
+    The sum of: ratio of the least to the largest mobility of the tip, 0 … 1, against singular
+    postures; distance from the joint limits, up to 1 at 15 % of the range; direction of the stylus,
+    0.5 if it points down; height of the tip, up to 0.5 at 0.1 m; and a penalty for motor torques
+    above 40 % of the limits.
+
+    Args:
+        arm: arm of the robot. press: axis and force. q: (n,) joint positions (rad, m).
+    """
+    model = arm.model
+    data = model.createData()
+    tip = robots.frame_id(model, arm.tip)
+    low, high = position_limits(model)
+    pin.forwardKinematics(model, data, q)
+    X = pin.updateFramePlacement(model, data, tip)
+    J, M = _jacobian(model, data, q, tip)
+    down = X.rotation @ np.array(press.axis)
+    # singular values of J L⁻ᵀ with M = L Lᵀ: speeds of the tip for a unit of kinetic energy
+    sizes = np.linalg.svd(np.linalg.solve(np.linalg.cholesky(M), J.T), compute_uv=False)
+    rank = min(3, model.nv)
+    mobility_ratio = sizes[rank - 1] / max(sizes[0], 1e-12)
+    with np.errstate(invalid="ignore"):
+        distances = np.minimum(q - low, high - q) / np.minimum(high - low, 2 * np.pi)
+    margin = np.nanmin(np.where(np.isfinite(distances), distances, 0.5))
+    limits = np.minimum(model.upperEffortLimit, 1e6)
+    load = pin.computeGeneralizedGravity(model, data, q) - J.T @ (press.force * down)
+    strain = np.abs(load / limits).max()
+    score = mobility_ratio + min(margin, 0.15) / 0.15 - 0.5 * down[2]
+    score += 0.5 * min(X.translation[2], 0.1) / 0.1 - max(0.0, strain - 0.4) * 5.0
+    return float(score)
 
 
 class _Slide(NamedTuple):
@@ -462,7 +522,7 @@ duration: 4 s
 
 
 def _quoted(text: str) -> str:
-    """A text as YAML, in quotation marks where it would be read as something else."""
+    """Write a text as YAML, in quotation marks if YAML would read it as another value."""
     import yaml
 
     try:
@@ -474,9 +534,9 @@ def _quoted(text: str) -> str:
 
 
 def _unnoisy(direction: Array) -> Array:
-    """The unit vector (3,) without components that the rounding of the posture makes."""
-    kept = np.where(np.abs(direction) < 1e-5, 0.0, direction)
-    return kept / norm(kept)
+    """Unit vector (3,) without components below 1e-5, which come from rounding the posture."""
+    rounded = np.where(np.abs(direction) < 1e-5, 0.0, direction)
+    return rounded / norm(rounded)
 
 
 def _reference(robot: str) -> str:
@@ -485,7 +545,14 @@ def _reference(robot: str) -> str:
 
 
 def _tangent(model: pin.Model, data: pin.Data, q: Array, tip: int, down: Array) -> Array:
-    """The direction (3,) along the plate in which the tip moves most easily."""
+    """Direction (3,) along the plate with the largest mobility of the tip, a unit vector.
+
+    It is the eigenvector of P J M⁻¹Jᵀ P with the largest eigenvalue, P = 1 − down downᵀ.
+
+    Args:
+        model, data: model of the arm. q: (n,) joint positions. tip: index of the tip's frame.
+        down: (3,) normal of the plate, world axes.
+    """
     J, M = _jacobian(model, data, q, tip)
     P = np.eye(3) - np.outer(down, down)
     along = np.linalg.eigh(P @ J @ np.linalg.solve(M, J.T) @ P)[1][:, -1]
@@ -493,6 +560,10 @@ def _tangent(model: pin.Model, data: pin.Data, q: Array, tip: int, down: Array) 
 
 
 def _jacobian(model: pin.Model, data: pin.Data, q: Array, tip: int) -> tuple[Array, Array]:
-    """J (3, n) of the tip in the world, M (n, n)."""
+    """Linear Jacobian J (3, n) of the tip in world axes, and inertia matrix M (n, n).
+
+    Args:
+        model, data: model of the arm. q: (n,) joint positions. tip: index of the tip's frame.
+    """
     J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)
     return columns_of(J)[:3], np.array(pin.crba(model, data, q))

@@ -1,4 +1,4 @@
-"""The recording of a journal that a run left, and the scenario that a recording was made of."""
+"""Recording from the journal of an unfinished run, and the scenario of a recording."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ from osc_contact.robots import resolve_urdf
 
 
 def recover(path: StrPath, folder: StrPath | None = None) -> Recording:
-    """The recording of a journal that a run left: all its chunks but those that are damaged.
+    """Make a recording from the journal of an unfinished run, without its damaged chunks.
 
-    `meta["missing"]` has a sentence for each missing part. Contacts and object are made of the
-    scenario; no arm, controller or plant is, but for a plant that is registered without `truths`.
+    `meta["missing"]` has a sentence for each missing part. Contacts and object are made from the
+    scenario; arms and a plant are made only for a plant that is registered without `truths`.
 
     Args:
-        path: such as unfinished.mcap.
+        path: file of the journal, for example unfinished.mcap.
         folder: folder of a custom scenario, see `scenario_of`.
 
     Raises:
-        RecordingError: no such file, nothing in it, or not the journal of a scenario's run.
+        RecordingError: there is no such file, it is empty, or it is not the journal of a scenario's
+            run.
     """
     source = Path(path)
     journal = Journal(source)
@@ -62,38 +63,40 @@ def recover(path: StrPath, folder: StrPath | None = None) -> Recording:
 
 
 def scenario_of(meta: Json, path: Path, folder: StrPath | None = None) -> Scenario:
-    """The scenario that a recording was made of.
+    """Read the scenario of a recording, and find the folder of its files.
 
-    A recording holds no folders (SECURITY.md): URDFs that its scenario gives by path are looked for
-    in `folder`, then beside the recording, then in the working folder.
+    A recording has no folders (SECURITY.md): URDFs that its scenario gives by path are searched for
+    in `folder`, then in the folder of the recording, then in the working folder.
 
     Args:
-        meta: meta of the recording. path: path of its file. folder: in which the scenario's file
-            stands.
+        meta: meta data of the recording. path: file of the recording. folder: folder of the
+            scenario's file; None: unknown.
 
     Raises:
-        RecordingError: it does not hold a scenario that this version understands, or its URDFs are
-            in none of these places.
+        RecordingError: the recording has no scenario that this version understands, or its URDFs
+            are in none of these folders.
     """
     try:
         scenario = Scenario.model_validate(meta.get("scenario"))
     except (ScenarioError, ValueError) as error:
         raise RecordingError(f"{path} does not hold the scenario that was run: {error}") from error
-    given = [] if folder is None else [Path(folder).resolve()]
-    places = dict.fromkeys([*given, path.resolve().parent, Path.cwd()])
+    folders = [path.resolve().parent, Path.cwd()]
+    if folder is not None:
+        folders.insert(0, Path(folder).resolve())
+    folders = list(dict.fromkeys(folders))  # each once
     missing = ModelError()
-    for place in places:
-        placed = scenario.with_source(place / str(meta.get("source")))
+    for candidate in folders:
+        located = scenario.with_source(candidate / str(meta.get("source")))
         try:
-            for urdf in (*(arm.urdf for arm in placed.arms), placed.object.urdf):
-                resolve_urdf(urdf, place)
-            environment_bodies(placed)
+            for urdf in (*(arm.urdf for arm in located.arms), located.object.urdf):
+                resolve_urdf(urdf, candidate)
+            environment_bodies(located)
         except ModelError as error:
             missing = error
         else:
-            return placed
+            return located
     raise RecordingError(
-        f"{path} needs files of its scenario, which are not in {', '.join(map(str, places))}. Give "
-        "the scenario's folder (--folder, or folder= in Python), or start there, or copy them "
+        f"{path} needs files of its scenario, which are not in {', '.join(map(str, folders))}. "
+        "Give the scenario's folder (--folder, or folder= in Python), or start there, or copy them "
         f"beside the recording. ({missing})"
     )

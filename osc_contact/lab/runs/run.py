@@ -1,4 +1,4 @@
-"""One run: plant and controller, tick by tick, into a recording."""
+"""Run of a scenario: plant and controller, tick by tick, into a recording."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,8 +27,8 @@ from osc_contact.loop.recorder import Recorder
 from osc_contact.recorder import Recording
 from osc_contact.spatial import Array
 
-Progress = Callable[[float], None]
-Install = Callable[[Controller], Controller]
+Progress = Callable[[float], None]  #: function that is called with the simulated time (s)
+Install = Callable[[Controller], Controller]  #: function that replaces laws of a controller
 
 
 def run(
@@ -46,29 +46,32 @@ def run(
 ) -> Recording:
     """Run a scenario and record it.
 
-    Memory does not grow with the duration: rows go to a file on the way, and the channels of a long
-    recording stay on disk.
+    Memory does not grow with the duration: rows are written to a file during the run, and the
+    channels of a long recording stay on disk. Warnings of the check are logged, and stored in
+    `meta["doubts"]`.
 
     Args:
         scenario: name or path as for `load_scenario`, or a scenario.
-        plant: "mujoco" or "rigid" instead of the scenario's own.
-        duration: s, instead of the scenario's own.
-        seed: seed of everything random in the run (sensors and plants without noise use none).
-        progress: called with the simulated time now and then.
-        viewer: shows the run while it lasts (see `open_viewer`); it cannot hold the loop up.
-        install: puts another control law into each controller of the run.
-        journal: the file that the run's rows go to while it lasts, such as unfinished.mcap, for
-            `recover` if the process is killed; None: a temporary one.
-        build: makes the rig of the scenario. check: refuses it, or returns what is doubtful.
+        plant: "mujoco" or "rigid" in place of the scenario's plant.
+        duration: duration (s) in place of the scenario's.
+        seed: seed of all random numbers of sensors and motors.
+        progress: function that is called with the simulated time (s) every 100 ticks.
+        viewer: viewer that shows the run while it lasts (see `open_viewer`); it does not delay the
+            loop.
+        install: function that puts another control law into each controller of the run.
+        journal: file of the rows during the run, for example unfinished.mcap, for `recover` if the
+            process is killed; None: a temporary file.
+        build: function that makes the rig of the scenario. check: function that refuses the rig, or
+            returns warnings.
 
     Returns:
         The recording; `metrics(recording)` judges it.
 
     Raises:
-        ScenarioError: it cannot be read, or cannot run, see `preflight`. What is doubtful
-            is logged, and kept in `meta["doubts"]`.
-        PlantError: the simulation diverged; `error.recording` holds what came before.
-        Interrupted: Ctrl-C, SIGTERM or SIGHUP ended it; likewise.
+        ScenarioError: the scenario cannot be read, or cannot run, see `preflight`.
+        PlantError: the simulation diverged; `error.recording` has the ticks until then.
+        Interrupted: Ctrl-C, SIGTERM or SIGHUP ended the run; `error.recording` has the ticks until
+            then.
     """
     scenario = as_scenario(scenario)
     if duration is not None:
@@ -101,7 +104,8 @@ def _recorded_to_the_end(recorder: Recorder, ticks: int, period: float) -> Itera
     """Add the recording so far to an error that ends a loop before its last tick.
 
     Args:
-        recorder: recorder of the loop. ticks: number of its ticks. period: of one (s).
+        recorder: recorder of the loop. ticks: number of the loop's ticks. period: control period
+            (s).
 
     Raises:
         PlantError: the simulation diverged.
@@ -125,8 +129,8 @@ def _describe(rig: Rig, seed: int, doubts: list[str]) -> Json:
 
     Args:
         rig: rig of the scenario.
-        seed: seed of everything random in the run.
-        doubts: sentences of the checks before it.
+        seed: seed of all random numbers of the run.
+        doubts: warnings of the checks before the run.
     """
     scenario = rig.scenario
     return {
@@ -142,20 +146,23 @@ def _describe(rig: Rig, seed: int, doubts: list[str]) -> Json:
 
 
 def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plant, Controller]:
-    """Plant and controller of a rig at its start, under the torques that hold it, not limp.
+    """Make plant and controller of a rig at its start, and apply the torques that hold the arms.
+
+    The torques are those of the first tick, computed by a second controller, so that the returned
+    one begins without a memory.
 
     Args:
-        rig: see `build_rig`. seed: seed of everything random.
-        install: puts another control law into each controller.
+        rig: rig of a scenario. seed: seed of all random numbers.
+        install: function that puts another control law into each controller; None: none.
     """
     plant = rig.plant(seed)
     controller = rig.controller()
-    # laws of the user's own may remember their ticks: each controller has its own
-    first = rig.controller() if callable(rig.scenario.laws) else copy(controller)
+    # laws of the user's own may have a memory: each controller needs its own laws
+    trial = rig.controller() if callable(rig.scenario.laws) else copy(controller)
     if install is not None:
         controller = _installed(install, controller)
-        first = _installed(install, first)
-    plant.hold(first.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
+        trial = _installed(install, trial)
+    plant.hold(trial.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
     return plant, controller
 
 
@@ -169,21 +176,30 @@ def _installed(install: Install, controller: Controller) -> Controller:
     if not callable(install):
         raise InvalidInputError(f"{how}; got {install!r}")
     try:
-        made = install(controller)
+        replacement = install(controller)
     except TypeError as error:
-        own = error.__traceback__
-        if own is not None and own.tb_next is None:  # raised by the call itself
+        trace = error.__traceback__
+        is_of_call = trace is not None and trace.tb_next is None  # not raised inside the function
+        if is_of_call:
             raise InvalidInputError(f"{how}; calling {install!r} with one: {error}") from error
         raise
-    if not hasattr(made, "tick"):
-        raise InvalidInputError(f"{how}; {install!r} returned {made!r}, which has no tick")
-    return made
+    if not hasattr(replacement, "tick"):
+        raise InvalidInputError(f"{how}; {install!r} returned {replacement!r}, which has no tick")
+    return replacement
 
 
 class Taring:
-    """A controller that averages its wrist sensors at rest off the contacts, then engages."""
+    """Controller that averages its wrist readings off the contacts, then engages the contacts.
+
+    Attributes:
+        duration: time of the tare (s). engage_at: time at which contacts engage (s).
+        controller: controller of the arms. dt: control period (s).
+        samples: residual wrenches (6,) of the ticks so far that are averaged (N, N m).
+        ticks: number of ticks.
+    """
 
     def __init__(self, rig: Rig, controller: Controller) -> None:
+        """Set the times of the tare from a rig whose scenario has one."""
         assert rig.scenario.tare is not None
         self.duration = rig.scenario.tare.duration
         self.engage_at = rig.references.engage_at
@@ -193,13 +209,17 @@ class Taring:
         self.ticks = 0
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """See `Controller.tick`."""
+        """Compute motor torques (n_a,) as `Controller.tick`, and take the tare by its time.
+
+        Args:
+            measurement: readings of the tick. reference: desired motion and forces.
+        """
         tau = self.controller.tick(measurement, reference)
         t = self.ticks * self.dt
         self.ticks += 1
         if self.controller.engaged:
             return tau
-        if 2 * self.duration / 3 <= t < self.duration:  # once the start has settled
+        if 2 * self.duration / 3 <= t < self.duration:  # transients of the start have settled
             self.samples.append(self.controller.residual_wrench())
         elif self.samples and t >= self.duration:
             self.controller.f_tare = np.mean(self.samples, axis=0)

@@ -65,29 +65,43 @@ class WorstSecond:
         self._ticks: list[int] = []
 
     def add(self, t: Array, error: Array) -> None:
-        """Add ticks at t (k,) with errors (k, r); those that are not judged are not finite."""
+        """Include k further ticks.
+
+        Args:
+            t: (k,) times (s). error: (k, r) errors of the forces (N), NaN in ticks that are not
+                judged.
+        """
         tenths = np.floor(t * 10.0 + 1e-6).astype(int)
         for tenth in np.unique(tenths):
-            own = error[tenths == tenth]
+            errors = error[tenths == tenth]
             while len(self._ticks) <= tenth:
                 self._squares.append(np.zeros(error.shape[1]))
                 self._counts.append(np.zeros(error.shape[1]))
                 self._ticks.append(0)
-            self._squares[tenth] += np.nansum(own**2, axis=0)
-            self._counts[tenth] += np.isfinite(own).sum(axis=0)
-            self._ticks[tenth] += len(own)
+            self._squares[tenth] += np.nansum(errors**2, axis=0)
+            self._counts[tenth] += np.isfinite(errors).sum(axis=0)
+            self._ticks[tenth] += len(errors)
 
     def largest(self) -> list[float | None]:
-        """The largest value of each force; None where no second is judged."""
+        """Largest rms error of each force within a second (N); None if no second is judged."""
         if not self._ticks:
             return []
-        squares, counts = (
-            np.cumsum(np.vstack([np.zeros((10, len(rows[0]))), rows]), axis=0)
-            for rows in (self._squares, self._counts)
-        )
-        squares, counts = squares[10:] - squares[:-10], counts[10:] - counts[:-10]
-        enough = counts > 5.0 * max(self._ticks)
+        squares = _sums_of_ten(self._squares)
+        counts = _sums_of_ten(self._counts)
+        enough = counts > 5.0 * max(self._ticks)  # half of the ticks of ten tenths
         values = np.sqrt(np.where(enough, squares / np.maximum(counts, 1.0), 0.0).max(axis=0))
+        is_judged = enough.any(axis=0)
         return [
-            float(x) if some else None for x, some in zip(values, enough.any(axis=0), strict=True)
+            float(value) if judged else None
+            for value, judged in zip(values, is_judged, strict=True)
         ]
+
+
+def _sums_of_ten(rows: list[Array]) -> Array:
+    """Sums (k, r) of ten successive rows each, the first ones of fewer, as differences of sums.
+
+    Args:
+        rows: k rows (r,).
+    """
+    sums = np.cumsum(np.vstack([np.zeros((10, len(rows[0]))), rows]), axis=0)
+    return sums[10:] - sums[:-10]

@@ -21,7 +21,7 @@ from osc_contact.loop.loop import run_loop
 from osc_contact.spatial import Array
 
 MAGIC = b"OSCTAPE3"
-#: flags of a tick, as in replay.c; from REPEATED on: which readings are those of the last tick
+#: Flags of a tick, as in replay.c; bits from REPEATED on state which readings are repeated.
 MEMORY, TOUCHED, WRENCH_MISSING, ESTIMATED, SQUEEZE, ACTIVE = 1, 2, 4, 8, 16, 32
 REPEATED = 6
 
@@ -46,14 +46,21 @@ class Tape:
         controller.__dict__["tick"] = self.tick
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
-        """Run the tick of the controller and note it; see `Controller.tick`."""
+        """Run the tick of the controller and record its inputs and torques.
+
+        Args:
+            measurement: readings of the tick. reference: desired motion and forces.
+
+        Returns:
+            (n_a,) motor torques (N m, N).
+        """
         controller = self._controller
         memory = controller.records.memory_bytes
         before = self.count
         first = memory.copy()
         changed = not np.array_equal(first, self._memory)
         tau = self._tick(measurement, reference)
-        if self.count == before:  # else it was called again inside, and noted there
+        if self.count == before:  # else the controller called this function again, and it noted
             self._note(measurement, reference, first if changed else None, tau)
         self._memory = memory.copy()
         return tau
@@ -61,20 +68,27 @@ class Tape:
     def _note(
         self, measurement: Measurement, reference: Reference, memory: Bytes | None, tau: Array
     ) -> None:
+        """Append a tick: flags, changed memory, then inputs and torques as 64-bit numbers.
+
+        Args:
+            measurement: readings of the tick. reference: desired motion and forces.
+            memory: bytes of MEMORY before the tick; None: as the last tick left them.
+            tau: (n_a,) torques of the tick (N m, N).
+        """
         controller = self._controller
         model = controller.records.model
         squeeze = np.ravel(reference.squeeze_d)
-        given = squeeze.any() and model.n_bars > 0
-        missing = measurement.wrench_valid is not None and not measurement.wrench_valid
-        present = {
+        has_squeeze = squeeze.any() and model.n_bars > 0
+        is_wrench_missing = measurement.wrench_valid is not None and not measurement.wrench_valid
+        is_set = {
             MEMORY: memory is not None,
             TOUCHED: measurement.touched is not None,
-            WRENCH_MISSING: missing,
+            WRENCH_MISSING: is_wrench_missing,
             ESTIMATED: measurement.estimated,
-            SQUEEZE: given,
+            SQUEEZE: has_squeeze,
             ACTIVE: reference.active is not None,
         }
-        flags = sum(flag for flag, is_present in present.items() if is_present)
+        flags = sum(flag for flag, condition in is_set.items() if condition)
         flags += controller.freshness.flags << REPEATED
         forces = np.zeros(model.n_columns)
         alpha = np.ravel(reference.alpha_d)
@@ -90,7 +104,7 @@ class Tape:
             reference.V_D,
             reference.A_D,
             forces,
-            np.broadcast_to(squeeze, model.n_bars) if given else (),
+            np.broadcast_to(squeeze, model.n_bars) if has_squeeze else (),
             () if measurement.touched is None else touched_rows(measurement.touched),
             () if reference.active is None else reference.active,
             tau,
@@ -109,12 +123,16 @@ def build(rig: Rig, folder: Path, ticks: int = 10_000, seed: int = 0) -> Tape:
     """Write a rig's controller, the C library, and a recording to replay into a folder.
 
     Args:
-        rig: see `build_rig`. folder: is made. ticks: of the recording; longer than the task, the
-            last reference stands. seed: seed of everything random.
+        rig: rig of a scenario. folder: folder of the files, which is created. ticks: length of the
+            recording; beyond the duration of the scenario its signals continue. seed: seed of all
+            random numbers.
+
+    Returns:
+        The recorded ticks.
 
     Raises:
-        InvalidInputError: pairs, bodies or laws that only Python can evaluate.
-        OscContactError: the law is not compiled to objects here, or the task does not run.
+        InvalidInputError: a pair, body or law can only be evaluated by Python.
+        OscContactError: the law is not compiled to objects here, or the task cannot run.
     """
     require_ready(rig)
     plant, controller = start(rig, seed)

@@ -10,11 +10,13 @@ from osc_contact.files import Json
 from osc_contact.lab.runs.limit_cycles import worst_cycles
 from osc_contact.lab.runs.series import Series, WorstSecond
 from osc_contact.recorder import Recording
-from osc_contact.recorder.judged import CLOSED, SETTLE_S, JudgedTicks
+from osc_contact.recorder.judged import CLOSED, SETTLE_S, Flags, JudgedTicks
 from osc_contact.settings.control import VerdictSpec
+from osc_contact.spatial import Array
 
-_LEAST_COMMAND_N = 1.0  #: a force is compared with no smaller command
-STEP_WINDOW_S = 0.5  #: a step's overshoot is looked for this long, or until the next step
+_LEAST_COMMAND_N = 1.0  #: least command that a force is divided by (N)
+STEP_WINDOW_S = 0.5  #: longest time after a step in which its overshoot is searched (s)
+#: Channels that are read.
 _READ = (
     "t",
     "alpha_cmd",
@@ -28,21 +30,21 @@ _READ = (
     "status",
     "tau",
 )
-_STATUS = ("ok", "saturated", "held", "degraded")
+_STATUS = ("ok", "saturated", "held", "degraded")  #: names of the values of channel `status`
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One row of the verdict: beyond its limit a quantity gives the run a word.
+    """Rule of the verdict: a quantity above its limit gives the run a word.
 
     Attributes:
         word: word for the run.
-        subject: "run", "force", "contact" or "doubt": of what the quantity is.
+        subject: kind of subject that has the quantity: "run", "force", "contact" or "doubt".
         quantity: name of the number that is compared.
-        limit: key of `VerdictSpec`; a number: this one, in every scenario.
-        sentence: sentence with the numbers of its subject and {limit}; {mm} and {limit_mm} are a
-            thousand times the quantity and its limit.
-        fails: whether the task has failed then.
+        limit: key of `VerdictSpec`, or a number that is the limit in every scenario.
+        sentence: format of the reason, with values of the subject and {limit}; {mm} and {limit_mm}
+            are a thousand times the quantity and its limit.
+        fails: whether the task has failed if the rule applies.
     """
 
     word: str
@@ -181,7 +183,7 @@ RULES = (
 def metrics(recording: Recording) -> Json:
     """Judge a run against the plant's truth.
 
-    Keys: scenario, plant, seed (None for a loop of the user's own), duration_s, ticks,
+    Keys of the result: scenario, plant, seed (None for a user's own loop), duration_s, ticks,
     real_time_factor;
     force {contact: rms_error_N, rms_error_rel, peak_error_N, peak_error_rel, worst_second_rel,
     peak_over_command, mean_command_N, sensing_rms_rel, limit_cycle_N, limit_cycle_Hz,
@@ -192,12 +194,16 @@ def metrics(recording: Recording) -> Json:
     `step_answers`; judged_ticks; task {word, failed, why}, see `judge_task`;
     power {total_rms_W, projected_rms_W, ratio};
     tick_us {p50, p99, p99_9, max}; loop, as `LoopReport.as_dict` (null: not in real time);
-    status {name: ticks}; at_limit [[joint, ticks], …] of motors
-    that ever stood at their limit, the one that did longest first.
+    status {name: ticks}; at_limit [[joint, ticks], …] of motors that were at their limit, in order
+    of decreasing numbers of ticks.
 
-    Under force, the magnitudes of a contact with several are called contact.1, contact.2, …
-    rms_error is true force minus command; sensing is what fig. 5's filter made of the wrist
-    sensors, minus true force; both relative to the mean command (null where that is 0).
+    Names under force are those of the contacts; the magnitudes of a contact with several are called
+    contact.1, contact.2, … rms_error is the rms of true force minus command; sensing is the
+    magnitude that fig. 5's filter computes from the wrist readings, minus true force; both relative
+    to the mean command (null if it is 0).
+
+    Args:
+        recording: recording with a judge.
 
     Raises:
         InvalidInputError: the recording is not longer than the settling time.
@@ -225,69 +231,118 @@ class _Sums:
     Attributes:
         ticks: ticks that are evaluated. count: their number, without regard to contacts.
         duration: duration of the run (s).
-        judged, opened: (contacts,) numbers of evaluated ticks of each contact, and of those in
-            which it is open.
-        longest: longest sequence of open ticks that were closed for the controller. cycles: largest
-            limit cycle of each force. status, at_limit: numbers of ticks by status, and by motor.
+        judged: (contacts,) number of evaluated ticks of each contact. opened: (contacts,) number of
+            these in which the contact is open.
+        longest: (contacts,) longest sequence of ticks in which the contact is open but closed for
+            the controller.
+        cycles: largest limit cycle of each force.
+        status: number of ticks of each status. at_limit: number of ticks in which each motor is at
+            its limit.
+        command, error, sensing, over: statistics of each force magnitude: desired force, true minus
+            desired, measured minus true (N), true over desired force. seconds: worst second.
+        away, off: statistics of the deviation from the reference. total, projected: of powers (W).
+        closed: share of ticks in which each contact is closed.
     """
 
     def __init__(self, recording: Recording, least_cycle: float) -> None:
-        """Go through a recording, piece after piece.
+        """Evaluate a recording, piece after piece, so that memory stays small.
 
         Args:
-            recording: recording with a judge. least_cycle: see `worst_cycles`.
+            recording: recording with a judge. least_cycle: least amplitude of a limit cycle over
+                the mean command.
         """
         meta = recording.meta
         self.ticks = JudgedTicks(recording)
         self.duration = len(recording) / meta["control_rate_hz"]
-        self.opened, self.judged, self.longest, run = np.zeros((4, len(meta["contact_names"])), int)
-        self.command, self.error, self.sensing = (Series() for _ in range(3))
-        self.total, self.projected, self.away, self.closed = (Series() for _ in range(4))
-        self.over, self.off = Series(), Series()
+        contacts = len(meta["contact_names"])
+        self.opened = np.zeros(contacts, int)
+        self.judged = np.zeros(contacts, int)
+        self.longest = np.zeros(contacts, int)
+        self._open_ticks = np.zeros(contacts, int)  # of the present loss of each contact
+        self.command = Series()  # (N)
+        self.error = Series()  # true minus desired force (N)
+        self.sensing = Series()  # measured minus true force (N)
+        self.over = Series()  # true over desired force
         self.seconds = WorstSecond()
+        self.total = Series()  # power of the contact wrench (W)
+        self.projected = Series()  # power of its part along N (W)
+        self.away = Series()  # distance (m) and angle (rad) from the reference in all ticks
+        self.off = Series()  # distance (m) from the reference while contacts are settled
+        self.closed = Series()  # 1 in ticks in which a contact is closed
         limits = list(meta.get("effort_limits", {}).values())
-        effort = np.nan_to_num(np.array(limits, dtype=float), nan=np.inf)
-        self.at_limit = np.zeros(len(effort), dtype=int)
+        self._effort = np.nan_to_num(np.array(limits, dtype=float), nan=np.inf)
+        self.at_limit = np.zeros(len(limits), dtype=int)
         self.status = np.zeros(len(_STATUS), dtype=int)
         self.count = 0
         judged_forces = [np.zeros((0, len(self.ticks.columns)), dtype=bool)]
         for piece in recording.pieces(*_READ):
-            judged = piece["t"] >= SETTLE_S - 1e-9
-            self.count += int(judged.sum())
-            settled, counted, quiet = self.ticks.add(piece)
-            command, truth, sensed = (
-                np.where(counted, piece[f"alpha_{key}"], np.nan) for key in ("cmd", "true", "meas")
-            )
-            self.command.add(command)
-            self.error.add(truth - command)
-            self.over.add(truth / np.maximum(np.abs(command), _LEAST_COMMAND_N))
-            self.seconds.add(piece["t"], truth - command)
-            self.off.add(np.linalg.norm(piece["motion_error"][quiet, :3], axis=1))
-            self.sensing.add(sensed - truth)
-            self.total.add(piece["power_total"][quiet])
-            self.projected.add(piece["power_projected"][quiet])
-            self.away.add(np.linalg.norm(piece["motion_error"][judged].reshape(-1, 2, 3), axis=2))
-            self.closed.add(piece["closed"][judged])
-            opened = ~piece["closed"].astype(bool) & settled
-            self.judged += settled.sum(axis=0)
-            self.opened += opened.sum(axis=0)
-            lost = opened & (piece["contact_phase"] == CLOSED)
-            run *= lost.any()
-            for row in lost if lost.any() else ():
-                run = (run + 1) * row
-                np.maximum(self.longest, run, out=self.longest)
-            judged_forces.append(counted & np.isfinite(truth - command))
+            settled, force_flags, quiet = self.ticks.add(piece)
+            judged_forces.append(self._add_forces(piece, force_flags))
+            self._add_motion(piece, quiet)
+            self._add_losses(piece, settled)
             self.status += np.bincount(piece["status"], minlength=len(_STATUS))
-            tau = np.abs(piece["tau"][:, : len(effort)])
-            self.at_limit += (tau >= effort * (1.0 - 1e-9)).sum(axis=0)
+            tau = np.abs(piece["tau"][:, : len(self._effort)])
+            self.at_limit += (tau >= self._effort * (1.0 - 1e-9)).sum(axis=0)
         self.cycles = worst_cycles(recording, np.concatenate(judged_forces), least_cycle)
+
+    def _add_forces(self, piece: Mapping[str, Array], flags: Flags) -> Flags:
+        """Include desired, true and measured forces of a piece.
+
+        Args:
+            piece: channels of k ticks. flags: (k, r) judged ticks of each force magnitude.
+
+        Returns:
+            (k, r) flags of the ticks whose errors are known, too.
+        """
+        command = np.where(flags, piece["alpha_cmd"], np.nan)
+        truth = np.where(flags, piece["alpha_true"], np.nan)
+        measured = np.where(flags, piece["alpha_meas"], np.nan)
+        error = truth - command
+        self.command.add(command)
+        self.error.add(error)
+        self.over.add(truth / np.maximum(np.abs(command), _LEAST_COMMAND_N))
+        self.seconds.add(piece["t"], error)
+        self.sensing.add(measured - truth)
+        return flags & np.isfinite(error)
+
+    def _add_motion(self, piece: Mapping[str, Array], quiet: Flags) -> None:
+        """Include deviations from the reference, powers and closed contacts of a piece.
+
+        Args:
+            piece: channels of k ticks. quiet: (k,) ticks in which no contact is made and no force
+                steps.
+        """
+        judged = piece["t"] >= SETTLE_S - 1e-9
+        self.count += int(judged.sum())
+        self.off.add(np.linalg.norm(piece["motion_error"][quiet, :3], axis=1))
+        self.total.add(piece["power_total"][quiet])
+        self.projected.add(piece["power_projected"][quiet])
+        self.away.add(np.linalg.norm(piece["motion_error"][judged].reshape(-1, 2, 3), axis=2))
+        self.closed.add(piece["closed"][judged])
+
+    def _add_losses(self, piece: Mapping[str, Array], settled: Flags) -> None:
+        """Include the ticks of a piece in which contacts are open though they should be closed.
+
+        Args:
+            piece: channels of k ticks. settled: (k, contacts) judged ticks of each contact.
+        """
+        is_open = ~piece["closed"].astype(bool) & settled
+        self.judged += settled.sum(axis=0)
+        self.opened += is_open.sum(axis=0)
+        is_lost = is_open & (piece["contact_phase"] == CLOSED)
+        if not is_lost.any():
+            self._open_ticks[:] = 0
+            return
+        for row in is_lost:
+            self._open_ticks = (self._open_ticks + 1) * row  # zero where the contact is not lost
+            np.maximum(self.longest, self._open_ticks, out=self.longest)
 
 
 def _numbers(recording: Recording, sums: _Sums) -> Json:
-    """All of metrics.json but the task.
+    """Entries of metrics.json, except the verdict on the task.
 
     Args:
-        recording: recording of the run. sums: of its ticks.
+        recording: recording of the run. sums: sums over its ticks.
     """
     meta = recording.meta
     contacts = meta["contact_names"]
@@ -295,7 +350,11 @@ def _numbers(recording: Recording, sums: _Sums) -> Json:
     (total,) = sums.total.rms()
     (projected,) = sums.projected.rms()
     losses = meta.get("joint_losses", [])
-    worst = zip(meta.get("effort_limits", {}), sums.at_limit.tolist(), strict=True)
+    at_limit = [
+        [joint, ticks]
+        for joint, ticks in zip(meta.get("effort_limits", {}), sums.at_limit.tolist(), strict=True)
+        if ticks
+    ]
     return {
         "scenario": meta.get("scenario", {}).get("name"),
         "plant": meta.get("plant"),
@@ -317,7 +376,7 @@ def _numbers(recording: Recording, sums: _Sums) -> Json:
         "tick_us": _tick(recording),
         "loop": meta.get("loop"),
         "status": dict(zip(_STATUS, sums.status.tolist(), strict=True)),
-        "at_limit": [[joint, n] for joint, n in sorted(worst, key=lambda one: -one[1]) if n],
+        "at_limit": sorted(at_limit, key=lambda entry: -entry[1]),
         "joint_losses": losses,
         "learned_friction": _learned(losses, meta),
         "normals": dict(zip(recording.magnitude_names, meta.get("normal_std", []), strict=False)),
@@ -326,10 +385,14 @@ def _numbers(recording: Recording, sums: _Sums) -> Json:
 
 
 def _learned(losses: Sequence[Json], meta: Json) -> list[Json]:
-    """Friction and rotor of each joint as learned, rounded to what is significant.
+    """Friction and rotor inertia of each joint as learned, rounded to the significant digits.
 
     Args:
-        losses: losses of the model. meta: meta of the recording.
+        losses: losses of the model's joints. meta: meta data of the recording.
+
+    Returns:
+        For each joint its name, whether it slides, friction (N m, N), damping (N m s/rad, N s/m)
+        and armature (kg m², kg).
     """
     friction = meta.get("joint_friction", [])
     missing = meta.get("missing_inertia", [0.0] * len(friction))
@@ -351,19 +414,18 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
     Args:
         names: names of the forces. sums: sums over the ticks.
     """
-    found = {}
-    error = sums.error
+    by_name = {}
     columns = (
         sums.command.mean(),
-        error.rms(),
-        error.peak(),
+        sums.error.rms(),
+        sums.error.peak(),
         sums.seconds.largest(),
         sums.over.peak(),
         sums.sensing.rms(),
         sums.cycles,
     )
-    for name, mean, rms, peak, second, over, sensed, cycle in zip(names, *columns, strict=True):
-        found[name] = {
+    for name, mean, rms, peak, second, over, sensing, cycle in zip(names, *columns, strict=True):
+        by_name[name] = {
             "rms_error_N": rms,
             "rms_error_rel": _ratio(rms, mean),
             "peak_error_N": peak,
@@ -371,13 +433,13 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
             "worst_second_rel": _ratio(second, mean),
             "peak_over_command": over,
             "mean_command_N": mean,
-            "sensing_rms_rel": _ratio(sensed, mean),
+            "sensing_rms_rel": _ratio(sensing, mean),
             "limit_cycle_N": cycle and cycle.amplitude,
             "limit_cycle_Hz": cycle and cycle.frequency,
             "limit_cycle_rel": cycle and cycle.relative,
             "limit_cycle_m_per_N": cycle and cycle.compliance,
         }
-    return found
+    return by_name
 
 
 def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[Json]]:
@@ -421,7 +483,7 @@ def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[J
 def _tick(recording: Recording) -> dict[str, float | None]:
     """Percentiles and maximum of the tick's computing time (µs); None if it was not recorded."""
     keys = ("p50", "p99", "p99_9", "max")
-    if "tick_s" not in recording:  # its times were not kept beside it
+    if "tick_s" not in recording:  # the file of its times is missing
         return dict.fromkeys(keys)
     pieces = [piece["tick_s"].astype(np.float32) for piece in recording.pieces("tick_s")]
     seconds = np.concatenate(pieces)
@@ -430,7 +492,11 @@ def _tick(recording: Recording) -> dict[str, float | None]:
 
 
 def _ratio(part: float | None, whole: float | None) -> float | None:
-    """Ratio of two numbers; None instead of NaN, which JSON lacks, if one is missing or zero."""
+    """Ratio of two numbers; None instead of NaN, which JSON lacks.
+
+    Args:
+        part: numerator; None: unknown. whole: denominator; None: unknown, or zero.
+    """
     return part / whole if whole and part is not None else None
 
 
@@ -440,12 +506,13 @@ def step_answers(recording: Recording, ticks: JudgedTicks) -> list[Json]:
     overshoot = largest (true − desired force) in the direction of the step, within `STEP_WINDOW_S`.
 
     Args:
-        recording: recording with a judge. ticks: all of it, added.
+        recording: recording with a judge. ticks: selection of judged ticks, to which the whole
+            recording was added.
 
     Returns:
-        In order of time, of each magnitude that stepped: t_s, force, what ("first contact" or
-        "step"), from_N, to_N, overshoot_N, overshoot_rel (of the step), and where it is largest the
-        true and the desired force, peak_N and commanded_N.
+        Steps of force magnitudes in order of time, with the keys t_s, force, what ("first contact"
+        or "step"), from_N, to_N, overshoot_N, overshoot_rel (relative to the step), and true and
+        desired force at the largest overshoot, peak_N and commanded_N.
     """
     rate = recording.meta["control_rate_hz"]
     steps = sorted({round(t * rate) for t in recording.meta["force_steps_s"]})
@@ -456,42 +523,54 @@ def step_answers(recording: Recording, ticks: JudgedTicks) -> list[Json]:
             changes.append((round(first * rate), column, True))
         begin = max(2, round((first or 0.0) * rate))
         changes += [(k, column, False) for k in steps if k > begin]
-    rows = (_answer(recording, rate, steps, *one) for one in sorted(changes))
-    return [row for row in rows if row is not None]
+    answers = []
+    for k, column, is_first_contact in sorted(changes):
+        answer = _answer(recording, rate, steps, k, column, is_first_contact)
+        if answer is not None:
+            answers.append(answer)
+    return answers
 
 
 def _answer(
     recording: Recording, rate: float, steps: Sequence[int], k: int, column: int, first: bool
 ) -> Json | None:
-    """Step response of one force after tick k; None without a commanded step."""
-    later = [step for step in steps if step > k]
-    stop = min([k + max(2, round(STEP_WINDOW_S * rate)), *later, len(recording)])
-    some = recording.rows(max(0, k - 3), stop, "alpha_cmd", "alpha_true")
-    command, truth = (some[name][:, column] for name in ("alpha_cmd", "alpha_true"))
-    before = min(k, 3)
-    after = np.flatnonzero(np.isfinite(command + truth) & (np.arange(len(command)) >= before))
-    if not len(after):  # nothing there was computed
+    """Step response of one force after tick k; None without a commanded step.
+
+    Args:
+        recording: recording with a judge. rate: control rate (Hz). steps: ticks of all steps of
+            desired forces. k: tick of the step. column: index of the force. first: True if the step
+            is the first contact, from zero; False for a step of the desired force.
+    """
+    later_steps = [step for step in steps if step > k]
+    stop = min([k + max(2, round(STEP_WINDOW_S * rate)), *later_steps, len(recording)])
+    window = recording.rows(max(0, k - 3), stop, "alpha_cmd", "alpha_true")
+    command = window["alpha_cmd"][:, column]
+    truth = window["alpha_true"][:, column]
+    before = min(k, 3)  # number of ticks of the window before the step
+    is_known = np.isfinite(command + truth)
+    after = np.flatnonzero(is_known & (np.arange(len(command)) >= before))
+    if not len(after):
         return None
     if first:
         start = 0.0
         goal = command[after[0]]
     else:
         before_last, start, goal = command[before - 2 : before + 1]
-        drift = start - before_last  # of signals that do not step
+        drift = start - before_last  # change of a signal that does not step
         if not abs(goal - start - drift) > 0.01 * np.abs(command[after]).max():
             return None
     if goal == start:
         return None
     excess = np.sign(goal - start) * (truth - command)
     worst = after[np.argmax(excess[after])]
-    over = max(0.0, excess[worst])
+    overshoot = max(0.0, excess[worst])
     numbers = {
         "from_N": start,
         "to_N": goal,
         "peak_N": truth[worst],
         "commanded_N": command[worst],
-        "overshoot_N": over,
-        "overshoot_rel": over / abs(goal - start),
+        "overshoot_N": overshoot,
+        "overshoot_rel": overshoot / abs(goal - start),
     }
     return {
         "t_s": k / rate,
@@ -506,19 +585,19 @@ def judge_task(
     limits: VerdictSpec,
     rules: Sequence[Rule] = RULES,
 ) -> Json:
-    """One word for a run, whether its task failed, and why.
+    """Word for a run, whether its task failed, and the reasons.
 
     Args:
-        facts: by subject, what is known of each: the quantities of `RULES` and what their
-            sentences name. A quantity that is None is not compared.
-        limits: limits of the scenario. rules: to apply, the gravest first.
+        facts: values of all subjects by kind of subject: the quantities of the rules, and values
+            that their sentences name. A quantity that is None is not compared.
+        limits: limits of the scenario. rules: rules to apply, in order of decreasing gravity.
 
     Returns:
-        {"word": that of the first rule that applies, or OK, "failed": bool, "why":
-        sentences}. A subject that a rule has applied to is not compared with later rules for the
-        same quantity.
+        Dictionary with "word", the word of the first rule that applies, or OK; "failed"; "why",
+        sentences. After a rule has applied to a quantity of a subject, later rules on the same
+        quantity are not applied to this subject.
     """
-    found: dict[tuple[str, int, str], tuple[Rule, str]] = {}
+    applied: dict[tuple[str, int, str], tuple[Rule, str]] = {}
     for rule in rules:
         limit = getattr(limits, rule.limit) if isinstance(rule.limit, str) else rule.limit
         for i, fact in enumerate(facts[rule.subject]):
@@ -527,9 +606,9 @@ def judge_task(
                 text = rule.sentence.format(
                     **fact, limit=limit, mm=1e3 * value, limit_mm=1e3 * limit
                 )
-                found.setdefault((rule.subject, i, rule.quantity), (rule, text))
+                applied.setdefault((rule.subject, i, rule.quantity), (rule, text))
     return {
-        "word": next((rule.word for rule, _ in found.values()), "OK"),
-        "failed": any(rule.fails for rule, _ in found.values()),
-        "why": [why for _, why in found.values()],
+        "word": next((rule.word for rule, _ in applied.values()), "OK"),
+        "failed": any(rule.fails for rule, _ in applied.values()),
+        "why": [text for _, text in applied.values()],
     }
