@@ -42,7 +42,7 @@ Text = Annotated[str, Field(min_length=1)]
 
 
 def _listed(value: Any) -> Any:
-    """A single value for all joints as a list of one."""
+    """Convert a single number, which is valid for all joints, to a tuple of one number."""
     return value if isinstance(value, list | tuple) else (value,)
 
 
@@ -182,10 +182,20 @@ class HingeSpec(Spec):
 
 
 def _read_custom(value: Any, read: Callable[[Any], Any]) -> Any:
+    """Accept an object with a `rail`, in a scenario made in Python, as it is; validate keys.
+
+    Args:
+        value: motion of a body. read: pydantic's validation of keys.
+    """
     return value if hasattr(value, "rail") else read(value)
 
 
 def _write_custom(value: Any, write: Callable[[Any], Any]) -> Any:
+    """Write an object with a `rail` as the name of its class, and keys as they are.
+
+    Args:
+        value: motion of a body. write: pydantic's serialisation of keys.
+    """
     return type(value).__name__ if hasattr(value, "rail") else write(value)
 
 

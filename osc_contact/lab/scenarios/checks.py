@@ -11,7 +11,7 @@ from osc_contact.lab.scenarios.hardware import PlantSpec
 from osc_contact.settings.control import ControlSpec
 
 Problem = tuple[tuple[str | int, ...], str]
-"""Where (keys and list indices) and what is wrong."""
+"""Path of a key (keys and list indices), and the error with its cure."""
 
 
 def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
@@ -21,36 +21,30 @@ def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
         data: keys of a scenario, from a file or validated.
     """
     names = {key: _names(data.get(key, ())) for key in ("arms", "contacts", "environment")}
-    for key, own in names.items():
-        for index, name in enumerate(own or ()):
-            if own and name in own[:index]:
+    for key, items in names.items():
+        for index, name in enumerate(items or ()):
+            if items and name in items[:index]:
                 text = f"the name {name!r} is taken by an earlier item of {key}; names are unique"
                 yield (key, index, "name"), text
-    arms, on, bodies = names.values()
+    arms = names["arms"]
+    contact_names = names["contacts"]
+    bodies = names["environment"]
     contacts = data.get("contacts", ())
     if arms is not None:
         example = "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"
         yield from _entries("grasps", "arm", data.get("grasps"), dict.fromkeys(arms, 1), example)
-    if on is not None:
-        forces = dict(zip(on, map(_forces, contacts), strict=True))
+    if contact_names is not None:
+        forces = dict(zip(contact_names, map(_forces, contacts), strict=True))
         example = "[{type: constant, value: 0 N}]"
         yield from _entries("force", "contact", data.get("force", {}), forces, example)
-    if on is not None and isinstance(data.get("active"), dict):
+    if contact_names is not None and isinstance(data.get("active"), dict):
         for name in data["active"]:
-            if name not in on:
-                yield ("active", name), f"no contact has this name; {did_you_mean(name, on)}"
+            if name not in contact_names:
+                hint = did_you_mean(name, contact_names)
+                yield ("active", name), f"no contact has this name; {hint}"
     if bodies is not None and isinstance(contacts, list | tuple):
-        on_body = [_value(contact, "body") for contact in contacts]
-        for index, name in enumerate(bodies):
-            if name not in on_body:
-                text = (
-                    f"no contact is on the body {name!r}; give one its name as body, or remove it"
-                )
-                yield ("environment", index), text
-        for index, body in enumerate(on_body):
-            if isinstance(body, str) and body not in bodies:
-                text = f"no body of environment has this name; {did_you_mean(body, bodies)}"
-                yield ("contacts", index, "body"), text
+        touched = [_value(contact, "body") for contact in contacts]
+        yield from _body_problems(bodies, touched)
     try:
         control = ControlSpec.model_validate(data.get("control"))
         plant = PlantSpec.model_validate(data.get("plant"))
@@ -59,7 +53,24 @@ def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
     yield from _plant_problems(control, plant)
 
 
+def _body_problems(bodies: list[str], touched: list[Any]) -> Iterator[Problem]:
+    """Yield bodies of the environment without a contact, and contacts on unknown bodies.
+
+    Args:
+        bodies: names of the bodies. touched: key `body` of each contact; None: it has no such key.
+    """
+    for index, name in enumerate(bodies):
+        if name not in touched:
+            text = f"no contact is on the body {name!r}; give one its name as body, or remove it"
+            yield ("environment", index), text
+    for index, body in enumerate(touched):
+        if isinstance(body, str) and body not in bodies:
+            text = f"no body of environment has this name; {did_you_mean(body, bodies)}"
+            yield ("contacts", index, "body"), text
+
+
 def _value(item: Any, key: str) -> Any:
+    """Value of a key of an item from a file, or of a validated item; None if it has no such key."""
     return item.get(key) if isinstance(item, dict) else getattr(item, key, None)
 
 
@@ -67,12 +78,12 @@ def _names(items: Any) -> list[str] | None:
     """Names of the items of a list; None if one of them is not valid."""
     if not isinstance(items, list | tuple):
         return None
-    found = [_value(item, "name") for item in items]
-    return found if all(isinstance(name, str) and name for name in found) else None
+    names = [_value(item, "name") for item in items]
+    return names if all(isinstance(name, str) and name for name in names) else None
 
 
 def _forces(contact: Any) -> Any:
-    """r of a contact; None: its type is not sound."""
+    """Number r of force magnitudes of a contact; None if its type is not valid."""
     kind = contact
     if not isinstance(contact, ContactSpec):
         kind = contact_types().get(str(_value(contact, "type")))
@@ -80,18 +91,19 @@ def _forces(contact: Any) -> Any:
 
 
 def _entries(
-    key: str, kind: str, given: Any, forces: Mapping[str, int], example: str
+    key: str, kind: str, group: Any, forces: Mapping[str, int], example: str
 ) -> Iterator[Problem]:
-    """Each arm has a grasp, and each force of a contact its signals.
+    """Yield missing and unknown entries of a group with an entry for each arm, or each force.
 
     Args:
-        key: key of the group. kind: kind of its entries. given: the group.
-        forces: how many entries each one has, by its name. example: of an entry.
+        key: key of the group: grasps or force. kind: kind of the named items: arm or contact.
+        group: entries by name. forces: number of entries of each item, by its name.
+        example: example of an entry, for the message.
     """
-    if not isinstance(given, Mapping) or None in forces.values():
+    if not isinstance(group, Mapping) or None in forces.values():
         return
     expected = magnitude_names(forces)
-    for name in given:
+    for name in group:
         if name not in expected:
             text = f"no {kind} has this name; {did_you_mean(name, expected)}"
             if forces.get(name, 1) > 1:
@@ -101,12 +113,16 @@ def _entries(
                 )
             yield (key, name), text
     for name in expected:
-        if name not in given:
+        if name not in group:
             yield (key,), f"the {kind} {name!r} has no entry; add {name}: {example}"
 
 
 def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]:
-    """The plant has the drives required, and periods are whole multiples (within 1e-9)."""
+    """Yield periods that are not whole multiples (within 1e-9), and drives the plant cannot have.
+
+    Args:
+        control: settings of control. plant: settings of the plant.
+    """
     steps = 1.0 / (control.rate * plant.step)
     if not _is_whole(steps):
         right = 1.0 / (control.rate * max(1, round(steps)))
@@ -138,14 +154,16 @@ def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]
                 f"{plant.step:g} s); both must be whole numbers"
             )
             yield (*key, "rate"), text
-    for drive in ("flexible_joints", "motors", "joint_friction", "pushes") if plant.exact else ():
-        if getattr(plant, drive):
-            text = (
-                "an exact plant has ideal joints and contacts that do not open; leave it out, or "
-                "take plant.type mujoco"
-            )
-            yield ("plant", drive), text
+    if plant.exact:
+        for drive in ("flexible_joints", "motors", "joint_friction", "pushes"):
+            if getattr(plant, drive):
+                text = (
+                    "an exact plant has ideal joints and contacts that do not open; leave it out, "
+                    "or take plant.type mujoco"
+                )
+                yield ("plant", drive), text
 
 
 def _is_whole(number: float) -> bool:
+    """Return whether a positive number is a whole number up to rounding."""
     return round(number) >= 1 and abs(number - round(number)) <= 1e-9

@@ -1,7 +1,7 @@
-"""Kinds of contact: the keys of each, made from the fields of its contact pair.
+"""Keys of each kind of contact in scenarios, made from the fields of its contact pair.
 
-The keys that are marked `OfBody` belong to the body the contact is on and are given in that body's
-frame; all others belong to the held object and are given in its frame.
+Keys that are marked `OfBody` describe the touched body, in the frame of that body; all others
+describe the held object, in the object's frame.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from osc_contact.contacts.surface import Surface
 from osc_contact.lab.scenarios.bodies import FaceSpec, Name
 from osc_contact.settings.quantities import Length, Spec, refuse
 
-load_pairs()  # a scenario may name each of them
+load_pairs()  # registers the pairs, each of which a scenario may name
 
 
 class ContactSpec(Spec):
@@ -50,11 +50,14 @@ class ContactSpec(Spec):
     """a name of letters, digits, _ and -, such as tip"""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle by the class of the pair, from which another process makes the keys again."""
-        made = getattr(type(self), "describes", None)
-        if made is None:
+        """Pickle by the class of the pair, from which another process makes the model again.
+
+        Models of pairs are made at run time, so that pickle cannot import them by name.
+        """
+        pair = getattr(type(self), "describes", None)
+        if pair is None:
             return __newobj__, (type(self),), self.__getstate__()
-        return _blank, (made, self.forces), self.__getstate__()
+        return _blank, (pair, self.forces), self.__getstate__()
 
 
 class OnFaceSpec(ContactSpec):
@@ -92,7 +95,7 @@ class OwnContactSpec(OnBodySpec):
 
     @property
     def forces(self) -> int:  # type: ignore[override]
-        """r: one for each gap of the pair."""
+        """Number r of force magnitudes: one for each gap of the pair."""
         return len(self.pair.gaps(pin.SE3.Identity()))
 
 
@@ -107,7 +110,11 @@ class SphereSpec(Spec):
     """of the sphere, < 0 seen from inside"""
 
     def made(self, folder: Path | None) -> Surface:
-        """The surface."""
+        """Make the surface.
+
+        Args:
+            folder: folder of files that the keys name; not needed here.
+        """
         return Surface.sphere(self.radius)
 
 
@@ -117,7 +124,11 @@ class CylinderSpec(SphereSpec):
     type: Literal["cylinder"] = "cylinder"  # type: ignore[assignment]
 
     def made(self, folder: Path | None) -> Surface:
-        """The surface."""
+        """Make the surface.
+
+        Args:
+            folder: folder of files that the keys name; not needed here.
+        """
         return Surface.cylinder(self.radius)
 
 
@@ -129,7 +140,11 @@ class SaddleSpec(Spec):
     """R₁ and R₂, of curvature at the origin; > 0: hollow"""
 
     def made(self, folder: Path | None) -> Surface:
-        """The surface."""
+        """Make the surface.
+
+        Args:
+            folder: folder of files that the keys name; not needed here.
+        """
         return Surface.saddle(*self.radii)
 
 
@@ -143,7 +158,11 @@ class MeshSpec(Spec):
     """how many pieces the spline has along x and y"""
 
     def made(self, folder: Path | None) -> Surface:
-        """The surface; its points' distances from it are `rms` and `worst`."""
+        """Make the surface; `rms` and `worst` of it are distances of the mesh's corners (m).
+
+        Args:
+            folder: folder of the scenario, relative to which the file is named.
+        """
         return Surface.of_mesh((folder or Path()) / self.file, self.cells)
 
 
@@ -151,7 +170,7 @@ SurfaceSpec = Annotated[
     SphereSpec | CylinderSpec | SaddleSpec | MeshSpec, Field(discriminator="type")
 ]
 
-#: Keys of a field whose type is no quantity but an object.
+#: Models of the keys of fields whose type is a class and not a quantity.
 _KEYS_OF: dict[Any, Any] = {Surface: SurfaceSpec}
 
 
@@ -160,51 +179,61 @@ _KEYS_OF: dict[Any, Any] = {Surface: SurfaceSpec}
 
 @cache
 def keys_of(pair: Any, forces: int) -> type[ContactSpec]:
-    """The model of a contact that is such a pair: its fields are the keys.
+    """Make the model of a contact whose keys are the fields of a pair.
 
     Args:
-        pair: a class that `register_pair` entered. forces: r, number of its force magnitudes.
+        pair: class that `register_pair` has registered. forces: number r of its force magnitudes.
     """
     kind: Any = pair.name
     keys: dict[str, Any] = {"type": (Literal[kind], kind)}
     geometry = declared_geometry(pair)
     types = get_type_hints(pair)
     base: type[ContactSpec] = OnBodySpec
-    for one in fields(pair):
-        declared = geometry.get(one.name, ())[1:]
-        if types[one.name] in _KEYS_OF:
-            declared = (_KEYS_OF[types[one.name]],)
+    for pair_field in fields(pair):
+        name = pair_field.name
+        declared = geometry.get(name, ())[1:]
+        if types[name] in _KEYS_OF:
+            declared = (_KEYS_OF[types[name]],)
         for key in declared:
-            if key == OF_FACE:
+            if key == OF_FACE:  # the pair takes point and normal from the key `face`
                 base = OnFaceSpec
+            elif pair_field.default is MISSING:
+                keys[name] = key
             else:
-                keys[one.name] = key if one.default is MISSING else (key, one.default)
-    name = f"{pair.__name__}Spec"
-    spec = create_model(name, __base__=base, __module__=__name__, __doc__=pair.__doc__, **keys)
+                keys[name] = (key, pair_field.default)
+    spec = create_model(
+        f"{pair.__name__}Spec", __base__=base, __module__=__name__, __doc__=pair.__doc__, **keys
+    )
     spec.forces = forces
     spec.describes = pair
     return spec
 
 
 def _blank(pair: Any, forces: int) -> ContactSpec:
-    """A contact of the kind without values, which unpickling sets."""
+    """Make a contact without values, which unpickling sets.
+
+    Args:
+        pair: class of the pair. forces: number r of its force magnitudes.
+    """
     kind = keys_of(pair, forces)
     return kind.__new__(kind)
 
 
 def contact_types() -> dict[str, type[ContactSpec]]:
-    """The kinds of contact that scenarios may name, by their `type`."""
+    """Models of all contacts that scenarios may name, by the value of their key `type`."""
     return {kind: keys_of(*NAMED[kind]) for kind in sorted(NAMED)}
 
 
 def make_pair(spec: ContactSpec, X_WB: pin.SE3, folder: Path | None = None) -> ContactPair:
-    """The pair that a scenario describes, its environment frame E where the world's is.
+    """Make the pair that a scenario describes; its environment frame E coincides with the world.
+
+    Points and directions of the touched body are converted from the body's frame to the world.
 
     Args:
-        spec: of a registered kind. X_WB: pose of the body that the contact is on.
-        folder: where files are that it names.
+        spec: contact of a registered kind. X_WB: initial pose of the touched body.
+        folder: folder of the files that the contact names.
     """
-    given: dict[str, Any] = {}
+    arguments: dict[str, Any] = {}
     for key, info in type(spec).model_fields.items():
         value = getattr(spec, key)
         if OfBody.POINT in info.metadata:
@@ -214,11 +243,11 @@ def make_pair(spec: ContactSpec, X_WB: pin.SE3, folder: Path | None = None) -> C
         elif hasattr(value, "made"):
             value = value.made(folder)
         if key == "face":
-            given |= {"point": value.point, "normal": value.normal}
+            arguments |= {"point": value.point, "normal": value.normal}
         elif key not in ("type", "body"):
-            given[key] = value
-    made: ContactPair = type(spec).describes(**given)
-    return made
+            arguments[key] = value
+    pair: ContactPair = type(spec).describes(**arguments)
+    return pair
 
 
 def _validate(value: Any) -> Any:
@@ -234,6 +263,10 @@ def _validate(value: Any) -> Any:
 
 @lru_cache(maxsize=1)
 def _reader(kinds: tuple[type[ContactSpec], ...]) -> TypeAdapter[Any]:
+    """Make the validation of contacts of several kinds, distinguished by their key `type`.
+
+    It is costly to make and therefore cached, until another pair is registered.
+    """
     union: Any = reduce(or_, kinds)
     return TypeAdapter(Annotated[union, Field(discriminator="type")])
 
@@ -246,6 +279,12 @@ def magnitude_names(contacts: Mapping[str, int]) -> list[str]:
     """Names of all force magnitudes: ``tip`` for one, ``pad.1``, ``pad.2``, … for several.
 
     Args:
-        contacts: name → r.
+        contacts: number r of force magnitudes of each contact, by its name.
     """
-    return [name if r == 1 else f"{name}.{k + 1}" for name, r in contacts.items() for k in range(r)]
+    names = []
+    for name, r in contacts.items():
+        if r == 1:
+            names.append(name)
+        else:
+            names += [f"{name}.{k + 1}" for k in range(r)]
+    return names

@@ -1,4 +1,4 @@
-"""A scenario text as data that remember their lines, and complaints about them."""
+"""Text of a scenario as plain data with the line of each key, and error messages with lines."""
 
 import re
 import types
@@ -15,9 +15,10 @@ from osc_contact.settings.quantities import sentence
 
 # --- YAML text to nodes ---------------------------------------------------------------------------
 
-_DEEPEST = 32
-_FAST: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  #: in C: ten times as fast
+_DEEPEST = 32  #: largest depth of nested values
+_FAST: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  #: loader in C, ten times as fast
 _FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+#: Words with a meaning in YAML, in lower case.
 _WORDS: dict[str, Any] = {
     "": None,
     "~": None,
@@ -32,57 +33,66 @@ _WORDS: dict[str, Any] = {
 
 
 class Problems:
-    """Collects complaints; raises them together, sorted by line, overrides last."""
+    """List of error messages, which are raised together: sorted by line, overrides last.
+
+    Attributes:
+        file: name of the file in messages.
+        found: line and message of each error.
+    """
 
     def __init__(self, file: str) -> None:
+        """Begin without errors."""
         self.file = file
         self.found: list[tuple[int, str]] = []
 
     def at_line(self, line: int, text: str) -> None:
-        """Keep a complaint about a line of the file."""
+        """Add an error in a line of the file.
+
+        Args:
+            line: number of the line, from 1. text: cause and cure.
+        """
         self.found.append((line, f"{self.file}:{line}: {text}"))
 
     def at_override(self, override: str, text: str) -> None:
-        """Keep a complaint about an override, `path.to.key=value`."""
-        short = text.removeprefix(f"{override.partition('=')[0].strip()}: ")  # the key once
+        """Add an error in an override.
+
+        Args:
+            override: the override, path.to.key=value. text: cause and cure; a leading path of the
+                key is removed, because the override begins with it.
+        """
+        short = text.removeprefix(f"{override.partition('=')[0].strip()}: ")
         self.found.append((1 << 60, f"override {override}: {short}"))
 
     def raise_any(self) -> None:
-        """Return if nothing was found.
+        """Raise the errors, if there are any.
 
         Raises:
-            ScenarioError: all complaints, one a line, each once."""
+            ScenarioError: all messages, one in each line, each once.
+        """
         if self.found:
             ordered = sorted(self.found, key=lambda item: item[0])
             raise ScenarioError("\n".join(dict.fromkeys(text for _, text in ordered)))
 
 
 def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | None:
-    """Return the node tree; anchors, aliases, tags and deep nesting are refused.
+    """Parse YAML to nodes; anchors, aliases, tags and deep nesting are refused.
 
     Args:
-        text: text of a file. problems: its errors. loader: loader of YAML's events.
+        text: text of a file. problems: list to which errors are added. loader: class that reads the
+            text; after an error the text is read again by PyYAML's, whose messages are better.
+
+    Returns:
+        Root of the tree of nodes; None: the text is empty.
+
+    Raises:
+        ScenarioError: the text is not valid, or has something that is refused.
     """
     try:
-        depth = 0
-        for event in yaml.parse(text, Loader=loader):
-            line = event.start_mark.line + 1 if event.start_mark else 1
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > _DEEPEST:
-                problems.at_line(line, f"nested deeper than {_DEEPEST} levels")
-                break
-            anchor = getattr(event, "anchor", None)
-            tag = getattr(event, "tag", None)
-            if anchor is not None:
-                name = f"*{anchor}" if isinstance(event, yaml.AliasEvent) else f"&{anchor}"
-                problems.at_line(line, f"{name}: anchors and aliases are refused; write it out")
-            if tag is not None:
-                problems.at_line(line, f"{tag}: tags are refused; write a plain value")
+        _refuse_extras(text, problems, loader)
         problems.raise_any()
         return yaml.compose(text, Loader=loader)
     except (yaml.MarkedYAMLError, yaml.reader.ReaderError) as error:
-        if loader is not yaml.SafeLoader:  # which names better what is wrong, and where
+        if loader is not yaml.SafeLoader:
             return compose(text, problems, yaml.SafeLoader)
         if isinstance(error, yaml.reader.ReaderError):
             line = text.count("\n", 0, error.position) + 1
@@ -97,8 +107,37 @@ def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | N
     return None
 
 
+def _refuse_extras(text: str, problems: Problems, loader: Any) -> None:
+    """Find anchors, aliases, tags and deep nesting, before nodes are made of the text.
+
+    Args:
+        text: text of a file. problems: list to which errors are added. loader: class that reads the
+            text.
+    """
+    depth = 0
+    for event in yaml.parse(text, Loader=loader):
+        line = event.start_mark.line + 1 if event.start_mark else 1
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if depth > _DEEPEST:
+            problems.at_line(line, f"nested deeper than {_DEEPEST} levels")
+            return
+        anchor = getattr(event, "anchor", None)
+        tag = getattr(event, "tag", None)
+        if anchor is not None:
+            name = f"*{anchor}" if isinstance(event, yaml.AliasEvent) else f"&{anchor}"
+            problems.at_line(line, f"{name}: anchors and aliases are refused; write it out")
+        if tag is not None:
+            problems.at_line(line, f"{tag}: tags are refused; write a plain value")
+
+
 def scalar(node: yaml.Node) -> Any:
-    """Return a scalar as null, true/false, number (1e-3 and 010 too) or text."""
+    """Convert a scalar node to None, a truth value, a number (1e-3 and 010, too) or text.
+
+    Quoted scalars are text.
+    """
     text = str(node.value)
     if getattr(node, "style", None):  # it is quoted
         return text
@@ -111,13 +150,27 @@ def scalar(node: yaml.Node) -> Any:
 
 # --- Data with the line, or the override, of every key --------------------------------------------
 
-Key = tuple[str | int, ...]
+Key = tuple[str | int, ...]  #: path of a value: keys of mappings and indices of lists
 
 
 class ScenarioDocument:
-    """Plain data of one YAML text with the origin (line or override) of each key."""
+    """Plain data of one YAML text with the origin of each key.
+
+    Attributes:
+        problems: errors of the text.
+        data: dictionaries, lists and scalars of the text.
+        origins: line of the file, or override, by the path of each key.
+    """
 
     def __init__(self, text: str, problems: Problems) -> None:
+        """Read a YAML text.
+
+        Args:
+            text: text of a file. problems: list to which errors are added.
+
+        Raises:
+            ScenarioError: the text is not valid YAML.
+        """
         self.problems = problems
         self.origins: dict[Key, int | str] = {}
         node = compose(text, problems)
@@ -125,10 +178,13 @@ class ScenarioDocument:
         self.origins.setdefault((), 1)
 
     def _read(self, node: yaml.Node, key: Key) -> Any:
-        """Convert a YAML node to plain values; record the line of each key in `origins`.
+        """Convert a YAML node to plain values; store the line of each key in `origins`.
 
         Args:
             node: node of the document. key: path of the node.
+
+        Returns:
+            Dictionary, list, or scalar; keys that are given twice are left out, with an error.
         """
         self.origins.setdefault(key, node.start_mark.line + 1)
         if isinstance(node, yaml.SequenceNode):
@@ -153,62 +209,88 @@ class ScenarioDocument:
         return group
 
     def override(self, path: str, value: str) -> None:
-        """Set the value at `path` (keys, list indices or item names, joined by dots)."""
+        """Set the value of a key; errors are added to `problems`.
+
+        Args:
+            path: keys, list indices or names of items, joined by dots. value: YAML text.
+        """
         override = f"{path}={value}"
         try:
-            quiet = Problems("its value")
-            inner = ScenarioDocument(value, quiet)
-            quiet.raise_any()
+            own_problems = Problems("its value")
+            inner = ScenarioDocument(value, own_problems)
+            own_problems.raise_any()
             if not value.strip():
                 raise ScenarioError("no value is given; write null to clear a key")
-            holder, key = self._create_parents(path, override)
+            parent, key = self._create_parents(path, override)
         except ScenarioError as error:
             self.problems.at_override(override, str(error))
             return
         self.origins = {old: line for old, line in self.origins.items() if old[: len(key)] != key}
         self.origins[key] = override
-        holder[key[-1]] = inner.data
+        parent[key[-1]] = inner.data
 
     def value(self, path: str) -> Any:
-        """Value at a path; None if there is none.
+        """Value of a key; None if it is not given.
+
+        Args:
+            path: keys, list indices or names of items, joined by dots.
 
         Raises:
-            ScenarioError: no such path."""
-        holder, key = self._create_parents(path, path)
-        return _child(holder, key[-1])
+            ScenarioError: no such path.
+        """
+        parent, key = self._create_parents(path, path)
+        return _child(parent, key[-1])
 
     def _create_parents(self, path: str, override: str) -> tuple[Any, Key]:
-        """Return what holds the value at `path`, and its key; groups left out are begun."""
+        """Find the mapping or list that has a value, and create mappings that are missing.
+
+        Args:
+            path: keys, list indices or names of items, joined by dots. override: origin of the
+                mappings that are created.
+
+        Returns:
+            Mapping or list, and path of the value with indices in place of names.
+
+        Raises:
+            ScenarioError: there is no such path.
+        """
         key: Key = ()
-        holder = self.data
-        done: list[str] = []
-        rest = path.split(".")
-        while rest:
-            part = rest.pop(0)
-            if isinstance(holder, dict) and part not in holder and rest:
-                dotted = f"{part}.{rest[0]}"  # a force magnitude, such as pad.1
-                if dotted in holder:
+        parent = self.data
+        passed: list[str] = []
+        remaining = path.split(".")
+        while remaining:
+            part = remaining.pop(0)
+            if isinstance(parent, dict) and part not in parent and remaining:
+                dotted = f"{part}.{remaining[0]}"  # a force magnitude, such as pad.1
+                if dotted in parent:
                     part = dotted
-                    del rest[0]
-            where = ".".join(done) or "the scenario"
+                    del remaining[0]
+            where = ".".join(passed) or "the scenario"
             if not part:
                 raise ScenarioError("the path has an empty part; write path.to.key=value")
             step: str | int = part
-            if isinstance(holder, list):
-                step = _item(holder, part, where)
-            elif not isinstance(holder, dict):
-                raise ScenarioError(f"{where} is {holder!r} and has no keys or items")
+            if isinstance(parent, list):
+                step = _item(parent, part, where)
+            elif not isinstance(parent, dict):
+                raise ScenarioError(f"{where} is {parent!r} and has no keys or items")
             key = (*key, step)
-            done.append(part)
-            if rest:
-                if _child(holder, step) is None:
-                    holder[step] = {}
+            passed.append(part)
+            if remaining:
+                if _child(parent, step) is None:
+                    parent[step] = {}
                     self.origins[key] = override
-                holder = holder[step]
-        return holder, key
+                parent = parent[step]
+        return parent, key
 
     def report(self, key: Key, text: str) -> None:
-        """Complain about `key`, or about the nearest parent that has an origin."""
+        """Add an error about a key, at the line or override that it comes from.
+
+        If the text names another key that an override has set, the override is stated.
+
+        Args:
+            key: path of the key; for a key without an origin that of its nearest parent is stated.
+            text: cause and cure.
+        """
         origin = self._origin(key)
         for word in re.findall(r"[a-z_]+(?:\.[a-z_]+)+", text):  # e.g. control.rate
             if isinstance(origin, int) and isinstance(other := self._origin(word.split(".")), str):
@@ -220,18 +302,30 @@ class ScenarioDocument:
             self.problems.at_line(origin, shown)
 
     def _origin(self, key: Sequence[str | int]) -> int | str:
-        parents = (tuple(key[:n]) for n in range(len(key), -1, -1))
-        return self.origins[next(parent for parent in parents if parent in self.origins)]
+        """Line or override of a key, or of its nearest parent that has one.
+
+        Args:
+            key: path of the key.
+        """
+        for length in range(len(key), 0, -1):
+            parent = tuple(key[:length])
+            if parent in self.origins:
+                return self.origins[parent]
+        return self.origins[()]
 
     def _named(self, key: Key) -> Key:
-        """Path in which numbers of items are replaced by their names."""
-        shown: list[str | int] = []
-        holder = self.data
+        """Path in which indices of items are replaced by their names.
+
+        Args:
+            key: path of a value.
+        """
+        parts: list[str | int] = []
+        value = self.data
         for part in key:
-            holder = _child(holder, part)
-            name = holder.get("name") if isinstance(holder, dict) else None
-            shown.append(name if isinstance(part, int) and isinstance(name, str) else part)
-        return tuple(shown)
+            value = _child(value, part)
+            name = value.get("name") if isinstance(value, dict) else None
+            parts.append(name if isinstance(part, int) and isinstance(name, str) else part)
+        return tuple(parts)
 
 
 def _item(items: Sequence[Any], part: str, where: str) -> int:
@@ -254,20 +348,30 @@ def _item(items: Sequence[Any], part: str, where: str) -> int:
 
 
 def _dotted(key: Key, end: str = ": ") -> str:
+    """Write a path with dots; empty for the root.
+
+    Args:
+        key: path of a value. end: text after a path that is not empty.
+    """
     return ".".join(map(str, key)) + (end if key else "")
 
 
-def _child(holder: Any, part: str | int) -> Any:
-    """Value of a key of a mapping or item of a list; None if it does not exist."""
-    if isinstance(holder, dict):
-        return holder.get(str(part))
-    if isinstance(holder, list) and isinstance(part, int) and part < len(holder):
-        return holder[part]
+def _child(parent: Any, part: str | int) -> Any:
+    """Value of a key of a mapping, or item of a list; None if it does not exist.
+
+    Args:
+        parent: mapping, list or scalar. part: key or index.
+    """
+    if isinstance(parent, dict):
+        return parent.get(str(part))
+    if isinstance(parent, list) and isinstance(part, int) and part < len(parent):
+        return parent[part]
     return None
 
 
-# --- Complaints of pydantic as sentences ----------------------------------------------------------
+# --- Errors of pydantic as sentences --------------------------------------------------------------
 
+#: Values of the keys `type` and `kind`, for messages.
 _TAGS = (
     "constant, step, sine, minimum_jerk, jerk_limited or points for a signal; linear or angular "
     "for a move; for a contact "
@@ -275,10 +379,10 @@ _TAGS = (
 
 
 def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iterator[Problem]:
-    """Yield key and text of every complaint; checks across keys run on what is sound.
+    """Yield path and message of every error; checks across keys are made of keys that are valid.
 
     Args:
-        error: pydantic's. data: what was validated. root: model of the whole file.
+        error: errors of pydantic. data: data that were validated. root: model of the whole file.
     """
     for item in error.errors(include_url=False):
         place, owner = _locate(item["loc"], root)
@@ -302,7 +406,15 @@ def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iter
 
 
 def _locate(loc: Iterable[str | int], root: type[BaseModel]) -> tuple[Key, type[BaseModel] | None]:
-    """Return a pydantic location without its union tags, and the model that owns its last key."""
+    """Convert a location of pydantic to a path, and find the model that owns its last key.
+
+    Args:
+        loc: location in an error of pydantic, which has tags of unions between the keys.
+        root: model of the whole file.
+
+    Returns:
+        Path without the tags; model with the last key, or None if it is not unique.
+    """
     place: Key = ()
     owner: type[BaseModel] | None = None
     options: list[Any] = [root]
@@ -313,21 +425,30 @@ def _locate(loc: Iterable[str | int], root: type[BaseModel]) -> tuple[Key, type[
             continue
         owner = options[0] if len(options) == 1 and _is_model(options[0]) else None
         place = (*place, part)
-        options = [inner for kind in options for inner in _inside(kind, part)]
+        children: list[Any] = []
+        for kind in options:
+            children += _inside(kind, part)
+        options = children
     return place, owner
 
 
 def _is_model(kind: Any) -> bool:
+    """Return whether a type is a model of pydantic."""
     return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
 def _tag(kind: Any) -> Any:
+    """Value of the key `type` or `kind` that tells models of a union apart; None: no such key."""
     fields = kind.model_fields if _is_model(kind) else {}
     return next((fields[name].default for name in ("type", "kind") if name in fields), None)
 
 
 def _inside(kind: Any, part: str | int) -> list[Any]:
-    """Return the types that the item or key `part` of `kind` may have."""
+    """Types that a key or item of a type may have; none if it has no such key.
+
+    Args:
+        kind: model, tuple or dict type. part: key, or index of an item.
+    """
     if _is_model(kind):
         return _options(kind.model_fields[part].annotation) if part in kind.model_fields else []
     origin = get_origin(kind)
@@ -338,11 +459,18 @@ def _inside(kind: Any, part: str | int) -> list[Any]:
 
 
 def _options(kind: Any) -> list[Any]:
-    """Return the members of a union (without None), or the type itself, without annotations."""
+    """Members of a union without None, or the type itself in a list; annotations are removed.
+
+    `ContactSpec` stands for the models of all registered contact pairs.
+    """
     origin = get_origin(kind)
     inner = get_args(kind)
     if origin is Annotated:
         return _options(inner[0])
     if origin in (Union, types.UnionType):
-        return [member for one in inner if one is not type(None) for member in _options(one)]
+        members: list[Any] = []
+        for member in inner:
+            if member is not type(None):
+                members += _options(member)
+        return members
     return list(contact_types().values()) if kind is ContactSpec else [kind]

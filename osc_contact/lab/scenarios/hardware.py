@@ -28,8 +28,8 @@ from osc_contact.settings.quantities import (
     refuse,
 )
 
-#: What `plant.type` may be, and whether that plant is exact: ideal joints, contacts that neither
-#: open nor end. `lab.rig.rig.register_plant` adds to it.
+#: Values of `plant.type`, each with whether the plant is exact: ideal joints, and contacts that
+#: cannot open and whose faces are unbounded. `lab.rig.rig.register_plant` adds values.
 PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
 
 Fraction = Annotated[Number, Field(gt=0, lt=1)]
@@ -98,12 +98,14 @@ class Push(Spec):
         return self
 
     def at(self, t: float) -> npt.NDArray[np.float64]:
-        """(3,) the force at time t (s)."""
+        """Force (3,) at time t (s), in world axes (N)."""
         since = t - self.start
         if self.every > 0.0 and since >= 0.0:
             since %= self.every
-        acts = 0.0 <= since < self.duration
-        return np.array(self.force) * (math.sin(math.pi * since / self.duration) if acts else 0.0)
+        share = 0.0
+        if 0.0 <= since < self.duration:
+            share = math.sin(math.pi * since / self.duration)
+        return np.array(self.force) * share
 
 
 class PlantSpec(Spec):
@@ -207,5 +209,5 @@ class SensorsSpec(Spec):
 
     @property
     def ideal(self) -> bool:
-        """Whether every sensor reads what is."""
+        """Whether all sensors are ideal."""
         return all(value is None for _, value in self)

@@ -1,7 +1,8 @@
-"""YAML file → scenario; every complaint carries file, line, key and cure, all at once.
+"""Loading of scenarios from YAML; all errors are reported together, with file, line and cure.
 
-The text is composed to nodes (never constructed to objects), read as plain data with the
-line of every key, changed by overrides, and only then validated."""
+The text is parsed to nodes (never constructed to objects), converted to plain data with the line of
+every key, changed by overrides, and only then validated.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +17,9 @@ from osc_contact.errors import ScenarioError, did_you_mean
 from osc_contact.lab.scenarios.document import Problems, ScenarioDocument, complaints
 from osc_contact.lab.scenarios.schema import Scenario
 
-LARGEST = 1_000_000  #: bytes of a scenario file; the packaged ones have a few thousand
-FILES = Path(__file__).parent / "files"
-Overrides = Mapping[str, str] | Sequence[str]
+LARGEST = 1_000_000  #: largest size of a scenario file (bytes); packaged ones have a few thousand
+FILES = Path(__file__).parent / "files"  #: folder of the packaged scenarios
+Overrides = Mapping[str, str] | Sequence[str]  #: values by path, or sentences path.to.key=value
 
 
 def load_scenario(name_or_path: str | Path, overrides: Overrides = ()) -> Scenario:
@@ -30,7 +31,9 @@ def load_scenario(name_or_path: str | Path, overrides: Overrides = ()) -> Scenar
             name, as in contacts.left_end.radius=5 mm.
 
     Raises:
-        ScenarioError: no such scenario, or the file or an override is wrong (all complaints)."""
+        ScenarioError: there is no such scenario, or errors in the file or an override (all of
+            them).
+    """
     return Template.open(name_or_path).make(overrides)
 
 
@@ -42,28 +45,36 @@ def list_scenarios() -> dict[str, str]:
 def parse_scenario(
     text: str, source: str | Path | None = None, overrides: Overrides = ()
 ) -> Scenario:
-    """Parse YAML text; `source` names it in complaints and anchors relative URDF paths.
+    """Make a scenario from YAML text.
 
     Args:
-        text: YAML. source: file it is from. overrides: KEY=VALUE, or a mapping.
+        text: YAML text. source: file of the text, named in messages; relative URDF paths refer to
+            its folder. overrides: values of keys, see `load_scenario`.
 
     Raises:
-        ScenarioError: one line per complaint, `file:line: key.path: what is wrong`."""
+        ScenarioError: errors in the text or an override, one in each line, as
+            file:line: key.path: cause.
+    """
     return Template(text, source).make(overrides)
 
 
 class Template:
-    """A scenario's text, read once: scenarios with other values are made of it.
+    """Text of a scenario that is parsed once, to make scenarios with different overrides.
 
     Attributes:
-        source: its file, or None.
+        source: file of the text; None: unknown.
     """
 
     def __init__(self, text: str, source: str | Path | None = None) -> None:
-        """Read YAML text; `source` names it in complaints and anchors relative URDF paths.
+        """Parse YAML text.
+
+        Args:
+            text: YAML text. source: file of the text, named in messages; relative URDF paths refer
+                to its folder.
 
         Raises:
-            ScenarioError: one line per complaint."""
+            ScenarioError: errors in the text, one in each line.
+        """
         self.source = None if source is None else Path(source)
         problems = Problems(str(self.source or "scenario"))
         if len(text) > LARGEST:
@@ -78,20 +89,26 @@ class Template:
         """Read a packaged scenario by name or a YAML file by path.
 
         Raises:
-            ScenarioError: no such scenario, or its text cannot be read."""
+            ScenarioError: there is no such scenario, or its text cannot be read.
+        """
         return cls(*read_text(name_or_path))
 
     def value(self, path: str, overrides: Overrides = ()) -> Any:
-        """The text of a key as written, after overrides; None: nothing.
+        """Value of a key as written, after overrides, before validation; None: not given.
+
+        Args:
+            path: keys, list indices or names of items, joined by dots. overrides: see
+                `load_scenario`.
 
         Raises:
-            ScenarioError: no such path, or an override is wrong."""
+            ScenarioError: there is no such path, or errors in an override.
+        """
         document = self._changed(overrides)
         document.problems.raise_any()
         return document.value(path)
 
     def _changed(self, overrides: Overrides) -> ScenarioDocument:
-        """The document after overrides."""
+        """Copy of the document with overrides; errors of the overrides are in its `problems`."""
         document = deepcopy(self._document)
         if isinstance(overrides, Mapping):
             overrides = [f"{path}={value}" for path, value in overrides.items()]
@@ -104,10 +121,14 @@ class Template:
         return document
 
     def make(self, overrides: Overrides = ()) -> Scenario:
-        """A scenario, changed by overrides, see `load_scenario`.
+        """Make a scenario of the text with overrides.
+
+        Args:
+            overrides: values of keys, see `load_scenario`.
 
         Raises:
-            ScenarioError: what is wrong with the file or with an override (all complaints)."""
+            ScenarioError: errors in the text or an override (all of them).
+        """
         document = self._changed(overrides)
         try:
             folder = self.source and self.source.parent
@@ -122,10 +143,14 @@ class Template:
 
 
 def read_text(name_or_path: str | Path) -> tuple[str, Path]:
-    """The text of a packaged scenario or of a YAML file, and its file.
+    """Read the text of a packaged scenario, by name, or of a YAML file, by path.
+
+    Returns:
+        Text, and path of its file.
 
     Raises:
-        ScenarioError: no such scenario, or it cannot be read."""
+        ScenarioError: there is no such scenario, or the file cannot be read or is too large.
+    """
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1 and not path.is_file():
         known = sorted(file.stem for file in FILES.glob("*.yaml"))

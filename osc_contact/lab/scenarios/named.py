@@ -1,4 +1,4 @@
-"""A scenario, or the name or path of one, wherever a scenario is taken."""
+"""Scenarios as arguments: a scenario itself, or its name or path."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from osc_contact.lab.scenarios.schema import Scenario
 
 
 def as_scenario(scenario: str | Path | Scenario) -> Scenario:
-    """Return a scenario made already, or load it by name or path, see `load_scenario`.
+    """Return a scenario itself, or load it by name or path, see `load_scenario`.
 
     Raises:
-        ScenarioError: see `load_scenario`.
+        ScenarioError: there is no such scenario, or errors in its file.
     """
     if isinstance(scenario, Scenario):
         return scenario

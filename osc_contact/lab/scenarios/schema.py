@@ -97,9 +97,9 @@ def _take_laws(value: Any) -> Any:
 def _plain(value: Any) -> Any:
     """Copy of nested values in which arrays and tuples are lists, as YAML and JSON write them."""
     if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_plain(item) for item in value]
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
@@ -162,39 +162,49 @@ class SurfaceMove(Spec):
         return self._legs()[1]
 
     def over(self, t: Any) -> Any:
-        """(3, 2, k) displacement along the two axes, velocity and acceleration at times t (k,)."""
+        """Displacement along the two axes, velocity and acceleration (3, 2, k) (m, s).
+
+        Args:
+            t: (k,) times (s).
+        """
         u = np.zeros((3, 2, len(t)))
         u[:, 0] = total(self.signals, t)
-        for way, signal in self._legs()[0]:
-            u += np.array(signal.at(t))[:, None] * way[:, None]
+        legs, _ = self._legs()
+        for direction, signal in legs:
+            u += np.array(signal.at(t))[:, None] * direction[:, None]
         return u
 
-    def _legs(self) -> tuple[list[tuple[Any, Any]], float]:
-        """Unit vector (2,) and signal of each leg; when the last ends."""
-        now = self.start
-        here = np.zeros(2)
+    def _legs(self) -> tuple[list[tuple[Any, _Leg]], float]:
+        """Straight legs from point to point.
+
+        Returns:
+            Direction (2,), a unit vector, and length over time (m) of each leg; time at which the
+            last leg has ended, with the rest at its end (s).
+        """
+        t = self.start
+        last = np.zeros(2)
         legs = []
         for point in (*self._lines(), *np.reshape(self.points, (-1, 2))):
-            length = float(np.linalg.norm(point - here))
+            length = float(np.linalg.norm(point - last))
             if length > 0.0:
                 leg = _Leg(
                     value=length,
-                    start=now,
+                    start=t,
                     velocity=self.feed,
                     acceleration=self.acceleration,
                     jerk=self.jerk,
                 )
-                legs.append(((point - here) / length, leg))
-                now += leg.duration + self.dwell
-            here = point
-        return legs, now
+                legs.append(((point - last) / length, leg))
+                t += leg.duration + self.dwell
+            last = point
+        return legs, t
 
     def _lines(self) -> Any:
-        """(k, 2) the ends of a raster's lines."""
+        """Ends (k, 2) of the lines of a raster, in the order of the path, about the start (m)."""
         if self.raster is None:
             return np.zeros((0, 2))
         length, width, count = self.raster
-        x = np.tile([-0.5, 0.5, 0.5, -0.5], count)[: 2 * count] * length
+        x = np.tile([-0.5, 0.5, 0.5, -0.5], count)[: 2 * count] * length  # to and fro
         y = np.repeat(np.linspace(-0.5, 0.5, count) if count > 1 else np.zeros(1), 2) * width
         return np.column_stack((x, y))
 
@@ -261,12 +271,12 @@ class Scenario(Spec):
 
     @property
     def source(self) -> Path | None:
-        """The file this scenario came from; relative URDF paths begin in its folder."""
+        """File of the scenario; relative URDF paths refer to its folder. None: unknown."""
         return self._source
 
     @property
     def folder(self) -> Path | None:
-        """The folder of that file, beside which URDFs are looked for."""
+        """Folder of the scenario's file, to which relative URDF paths refer; None: unknown."""
         return None if self._source is None else self._source.parent
 
     @property
@@ -275,7 +285,7 @@ class Scenario(Spec):
         return self.name if self._source is None else self._source.stem
 
     def with_source(self, source: Path | None) -> Scenario:
-        """Return the same scenario with another source file."""
+        """Copy of the scenario with another file, to whose folder relative paths refer."""
         copy = self.model_copy()
         copy._source = source
         return copy
@@ -285,13 +295,13 @@ class Scenario(Spec):
         """Make a scenario in Python.
 
         Args:
-            data: keys as in a file, SI or text with units; arrays may stand for lists. What no file
-                can hold: `{"pair": object, "body": name}` among contacts, a motion with a `rail`,
-                and `laws`.
-            source: a file beside which URDFs are looked for.
+            data: keys as in a file, with numbers in SI units or text with units; arrays may be
+                given for lists. Beyond a file: `{"pair": object, "body": name}` among contacts, a
+                motion with a `rail`, and `laws`.
+            source: file to whose folder relative URDF paths refer.
 
         Raises:
-            ScenarioError: all complaints at once.
+            ScenarioError: errors in the data (all of them).
         """
         plain = _plain(data)
         try:
@@ -300,8 +310,9 @@ class Scenario(Spec):
         except ValidationError as error:
             from osc_contact.lab.scenarios.document import complaints
 
-            found = complaints(error, plain, cls)
-            lines = dict.fromkeys(f"{'.'.join(map(str, key))}: {text}" for key, text in found)
+            lines = dict.fromkeys(  # each once
+                f"{'.'.join(map(str, key))}: {text}" for key, text in complaints(error, plain, cls)
+            )
             raise ScenarioError("\n".join(f"scenario: {line}" for line in lines)) from error
 
     def replaced(self, **parts: Any) -> Scenario:
@@ -316,20 +327,20 @@ class Scenario(Spec):
         return self.from_dict({**dict(self), **parts}, self.source)
 
     def as_dict(self) -> Json:
-        """Return plain JSON-able data (SI) that loads back to an equal scenario."""
+        """Scenario as JSON data in SI units, from which `from_dict` makes an equal scenario."""
         return self.model_dump(mode="json")
 
     def __eq__(self, other: Any) -> bool:
-        """Compare contents of files, not their places."""
+        """Compare all keys; the files of the scenarios may differ."""
         return isinstance(other, Scenario) and self.__dict__ == other.__dict__
 
     @model_validator(mode="before")
     @classmethod
     def _let_a_tare_engage(cls, data: Any) -> Any:
-        """Without keys of phases, where contacts begin open, all of them close at once.
+        """Switch contact phases off in a scenario with a tare, unless `control.life` is given.
 
-        The tare's own approach is slow in time; phases would land at a set speed, which stiff
-        faces, masses and late wrists turn into overshoot.
+        After a tare all contacts are approached slowly and engaged together. Phases would land at a
+        fixed speed, which causes an overshoot with stiff faces, large masses and late wrists.
         """
         if isinstance(data, dict) and data.get("tare") is not None:
             control = data.get("control")
@@ -339,11 +350,11 @@ class Scenario(Spec):
 
     @model_validator(mode="after")
     def _check_across(self) -> Scenario:
-        """Refuse values that contradict each other, with the path of each."""
-        found = [
+        """Refuse values of different keys that contradict each other, with the path of each."""
+        errors = [
             InitErrorDetails(type=refuse(text), loc=key, input=None)
             for key, text in problems_across(dict(self))
         ]
-        if found:
-            raise ValidationError.from_exception_data("Scenario", found)
+        if errors:
+            raise ValidationError.from_exception_data("Scenario", errors)
         return self

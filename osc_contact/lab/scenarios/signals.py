@@ -35,9 +35,6 @@ from osc_contact.settings.quantities import (
     refuse,
 )
 
-# Signals made of polynomials: through given points, and jerk-limited from rest to rest.
-
-
 Array = npt.NDArray[np.float64]
 #: Value, first and second derivative, each a number or (k,).
 Values = tuple[Any, Any, Any] | npt.NDArray[np.float64]
@@ -51,7 +48,7 @@ class Polynomials:
     """Polynomials of the time since the last knot; outside the knots the curve is at rest.
 
     Attributes:
-        curve: the `scipy.interpolate.PPoly`. last: the value from the last knot on.
+        curve: polynomials between the knots, a `PPoly` of SciPy. last: value from the last knot on.
     """
 
     curve: Any
@@ -61,9 +58,9 @@ class Polynomials:
         """Return value, first and second derivative at the time or times t (s)."""
         first, end = self.curve.x[[0, -1]]
         s = np.clip(t, first, end)
-        moves = (t > first) & (t < end)
+        is_between = (t > first) & (t < end)  # outside the derivatives are zero
         value = np.where(t >= end, self.last, self.curve(s))
-        return value[()], self.curve(s, 1) * moves, self.curve(s, 2) * moves
+        return value[()], self.curve(s, 1) * is_between, self.curve(s, 2) * is_between
 
 
 class JerkLimited(OfQuantity, Generic[Q, V, A, J]):
@@ -90,10 +87,11 @@ class JerkLimited(OfQuantity, Generic[Q, V, A, J]):
         return end - first
 
     def at(self, t: Any) -> Values:
-        """Return value and its exact derivatives."""
+        """Return value, first and second derivative, exactly, at the time or times t (s)."""
         return self._pieces().at(t)
 
     def _pieces(self) -> Polynomials:
+        """Compute the polynomials of the signal, or take them from a cache."""
         points = (0.0, *self.via, self.value)
         return jerk_limited(points, self.start, self.velocity, self.acceleration, self.jerk)
 
@@ -153,7 +151,7 @@ class Points(OfQuantity, Generic[Q]):
         return points
 
     def at(self, t: Any) -> Values:
-        """Return value and its exact derivatives."""
+        """Return value, first and second derivative, exactly, at the time or times t (s)."""
         return least_jerk(self.points).at(t)
 
 
@@ -171,64 +169,76 @@ def jerk_limited(
 
     knots = [start]
     columns = []
-    now = points[0]
-    for here, there in pairwise(points):
-        if (way := there - here) == 0.0:
+    last = points[0]
+    for begin, end in pairwise(points):
+        if (way := end - begin) == 0.0:
             continue
-        state = here, 0.0, 0.0
+        state = (begin, 0.0, 0.0)
         sign = math.copysign(1.0, way)
         for duration, size in from_rest_to_rest(abs(way), velocity, acceleration, jerk):
-            if knots[-1] + duration > knots[-1]:
+            if knots[-1] + duration > knots[-1]:  # shorter phases vanish by rounding
                 x, v, a = state
                 columns.append((sign * size / 6.0, a / 2.0, v, x))
                 knots.append(knots[-1] + duration)
                 state = follow(((duration, sign * size),), duration, x, v, a)
-        now = there
-    if not columns:  # nowhere to go
+        last = end
+    if not columns:  # all points are equal
         knots = [start, start + 1.0]
-        columns = [(0.0, 0.0, 0.0, now)]
-    return Polynomials(PPoly(np.array(columns).T, knots), now)
+        columns = [(0.0, 0.0, 0.0, last)]
+    return Polynomials(PPoly(np.array(columns).T, knots), last)
 
 
 @lru_cache(maxsize=64)
 def least_jerk(points: tuple[tuple[float, float], ...]) -> Polynomials:
-    """The curve through (time, value) `points` that makes ∫ jerk² dt least, at rest at its stops.
+    """Curve of least ∫ jerk² dt through points, at rest at its ends and where a value is repeated.
 
     Between stops it is the quintic spline at rest at both: between points the sixth derivative
     vanishes, at points the third and fourth are continuous (Euler–Lagrange with free velocities
-    and accelerations there).
+    and accelerations at the points).
+
+    Args:
+        points: (time in s, value) of each point, in order of time.
     """
     from scipy.interpolate import PPoly, make_interp_spline
 
     t, x = np.array(points).T
-    unit = (t[-1] - t[0]) / (len(t) - 1)  # so that the unknowns are of one size
+    unit = (t[-1] - t[0]) / (len(t) - 1)  # time unit in which the unknowns have similar sizes
     at_rest = [(1, 0.0), (2, 0.0)]
     pieces = []
     for begin, end in pairwise(sorted(_stops(x.tolist()))):
-        part = slice(begin, end + 1)
-        spline = make_interp_spline(t[part] / unit, x[part], k=5, bc_type=(at_rest, at_rest))
-        pieces.append(PPoly.from_spline(spline).c[:, 5:-5])  # without the empty ones at the ends
+        between_stops = slice(begin, end + 1)
+        spline = make_interp_spline(
+            t[between_stops] / unit, x[between_stops], k=5, bc_type=(at_rest, at_rest)
+        )
+        pieces.append(PPoly.from_spline(spline).c[:, 5:-5])  # without empty intervals at the ends
     coefficients = np.hstack(pieces) / unit ** np.arange(5.0, -1.0, -1.0)[:, None]
-    coefficients[-1] = x[:-1]  # exactly
+    coefficients[-1] = x[:-1]  # the curve meets the points without rounding errors
     return Polynomials(PPoly(coefficients, t), float(x[-1]))
 
 
 def _stops(values: Sequence[float]) -> set[int]:
-    """The points at which a curve rests: both ends, and where a value is given twice in a row."""
-    twice = [i for i, (x, y) in enumerate(pairwise(values)) if x == y]
-    return {0, len(values) - 1, *twice, *(i + 1 for i in twice)}
+    """Indices of the points at which a curve rests: both ends, and points with the same value."""
+    stops = {0, len(values) - 1}
+    for i, (value, following) in enumerate(pairwise(values)):
+        if value == following:
+            stops |= {i, i + 1}
+    return stops
 
 
 class Signal(Protocol):
-    """Anything that can be evaluated at a time."""
+    """Function of time with two derivatives."""
 
     def at(self, t: Any) -> Values:
-        """Return value, first and second derivative at time `t` (s), or at many times (k,)."""
+        """Return value, first and second derivative at time t (s), or at many times (k,)."""
         ...
 
 
 def product(f: Values, g: Values) -> Array:
-    """Product of two functions of time, with derivatives: (3, …) each."""
+    """Product of two functions of time and its derivatives (3, …), by the product rule.
+
+    Args:
+        f, g: value, first and second derivative of each function, numbers or (k,).
+    """
     return np.array(
         (f[0] * g[0], f[1] * g[0] + f[0] * g[1], f[2] * g[0] + 2.0 * f[1] * g[1] + f[0] * g[2])
     )
@@ -242,7 +252,7 @@ class Constant(OfQuantity, Generic[Q]):
     """the value, with its unit"""
 
     def at(self, t: Any) -> Values:
-        """Return (value, 0, 0)."""
+        """Return value, first and second derivative (value, 0, 0) at any time t (s)."""
         return float(self.value), 0.0, 0.0
 
 
@@ -256,7 +266,7 @@ class Step(OfQuantity, Generic[Q]):
     """the time of the step, such as 5 s"""
 
     def at(self, t: Any) -> Values:
-        """Return (0 or value, 0, 0)."""
+        """Return value, first and second derivative at the time or times t (s)."""
         return np.where(t >= self.start, float(self.value), 0.0)[()], 0.0, 0.0
 
 
@@ -276,7 +286,7 @@ class Sine(OfQuantity, Generic[Q]):
     """time in which the amplitude rises, minimum jerk"""
 
     def at(self, t: Any) -> Values:
-        """Return the enveloped sine and its exact derivatives (product rule); 0 before start."""
+        """Return value, first and second derivative at the time or times t (s); 0 before start."""
         omega = 2.0 * math.pi * self.frequency
         angle = omega * (t - self.start) + self.phase
         s = self.amplitude * np.sin(angle)
@@ -296,7 +306,7 @@ class MinimumJerk(OfQuantity, Generic[Q]):
     """the time the rise takes, such as 0.3 s"""
 
     def at(self, t: Any) -> Values:
-        """Return value times the rise and its exact derivatives."""
+        """Return value, first and second derivative, exactly, at the time or times t (s)."""
         value, first, second = rise(t, self.start, self.duration)
         return self.value * value, self.value * first, self.value * second
 
@@ -331,12 +341,16 @@ ForceSignal = Annotated[
 
 
 def total(signals: Iterable[Signal], t: Any) -> Array:
-    """Return the sums (3,) of the signals' values and derivatives at `t` (s), or (3, k) at (k,)."""
+    """Sum of signals with first and second derivatives, (3,) at a time or (3, k) at times.
+
+    Args:
+        signals: signals of one quantity; none: zero. t: time, or times (k,) (s).
+    """
     zero = np.zeros(t.shape) if isinstance(t, np.ndarray) else 0.0
     value = first = second = zero
     for signal in signals:
-        own_value, own_first, own_second = signal.at(t)
-        value = value + own_value
-        first = first + own_first
-        second = second + own_second
+        signal_value, signal_first, signal_second = signal.at(t)
+        value = value + signal_value
+        first = first + signal_first
+        second = second + signal_second
     return np.array((value, first, second))
