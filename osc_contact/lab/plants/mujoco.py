@@ -39,7 +39,13 @@ _log = logging.getLogger(__name__)
 
 
 def quieten(mujoco: ModuleType) -> None:
-    """Let MuJoCo write no MUJOCO_LOG.TXT and read no clock: the plant counts warnings itself."""
+    """Stop MuJoCo from writing MUJOCO_LOG.TXT and from reading the clock.
+
+    The plant counts warnings itself.
+
+    Args:
+        mujoco: the module.
+    """
     mujoco.set_mju_user_warning(_log.debug)
     if mujoco.get_mjcb_time() is None:  # its profiler reads the clock thirty times a step
         mujoco.set_mjcb_time(ctypes.pythonapi.PyFloat_GetMin)  # always the same number, from C
@@ -49,13 +55,16 @@ class MujocoPlant:
     """Arms, object and environment in MuJoCo (needs the extra `sim`).
 
     Attributes:
-        model, data, spec: MuJoCo's. chain: the true arms. contacts: the pairs.
-        faces: bodies of the environment. pushes: forces from outside. drives: of the joints.
-        time: s since the last reset.
-        object_body: the number of the object's body in `model`. place: of the object in it.
-        body_of: (ngeom,) body of the environment by geom; −1: of the object, −2: neither.
-        guided: of the joints of moving bodies the body, and whether it is travel (0) or angle (1).
-        face_q: their places in qpos.
+        model, data, spec: MuJoCo's model, state and specification of the scene.
+        chain: the true arms. contacts: contact pairs.
+        faces: bodies of the environment. pushes: disturbing forces. drives: drives of the joints.
+        time: time since the last reset (s).
+        object_body: index of the object's body in `model`. place: pose of the object's frame in it.
+        body_of: (ngeom,) index of the environment's body of each geom; −1: the object, −2: another
+            body.
+        guided: for each joint of moving bodies the index of the body, and 0 for travel, 1 for an
+            angle.
+        face_q: indices of these joints in qpos.
     """
 
     spec: MjSpec | None = None
@@ -126,7 +135,11 @@ class MujocoPlant:
         self._find_wrist_sensors(chain)
 
     def _find_wrist_sensors(self, chain: ClosedChain) -> None:
-        """Find the arms with wrist sensors, and the places of their wrenches in the sensor data."""
+        """Find the arms with wrist sensors, and the indices of their wrenches in the sensor data.
+
+        Args:
+            chain: the true arms.
+        """
         self._sensed = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
         first = [self.model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
         self._readings = np.add.outer(np.array(first, dtype=int), np.arange(6))
@@ -148,7 +161,12 @@ class MujocoPlant:
     def _connect(
         self, model: MjModel, chain: ClosedChain, contacts: Sequence[ContactPair], faces: Faces
     ) -> None:
-        """The state of a compiled scene, and views of what every step reads and writes."""
+        """Make the state of a compiled scene, and views of the arrays that each step uses.
+
+        Args:
+            model: compiled scene. chain: the true arms. contacts: contact pairs. faces: bodies of
+                the environment.
+        """
         import mujoco
 
         self._mj: ModuleType = mujoco
@@ -169,12 +187,16 @@ class MujocoPlant:
         self.time = 0.0
 
     def _places(self, joints: Sequence[str]) -> tuple[Array, Array]:
-        """Places of joints in qpos and qvel."""
+        """Indices of joints in qpos and in qvel.
+
+        Args:
+            joints: names of the joints.
+        """
         ids = np.array([self.model.joint(name).id for name in joints], dtype=int)
         return self.model.jnt_qposadr[ids], self.model.jnt_dofadr[ids]
 
     def reset(self, q: Array) -> None:
-        """Start at rest at joint positions q (n,); loops and gaps must fit."""
+        """Start at rest at joint positions q (n,) at which loops are closed and contacts touch."""
         q = as_array("q", q, (self.chain.nq,))
         self._mj.mj_resetData(self.model, self.data)
         self._qpos[self._q] = q
@@ -186,7 +208,11 @@ class MujocoPlant:
         self._mj.mj_forward(self.model, self.data)
 
     def _turn_object(self, q: Array) -> None:
-        """Put the joint of the first grasp, if it is one, where the other arms hold the object."""
+        """Set the joint of the first grasp, if it has one, so that the others hold the object, too.
+
+        Args:
+            q: (n,) joint positions of the arms (rad, m).
+        """
         grasp = self.chain.grasps[0]
         if grasp.is_rigid:
             return
@@ -199,14 +225,21 @@ class MujocoPlant:
             joint.qpos = pin.log3(R) @ self.model.joint(GRASP_JOINT).axis
 
     def hold(self, tau: Array) -> None:
-        """Apply torques from now on; time stands still."""
+        """Apply torques from now on without letting time pass.
+
+        Springs get the deflection that these torques cause, and motors move accordingly, so that
+        the links stay in place.
+
+        Args:
+            tau: (n_a,) torques (N m, N).
+        """
         self._send(tau)
-        if self.drives.flexible is not None:  # springs wound up, motors where that puts them
+        if self.drives.flexible is not None:
             motors = self._q[self.chain.actuated]
             links = self._qpos[motors] + self._qpos[self._springs]
-            wound = -self._ctrl / self.drives.flexible.stiffness
-            self._qpos[motors] = links - wound
-            self._qpos[self._springs] = wound
+            deflection = -self._ctrl / self.drives.flexible.stiffness
+            self._qpos[motors] = links - deflection
+            self._qpos[self._springs] = deflection
         self._mj.mj_forward(self.model, self.data)
 
     def _send(self, tau: Array) -> None:
@@ -215,8 +248,8 @@ class MujocoPlant:
         Args:
             tau: (n_a,) torques (N m, N).
         """
-        known = type(tau) is np.ndarray and tau.shape == self._ctrl.shape
-        if not (known and isfinite(tau.dot(tau))):  # four times faster than to convert it
+        is_valid = type(tau) is np.ndarray and tau.shape == self._ctrl.shape
+        if not (is_valid and isfinite(tau.dot(tau))):  # this test is faster than the conversion
             tau = as_array("tau", tau, self._ctrl.shape)
         if self.drives.motors is not None:
             tau = self.drives.motors.torque(tau, self._qpos[self._q[self.chain.actuated]])
@@ -231,30 +264,36 @@ class MujocoPlant:
         Returns:
             q, v (…, n) and wrenches (…, arms, 6), zero where an arm has no sensor.
         """
-        wrenches = known = sensed.take(self._readings, axis=-1)
+        measured = sensed.take(self._readings, axis=-1)
+        wrenches = measured
         if len(self._sensed) < len(self.chain.arms):
             wrenches = np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
-            wrenches[..., self._sensed, :] = known
+            wrenches[..., self._sensed, :] = measured
         q = self._joints(qpos, self._q, self._springs)
         return q, self._joints(qvel, self._v, self._spring_v), wrenches
 
     def _joints(self, x: Array, joints: Array, springs: Array) -> Array:
-        """Positions or velocities (…, n) of the links: what the motors do, plus the springs."""
+        """Positions or velocities (…, n) of the links: those of the motors plus the springs'.
+
+        Args:
+            x: (…, m) MuJoCo's positions or velocities. joints: (n,) indices of the joints.
+            springs: (n_a,) indices of the springs; empty: stiff joints.
+        """
         links: Array = x.take(joints, axis=-1)
         if len(springs):
             links[..., self.chain.actuated] += x[..., springs]
         return links
 
     def _joint_torques(self) -> Array:
-        """(n_a,) what the torque sensors feel: the springs, or the motors themselves."""
+        """Readings (n_a,) of the joint torque sensors (N m, N): of springs, or of stiff motors."""
         flexible = self.drives.flexible
         if flexible is None:
             return self._ctrl.copy()
-        wound = self._qpos[self._springs]
-        return -flexible.stiffness * wound - flexible.damping * self._qvel[self._spring_v]
+        deflection = self._qpos[self._springs]
+        return -flexible.stiffness * deflection - flexible.damping * self._qvel[self._spring_v]
 
     def measure(self) -> Measurement:
-        """Encoders after the last step, wrist wrenches as of its beginning (one step old)."""
+        """Read encoders after the last step, and wrenches at its beginning (one step old)."""
         q, v, wrenches = self.readings(self._qpos, self._qvel, self._sensordata)
         faces = self.faces
         if len(self.face_q):
@@ -264,7 +303,7 @@ class MujocoPlant:
         return Measurement(q, v, wrenches, faces.touched(), self._joint_torques())
 
     def _drive(self, t: float) -> None:
-        """Put driven faces where they are at t, with the force that moves them to the next step."""
+        """Set the state of driven faces at time t (s), and the force that accelerates them."""
         faces = self.faces
         faces.drive(t)
         self._qpos[self._driven_q] = faces.s[self._driven]
@@ -272,13 +311,13 @@ class MujocoPlant:
         self.data.qfrc_applied[self._driven_v] = DRIVE_MASS * faces.second[self._driven]
 
     def truth(self) -> Truth:
-        """Truth at the beginning of the last step, the instant of the wrenches."""
+        """True state at the beginning of the last step, the instant of the wrist readings."""
         log = self.log()
         log.note()
         return log.truths(log.noted())[0]
 
     def poses(self) -> Array:
-        """See `Judge.poses`; as of the last step's beginning."""
+        """True poses (1 + arms, 4, 4) of object and tips at the beginning of the last step."""
         X = np.tile(np.eye(4), (len(self._seen), 1, 1))
         X[:, :3, :3] = self.data.xmat[self._seen].reshape(-1, 3, 3)
         X[:, :3, 3] = self.data.xpos[self._seen]
@@ -286,11 +325,14 @@ class MujocoPlant:
         return X
 
     def log(self) -> MujocoTruth:
-        """A log of the truth."""
+        """New, empty record of the truth."""
         return MujocoTruth(self)
 
     def command(self, tau: Array, duration: float) -> None:
-        """Hold the torques over the steps that fit into `duration`.
+        """Hold torques for a control period.
+
+        Args:
+            tau: (n_a,) motor torques (N m, N). duration: period (s), rounded to whole steps.
 
         Raises:
             PlantError: MuJoCo has warned: the simulation diverged.
@@ -321,11 +363,11 @@ class MujocoPlant:
             )
 
     def stop(self, reason: str = "") -> None:
-        """Nothing to do."""
+        """Accept a stop; a simulation needs no action, because torques have been commanded."""
 
     @property
     def steps_alone(self) -> bool:
-        """Whether MuJoCo's steps are all there is to a period: no driven faces, errors, pushes."""
+        """Whether MuJoCo's steps need no further code: no moving faces, motor errors, pushes."""
         return not (self.faces.moving or self.pushes or self.drives.motors is not None)
 
     def steps_in(self, period: float) -> int:
@@ -340,6 +382,6 @@ class MujocoPlant:
         """
         sensor = self.model.site(f"{push.arm}/wrist")
         body = int(self.model.body_parentid[int(sensor.bodyid[0])])
-        arm = self.data.site_xpos[sensor.id] - self.data.xipos[body]
+        lever = self.data.site_xpos[sensor.id] - self.data.xipos[body]
         self.data.xfrc_applied[body, :3] += force
-        self.data.xfrc_applied[body, 3:] += cross(arm, force)
+        self.data.xfrc_applied[body, 3:] += cross(lever, force)

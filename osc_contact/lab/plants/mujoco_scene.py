@@ -54,12 +54,12 @@ def scene(
     options: PlantSpec,
     rails: Sequence[Rail],
 ) -> MjSpec:
-    """The uncompiled specification, see `MujocoPlant`.
+    """Make the scene of a `MujocoPlant` as a specification that is not compiled yet.
 
     Args:
-        chain: model of the arms. arm_urdfs, object_urdf: their files.
-        bodies: URDF and pose of each body touched. options: options of the plant.
-        rails: how each body moves.
+        chain: model of the arms. arm_urdfs: file of each arm. object_urdf: file of the object.
+        bodies: URDF and initial pose of each touched body. options: options of the plant.
+        rails: rail of each touched body.
     """
     import mujoco
 
@@ -70,10 +70,10 @@ def scene(
     spec.option.tolerance = 1e-12
     spec.option.iterations = 100
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    off = mujoco.mjtDisableBit
-    disabled = off.mjDSBL_AUTORESET | off.mjDSBL_MIDPHASE  # few geometries, all looked at
-    if not any(rail.joints for rail in rails):  # all that is constrained hangs together
-        disabled |= off.mjDSBL_ISLAND
+    bits = mujoco.mjtDisableBit
+    disabled = bits.mjDSBL_AUTORESET | bits.mjDSBL_MIDPHASE  # few geometries: all are compared
+    if not any(rail.joints for rail in rails):  # all constrained bodies are connected
+        disabled |= bits.mjDSBL_ISLAND
     spec.option.disableflags = int(disabled)
     for arm, file in zip(chain.arms, arm_urdfs, strict=True):
         frame = spec.worldbody.add_frame(**placed(arm.base))
@@ -115,8 +115,8 @@ def _place_bodies(
 
     Args:
         spec: scene, which is changed.
-        bodies: URDF and pose of each body touched.
-        rails: how each body moves.
+        bodies: URDF and initial pose of each touched body.
+        rails: rail of each body.
         options: options of the plant.
     """
     for i, ((file, placement), rail) in enumerate(zip(bodies, rails, strict=True)):
@@ -136,7 +136,13 @@ def _place_bodies(
 
 
 def _arm(arm: Arm, file: Path) -> MjSpec:
-    """An arm without shapes and losses, locked joints welded, a site where its wrist sensor is."""
+    """Make the specification of an arm: locked joints welded, a site at its wrist sensor.
+
+    Shapes and losses are left out; losses are set from the chain.
+
+    Args:
+        arm: model of the arm. file: URDF or MJCF file.
+    """
     import mujoco
 
     if is_mjcf(file):
@@ -151,7 +157,7 @@ def _arm(arm: Arm, file: Path) -> MjSpec:
 
 @lru_cache(maxsize=32)
 def _without_shapes(urdf: bytes) -> str:
-    """A robot's URDF without shapes, which may be meshes, and without losses in its joints."""
+    """Remove shapes, which may be meshes, and losses of joints from the text of a URDF."""
     root = ElementTree.fromstring(urdf)
     for element in root.iter():
         for tag in ("visual", "collision", "dynamics"):
@@ -161,7 +167,7 @@ def _without_shapes(urdf: bytes) -> str:
 
 
 def _read_body(urdf: Path) -> tuple[Any, Any]:
-    """The specification of one body, and its root."""
+    """Read the URDF of one body; return its specification and its root, which is named "root"."""
     import mujoco
 
     part = mujoco.MjSpec.from_file(str(urdf))
@@ -172,9 +178,15 @@ def _read_body(urdf: Path) -> tuple[Any, Any]:
 
 
 def _hold_object(spec: MjSpec, chain: ClosedChain, urdf: Path) -> None:
-    """The object rides on the first arm; equality constraints tie it to the others."""
-    import mujoco
+    """Attach the object to the first arm, and tie it to the others by equality constraints.
 
+    Args:
+        spec: scene with the arms, changed. chain: model of arms, grasps and object. urdf: file of
+            the object.
+
+    Raises:
+        PlantError: a grasp is neither rigid, a hinge nor a ball.
+    """
     for arm, grasp in zip(chain.arms, chain.grasps, strict=True):
         if grasp.kind == "other":
             raise PlantError(
@@ -187,7 +199,7 @@ def _hold_object(spec: MjSpec, chain: ClosedChain, urdf: Path) -> None:
         geom.conaffinity = 1
     assert chain.payload is not None
     inertia = chain.payload.inertia
-    if inertia.mass != root.mass:  # the chain's object is not the one of the file
+    if inertia.mass != root.mass:  # the mass of the chain's object differs from that of the file
         I = inertia.inertia  # noqa: E741 - the field's letter
         root.explicitinertial = True
         root.mass = inertia.mass
@@ -196,37 +208,66 @@ def _hold_object(spec: MjSpec, chain: ClosedChain, urdf: Path) -> None:
         root.fullinertia = [*np.diag(I), I[0, 1], I[0, 2], I[1, 2]]
     first = chain.grasps[0]
     if not first.is_rigid:
-        root.add_joint(
-            name="grasp",
-            type=getattr(mujoco.mjtJoint, f"mjJNT_{first.kind.upper()}"),
-            pos=first.X_TO.inverse().translation,
-            axis=[0, 0, 1] if first.kind == "ball" else first.X_TO.rotation.T @ first.T[3:, 0],
-        )
+        _add_grasp_joint(root, first)
     tips = [spec.body(f"{arm.name}/{arm.tip}") for arm in chain.arms]
     spec.attach(part, prefix="object/", frame=tips[0].add_frame(**placed(first.X_TO)))
-    held = spec.body("object/root")
-    for arm, tip, grasp in list(zip(chain.arms, tips, chain.grasps, strict=True))[1:]:
-        points = _tie_points(grasp)
-        poses = [pin.SE3(np.eye(3), point) for point in points] or [grasp.X_TO]
-        for k, X in enumerate(poses):
-            name = f"{arm.name}/tie.{k}"
-            tip.add_site(name=name, **placed(X))
-            held.add_site(name=f"object/{name}", **placed(grasp.X_TO.actInv(X)))
-            tie = spec.add_equality(
-                name=name,
-                type=mujoco.mjtEq.mjEQ_CONNECT if points else mujoco.mjtEq.mjEQ_WELD,
-                objtype=mujoco.mjtObj.mjOBJ_SITE,
-                name1=name,
-                name2=f"object/{name}",
-                solref=[2 * spec.option.timestep, 1.0],
-                solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
-            )
-            if not points:
-                tie.data = np.eye(len(tie.data))[10]  # of 11 or 12, by version: its torque scale
+    further = zip(chain.arms[1:], tips[1:], chain.grasps[1:], strict=True)
+    for arm, tip, grasp in further:
+        _tie(spec, arm.name, tip, grasp)
+
+
+def _add_grasp_joint(root: Any, grasp: Grasp) -> None:
+    """Add the joint of a hinge or a ball between the object and the tip of the first arm.
+
+    Args:
+        root: root of the object's specification, changed. grasp: grasp of the first arm.
+    """
+    import mujoco
+
+    root.add_joint(
+        name="grasp",
+        type=getattr(mujoco.mjtJoint, f"mjJNT_{grasp.kind.upper()}"),
+        pos=grasp.X_TO.inverse().translation,
+        axis=[0, 0, 1] if grasp.kind == "ball" else grasp.X_TO.rotation.T @ grasp.T[3:, 0],
+    )
+
+
+def _tie(spec: MjSpec, arm: str, tip: Any, grasp: Grasp) -> None:
+    """Tie the object to the tip of a further arm by equality constraints.
+
+    Args:
+        spec: scene with arms and object, changed. arm: name of the arm. tip: body of its tip.
+        grasp: grasp of the arm.
+    """
+    import mujoco
+
+    object_body = spec.body("object/root")
+    points = _tie_points(grasp)
+    poses = [pin.SE3(np.eye(3), point) for point in points] or [grasp.X_TO]
+    for k, X in enumerate(poses):
+        name = f"{arm}/tie.{k}"
+        tip.add_site(name=name, **placed(X))
+        object_body.add_site(name=f"object/{name}", **placed(grasp.X_TO.actInv(X)))
+        tie = spec.add_equality(
+            name=name,
+            type=mujoco.mjtEq.mjEQ_CONNECT if points else mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            name1=name,
+            name2=f"object/{name}",
+            solref=[2 * spec.option.timestep, 1.0],
+            solimp=[0.9999, 0.9999, 0.001, 0.5, 2.0],
+        )
+        if not points:
+            # a weld has 11 or 12 numbers, by version; number 10 is its torque scale
+            tie.data = np.eye(len(tie.data))[10]
 
 
 def _tie_points(grasp: Grasp) -> list[Array]:
-    """Points of the tip frame that stay together in a hinge or a ball; none: a weld."""
+    """Points (3,) in the tip frame that are tied to the object (m); none: a weld ties both.
+
+    Args:
+        grasp: grasp of a further arm.
+    """
     import mujoco
 
     if grasp.is_rigid:
@@ -238,19 +279,24 @@ def _tie_points(grasp: Grasp) -> list[Array]:
 
 
 _IMPEDANCE = 0.03  #: MuJoCo's d of contacts with friction, at `width`
-_FRICTION_IMPEDANCE = 0.9  #: d of the friction itself
-#: 1/s, of slip: friction is whole from μ f/(9 m · 1000/s) on, and turns back 1 ms before the slip.
+_FRICTION_IMPEDANCE = 0.9  #: MuJoCo's d of the friction constraint
+#: Damping of slip (1/s): friction is fully developed at a slip of μ f/(9 m · 1000/s), and changes
+#: its sign 1 ms before the slip does.
 _FRICTION_DAMPING = 1e3
 
 
 def _add_friction(spec: MjSpec, options: PlantSpec) -> None:
-    """Coulomb friction between the object's geometries and those of all bodies.
+    """Add Coulomb friction between the object's geometries and those of all touched bodies.
 
-    MuJoCo's cone couples slip and normal force: what slides at v rests higher by μ b v/(d k), d the
-    impedance, k and b the reference stiffness and damping. With `solref` and `solimp` as they are
-    that is more than the depth of light contacts: they chatter, and are struck where a motion turns
-    back. Spring d²k/(1 − d) and damper d b/(1 − d), both for a unit of mass, are as declared here,
-    but made by a small d and a large k, and friction has a damping and an impedance apart.
+    MuJoCo's cone couples slip and normal force: an object that slides at v is raised by
+    μ b v/(d k), where d is the impedance, k and b the reference stiffness and damping. With the
+    scenario's `solref` and `solimp` this is more than the depth of light contacts, which would
+    chatter, and be hit when a motion reverses. Therefore the same spring d²k/(1 − d) and damper
+    d b/(1 − d), for a unit of mass, are made with a small d and a large k, and friction has a
+    damping and an impedance of its own.
+
+    Args:
+        spec: scene with object and bodies, changed. options: options of the plant.
     """
     time, ratio = options.solref
     low, high, width = options.solimp
@@ -261,8 +307,8 @@ def _add_friction(spec: MjSpec, options: PlantSpec) -> None:
         return d / np.sqrt(1.0 - d)
 
     share = most / root(high)
-    power = 1.0
-    if low != high:  # of the curve between them, by its middle
+    power = 1.0  # exponent of the curve of impedances, fitted in its middle
+    if low != high:
         power = -np.log2((root(0.5 * (low + high)) - root(low)) / (root(high) - root(low)))
     fastest = 1.0 / spec.option.timestep  # no damper stops a motion within less than a step
     damping = min(2.0 / time * (1.0 - most) / (1.0 - high), fastest)
@@ -271,9 +317,9 @@ def _add_friction(spec: MjSpec, options: PlantSpec) -> None:
     spec.option.impratio = friction * (1.0 - most) / most
     for i, geom in enumerate(spec.geoms):
         geom.name = geom.name or f"geom{i}"
-    held = [geom.name for geom in spec.geoms if geom.conaffinity and not geom.contype]
-    touched = [geom.name for geom in spec.geoms if geom.contype and not geom.conaffinity]
-    for first, second in product(held, touched):
+    own_geoms = [geom.name for geom in spec.geoms if geom.conaffinity and not geom.contype]
+    touched_geoms = [geom.name for geom in spec.geoms if geom.contype and not geom.conaffinity]
+    for first, second in product(own_geoms, touched_geoms):
         pair = spec.add_pair(geomname1=first, geomname2=second)
         pair.condim = 3
         pair.friction = [options.friction, options.friction, 0.0, 0.0, 0.0]
@@ -283,28 +329,40 @@ def _add_friction(spec: MjSpec, options: PlantSpec) -> None:
 
 
 def _put_on_rail(part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:
-    """A slide, a hinge or both, whose inertia is all there is: a cart's weighs, others' does not.
+    """Add the joints of a rail to a body: a slide, a hinge or both.
 
-    It sits in the joints (armature), where a slide and a hinge do not act on one another.
+    The inertia of the body is replaced by that of the rail. Only a cart has a mass and therefore a
+    weight; other inertias are armatures of the joints, which do not couple slide and hinge.
+
+    Args:
+        part: specification of the body, changed. root: its root. X_WB: initial pose of the body.
+        rail: rail of the body.
     """
     import mujoco
 
     driven = rail.motion is not None
-    for body in part.bodies[1:]:  # links fixed to the body weigh nothing beside it
+    for body in part.bodies[1:]:  # further links of the body get no mass
         body.explicitinertial = True
-        body.fullinertia = [np.nan] * 6  # not given
+        body.fullinertia = [np.nan] * 6  # NaN: not used
         body.mass = 0.0
         body.inertia = [0.0] * 3
-    cart = not driven and rail.joints == [0]
-    root.mass = rail.inertia if cart else _LEAST_INERTIA
+    is_cart = not driven and rail.joints == [0]
+    root.mass = rail.inertia if is_cart else _LEAST_INERTIA
     root.inertia = [root.mass] * 3
+    if driven:
+        armature = DRIVE_MASS
+    elif is_cart:
+        armature = 0.0
+    else:
+        armature = rail.inertia
     for k in rail.joints:
+        is_hinge = GUIDES[k] == "hinge"
         root.add_joint(
             name=GUIDES[k],
             type=getattr(mujoco.mjtJoint, f"mjJNT_{GUIDES[k].upper()}"),
-            pos=X_WB.actInv(rail.through) if k else [0.0] * 3,
-            axis=X_WB.rotation.T @ (rail.axis if k else rail.direction),
-            armature=DRIVE_MASS if driven else 0.0 if cart else rail.inertia,
+            pos=X_WB.actInv(rail.through) if is_hinge else [0.0] * 3,
+            axis=X_WB.rotation.T @ (rail.axis if is_hinge else rail.direction),
+            armature=armature,
             stiffness=0.0 if driven else rail.stiffness,
             damping=0.0 if driven else rail.damping,
         )

@@ -1,4 +1,4 @@
-"""True state of object and contacts in MuJoCo: noted raw at each tick, worked out afterwards."""
+"""True state of object and contacts in MuJoCo: raw numbers of each tick, evaluated afterwards."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ OTHER = -2  #: neither of the object nor of the environment
 
 
 class Noted(Protocol):
-    """A plant in MuJoCo, as far as its truth is read from it.
+    """Plant in MuJoCo, with the attributes that its truth is read from.
 
     Attributes:
-        model, data: MuJoCo's. chain: the true arms. contacts: the pairs.
+        model, data: MuJoCo's model and state. chain: the true arms. contacts: contact pairs.
         faces: bodies of the environment.
-        object_body: the number of the object's body in `model`. place: of the object in it.
-        body_of: (ngeom,) body of the environment by geom; `OBJECT`, or `OTHER`.
-        face_q: places in qpos of the joints of moving bodies, see `guided_joints`.
+        object_body: index of the object's body in `model`. place: pose of the object's frame in it.
+        body_of: (ngeom,) index of the environment's body of each geom; `OBJECT`, or `OTHER`.
+        face_q: indices in qpos of the joints of moving bodies, see `guided_joints`.
     """
 
     model: MjModel
@@ -46,13 +46,13 @@ class Noted(Protocol):
     face_q: Array
 
 
-#: Of what the body takes. One that only seems to touch gets 1e-17 … 1e-7, by rounding and by the
-#: places of the points; one that does, 1e-3 and more.
+#: Least share of the total force on a body with which a contact counts as closed. Contacts that do
+#: not touch get 1e-17 … 1e-7 by rounding and by the positions of the points, others 1e-3 and more.
 _PRESSES = 1e-5
 
 
 def guided_joints(rails: Sequence[Rail]) -> tuple[Array, Array]:
-    """Body and kind (0 travel, 1 turn) of each joint of the moving bodies.
+    """Index of the body, and kind (0 travel, 1 angle), of each joint of the moving bodies.
 
     Args:
         rails: rails of the bodies of the environment.
@@ -63,10 +63,10 @@ def guided_joints(rails: Sequence[Rail]) -> tuple[Array, Array]:
 
 
 class MujocoNotes:
-    """The truth from what `MujocoTruth` noted.
+    """Evaluation of the truth from the rows that `MujocoTruth` recorded.
 
-    The normal forces of all points where the object touches one body make one wrench, which the
-    columns of the contacts on that body share: exactly, as far as it lies in their range.
+    The normal forces at all points where the object touches a body are added to a wrench. It is
+    distributed over the columns of the contacts on this body: exactly, if it is in their range.
     """
 
     def __init__(self, contacts: Sequence[ContactPair], faces: Faces, inertia: Array) -> None:
@@ -82,62 +82,84 @@ class MujocoNotes:
         self._root = np.linalg.cholesky(np.linalg.inv(inertia)).T  #: Φ = rootᵀ root
 
     def truths(self, noted: Array) -> Truths:
-        """See `ReadsTruth.truths`."""
+        """True states and contact forces at k instants.
+
+        Args:
+            noted: (k, m) rows returned by `MujocoTruth.noted`.
+        """
         faces = self._faces
         k = len(noted)
         bodies = len(faces.rails)
         sizes = [9, 3, 6, len(self._guided[0]), 6 * bodies]
-        R, p, V_O, travelled, pushed, touched = np.split(noted.T.copy(), np.cumsum(sizes))
+        R, p, V_O, positions, wrenches, touched = np.split(noted.T.copy(), np.cumsum(sizes))
         X_WO = Poses(R.reshape(3, 3, k), p)
         X_WE: tuple[Poses | None, ...] = (None,) * len(faces.on)
-        if len(travelled):
+        if len(positions):
             s = np.zeros((bodies, 2, k))
-            s[self._guided] = travelled
+            s[self._guided] = positions
             poses = [rail.over(*path) for rail, path in zip(faces.rails, s, strict=True)]
             X_WE = tuple(poses[body] for body in faces.on)
-        N = tuple(normals_over(q, X_WO, X) for q, X in zip(self._contacts, X_WE, strict=True))
-        alpha, closed = self._shares(X_WO, N, pushed.reshape(bodies, 6, k), touched > 0.0)
+        N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(self._contacts, X_WE, strict=True))
+        alpha, closed = self._shares(X_WO, N, wrenches.reshape(bodies, 6, k), touched > 0.0)
         return Truths(alpha, closed, X_WO, V_O.T.copy(), X_WE, N)
 
     def _shares(
-        self, X_WO: Poses, N: Sequence[Array], pushed: Array, touched: Array
+        self, X_WO: Poses, N: Sequence[Array], wrenches: Array, touched: Array
     ) -> tuple[Array, Array]:
-        """Magnitudes (k, r) and whether each contact touches (k, contacts).
+        """Distribute the wrench on each body over the contacts that touch it.
 
-        α with NᵀΦN α = NᵀΦf, Φ⁻¹ the inertia of the object: the least-squares solution of what the
-        object alone would feel of the columns and of the wrench f.
+        α with NᵀΦN α = NᵀΦf, Φ⁻¹ the inertia of the object: the least-squares solution in the
+        accelerations that columns and wrench f would cause of the free object.
+
+        Args:
+            X_WO: k poses of the object. N: lines of force (6, r_i, k) of each contact at O, world
+                axes. wrenches: (bodies, 6, k) wrench of the object on each body at O, world axes
+                (N, N m). touched: (bodies, k) whether the object touches each body.
+
+        Returns:
+            Magnitudes (k, r) (N), and whether each contact is closed (k, contacts).
         """
         on = self._faces.on
-        owner = np.repeat(np.arange(len(N)), [part.shape[1] for part in N])
+        owner = np.repeat(np.arange(len(N)), [lines.shape[1] for lines in N])
         alpha = np.zeros((touched.shape[1], len(owner)))
         presses = alpha > 0.0
         for body in sorted(set(on)):
-            rows = touched[body]
-            here = [i for i, other in enumerate(on) if other == body]
-            if not rows.any():
+            ticks = touched[body]
+            contacts = [i for i, other in enumerate(on) if other == body]
+            if not ticks.any():
                 continue
-            F = np.concatenate([*(N[i] for i in here), pushed[body][:, None]], axis=1)[:, :, rows]
-            at = Poses(X_WO.R[:, :, rows], X_WO.p[:, rows])
-            F = np.concatenate((at.rotate_back(F[:3]), at.rotate_back(F[3:])))  # object axes
-            F = np.moveaxis(np.tensordot(self._root, F, 1), 2, 0)
+            lines = [N[i] for i in contacts]
+            F = np.concatenate([*lines, wrenches[body][:, None]], axis=1)[:, :, ticks]
+            X = Poses(X_WO.R[:, :, ticks], X_WO.p[:, ticks])
+            F = np.concatenate((X.rotate_back(F[:3]), X.rotate_back(F[3:])))  # object axes
+            F = np.moveaxis(np.tensordot(self._root, F, 1), 2, 0)  # (ticks, 6, columns + 1)
             columns = F[..., :-1]
-            share = np.linalg.solve(columns.mT @ columns, columns.mT @ F[..., -1:])[..., 0]
-            size = np.linalg.norm(F, axis=1)
-            places = np.ix_(rows, np.isin(owner, here))
-            alpha[places] = share
-            presses[places] = share * size[:, :-1] > _PRESSES * size[:, -1:]
+            shares = np.linalg.solve(columns.mT @ columns, columns.mT @ F[..., -1:])[..., 0]
+            sizes = np.linalg.norm(F, axis=1)
+            places = np.ix_(ticks, np.isin(owner, contacts))
+            alpha[places] = shares
+            presses[places] = shares * sizes[:, :-1] > _PRESSES * sizes[:, -1:]
         closed = np.empty((len(alpha), len(N)), dtype=bool)
         for i, (body, pair) in enumerate(zip(on, self._contacts, strict=True)):
-            all_press = presses[:, owner == i].all(axis=1)
-            closed[:, i] = touched[body] & (all_press if pushes_only(pair) else True)
+            closed[:, i] = touched[body]
+            if pushes_only(pair):  # every force of a unilateral contact must press
+                closed[:, i] &= presses[:, owner == i].all(axis=1)
         return alpha, closed
 
 
 class MujocoTruth(MujocoNotes):
-    """Pose, twist and contact forces as of the last step's beginning, like the wrench sensors."""
+    """Record of poses, twists and contact forces at the beginning of the last step.
+
+    This is the instant of the wrist readings.
+    """
 
     def __init__(self, plant: Noted) -> None:
-        """Watch a plant; cones are elliptic: a contact's first constraint force is its normal's."""
+        """Set the plant whose states are recorded.
+
+        Args:
+            plant: plant with elliptic friction cones, so that the first constraint force of a
+                contact is its normal force.
+        """
         inertia = plant.chain.reference_inertia(pin.SE3.Identity())
         super().__init__(plant.contacts, plant.faces, inertia)
         self._plant = plant
@@ -150,7 +172,7 @@ class MujocoTruth(MujocoNotes):
             data.cvel[body],
             data.subtree_com[root],
         )
-        self._seen = -1
+        self._contact_count = -1  # in the last call of `note`
         self._states: list[Array] = []
         self._points: list[Array] = []
 
@@ -158,13 +180,14 @@ class MujocoTruth(MujocoNotes):
         """Append the present poses of object and rails, and MuJoCo's contacts with their forces."""
         data = self._plant.data
         self._states.append(np.concatenate((*self._parts, data.qpos.take(self._plant.face_q))))
-        if data.ncon != self._seen:  # contacts stand at the start of MuJoCo's arena at every step
+        if data.ncon != self._contact_count:
+            # views of the contacts stay valid: they are at the start of MuJoCo's arena in all steps
             contact = data.contact
-            self._seen = data.ncon
+            self._contact_count = data.ncon
             self._address = contact.efc_address[:, None]
             self._contact = contact.geom, self._address, contact.pos, contact.frame[:, :3]
         force = data.efc_force
-        normal = force.take(self._address) if len(force) else np.zeros((self._seen, 1))
+        normal = force.take(self._address) if len(force) else np.zeros((self._contact_count, 1))
         self._points.append(np.concatenate((*self._contact, normal), axis=1))
 
     def noted(self, start: int = 0) -> Array:
@@ -178,7 +201,7 @@ class MujocoTruth(MujocoNotes):
         Args:
             start: index of the first instant.
         """
-        p, R, velocity, centre, travelled = np.split(
+        p, R, velocity, centre, positions = np.split(
             np.array(self._states[start:]).T, [3, 12, 18, 21]
         )
         R = R.reshape(3, 3, -1)
@@ -187,7 +210,7 @@ class MujocoTruth(MujocoNotes):
         R = np.einsum("ijk,jl->ilk", R, place.rotation)
         omega = velocity[:3]
         v = velocity[3:] + cross(omega, p - centre)
-        parts = (R.reshape(9, -1), p, v, omega, travelled, *self._wrenches(p, start))
+        parts = (R.reshape(9, -1), p, v, omega, positions, *self._wrenches(p, start))
         return np.concatenate(parts).T
 
     def _wrenches(self, O: Array, start: int) -> tuple[Array, Array]:  # noqa: E741
@@ -203,25 +226,26 @@ class MujocoTruth(MujocoNotes):
         """
         k = O.shape[1]
         bodies = len(self._plant.faces.rails)
-        pushed = np.zeros((bodies, k, 6))
+        wrenches = np.zeros((bodies, k, 6))
         touched = np.zeros((bodies, k))
-        counts = [len(one) for one in self._points[start:]]
+        counts = [len(points) for points in self._points[start:]]
+        # columns: two geoms, address of the constraint (−1: none), position, normal, normal force
         points = np.concatenate(self._points[start:])
         between = self._plant.body_of[points[:, :2].astype(int)]
-        here = (between.min(axis=1) == OBJECT) & (between.max(axis=1) >= 0)
-        points = points[here]
-        tick = np.repeat(np.arange(k), counts)[here]
-        body = between[here].max(axis=1)
+        chosen = (between.min(axis=1) == OBJECT) & (between.max(axis=1) >= 0)
+        points = points[chosen]
+        tick = np.repeat(np.arange(k), counts)[chosen]
+        body = between[chosen].max(axis=1)
         presses = points[:, 2] >= 0.0
         # the normal points from the first geom to the second
-        sign = np.where(between[here, 0] == OBJECT, 1.0, -1.0)
+        sign = np.where(between[chosen, 0] == OBJECT, 1.0, -1.0)
         f = np.where(presses, sign * points[:, 9], 0.0) * points[:, 6:9].T
         moment = cross(points[:, 3:6].T - O[:, tick], f)
-        np.add.at(pushed, (body, tick), np.concatenate((f, moment)).T)
+        np.add.at(wrenches, (body, tick), np.concatenate((f, moment)).T)
         np.logical_or.at(touched, (body, tick), presses)
-        return pushed.transpose(0, 2, 1).reshape(-1, k), touched
+        return wrenches.transpose(0, 2, 1).reshape(-1, k), touched
 
     def clear(self) -> None:
-        """Forget the instants noted so far."""
+        """Delete the recorded instants."""
         self._states.clear()
         self._points.clear()

@@ -40,16 +40,22 @@ if TYPE_CHECKING:
 
 # --- Distances of points and of the tool from what the tool can touch -----------------------------
 
-FAR_M = 10.0  #: m; distances are looked for up to here
-_POINT_M = 1e-6  #: m, radius of the sphere that stands for a point
-_SPHERE = 2  #: MuJoCo's number of the type
+FAR_M = 10.0  #: largest distance that is searched (m)
+_POINT_M = 1e-6  #: radius of the sphere that represents a point (m)
+_SPHERE = 2  #: MuJoCo's number of the type of spheres
 
 
 class MujocoScene:
-    """A copy of a scene, as it is at one instant, in which one geom of the tool becomes a point.
+    """Distances and masses of a scene at one instant, see `osc_contact.interface.Scene`.
+
+    In a copy of the scene one geom of the tool is replaced by a point, whose distances from other
+    geoms MuJoCo computes.
 
     Attributes:
-        moved_mass, carried_mass, loose: see `osc_contact.interface.Scene`.
+        moved_mass: mass of all moving links (kg). carried_mass: mass beyond the wrist sensor (kg).
+        loose: mass (kg) beyond joints that nothing holds, by the name of the joint.
+        pairs: geoms of the tool and of the scene that can touch. tool_touches: True if there are
+            such geoms.
     """
 
     def __init__(
@@ -62,12 +68,13 @@ class MujocoScene:
         chain: ClosedChain,
         loose: Mapping[str, float],
     ) -> None:
-        """Take the copy.
+        """Copy the present state of a scene.
 
         Args:
-            model, data: MuJoCo's. tool: its geoms. others: geoms that are not the arm's.
-            chain: model of the arm, as it is in the scene. loose: kg beyond joints that nothing
-                holds.
+            model, data: MuJoCo's model and state. tool: indices of the tool's geoms.
+            others: indices of the geoms that are not the arm's.
+            chain: model of the arm, as it is in the scene. loose: mass (kg) beyond joints that
+                nothing holds, by the name of the joint.
         """
         self.moved_mass = chain.moved_mass
         self.carried_mass = chain.outboard_mass
@@ -81,15 +88,15 @@ class MujocoScene:
         if self.pairs:
             self._point = point = self.pairs[0][0]
             self._probe = copy.copy(model)
-            self._at = copy.copy(data)
+            self._probe_data = copy.copy(data)
             self._probe.geom_type[point] = _SPHERE
             self._probe.geom_size[point] = self._probe.geom_rbound[point] = _POINT_M
 
     def require_period(self, duration: float) -> None:
-        """Refuse a control period (s) that is no whole number of MuJoCo's steps.
+        """Refuse a control period (s) that is not a whole number of MuJoCo's steps.
 
         Raises:
-            PlantError: it is none.
+            PlantError: the period is not such a number.
         """
         require_whole_steps(duration, self._step)
 
@@ -98,8 +105,9 @@ class MujocoScene:
 
         The distance is negative within the geom, and inf if no geom is within 10 m.
         """
-        self._at.geom_xpos[self._point] = point
-        return _nearest(self._probe, self._at, [(self._point, b) for b in self._others])
+        self._probe_data.geom_xpos[self._point] = point
+        pairs = [(self._point, other) for other in self._others]
+        return _nearest(self._probe, self._probe_data, pairs)
 
     def clearance(self) -> tuple[float, str]:
         """Distance (m) of the tool from the nearest geom, and the geom's name.
@@ -110,10 +118,13 @@ class MujocoScene:
 
 
 def require_whole_steps(duration: float, step: float) -> None:
-    """Refuse a control period (s) that is no whole number of MuJoCo's steps (s).
+    """Refuse a control period that is not a whole number of MuJoCo's steps.
+
+    Args:
+        duration: control period (s). step: step of MuJoCo (s).
 
     Raises:
-        PlantError: it is none.
+        PlantError: the period is not such a number.
     """
     steps = duration / step
     if abs(steps - max(1, round(steps))) > 1e-6 * steps:
@@ -127,35 +138,46 @@ def require_whole_steps(duration: float, step: float) -> None:
 def _nearest(model: MjModel, data: MjData, pairs: list[tuple[int, int]]) -> tuple[float, str]:
     """Least distance between pairs of geoms in the present state.
 
+    Args:
+        model, data: MuJoCo's model and state. pairs: indices of two geoms each.
+
     Returns:
         The distance (m; inf beyond `FAR_M`), and the name of the second geom of the nearest pair.
     """
     from mujoco import mj_geomDistance
 
-    ends = np.zeros(6)
-    least, geom = min((mj_geomDistance(model, data, *ab, FAR_M, ends), ab[1]) for ab in pairs)
+    ends = np.zeros(6)  # nearest points, which MuJoCo writes
+    distances = [
+        (mj_geomDistance(model, data, first, second, FAR_M, ends), second)
+        for first, second in pairs
+    ]
+    least, geom = min(distances)
     return (least if least < FAR_M else np.inf), model.geom(geom).name or f"geom {geom}"
 
 
 def _can_touch(model: MjModel, a: int, b: int) -> bool:
-    """Whether MuJoCo lets two geoms touch."""
-    kinds = model.geom_contype
-    others = model.geom_conaffinity
-    return bool((kinds[a] & others[b]) | (kinds[b] & others[a]))
+    """Return whether MuJoCo detects contacts between two geoms, by their masks of bits.
+
+    Args:
+        model: MuJoCo's model. a, b: indices of the geoms.
+    """
+    types = model.geom_contype
+    affinities = model.geom_conaffinity
+    return bool((types[a] & affinities[b]) | (types[b] & affinities[a]))
 
 
 # --- The robot ------------------------------------------------------------------------------------
 
-MUCH_FRICTION = 0.5  #: a coefficient that is reported
+MUCH_FRICTION = 0.5  #: coefficient of friction from which on a warning is logged
 _log = logging.getLogger(__name__)
 
 
 class MujocoRobot(MujocoPlant):
-    """One arm of a MuJoCo scene, torque-controlled; what it touches is whatever stands in its way.
+    """Arm of a MuJoCo scene, controlled by torques; its tool touches the other geoms of the scene.
 
     Attributes:
-        chain: model of the arm, nothing held: its tip is the operational point. contacts: pairs.
-        model, data: MuJoCo's, the robot's own copies.
+        chain: model of the arm without an object; its tip is the operational point.
+        contacts: contact pairs. model, data: copies of MuJoCo's model and state.
 
     Example:
         >>> import mujoco
@@ -184,29 +206,28 @@ class MujocoRobot(MujocoPlant):
         passive_joints: Sequence[str] = (),
         keyframe: str | None = None,
     ) -> Self:
-        """Take an arm out of a scene.
+        """Make a robot of an arm in a scene.
 
-        Torques go to the joints' motors; where a joint has a position servo, several motors or
-        none, they act on the joint itself and its actuators are off. Contacts get elliptic cones:
-        these give normal forces.
+        Torques are applied by the joints' motors. For a joint with a position servo, several motors
+        or none, they are applied to the joint itself, and its actuators are switched off. Friction
+        cones are set to elliptic ones, in which normal forces can be read.
 
         Args:
             mjmodel: `mujoco.MjModel`, `MjSpec` or the path of an MJCF file; it is not changed.
-            tip: body or site at the operational point. The sensor's body and all beyond it are
-                the tool; without a sensor the tip's body.
+            tip: body or site at the operational point. The sensor's body and all bodies beyond it
+                are the tool; without a sensor the tip's body.
             wrist_sensor: site with a <force> and a <torque> sensor; contact forces need one.
-            contacts: in world axes, where the tool touches what is not the arm. name: name of the
-                arm.
-            locked, passive_joints: see `Arm.from_urdf`.
-            keyframe: where the rest of the scene starts; default: where the file puts it.
+            contacts: contact pairs between tool and scene, in world axes. name: name of the arm.
+            locked: positions of locked joints. passive_joints: joints without a motor.
+            keyframe: keyframe of the initial state of the scene; None: initial state of the file.
 
         Raises:
-            InvalidInputError: contacts whose lengths are not in m.
-            ModelError: no such tip or joint, or what `robots.load_mjcf` refuses.
-            PlantError: no such keyframe or site, or no sensors on that site.
+            InvalidInputError: lengths of a contact are not in m.
+            ModelError: there is no such tip or joint, or `robots.load_mjcf` refuses the model.
+            PlantError: there is no such keyframe or site, or the site has no sensors.
         """
         mj = copy.copy(compile_mjcf(mjmodel))
-        import mujoco  # it is there: the model has been compiled
+        import mujoco  # installed, because the model has been compiled
 
         if wrist_sensor is not None:
             require_name("site", wrist_sensor, [mj.site(i).name for i in range(mj.nsite)])
@@ -223,21 +244,32 @@ class MujocoRobot(MujocoPlant):
             passive_joints=passive_joints,
         )
         robot = cls.__new__(cls)
-        robot._take(mj, ClosedChain([arm]), contacts)
+        robot._set_up(mj, ClosedChain([arm]), contacts)
         robot._keyframe = None if keyframe is None else mj.key(keyframe).id
         robot._place(np.array(robot._qpos[robot._q]))
         return robot
 
-    def _take(self, mj: MjModel, chain: ClosedChain, contacts: Sequence[ContactPair]) -> None:
+    def _set_up(self, mj: MjModel, chain: ClosedChain, contacts: Sequence[ContactPair]) -> None:
+        """Find joints, motors, sensor and geoms of the arm in a compiled model.
+
+        Args:
+            mj: model of the scene, changed. chain: model of the arm. contacts: contact pairs.
+
+        Raises:
+            InvalidInputError: lengths of a contact are not in m.
+            PlantError: the site of the sensor has no sensors.
+        """
         for pair in contacts:
             require_object_fits(pair, stretched_length(chain.arms[0]))
         self._connect(mj, chain, contacts, Faces([Rail()], (0,) * len(contacts)))
         arm = chain.arms[0]
-        number = {joint_name(mj, j): j for j in range(mj.njnt)}
-        joints = np.array([number[name] for name in list(arm.model.names)[1:]])
+        index_of = {joint_name(mj, j): j for j in range(mj.njnt)}
+        joints = np.array([index_of[name] for name in list(arm.model.names)[1:]])
         self._q = mj.jnt_qposadr[joints]
         self._v = mj.jnt_dofadr[joints]
-        self._held = {mj.jnt_qposadr[number[j]]: at for j, at in arm.locked.items()}
+        self._locked = {
+            mj.jnt_qposadr[index_of[joint]]: position for joint, position in arm.locked.items()
+        }
         self._inputs = TorqueInputs(mj, joints[chain.actuated])
         if arm.tip in [mj.body(b).name for b in range(mj.nbody)]:
             self.object_body = mj.body(arm.tip).id
@@ -253,35 +285,40 @@ class MujocoRobot(MujocoPlant):
             self._sensed = [0]
             self._readings = sensor_rows(mj, arm.wrist_sensor)[None]
             tool = int(mj.site(arm.wrist_sensor).bodyid[0])
-        # the tool, other links of the arm that move, and everything else, which is one body
+        # the tool, other moving links of the arm, and all other geoms as one body
         self.body_of = np.where(moving_geoms(mj, tool), OTHER, 0)
         self.body_of[geoms_beyond(mj, tool)] = OBJECT
         tree = mj.body_rootid[mj.geom_bodyid] == mj.body_rootid[tool]
         self._warn_of_friction(np.flatnonzero(~tree))
 
     def _warn_of_friction(self, others: Array) -> None:
-        """Warn of friction that MuJoCo gives what has none named, and that few surfaces have."""
+        """Log a warning about large friction between tool and scene, such as MuJoCo's default.
+
+        Args:
+            others: indices of the geoms that are not the arm's.
+        """
         mj = self.model
-        most = 0.0
-        for one in np.flatnonzero(self.body_of == OBJECT).tolist():
+        largest = 0.0
+        for tool_geom in np.flatnonzero(self.body_of == OBJECT).tolist():
             for other in others.tolist():
-                both = np.array([one, other])
+                both = np.array([tool_geom, other])
+                # MuJoCo takes the properties of the geom with the higher priority
                 both = both[mj.geom_priority[both] == mj.geom_priority[both].max()]
-                if _can_touch(mj, one, other) and mj.geom_condim[both].max() > 1:
-                    most = max(most, float(mj.geom_friction[both, 0].max()))
-        if most >= MUCH_FRICTION:
+                if _can_touch(mj, tool_geom, other) and mj.geom_condim[both].max() > 1:
+                    largest = max(largest, float(mj.geom_friction[both, 0].max()))
+        if largest >= MUCH_FRICTION:
             _log.warning(
                 "friction of tool and scene has a coefficient of %g (MuJoCo's default: 1): "
                 "sliding contacts chatter, and forces are read wrongly; give "
                 'friction= and priority= of the touched geom, or condim="1" for none',
-                most,
+                largest,
             )
 
     def reset(self, q: ArrayLike) -> None:
-        """Start at rest at joint positions q (n,), the rest of the scene where it starts.
+        """Start at rest at joint positions q (n,), with the scene in its initial state.
 
         Motors carry the arm from the beginning, as far as their limits permit, so that the first
-        reading of the wrist is that of an arm that rests.
+        reading of the wrist is that of an arm at rest.
 
         Raises:
             InvalidInputError: q is outside the limits of the joints.
@@ -291,39 +328,47 @@ class MujocoRobot(MujocoPlant):
         self._place(q)
 
     def _place(self, q: Array) -> None:
+        """Set the scene to its initial state and the arm to q (n,), held by its motors."""
         if self._keyframe is None:
             self._mj.mj_resetData(self.model, self.data)
         else:
             self._mj.mj_resetDataKeyframe(self.model, self.data, self._keyframe)
             self._qvel[:] = 0.0
-        for at, held in self._held.items():
-            self._qpos[at] = held
+        for index, position in self._locked.items():
+            self._qpos[index] = position
         self._qpos[self._q] = q
         self.time = 0.0
         model = self.chain.model
         self.hold(pin.computeGeneralizedGravity(model, model.createData(), q)[self.chain.actuated])
 
     def touching(self, q: ArrayLike) -> Array:
-        """(n,) joint positions next to q at which every contact touches.
+        """Joint positions (n,) next to q at which all contacts touch.
+
+        Args:
+            q: (n,) joint positions from which the search starts (m, rad).
 
         Raises:
             InvalidInputError: q is outside the limits of the joints.
-            ModelError: there are none near, or none within the limits.
+            ModelError: there are no such positions near q, or only outside the limits.
         """
         q = as_array("q", q, (self.chain.nq,))
         require_in_range("touching", self.chain, q)
-        found = close(self.chain, q, partial(self.faces.gaps, self.contacts))
+        q_contact = close(self.chain, q, partial(self.faces.gaps, self.contacts))
         try:
-            require_in_range("touching", self.chain, found)
+            require_in_range("touching", self.chain, q_contact)
         except InvalidInputError as error:
             raise ModelError(f"{error}. Begin nearer to the contacts, or move them") from error
-        return found
+        return q_contact
 
     def command(self, tau: Array, duration: float) -> None:
-        """Hold the torques for `duration` (s), a whole number of MuJoCo's steps.
+        """Hold torques for a control period.
+
+        Args:
+            tau: (n_a,) motor torques (N m, N). duration: period (s), a whole number of MuJoCo's
+                steps.
 
         Raises:
-            PlantError: it is none, or MuJoCo diverged.
+            PlantError: the period is not such a number, or MuJoCo diverged.
         """
         require_whole_steps(duration, self._step)
         super().command(tau, duration)
@@ -332,19 +377,23 @@ class MujocoRobot(MujocoPlant):
         """Visible shapes of the scene as data for JSON, for recordings (`robots.pictures`)."""
         model = self.chain.model
         mj = self.model
-        number = {adr: j for j, adr in enumerate(mj.jnt_qposadr)}
-        joints = {number[at]: k + 1 for k, at in enumerate(self._q)}
+        joint_at = {address: j for j, address in enumerate(mj.jnt_qposadr)}
+        # by MuJoCo's index the index in Pinocchio, whose joint 0 is the universe
+        joints = {joint_at[address]: k + 1 for k, address in enumerate(self._q)}
         return scene_picture(mj, self.data, model, np.array(self._qpos[self._q]), joints)
 
     def scene(self) -> MujocoScene:
         """Scene around the arm at present: distances from the geoms near the tool, and masses."""
-        tool, others = (np.flatnonzero(self.body_of == which).tolist() for which in (OBJECT, 0))
+        tool = np.flatnonzero(self.body_of == OBJECT).tolist()
+        others = np.flatnonzero(self.body_of == 0).tolist()
         loose = loose_joints(self.model, self.object_body, self._v)
         return MujocoScene(self.model, self.data, tool, others, chain=self.chain, loose=loose)
 
     def _send(self, tau: Array) -> None:
+        """Write motor torques tau (n_a,) into MuJoCo's data (N m, N)."""
         self._tau = as_array("tau", tau, (self.chain.n_a,))
         self._inputs.send(self.data, self._tau)
 
     def _joint_torques(self) -> Array:
+        """Readings (n_a,) of the joint torque sensors: the torques commanded last (N m, N)."""
         return self._tau.copy()

@@ -35,79 +35,117 @@ from osc_contact.spatial import (
     cross_twist,
 )
 
-#: speeds by which dry friction is developed (rad/s, m/s)
-_SLIP = 1e-3
-_SLIDE = 1e-4
+_SLIP = 1e-3  #: speed at which dry friction of a turning joint is developed (rad/s)
+_SLIDE = 1e-4  #: speed at which dry friction of a sliding joint is developed (m/s)
 
 
-# --- Where a wrist sensor cuts the arm, and what it reads there -----------------------------------
+# --- Section of an arm at a wrist sensor, and the wrench there ------------------------------------
 
 
 @dataclass(frozen=True)
 class WristCut:
-    """A cut through a link: its joint, where it sits, what stays on the arm's side."""
+    """Section through a link at a wrist sensor.
+
+    Attributes:
+        joint: index of the joint that moves the link.
+        placement: pose of the sensor's frame in the frame of the joint.
+        inboard: (6, 6) inertia of the link's part on the arm's side, at the joint.
+    """
 
     joint: int
     placement: pin.SE3
-    inboard: Array  # (6, 6) at the joint
+    inboard: Array
 
     def reading(self, data: pin.Data) -> Array:
-        """(6,) wrench through it, in its axes, after `pin.rnea`: the joint's, less its own side."""
+        """Wrench (6,) through the section, in the sensor's axes (N, N m).
+
+        It is the wrench of the joint less the forces that the inboard part needs.
+
+        Args:
+            data: results of `pin.rnea`.
+        """
         v = data.v[self.joint]
-        moving = pin.Force(self.inboard @ data.a_gf[self.joint].vector)
-        own = moving + v.cross(pin.Force(self.inboard @ v.vector))
-        return np.asarray(self.placement.actInv(data.f[self.joint] - own).vector)
+        inertial = pin.Force(self.inboard @ data.a_gf[self.joint].vector)
+        inboard_force = inertial + v.cross(pin.Force(self.inboard @ v.vector))
+        return np.asarray(self.placement.actInv(data.f[self.joint] - inboard_force).vector)
 
 
 def wrist_cut(model: pin.Model, cut: int) -> WristCut:
-    """The cut at a frame, by its number."""
+    """Make the section at a frame.
+
+    Args:
+        model: model of the arms. cut: index of the sensor's frame.
+    """
     frame = model.frames[cut]
     joint = frame.parentJoint
-    above = frame.parentFrame
-    kind = model.frames[above].type
-    if kind == pin.FrameType.JOINT:  # cut at the joint itself
+    parent = frame.parentFrame
+    kind = model.frames[parent].type
+    if kind == pin.FrameType.JOINT:  # the section is at the joint itself
         return WristCut(joint, frame.placement, np.zeros((6, 6)))
-    beyond = {above if kind == pin.FrameType.FIXED_JOINT else cut}
+    outboard = {parent if kind == pin.FrameType.FIXED_JOINT else cut}
     inboard: Array = model.inertias[joint].matrix()
     for f, other in enumerate(model.frames):
-        if other.parentFrame in beyond:
-            beyond.add(f)
-        if f in beyond and other.parentJoint == joint:
+        if other.parentFrame in outboard:
+            outboard.add(f)
+        if f in outboard and other.parentJoint == joint:
             inboard = inboard - other.placement.act(other.inertia).matrix()
     return WristCut(joint, frame.placement, inboard)
 
 
-# --- Its model, its equations side by side, and their solution ------------------------------------
+# --- Equations of motion of the whole plant, and their solution -----------------------------------
 
 
 @dataclass(frozen=True)
 class Equations:
-    """All of an instant's equations but the motors' torques, and what is solved once for all."""
+    """Equations of motion of an instant, without the motors: M x = force + Aᵀλ, A x = right.
 
-    X: pin.SE3  # of the object
-    V: Array  # (6,)
-    N: Array  # (6, r)
-    M: Array  # (m, m) of joints, of an object that no arm leads, of bodies on rails
-    force: Array  # (m,) without motors
-    slope: Array  # (n,) of the joint friction over the velocity
-    A: Array  # (k, m) rows of loops and contacts
-    right: Array  # (k,)
-    ends: Array  # (loops + 1,) of the rows of each loop
-    passed: list[Array]  # of each loop, the wrenches that it transmits, at O
-    first: Array  # (6, n or n + 6) V_O from the joints' rates
-    gamma_O: Array  # (6,)
-    joints: list[pin.SE3]  # placements of the joints at the tips
+    The unknowns x (m,) are accelerations: n of the joints, 6 of the object if no arm leads it, then
+    one of each free body on a rail. λ (k,) are multipliers: for each loop the wrenches that it
+    transmits, then the contact forces α.
+
+    Attributes:
+        X: pose of the object. V: (6,) its twist at O, world axes.
+        N: (6, r) directions of force of the contacts.
+        M: (m, m) inertia matrix. force: (m,) weight, velocity forces, friction, springs (N, N m).
+        slope: (n,) derivative of the joint friction with respect to the velocity.
+        A: (k, m) rows of loops and contacts. right: (k,) right-hand side.
+        ends: (loops + 1,) first row of each loop, and the row after the last loop.
+        passed: for each loop the wrenches (6, rows) at O that it transmits.
+        first: (6, n or n + 6) matrix of V_O from the rates of joints, or of joints and object.
+        gamma_O: (6,) acceleration of the object at zero joint accelerations.
+        joints: placements of the last joints of the arms.
+    """
+
+    X: pin.SE3
+    V: Array
+    N: Array
+    M: Array
+    force: Array
+    slope: Array
+    A: Array
+    right: Array
+    ends: Array
+    passed: list[Array]
+    first: Array
+    gamma_O: Array
+    joints: list[pin.SE3]
 
 
 @dataclass(frozen=True)
 class Solution:
-    """The equations of one instant."""
+    """Solution of the equations of motion at one instant.
 
-    qdd: Array  # (n,)
-    sdd: Array  # (bodies, 2) accelerations along the rails
-    a_O: Array  # (6,) of the object, spatial
-    alpha: Array  # (r,)
-    wrenches: Array  # (arms, 6) in the wrists
+    Attributes:
+        qdd: (n,) joint accelerations. sdd: (bodies, 2) accelerations along and about the rails.
+        a_O: (6,) spatial acceleration of the object at O, world axes.
+        alpha: (r,) contact forces (N). wrenches: (arms, 6) wrist readings, in the sensors' axes.
+    """
+
+    qdd: Array
+    sdd: Array
+    a_O: Array
+    alpha: Array
+    wrenches: Array
 
 
 # --- The plant ------------------------------------------------------------------------------------
@@ -129,17 +167,17 @@ class RigidPlant:
         rails: Sequence[Rail] | None = None,
         on: Sequence[int] | None = None,
     ) -> None:
-        """Build from the true parts.
+        """Make the plant of true arms, object and contacts, at rest at zero joint positions.
 
         Args:
-            chain: the true arms, grasps and object (not the controller's copy).
+            chain: the true arms, grasps and object (not the controller's model).
             contacts: the true contacts, of any kind.
             step: integration step (s).
-            rails: how each body of the environment moves; default: all are fixed.
-            on: the body of each contact; default: each has its own.
+            rails: rail of each body of the environment; None: all bodies are fixed.
+            on: index of the body of each contact; None: each contact has its own body.
 
         Raises:
-            ModelError: the chain holds no object.
+            ModelError: the chain has no object.
         """
         if chain.payload is None:
             raise ModelError("the rigid plant needs an object; give the chain a payload")
@@ -161,15 +199,16 @@ class RigidPlant:
         self.data = self.model.createData()
         self.q = np.zeros(chain.nq)
         self.v = np.zeros(chain.nq)
-        # of an object that no arm leads
+        # pose and twist of the object if no arm leads it
         self._X = pin.SE3.Identity()
         self._V = np.zeros(6)
         self._tau = np.zeros(chain.n_a)
-        self._set_up: tuple[bytes, Any] = b"", None
-        self._solved: tuple[bytes, Any] = b"", None
+        #: equations, and their solution, with the state that they belong to
+        self._cached_equations: tuple[bytes, Any] = (b"", None)
+        self._cached_solution: tuple[bytes, Any] = (b"", None)
 
     def reset(self, q: Array) -> None:
-        """Start at rest at q, moved onto loops and contacts."""
+        """Start at rest at joint positions next to q (n,) at which loops and contacts close."""
         self.time = 0.0
         self.faces.reset()
         q = as_array("q", q, (self.chain.nq,))
@@ -177,41 +216,51 @@ class RigidPlant:
         self._tau = np.zeros(self.chain.n_a)
 
     def hold(self, tau: Array) -> None:
-        """Apply torques from now on; time stands still."""
+        """Apply torques tau (n_a,) from now on without letting time pass (N m, N)."""
         self._tau = as_array("tau", tau, (self.chain.n_a,))
 
     def measure(self) -> Measurement:
-        """Encoders, and the wrist wrenches under the torques applied last."""
+        """Read encoders, and the wrist wrenches under the torques applied last."""
         wrenches = self._now()[0].wrenches.copy()
         return Measurement(self.q.copy(), self.v.copy(), wrenches, self.faces.touched())
 
     def truth(self) -> Truth:
-        """Contact forces under the torques applied last; rigid contacts are always closed."""
+        """True state, with contact forces under the torques applied last; contacts stay closed."""
         solution, (X, V) = self._now()
         closed = np.ones(len(self.contacts), dtype=bool)
         return Truth(solution.alpha, closed, X, V, tuple(self.faces.poses()))
 
     def log(self) -> Watched:
-        """A log of the truth."""
+        """New, empty record of the truth."""
         return Watched(self, self.contacts)
 
     def _now(self) -> tuple[Solution, tuple[pin.SE3, Array]]:
-        """The solution under the torques applied last, pose and twist of the object."""
+        """Solution under the torques applied last; pose and twist (6,) of the object.
+
+        `measure` and `truth` of one instant share them.
+        """
         key = self._state() + self._tau.tobytes()
-        if self._solved[0] != key:  # `measure` and `truth` of one instant share it
+        if self._cached_solution[0] != key:
             solution = self._solve(self._tau, with_wrenches=True)
             now = self._equations()
-            self._solved = key, (solution, (now.X, now.V))
-        return self._solved[1]
+            self._cached_solution = (key, (solution, (now.X, now.V)))
+        return self._cached_solution[1]
 
     def poses(self) -> Array:
-        """See `Judge.poses`."""
+        """True poses (1 + arms, 4, 4) of the object and of the tips."""
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         tips = self.chain.tip_poses(self.data)
         return np.array([X.homogeneous for X in (self._object()[0], *tips)])
 
     def command(self, tau: Array, duration: float) -> None:
-        """Integrate with the trapezoidal rule in positions, then project onto the constraints."""
+        """Integrate with the trapezoidal rule in positions, then project onto the constraints.
+
+        Args:
+            tau: (n_a,) motor torques (N m, N). duration: period (s), rounded to whole steps.
+
+        Raises:
+            PlantError: the simulation diverges.
+        """
         require_duration(duration)
         self.hold(tau)
         for _ in range(max(1, round(duration / self.dt))):
@@ -227,26 +276,37 @@ class RigidPlant:
             faces.rates = rates
             faces.drive(self.time)
             a = solution.a_O.copy()
-            a[:3] += cross(self._V[3:], self._V[:3])  # classical
+            a[:3] += cross(self._V[3:], self._V[:3])  # from spatial to classical
             V = self._V + a * self.dt
             X = moved(self._X, 0.5 * (self._V + V) * self.dt)
             self._project(q, X, v, V)
 
     def stop(self, reason: str = "") -> None:
-        """Nothing to do."""
+        """Accept a stop; a simulation needs no action."""
 
     def accelerations(self, tau: Array) -> tuple[Array, Array, Array]:
-        """(q̈ (n,), spatial object acceleration (6,) at O, α (r,)) under torques now."""
+        """Accelerations and contact forces in the present state under given torques.
+
+        Args:
+            tau: (n_a,) motor torques (N m, N).
+
+        Returns:
+            Joint accelerations (n,); spatial acceleration (6,) of the object at O, world axes;
+            contact forces α (r,) (N).
+        """
         solution = self._solve(as_array("tau", tau, (self.chain.n_a,)))
         return solution.qdd, solution.a_O, solution.alpha
 
     # --- dynamics --------------------------------------------------------------------------------
 
     def _solve(self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0) -> Solution:
-        """All joints and free bodies at once, one multiplier for each row of loops and contacts.
+        """Solve the equations of joints and free bodies, with the multipliers of all constraints.
 
-        Joint friction D v + F tanh(v / v₀) is that of the velocities `ahead` (s) of now, to first
-        order.
+        Joint friction D v + F tanh(v / v₀) is extrapolated in time, to first order.
+
+        Args:
+            tau: (n_a,) motor torques (N m, N). with_wrenches: True: wrist readings are computed,
+                too; False: they are zero. ahead: time by which friction is extrapolated (s).
         """
         chain = self.chain
         n = chain.nq
@@ -255,36 +315,39 @@ class RigidPlant:
         force[chain.actuated] += tau
         M = now.M.copy()
         M[:n, :n] += ahead * np.diag(now.slope)
-        unheld = np.linalg.solve(M, force)
+        unconstrained = np.linalg.solve(M, force)
         inverse, multipliers = inverse_rows(chain, now.A, M)
-        short = now.right - now.A @ unheld
-        x = unheld + inverse @ short
-        lam = multipliers @ short  # M x = force + Aᵀλ
+        deficit = now.right - now.A @ unconstrained
+        x = unconstrained + inverse @ deficit
+        lam = multipliers @ deficit  # M x = force + Aᵀλ
         size = now.first.shape[1]
         sdd = self.faces.second.copy()
         sdd[self.faces.free] = x[size:]
-        *shares, alpha = np.split(lam, now.ends[1:])
+        *loop_multipliers, alpha = np.split(lam, now.ends[1:])
         qdd = x[:n]
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
-            loops = [passed @ share for passed, share in zip(now.passed, shares, strict=True)]
+            loops = [
+                passed @ values for passed, values in zip(now.passed, loop_multipliers, strict=True)
+            ]
             wrenches = self._wrist(qdd, loops, now.N @ alpha, now)
         return Solution(qdd, sdd, now.first @ x[:size] + now.gamma_O, alpha, wrenches)
 
     def _state(self) -> bytes:
-        """What the equations follow from."""
+        """Bytes of all numbers that the equations depend on, as the key of a cache."""
         faces = self.faces
         free = (self._V, self._X.homogeneous, faces.s, faces.rates, faces.second)
         return np.concatenate((self.q, self.v, *free), axis=None).tobytes()
 
     def _equations(self) -> Equations:
-        """The equations now; `measure`, `truth` and `command` of one instant share them."""
+        """Equations in the present state, which `measure`, `truth` and `command` share."""
         state = self._state()
-        if self._set_up[0] != state:
-            self._set_up = state, self._work_out()
-        return self._set_up[1]
+        if self._cached_equations[0] != state:
+            self._cached_equations = (state, self._make_equations())
+        return self._cached_equations[1]
 
-    def _work_out(self) -> Equations:
+    def _make_equations(self) -> Equations:
+        """Compute the equations of motion in the present state."""
         chain = self.chain
         model = self.model
         faces = self.faces
@@ -311,8 +374,8 @@ class RigidPlant:
             right.append(drift)
             normals.append(passed)
         ends = np.cumsum([0, *map(len, right)])
-        along, on_faces = faces.closing(parts, O)
-        right.append(N.T @ gamma_O - n_gamma - on_faces)
+        by_rail, face_drift = faces.closing(parts, O)
+        right.append(N.T @ gamma_O - n_gamma - face_drift)
         dry = np.array(model.upperDryFrictionLimit)
         share = np.tanh(self.v / self._slip)
         slope = model.damping + dry / self._slip * (1.0 - share**2)
@@ -325,8 +388,9 @@ class RigidPlant:
         A = constraint_rows(chain, O, N, self.data)
         bodies, joints = faces.free
         if len(bodies):
-            own = along[:, bodies, joints]
-            A = np.hstack((A, np.vstack((np.zeros((ends[-1], len(bodies))), own))))
+            contact_rows = by_rail[:, bodies, joints]
+            loop_rows = np.zeros((ends[-1], len(bodies)))
+            A = np.hstack((A, np.vstack((loop_rows, contact_rows))))
             M = block_diagonal([M, np.diag([faces.rails[i].inertia for i in bodies])])
             force = np.concatenate((force, faces.pulls(model.gravity.linear)))
         return Equations(
@@ -346,17 +410,15 @@ class RigidPlant:
         )
 
     def _wrist(self, qdd: Array, loops: list[Array], f_c: Array, now: Equations) -> Array:
-        """Wrist wrenches in sensor axes: what each arm's joint transmits, minus its own side.
-
-        Newton–Euler from the base: the wrench through the sensor's joint, less what the links
-        between that joint and the sensor need.
+        """Wrist readings (arms, 6) in the sensors' axes, by the Newton–Euler algorithm (N, N m).
 
         Args:
-            qdd: (n,) accelerations. loops: (6,) wrench of each arm but the leader on the object.
-            f_c: (6,) of the object on its contacts. now: the equations.
+            qdd: (n,) joint accelerations. loops: wrench (6,) at O of each arm on the object, in the
+                order of the arms without the leader. f_c: (6,) wrench of the object on its contacts
+                at O. now: equations of the instant.
         """
         leader = self.chain.leader
-        if leader is not None:  # it bears the rest; the object's inertia rides on its joint
+        if leader is not None:  # the object is part of its last link and needs no wrench
             loops.insert(leader, f_c - sum(loops, np.zeros(6)))
         external = [pin.Force.Zero() for _ in range(self.model.njoints)]
         for tip, wrench, X in zip(self._tips, loops, now.joints, strict=True):
@@ -377,27 +439,39 @@ class RigidPlant:
         return X, self._jacobian(X)[:, s] @ self.v[s]
 
     def _jacobian(self, X: pin.SE3) -> Array:
+        """Jacobian (6, n) of all joints at the origin of X, world axes."""
         return columns_at(self.data.J, X.translation)
 
     def _drift(self, i: int, X: pin.SE3) -> Array:
-        """Spatial drift at O, from Pinocchio's own acceleration pass at q̈ = 0."""
+        """Spatial acceleration (6,) of a tip at q̈ = 0, at the origin of X, world axes.
+
+        It is computed by Pinocchio's acceleration pass, not by a formula of the controller.
+
+        Args:
+            i: index of the arm. X: pose of the object.
+        """
         a = pin.getFrameAcceleration(self.model, self.data, self.chain.tips[i], pin.WORLD).vector
         return carry_twist(a, np.zeros(3), X.translation)
 
     def _project(self, q: Array, X: pin.SE3, v: Array, V: Array) -> None:
-        """Take positions, then velocities, of joints and object, put onto the constraints."""
+        """Project positions, then velocities, onto the constraints, and store them.
+
+        Args:
+            q: (n,) joint positions. X: pose of the object, used if no arm leads it.
+            v: (n,) joint velocities. V: (6,) twist of the object at O, used if no arm leads it.
+        """
         chain = self.chain
         self.q, self._X = closed(chain, q, X, partial(self.faces.gaps, self.contacts))
         pin.computeAllTerms(chain.model, chain.data, self.q, v)
         X = self._X if chain.leader is None else chain.object_pose()
         parts = self.faces.parts(self.contacts, X, np.zeros(6))
         A = constraint_rows(chain, X.translation, stacked(parts)[0])
-        along = self.faces.closing(parts, X.translation)[0]
+        by_rail, _ = self.faces.closing(parts, X.translation)
         b = np.zeros(len(A))
-        b[len(A) - len(along) :] = -np.tensordot(along, self.faces.rates)
+        b[len(A) - len(by_rail) :] = -np.tensordot(by_rail, self.faces.rates)
         x = np.concatenate((v, V))[: A.shape[1]]
         inverse, _ = inverse_rows(chain, A, inertia_of(chain, X))
-        for _ in range(2):
+        for _ in range(2):  # the second projection removes rounding errors of the first
             x = x - inverse @ (A @ x - b)
         self.v = x[: chain.nq]
         self._V = x[chain.nq :] if chain.leader is None else V

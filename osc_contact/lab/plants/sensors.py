@@ -1,7 +1,7 @@
 """Imperfect sensors: a rate, a delay, noise, bias, resolution, lost samples.
 
-`SensedPlant` wraps any plant and is one: it replaces ideal readings by sensed ones, which
-changes neither plant nor controller. Every random number comes from one seed.
+`SensedPlant` is a plant around another plant: it replaces ideal readings by those of sensors with
+errors. All random numbers follow from one seed.
 """
 
 from collections import deque
@@ -20,8 +20,8 @@ from osc_contact.spatial import Array
 
 Reading = dict[str, Any]  #: parts of a `Measurement` by their names
 
-_ON_TIME = 1e-9  # s, rounding of sums of steps
-#: Of each sensor but vision, by the name of its stamp, what of a measurement it reads.
+_ON_TIME = 1e-9  #: rounding errors of sums of steps (s)
+#: Part of a `Measurement` that a sensor reads, by the name of the sensor's stamp; not for vision.
 _READ = {"encoders": "q", "joint_torques": "joint_torques", "wrists": "wrenches"}
 
 
@@ -41,10 +41,11 @@ class SensorErrors:
 
 @dataclass
 class Sensor:
-    """One sensor: samples on its own clock, errs, delivers late.
+    """Sensor with its own clock, errors and delay.
 
     Attributes:
-        clock: when. sample: what it reads of a value, as parts of a measurement by their names.
+        clock: rate, delay and losses. sample: function that makes a reading with errors from an
+            ideal value.
         rng: random generator for lost samples.
     """
 
@@ -55,12 +56,20 @@ class Sensor:
     _count: int = field(init=False)
 
     def begin(self, t: float, value: Array) -> None:
-        """Forget everything; the first sample is there at once and never lost."""
+        """Delete all samples, and take the first one, which arrives at once and is never lost.
+
+        Args:
+            t: time (s). value: ideal value.
+        """
         self._samples = deque([(t, self.sample(value))])
         self._count = round(t * self.clock.rate) + 1
 
     def observe(self, t: float, value: Callable[[], Array]) -> None:
-        """Let it see the value at time t; it samples when one is due."""
+        """Take a sample if one is due.
+
+        Args:
+            t: time (s). value: function that returns the ideal value, called if a sample is taken.
+        """
         if t < self._count / self.clock.rate - _ON_TIME:
             return
         self._count = int((t + _ON_TIME) * self.clock.rate) + 1
@@ -68,7 +77,14 @@ class Sensor:
             self._samples.append((t, self.sample(value())))
 
     def read(self, t: float) -> tuple[float, Reading]:
-        """(time of the sample, reading) that has arrived by time t."""
+        """Latest sample that has arrived.
+
+        Args:
+            t: time (s).
+
+        Returns:
+            Time at which the sample was taken (s), and reading.
+        """
         while len(self._samples) > 1 and self._samples[1][0] + self.clock.delay <= t + _ON_TIME:
             self._samples.popleft()
         return self._samples[0]
@@ -93,69 +109,78 @@ class Sensors:
 
 
 class SensedPlant:
-    """A plant seen through its sensors.
+    """Plant whose measurements are made by sensors with errors.
 
-    Joint velocities are NaN where encoders are modelled, twists of touched bodies NaN where vision
-    is: neither sensor gives them. What vision sees is in the camera's frame. Sensors sample at the
-    ends of steps: a rate above that of the steps is theirs. The plant inside is moved by this one's
-    methods only: what it measures is taken once an instant.
+    Joint velocities are NaN if encoders are modelled, twists of touched bodies NaN if vision is
+    modelled, because these sensors do not measure them. Poses by vision are in the camera's frame.
+    Sensors sample at the ends of commands, so that a higher rate has no effect.
+
+    Attributes:
+        plant: plant inside, which is moved by the methods of this one only.
+        sensors: errors of the sensors. seed: seed of all random numbers.
+        time: time since the last reset (s).
     """
 
     def __init__(self, plant: Plant, sensors: Sensors, seed: int = 0) -> None:
-        """Wrap a plant; the same seed gives the same readings of the same motion."""
+        """Put sensors around a plant; the same seed gives the same readings of the same motion."""
         self.plant = plant
         self.sensors = sensors
         self.seed = seed
         self._begin()
 
     def reset(self, q: Array) -> None:
-        """Start again, sensors included: same seed, same biases and noise."""
+        """Start plant and sensors again at joint positions q (n,), with the same random errors."""
         self.plant.reset(q)
         self._begin()
 
     def hold(self, tau: Array) -> None:
-        """Apply torques from now on; the sensors forget what they read before."""
+        """Apply torques tau (n_a,) without letting time pass; the sensors begin again."""
         self.plant.hold(tau)
         self._begin()
 
     def command(self, tau: Array, duration: float) -> None:
-        """Hold the torques; the sensors look at the end."""
+        """Hold torques for a period; sensors that are due take a sample at its end.
+
+        Args:
+            tau: (n_a,) motor torques (N m, N). duration: period (s).
+        """
         self.plant.command(tau, duration)
-        self._look()
+        self._begin_instant()
         for name, sensor in self._sensor.items():
             sensor.observe(self.time, partial(self._value, name))
 
     def stop(self, reason: str = "") -> None:
-        """Nothing to do."""
+        """Accept a stop; a simulation needs no action."""
 
     def truth(self) -> Truth:
-        """Truth of the plant, which the sensors do not affect."""
+        """True state of the plant, without errors of sensors."""
         return self.plant.truth()
 
     def poses(self) -> Array:
-        """Of the plant inside."""
+        """True poses (1 + arms, 4, 4) of object and tips, without errors of sensors."""
         return self.plant.poses()
 
     def log(self) -> TruthLog:
-        """Of the plant inside."""
+        """New, empty record of the plant's truth."""
         return self.plant.log()
 
     def measure(self) -> Measurement:
         """Measurement of the samples that have arrived, with their times."""
         stamps = dict.fromkeys((*_READ, "vision"), self.time)
-        read: Reading = {}
+        readings: Reading = {}
         for name, sensor in self._sensor.items():
             stamps[name], reading = sensor.read(self.time)
-            read |= reading
-        return replace(self._ideal(), stamps=Stamps(**stamps), **read)
+            readings |= reading
+        return replace(self._ideal(), stamps=Stamps(**stamps), **readings)
 
-    def _look(self) -> None:
-        """A new instant: the plant is measured when the first of its readings is used, once."""
+    def _begin_instant(self) -> None:
+        """Update the time; the plant is measured once, when the first reading is used."""
         self.time = self.plant.time
         self._ideal = cache(self.plant.measure)
 
     def _begin(self) -> None:
-        self._look()
+        """Make the sensors with their random errors, and take their first samples."""
+        self._begin_instant()
         self._robots = len(self.plant.poses())  # object and arms come before the bodies
         self._sensor: dict[str, Sensor] = {}
         streams = np.random.default_rng([self.seed, 1]).spawn(4)
@@ -174,7 +199,12 @@ class SensedPlant:
             self._sensor[name].begin(self.time, value)
 
     def _value(self, name: str) -> Any:
-        """The ideal reading behind a sensor, by the name of its stamp; None: there is none."""
+        """Ideal value that a sensor samples; None: the plant does not measure it.
+
+        Args:
+            name: name of the sensor's stamp. For vision the value is (bodies, 4, 4): poses of
+                object, tips and marked bodies.
+        """
         if name != "vision":
             return getattr(self._ideal(), _READ[name])
         poses = self.plant.poses()
@@ -185,7 +215,15 @@ class SensedPlant:
         return np.concatenate((poses, touched.X_WE @ markers))
 
     def _sample(self, name: str, corrupt: Callable[[Array], Array], value: Array) -> Reading:
-        """The reading of a sensor for a value, with the errors of `corrupt`."""
+        """Make the reading of a sensor.
+
+        Args:
+            name: name of the sensor's stamp. corrupt: function that adds errors to a value.
+            value: ideal value.
+
+        Returns:
+            Parts of a measurement by their names.
+        """
         reading = corrupt(value)
         if name == "vision":
             return self._pictured(reading)
@@ -194,48 +232,61 @@ class SensedPlant:
         return {_READ[name]: reading}
 
     def _pictured(self, poses: Array) -> Reading:
-        """Seen object and robots, and touched bodies, as fields of a measurement.
+        """Poses of a picture as parts of a measurement: object and tips, and touched bodies.
 
         Args:
-            poses: (bodies, 4, 4) poses in a picture: object, robots, touched bodies.
+            poses: (bodies, 4, 4) measured poses of object, tips and marked bodies.
         """
-        read: Reading = {"seen": Seen(poses[0], poses[1 : self._robots])}
+        reading: Reading = {"seen": Seen(poses[0], poses[1 : self._robots])}
         bodies = poses[self._robots :]
         if len(bodies):
             if self.sensors.markers is not None:
                 bodies = bodies @ np.linalg.inv(self.sensors.markers)
             unknown = np.full((len(bodies), 6), np.nan)
-            read["touched"] = Touched(bodies, unknown, np.zeros_like(unknown))
-        return read
+            reading["touched"] = Touched(bodies, unknown, np.zeros_like(unknown))
+        return reading
 
 
 def _noisy(
     errors: SensorErrors | Errors[float], shape: tuple[int, ...], rng: np.random.Generator
 ) -> Callable[[Array], Array]:
-    """The errors of one sensor, its bias fixed, as a function of values of that shape."""
+    """Make the function that adds the errors of a sensor to a value; the bias is drawn once.
+
+    Args:
+        errors: noise, bias and resolution. shape: shape of the values. rng: random generator.
+    """
     bias = errors.bias * rng.uniform(-1.0, 1.0, shape)
-    steps = errors.resolution > 0.0
-    step = np.where(steps, errors.resolution, 1.0)
+    is_rounded = errors.resolution > 0.0
+    step = np.where(is_rounded, errors.resolution, 1.0)
 
     def corrupt(value: Array) -> Array:
-        read = value + bias + errors.noise * rng.standard_normal(shape)
-        return np.where(steps, np.round(read / step) * step, read)
+        """Add bias and noise to a value, and round it to the resolution."""
+        reading = value + bias + errors.noise * rng.standard_normal(shape)
+        return np.where(is_rounded, np.round(reading / step) * step, reading)
 
     return corrupt
 
 
 def _pictures(vision: VisionSpec, n: int, rng: np.random.Generator) -> Callable[[Array], Array]:
-    """All poses displaced alike by the camera's frame, each by its own bias and noise."""
-    shifted = _noisy(vision.position, (n, 3), rng)
-    turned = _noisy(vision.orientation, (n, 3), rng)
+    """Make the function that adds the errors of vision to n poses.
+
+    All poses are displaced together by the error of the camera's frame, and each by its own bias
+    and noise.
+
+    Args:
+        vision: errors of vision. n: number of poses. rng: random generator.
+    """
+    add_position_errors = _noisy(vision.position, (n, 3), rng)
+    add_rotation_errors = _noisy(vision.orientation, (n, 3), rng)
     offset = vision.frame_position * rng.uniform(-1.0, 1.0, 3)
     R_CW = pin.exp3(vision.frame_orientation * rng.uniform(-1.0, 1.0, 3))
 
     def corrupt(X: Array) -> Array:
-        read = X.copy()
-        read[:, :3, 3] = shifted(X[:, :3, 3] @ R_CW.T + offset)
-        for i, error in enumerate(turned(np.zeros((n, 3)))):
-            read[i, :3, :3] = pin.exp3(error) @ R_CW @ X[i, :3, :3]
-        return read
+        """Measured poses (n, 4, 4) in the camera's frame, of true poses X (n, 4, 4)."""
+        measured = X.copy()
+        measured[:, :3, 3] = add_position_errors(X[:, :3, 3] @ R_CW.T + offset)
+        for i, error in enumerate(add_rotation_errors(np.zeros((n, 3)))):
+            measured[i, :3, :3] = pin.exp3(error) @ R_CW @ X[i, :3, :3]
+        return measured
 
     return corrupt

@@ -90,10 +90,9 @@ class WorstSecond:
         counts = _sums_of_ten(self._counts)
         enough = counts > 5.0 * max(self._ticks)  # half of the ticks of ten tenths
         values = np.sqrt(np.where(enough, squares / np.maximum(counts, 1.0), 0.0).max(axis=0))
-        is_judged = enough.any(axis=0)
         return [
-            float(value) if judged else None
-            for value, judged in zip(values, is_judged, strict=True)
+            float(value) if seconds.any() else None
+            for value, seconds in zip(values, enough.T, strict=True)
         ]
 
 

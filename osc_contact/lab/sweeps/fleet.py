@@ -100,20 +100,24 @@ class Fleet:
         self.dt = first.controller.dt
         self._plant = first.plant
         self._steps = first.plant.steps_in(self.dt)
-        self.control = BatchController([one.controller for one in starts], threads)
-        self._models = [one.plant.model for one in starts]
+        self.control = BatchController([row_start.controller for row_start in starts], threads)
+        self._models = [row_start.plant.model for row_start in starts]
         self._plants: Any = Batch(first.plant.model, self.rows, nthread=threads)
         names = ("qpos", "qvel", "sensordata", "ctrl", "xpos", "xmat")
         *self._sensed, self._ctrl, self._xpos, self._xmat = map(self._plants.bind, names)
         self.begin(dict(enumerate(starts)))
 
     def begin(self, starts: dict[int, Start]) -> None:
-        """Put some rows, by number, at their starts."""
+        """Put some rows at their starts.
+
+        Args:
+            starts: start of each row, by the number of the row.
+        """
         rows = np.array(sorted(starts))
-        for row, one in starts.items():
-            self.control.replace(row, one.controller)
-            self._plants.state[row] = one.state
-            self._models[row] = one.plant.model
+        for row, row_start in starts.items():
+            self.control.replace(row, row_start.controller)
+            self._plants.state[row] = row_start.state
+            self._models[row] = row_start.plant.model
         self._plants.warning[rows] = 0
         self._plants.set_models(self._models)
         self._plants.forward(rows)

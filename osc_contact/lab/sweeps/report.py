@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 REPORT = "report.html"
 SUMMARY = "summary.json"
-_SHOWN = 4  #: most errors that are drawn, and most causes of each
-_WORST = 5  #: most runs that are listed
+_SHOWN = 4  #: largest number of errors that are drawn, and of causes of each
+_WORST = 5  #: largest number of runs that are listed
 
 
 def write_report(table: pyarrow.Table, study: SweepStudy, folder: Path) -> Json:
@@ -57,35 +57,48 @@ def write_report(table: pyarrow.Table, study: SweepStudy, folder: Path) -> Json:
 
 
 def in_words(summary: Json) -> Iterator[str | Table]:
-    """Texts and a table to be printed: outcomes, errors and their causes, and the worst runs."""
+    """Yield texts and a table to be printed: outcomes, errors and their causes, and the worst runs.
+
+    Args:
+        summary: result of `summarise`.
+    """
     words = ", ".join(f"{count} {word}" for word, count in summary["words"].items())
     yield f"{summary['rows']} runs, {summary['success_rate']:.1%} without a failed task: {words}"
     table = Table(
         "error", "median", "90 %", "99 %", "largest", "depends most on (rank correlation)"
     )
     for name, values in summary["quantiles"].items():
-        known = {k: v for k, v in summary["sensitivities"][name].items() if v is not None}
-        most = sorted(known, key=lambda key: -abs(known[key]))[:2]
-        causes = ", ".join(f"{key} {known[key]:+.2f}" for key in most)
-        shares = sorted(summary["variances"][name].items(), key=lambda one: -one[1]["total"])[:2]
-        causes += "".join(
-            f"\n{key}: {share['total']:.0%} of its variance, {share['first']:.0%} alone"
-            for key, share in shares
-        )
-        table.add_row(name, *(f"{value:.3g}" for value in values.values()), causes)
+        table.add_row(name, *(f"{value:.3g}" for value in values.values()), _causes(summary, name))
     if summary["quantiles"]:
         yield table
-    for one in summary["worst"][:3]:
-        value = "" if one["value"] is None else f", {one['column']} {one['value']:.3g}"
-        command = f"\n  {one['command']}" if one["command"] else ""
-        yield f"row {one['row']}: {one['word']}{value}{command}"
+    for run in summary["worst"][:3]:
+        value = "" if run["value"] is None else f", {run['column']} {run['value']:.3g}"
+        command = f"\n  {run['command']}" if run["command"] else ""
+        yield f"row {run['row']}: {run['word']}{value}{command}"
+
+
+def _causes(summary: Json, name: str) -> str:
+    """Text on the two keys that an error depends most on, by correlation and by variance.
+
+    Args:
+        summary: result of `summarise`. name: column of the error.
+    """
+    correlations = {
+        key: rho for key, rho in summary["sensitivities"][name].items() if rho is not None
+    }
+    keys = sorted(correlations, key=lambda key: -abs(correlations[key]))[:2]
+    text = ", ".join(f"{key} {correlations[key]:+.2f}" for key in keys)
+    variances = summary["variances"][name].items()
+    for key, share in sorted(variances, key=lambda entry: -entry[1]["total"])[:2]:
+        text += f"\n{key}: {share['total']:.0%} of its variance, {share['first']:.0%} alone"
+    return text
 
 
 def _printed(summary: Json) -> str:
-    """Text of `in_words`."""
+    """Text of `in_words`, as it is printed with a width of 160 letters."""
     console = Console(file=StringIO(), width=160)
-    for one in in_words(summary):
-        console.print(one, highlight=False, markup=False, soft_wrap=isinstance(one, str))
+    for part in in_words(summary):
+        console.print(part, highlight=False, markup=False, soft_wrap=isinstance(part, str))
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
@@ -169,8 +182,10 @@ def summarise(table: pyarrow.Table, study: SweepStudy) -> Json:
     for name in columns:
         x = numbers(table, name)
         if np.isfinite(x).any():
-            found = np.nanquantile(x, QUANTILES).tolist()
-            quantiles[name] = {f"{100 * q:g} %": v for q, v in zip(QUANTILES, found, strict=True)}
+            values = np.nanquantile(x, QUANTILES).tolist()
+            quantiles[name] = {
+                f"{100 * share:g} %": value for share, value in zip(QUANTILES, values, strict=True)
+            }
     return {
         "rows": table.num_rows,
         "success_rate": 1.0 - sum(failed) / max(1, len(failed)),
@@ -202,14 +217,16 @@ def sensitivities(table: pyarrow.Table, study: SweepStudy, name: str) -> dict[st
     """
     from scipy.stats import spearmanr
 
-    found: dict[str, float | None] = dict.fromkeys(study.sample(0).shown)
+    correlations: dict[str, float | None] = dict.fromkeys(study.sample(0).shown)
     error = numbers(table, name)
-    for column in filter(lambda column: _varies(table, column), found):
+    for column in correlations:
+        if not _varies(table, column):
+            continue
         both = np.array([numbers(table, column), error])
         both = both[:, np.isfinite(both).all(axis=0)]
         if both.shape[1] > 2 and np.ptp(both, axis=1).all():
-            found[column] = float(spearmanr(*both).statistic)
-    return found
+            correlations[column] = float(spearmanr(*both).statistic)
+    return correlations
 
 
 def variances(table: pyarrow.Table, study: SweepStudy, name: str) -> dict[str, dict[str, float]]:
@@ -231,9 +248,9 @@ def variances(table: pyarrow.Table, study: SweepStudy, name: str) -> dict[str, d
 
     A, B, *AB = f.reshape(study.samples, -1).T
     parts = {"f_A": A[None], "f_B": B[None], "f_AB": np.array(AB)[:, None]}
-    found = sobol_indices(func=parts, n=study.samples)
-    first = np.ravel(found.first_order).tolist()
-    total = np.ravel(found.total_order).tolist()
+    indices = sobol_indices(func=parts, n=study.samples)
+    first = np.ravel(indices.first_order).tolist()
+    total = np.ravel(indices.total_order).tolist()
     return {
         path: {"first": first[k], "total": total[k]} for k, (path, _) in enumerate(study.variations)
     }
@@ -247,15 +264,16 @@ def worst_rows(table: pyarrow.Table, study: SweepStudy) -> list[Json]:
         study: study of the runs.
     """
     judged = [name for name in judged_columns(table) if name.endswith(".rms_error_rel")]
-    found = []
+    ranked = []  # whether the run failed, its largest error, and its description
     for row in table.to_pylist():
         errors = {name: row[name] or 0.0 for name in judged}
         name = max(judged, key=errors.__getitem__, default=None)
         about = {key: row[key] for key in ("row", "word", "why")}
         about |= {"column": name, "value": name and row[name]}
-        found.append((row["failed"], max(errors.values(), default=0.0), about))
-    found.sort(key=lambda one: one[:2], reverse=True)
-    return [one | {"command": study.command(one["row"])} for *_, one in found[:_WORST]]
+        ranked.append((row["failed"], max(errors.values(), default=0.0), about))
+    ranked.sort(key=lambda entry: entry[:2], reverse=True)
+    worst = [about for _, _, about in ranked[:_WORST]]
+    return [about | {"command": study.command(about["row"])} for about in worst]
 
 
 def _varies(table: pyarrow.Table, name: str) -> bool:

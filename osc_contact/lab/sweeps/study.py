@@ -32,7 +32,8 @@ _CALL = re.compile(r"\s*([a-z]+)\s*\((.*)\)\s*")
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 
 Cell = str | int | float  #: value of a column of the table
-Drawn = tuple[str, dict[str, Cell]]  #: text of an override, and columns of the table by suffix
+#: Value of a distribution: text of an override, and values of the table's columns by suffix.
+Drawn = tuple[str, dict[str, Cell]]
 
 
 @dataclass(frozen=True)
@@ -122,11 +123,13 @@ def _scalar(at: Callable[[float, float, float], float]) -> Make:
     """
 
     def make(parts: Sequence[str]) -> Distribution:
+        """Make the distribution of two numbers, each with the same unit or none."""
         (first, second), unit = _quantities(parts, 2)
         at(0.5, first, second)  # refuses unsuitable numbers
         suffix = f" [{unit}]" if unit else ""
 
         def draw(u: Array, _: Any) -> Drawn:
+            """Value at the coordinate u (1,) as a number with its unit."""
             x = at(float(u[0]), first, second)
             return (f"{x!r} {unit}".strip(), {suffix: x})
 
@@ -157,12 +160,17 @@ def _normal(u: float, mean: float, spread: float) -> float:
 
 
 def _factor(parts: Sequence[str]) -> Distribution:
-    """Distribution of the scenario's own value times a uniform factor."""
+    """Distribution of the scenario's own value times a uniform factor.
+
+    Args:
+        parts: texts of the lowest and the highest factor.
+    """
     uniform = _scalar(_uniform)(parts)
     if _quantities(parts, 2)[1]:
         raise ValueError("give two factors without a unit")
 
     def draw(u: Array, value: Any) -> Drawn:
+        """The scenario's value times the factor at the coordinate u (1,)."""
         x = float(uniform.draw(u, None)[0])
         return (_times(value, x), {" [factor]": x})
 
@@ -185,6 +193,7 @@ def _choice(parts: Sequence[str], values: Sequence[Cell] = ()) -> Distribution:
             values = parts
 
     def draw(u: Array, _: Any) -> Drawn:
+        """Text at the coordinate u (1,), which is divided into equal intervals."""
         i = min(int(u[0] * len(parts)), len(parts) - 1)
         return (parts[i], {"": values[i]})
 
@@ -203,11 +212,14 @@ def _integers(parts: Sequence[str]) -> Distribution:
 def _times(value: Any, factor: float) -> str:
     """Text of a number, a quantity or a list of them, times a factor.
 
+    Args:
+        value: number, text with a number and a unit, or list of these. factor: factor of each.
+
     Raises:
-        InvalidInputError: a value that is not a number.
+        InvalidInputError: a value is not a number.
     """
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_times(one, factor) for one in value) + "]"
+        return "[" + ", ".join(_times(item, factor) for item in value) + "]"
     match = None if isinstance(value, bool) else _NUMBER.fullmatch(str(value))
     if match is None:
         raise InvalidInputError(f"factor(…) multiplies a number; the scenario has {value!r}")
@@ -215,18 +227,23 @@ def _times(value: Any, factor: float) -> str:
 
 
 def _tilt(parts: Sequence[str]) -> Distribution:
-    """Distribution of the scenario's own direction, tilted by at most an angle, uniform in area."""
+    """Distribution of the scenario's own direction, tilted by at most an angle, uniform in area.
+
+    Args:
+        parts: text of the largest angle, in deg or rad.
+    """
     (most,), unit = _quantities(parts, 1)
     most = np.deg2rad(most) if unit == "deg" else most
     if unit not in ("deg", "rad", "") or not 0.0 < most <= np.pi:
         raise ValueError("give the largest angle in deg or rad, at most 180 deg")
 
     def draw(u: Array, value: Any) -> Drawn:
+        """The direction `value` (3,), tilted by u[0] towards the heading u[1]; u (2,)."""
         n = np.array(value, dtype=float)
         n /= norm(n)
         angle = float(np.arccos(1.0 - u[0] * (1.0 - np.cos(most))))
         heading = 2.0 * np.pi * float(u[1])
-        a = np.cross(np.eye(3)[np.abs(n).argmin()], n)
+        a = np.cross(np.eye(3)[np.abs(n).argmin()], n)  # across n, by the axis furthest from it
         a /= norm(a)
         side = np.cos(heading) * a + np.sin(heading) * np.cross(n, a)
         tilted = np.cos(angle) * n + np.sin(angle) * side
@@ -322,9 +339,10 @@ class SweepStudy:
             InvalidInputError: no distribution, or a wrong one.
         """
         if isinstance(scenario, Scenario):
-            if scenario.laws is not None or any(
-                getattr(one, "pair", None) is not None for one in scenario.contacts
-            ):
+            has_own_pairs = any(
+                getattr(contact, "pair", None) is not None for contact in scenario.contacts
+            )
+            if scenario.laws is not None or has_own_pairs:
                 raise InvalidInputError(
                     "laws and pairs written in Python cannot be handed to other processes; run "
                     "such a scenario with osc.run, one by one"
@@ -346,7 +364,7 @@ class SweepStudy:
         return (type(self), astuple(self), {"_points": self._points})
 
     def require_sound(self) -> None:
-        """Refuse a study that has errors, as far as the first row shows them.
+        """Refuse a study that has errors; the scenario is checked with the values of the first run.
 
         Raises:
             InvalidInputError: wrong numbers of keys, samples or runs, or an unknown design.
@@ -379,11 +397,13 @@ class SweepStudy:
         Raises:
             InvalidInputError: a text without "=", or a wrong distribution.
         """
-        found = [text.partition("=") for text in self.vary]
-        for path, equals, _ in found:
+        variations = []
+        for text in self.vary:
+            path, equals, words = text.partition("=")
             if not equals:
                 raise InvalidInputError(f"{path!r}: write path.to.key=distribution")
-        return tuple((path.strip(), parse_distribution(words)) for path, _, words in found)
+            variations.append((path.strip(), parse_distribution(words)))
+        return tuple(variations)
 
     @cached_property
     def template(self) -> Template:
@@ -425,14 +445,22 @@ class SweepStudy:
         return Sample(number, seed, overrides, shown)
 
     def at(self, u: Array) -> tuple[dict[str, str], dict[str, Cell]]:
-        """Overrides by path, and columns of the table, at a point u (dims,) between 0 and 1."""
+        """Values of all keys at a point.
+
+        Args:
+            u: (dims,) coordinates between 0 and 1, of all keys in order.
+
+        Returns:
+            Overrides of the scenario by path, and values of the table by column.
+        """
         overrides = {}
-        shown: dict[str, Cell] = {}
+        columns: dict[str, Cell] = {}
+        remaining = u
         for path, distribution in self.variations:
-            own, u = np.split(u, [distribution.dims])
-            overrides[path], values = distribution.draw(own, self._stated.get(path))
-            shown |= {path + suffix: value for suffix, value in values.items()}
-        return (overrides, shown)
+            coordinates, remaining = np.split(remaining, [distribution.dims])
+            overrides[path], values = distribution.draw(coordinates, self._stated.get(path))
+            columns |= {path + suffix: value for suffix, value in values.items()}
+        return (overrides, columns)
 
     def scenario(self, sample: Sample) -> Scenario:
         """Scenario of a run."""
@@ -461,20 +489,27 @@ class SweepStudy:
         """Point (dims,) of a run, coordinates between 0 and 1.
 
         Each sample of the design "saltelli" gives the points A, B, and A with one key of B.
+
+        Args:
+            number: number of the run.
         """
         dims = [distribution.dims for _, distribution in self.variations]
         if self.design == "grid":
-            count = np.array(self._levels)
-            place = np.array(np.unravel_index(number, count))
-            ends = np.repeat([distribution.ends for _, distribution in self.variations], dims)
-            middle = (place + 0.5) / count
-            return np.where(ends & (count > 1), place / np.maximum(count - 1, 1), middle)
+            levels = np.array(self._levels)
+            indices = np.array(np.unravel_index(number, levels))
+            has_ends = np.repeat([distribution.ends for _, distribution in self.variations], dims)
+            middles = (indices + 0.5) / levels
+            spaced = indices / np.maximum(levels - 1, 1)
+            return np.where(has_ends & (levels > 1), spaced, middles)
         if self.design == "saltelli":
-            number, turn = divmod(number, len(self.variations) + 2)
-            A, B = np.split(self._in_block(number), 2)
-            if turn < 2:
-                return B if turn else A
-            return np.where(np.repeat(range(len(dims)), dims) == turn - 2, B, A)
+            sample, member = divmod(number, len(self.variations) + 2)
+            A, B = np.split(self._in_block(sample), 2)
+            if member == 0:
+                return A
+            if member == 1:
+                return B
+            key_of_coordinate = np.repeat(range(len(dims)), dims)
+            return np.where(key_of_coordinate == member - 2, B, A)
         return self._in_block(number)
 
     def _in_block(self, number: int) -> Array:

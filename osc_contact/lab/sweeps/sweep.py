@@ -70,12 +70,13 @@ _LEFT_OUT = {
     "force_per_normal",
 }
 
-Row = Json
+Row = Json  #: row of the table: values by the name of their column
 
 # --- Making rows --------------------------------------------------------------------------------
 
-_KEPT = 8  #: most chains, and most robots, that are kept; runs with their own masses use none again
-Made = TypeVar("Made")
+#: Largest number of chains, and of robots, in a cache. Runs with their own masses never hit it.
+_KEPT = 8
+Made = TypeVar("Made")  #: type of the entries of a cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +139,11 @@ class RigBuilder(threading.local):
         return _kept(self._robots, key, lambda: RobotAtTask(build_rig(scenario, self._chain)))
 
     def _chain(self, scenario: Scenario, error: ModelErrorSpec) -> ClosedChain:
-        """Chain of a scenario with errors of its model, from the cache if possible."""
+        """Chain of a scenario with errors of its model, from the cache if possible.
+
+        Args:
+            scenario: scenario with arms, object and grasps. error: factors of masses and friction.
+        """
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
         key = _key(scenario, content, dict(error))
         return _kept(self._chains, key, lambda: build_chain(scenario, error))
@@ -155,7 +160,12 @@ def robot_key(scenario: Scenario) -> str:
 
 
 def _key(scenario: Scenario, *content: Any) -> str:
-    """Key of content of a scenario, JSON data, and of the folder of its files."""
+    """Key of a cache for content of a scenario.
+
+    Args:
+        scenario: scenario, whose file is part of the key, because paths refer to its folder.
+        content: JSON data.
+    """
     return json.dumps([content, str(scenario.source)], sort_keys=True)
 
 
@@ -244,7 +254,12 @@ def require_long_enough(study: SweepStudy) -> None:
 
 
 def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
-    """Row of a sample, which is run; see `record_sample`."""
+    """Run a sample and make its row; a run that is rejected or diverges has a word and a reason.
+
+    Args:
+        study: study of the sample. sample: changes of the scenario, and seed. install: function
+            that installs another law in the controller; None: none.
+    """
     try:
         recording = record_sample(study, sample, install)
         verdict = metrics(recording)
@@ -280,7 +295,11 @@ def _head(sample: Sample, word: str, why: str, failed: bool = True) -> Row:
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Items of nested mappings with joined keys: ("a.b", 1) of {"a": {"b": 1}}."""
+    """Yield the items of nested mappings with joined keys: ("a.b", 1) of {"a": {"b": 1}}.
+
+    Args:
+        values: nested mappings. before: text before each key.
+    """
     for key, value in values.items():
         name = f"{before}{key}"
         if isinstance(value, Mapping):
@@ -515,17 +534,17 @@ def run_rows(
         if file is not None:
             rows = stack.enter_context(closing(RowFile(file, study, laws)))
         done = {} if rows is None else rows.done
-        left = [number for number in range(study.rows) if number not in done]
-        ended = study.rows - len(left)
-        jobs = [(study, left[i : i + _CHUNK]) for i in range(0, len(left), _CHUNK)]
+        remaining = [number for number in range(study.rows) if number not in done]
+        completed = study.rows - len(remaining)
+        jobs = [(study, remaining[i : i + _CHUNK]) for i in range(0, len(remaining), _CHUNK)]
         crew = stack.enter_context(workers_of(workers, scheduler, len(jobs)))
         for _, row in make_all(crew, jobs, make):
             done[row["row"]] = row
-            ended += 1
+            completed += 1
             if rows is not None:
                 rows.append(row)
             if progress is not None:
-                progress(ended, study.rows)
+                progress(completed, study.rows)
     return {number: done[number] for number in range(study.rows)}
 
 
@@ -551,10 +570,19 @@ class Workers:
     deaths: type[Exception] = BrokenExecutor
 
     def __post_init__(self) -> None:
+        """Make the first executor."""
         self._executor = self.executor()
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Submit a call of a function; a broken executor is replaced before."""
+        """Submit a call to the workers; a broken executor is replaced before.
+
+        Args:
+            function: function that other processes import. arguments: its arguments, which are
+                pickled.
+
+        Returns:
+            Future result of the call.
+        """
         try:
             return self._executor.submit(function, *arguments)
         except BrokenExecutor:
@@ -590,21 +618,21 @@ def workers_of(
     with ExitStack() as stack:
         if scheduler is None:
             context = get_context("spawn")  # threads of this process would not survive a fork
-            made = Workers(lambda: ProcessPoolExecutor(count, context, _begin_work), lambda: count)
+            crew = Workers(lambda: ProcessPoolExecutor(count, context, _begin_work), lambda: count)
             for _ in range(count):  # they import this package while their work is prepared
-                made.submit(available_cores)
+                crew.submit(available_cores)
         else:
             from distributed.scheduler import KilledWorker
 
             from osc_contact.lab.sweeps.cluster import connect
 
             client = stack.enter_context(connect(scheduler))
-            made = Workers(
+            crew = Workers(
                 client.get_executor, lambda: max(1, sum(client.nthreads().values())), KilledWorker
             )
-        stack.callback(made.close)
-        compiled.rows()  # compiled once if need be, not in every worker
-        yield made
+        stack.callback(crew.close)
+        compiled.rows()  # compiled here, so that the workers load the library
+        yield crew
 
 
 def make_all(
@@ -625,16 +653,20 @@ def make_all(
             for number in numbers:
                 yield (study, make(study, [number])[0])
         return
-    lost: list[Job] = []
+    repeated: list[Job] = []  # each with one row
     for (study, numbers), rows in _hand_out(workers, jobs, make):
         if rows is None:
-            lost += [(study, [number]) for number in numbers]
+            repeated += [(study, [number]) for number in numbers]
         else:
-            yield from ((study, row) for row in rows)
-    for job in lost:  # it may have ended its worker: it is run alone
+            for row in rows:
+                yield (study, row)
+    for job in repeated:  # one at a time, so that a crash concerns no other row
         for (study, numbers), rows in _hand_out(workers, [job], make):
-            why = "its process died twice; run it alone to find the cause"
-            yield (study, rows[0] if rows else _head(study.sample(numbers[0]), CRASHED, why))
+            if rows:
+                yield (study, rows[0])
+            else:
+                why = "its process died twice; run it alone to find the cause"
+                yield (study, _head(study.sample(numbers[0]), CRASHED, why))
 
 
 def available_cores() -> int:
@@ -647,24 +679,31 @@ def available_cores() -> int:
 def _hand_out(
     workers: Workers, jobs: Iterable[Job], make: MakesRows
 ) -> Iterator[tuple[Job, list[Row] | None]]:
-    """Jobs with their rows, in the order of their completion; None: the worker of a job has died.
+    """Yield jobs with their rows, in the order of their completion.
+
+    Only a few jobs for each worker are submitted at a time, so that little is lost if it ends.
 
     Args:
-        workers, jobs, make: see `make_all`.
+        workers: workers in other processes. jobs: jobs to be done. make: function that makes the
+            rows of a job, which other processes import.
+
+    Yields:
+        Job, and its rows; None in place of the rows if the worker of the job has died.
 
     Raises:
         OscContactError: the cluster is lost.
     """
-    waiting = iter(jobs)
-    under_way: dict[Future[list[Row]], Job] = {}
+    job_iterator = iter(jobs)
+    submitted: dict[Future[list[Row]], Job] = {}
     try:
         while True:
-            for job in islice(waiting, max(0, workers.count() * _AHEAD - len(under_way))):
-                under_way[workers.submit(make, *job)] = job
-            if not under_way:
+            free = max(0, workers.count() * _AHEAD - len(submitted))
+            for job in islice(job_iterator, free):
+                submitted[workers.submit(make, *job)] = job
+            if not submitted:
                 return
-            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
-                job = under_way.pop(future)
+            for future in wait(submitted, return_when=FIRST_COMPLETED).done:
+                job = submitted.pop(future)
                 try:
                     rows = future.result()
                 except workers.deaths:
@@ -675,7 +714,7 @@ def _hand_out(
             "the cluster is lost; start it again, and the same call continues with what is done"
         ) from error
     finally:
-        for future in under_way:
+        for future in submitted:
             future.cancel()
 
 

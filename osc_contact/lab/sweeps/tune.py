@@ -125,10 +125,10 @@ def tune(
     )
     search = _Search(study, keys, base, judge)
     with workers_of(workers, scheduler, trials) as crew:
-        while (left := trials - len(search.completed())) > 0:
-            count = search.run(crew, left)
+        while (remaining := trials - len(search.completed())) > 0:
+            count = search.run(crew, remaining)
             if progress is not None:
-                progress(trials - left + count, trials)
+                progress(trials - remaining + count, trials)
     return search.result(shipped)
 
 
@@ -266,7 +266,7 @@ class _Judge:
         ]
         self._shipped = {name: self._mean(shipped, name) for name in ("force", "motion")}
         if objective not in (*self._shipped, "both", *shipped[0]):
-            known = [n for n, value in shipped[0].items() if isinstance(value, float)]
+            known = [name for name, value in shipped[0].items() if isinstance(value, float)]
             raise InvalidInputError(
                 f"objective {objective!r}: give force, motion, both, or a column: {known}"
             )
@@ -274,22 +274,36 @@ class _Judge:
         if unknown:
             raise InvalidInputError(f"limits of {unknown}: no such columns")
         if not self._limits:
-            now = self.worst(shipped)
-            self._limits = {n: max(least, _SLACK * now[n]) for n, least in _LIMITED.items()}
+            values = self.worst(shipped)
+            self._limits = {
+                name: max(least, _SLACK * values[name]) for name, least in _LIMITED.items()
+            }
 
     def _mean(self, rows: Sequence[Row], name: str) -> float:
-        """Mean of a quantity over rows, see `_one`."""
-        return float(np.mean([self._one(row, name) for row in rows]))
+        """Mean of a quantity over rows.
 
-    def _one(self, row: Row, name: str) -> float:
-        """Quantity of a row: "force", "motion", "both" or a column, see `tune`."""
+        Args:
+            rows: rows of runs. name: "force", "motion", "both" or a column, see `tune`.
+        """
+        return float(np.mean([self._quantity(row, name) for row in rows]))
+
+    def _quantity(self, row: Row, name: str) -> float:
+        """Quantity of a row; `_WORST` for a run that was refused or diverged.
+
+        Args:
+            row: row of a run. name: "force", "motion", "both" or a column, see `tune`.
+        """
         if row.get("motion.rms_error_m") is None:
             return _WORST
         if name == "force":
-            return max((row[n] or 0.0 for n in self._forces), default=0.0)
+            return max((row[column] or 0.0 for column in self._forces), default=0.0)
         if name == "both":
-            parts = [self._one(row, n) / s for n, s in self._shipped.items() if s > 0.0]
-            return float(np.mean(parts))
+            ratios = [
+                self._quantity(row, part) / shipped
+                for part, shipped in self._shipped.items()
+                if shipped > 0.0
+            ]
+            return float(np.mean(ratios))
         column = "motion.rms_error_m" if name == "motion" else name
         value = row[column]
         return _WORST if value is None else float(value)
@@ -301,14 +315,17 @@ class _Judge:
     def excess(self, rows: Sequence[Row]) -> dict[str, float]:
         """Share of failed tasks, and relative excess over each limit, by a text that names them."""
         worst = self.worst(rows)
-        found = {"a task fails": float(np.mean([row["failed"] for row in rows]))}
-        for name, most in self._limits.items():
-            found[f"{name} > {most:g}"] = max(0.0, (worst[name] - most) / max(abs(most), 1.0))
-        return found
+        excess = {"a task fails": float(np.mean([row["failed"] for row in rows]))}
+        for name, limit in self._limits.items():
+            beyond = (worst[name] - limit) / max(abs(limit), 1.0)
+            excess[f"{name} > {limit:g}"] = max(0.0, beyond)
+        return excess
 
     def worst(self, rows: Sequence[Row]) -> dict[str, float]:
         """Largest values of "force", "motion" and the limited columns over the rows of a trial."""
-        found = {name: max(self._one(row, name) for row in rows) for name in ("force", "motion")}
+        largest = {
+            name: max(self._quantity(row, name) for row in rows) for name in ("force", "motion")
+        }
         for name in (*_LIMITED, *self._limits):
-            found[name] = max(float(row.get(name) or 0.0) for row in rows)
-        return found
+            largest[name] = max(float(row.get(name) or 0.0) for row in rows)
+        return largest

@@ -60,6 +60,7 @@ def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
 
     @cache
     def make(number: int) -> Episode:
+        """Make the episode of a sample: its rig, and its references at the ends of the steps."""
         rig = rigs.rig(study.scenario(study.sample(number)))
         steps = np.floor(rig.scenario.duration / period + 1e-9)
         plan = rig.references.over(np.arange(steps + 1) * period)
@@ -172,9 +173,19 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         episodes: int = 256,
         threads: int | None = None,
     ) -> None:
-        alike = [f"{SEED}=integers(0, 0)"]
+        """Make plants, controllers and spaces; all rows are at the start of the first episode.
+
+        Raises:
+            InvalidInputError: no environments, a rate that does not divide that of control, or a
+                force above the scenario's ceilings.
+        """
+        constant_seed = [f"{SEED}=integers(0, 0)"]  # a study needs a key that varies
         study = SweepStudy.of(
-            scenario, vary or alike, episodes, "halton" if vary else "random", overrides=overrides
+            scenario,
+            vary or constant_seed,
+            episodes,
+            "halton" if vary else "random",
+            overrides=overrides,
         )
         self._episode = episode_maker(study, 1.0 / rate)
         self._count = episodes if vary else 1
@@ -258,43 +269,49 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             raise InvalidInputError(
                 f"actions: expected {(self.num_envs, 6 + self._r)}, got {clipped.shape}"
             )
-        again = self._over.copy()
-        going = ~again
-        tau = self._advance(clipped, going)
-        self._begin(np.flatnonzero(again).tolist())
-        self._step[going] += 1
-        seen = self._see(clipped, tau)
-        rewards = np.where(going, self._reward(seen), 0.0)
-        away = np.linalg.norm(seen.error.reshape(-1, 2, 3), axis=2) > self._away
-        terminated = going & (seen.diverged | away.any(axis=1))
-        truncated = going & ~terminated & (self._step >= self._last)
+        begins = self._over.copy()  # rows in which the action is ignored and an episode begins
+        continues = ~begins
+        tau = self._advance(clipped, continues)
+        self._begin(np.flatnonzero(begins).tolist())
+        self._step[continues] += 1
+        sensed = self._sense(clipped, tau)
+        rewards = np.where(continues, self._reward(sensed), 0.0)
+        is_away = np.linalg.norm(sensed.error.reshape(-1, 2, 3), axis=2) > self._away
+        terminated = continues & (sensed.diverged | is_away.any(axis=1))
+        truncated = continues & ~terminated & (self._step >= self._last)
         self._over = terminated | truncated
         return (self._observe(), rewards, terminated, truncated, self._infos())
 
-    def _advance(self, actions: Array, going: Array) -> Array:
+    def _advance(self, actions: Array, continues: Array) -> Array:
         """Tick all rows during an action; return their last torques (B, n_a).
 
         Args:
             actions: (B, 6 + r) from −1 to 1.
-            going: (B,) flags of rows whose episode has not ended; the others keep their set points.
+            continues: (B,) flags of rows whose episode has not ended; the others keep their set
+                points.
         """
-        T = self._ticks
-        increment = np.where(going[:, None], actions[:, :6] * self.move, 0.0)
+        ticks = self._ticks
+        increment = np.where(continues[:, None], actions[:, :6] * self.move, 0.0)
         forces = 0.5 * (actions[:, 6:] + 1.0) * self.most_force
-        forces = np.where(going[:, None], forces, self._forces)
-        share = np.arange(1, T + 1)[:, None, None] / T
+        forces = np.where(continues[:, None], forces, self._forces)
+        share = np.arange(1, ticks + 1)[:, None, None] / ticks
         X = moved(self._target, share * increment)
-        V = increment / (T * self.fleet.dt)
+        V = increment / (ticks * self.fleet.dt)
         alpha = self._forces + share * (forces - self._forces)
         squeeze = np.array([episode.squeeze for episode in self._now])
-        for k in range(T):
+        for k in range(ticks):
             tau = self.fleet.tick(X[k], V, np.zeros_like(V), alpha[k], squeeze)
         self._target = X[-1].copy()
         self._forces = forces
         return tau
 
-    def _see(self, actions: Array, tau: Array) -> SensedRows:
-        """Quantities of all rows after a step, for the actions (B, 6 + r) and torques (B, n_a)."""
+    def _sense(self, actions: Array, tau: Array) -> SensedRows:
+        """Quantities of all rows after a step, from which rewards are computed.
+
+        Args:
+            actions: (B, 6 + r) actions of the step.
+            tau: (B, n_a) torques of its last tick (N m, N).
+        """
         places, forces = self._desired()
         p, R = self.fleet.objects()
         error = np.concatenate(
@@ -306,11 +323,16 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return SensedRows(force, forces, error, tau, actions, diverged)
 
     def _desired(self, ahead: int = 0) -> tuple[Array, Array]:
-        """Poses (B, 4, 4) and forces (B, r) of the scenarios, some actions ahead."""
+        """Desired poses (B, 4, 4) and contact forces (B, r) of the scenarios.
+
+        Args:
+            ahead: number of actions from the present step to the time of the desired values.
+        """
         steps = np.minimum(self._step + ahead, self._last)
-        at = list(zip(self._now, steps, strict=True))
-        forces = np.array([episode.forces[k] for episode, k in at])
-        return (np.array([episode.places[k] for episode, k in at]), forces)
+        pairs = list(zip(self._now, steps, strict=True))
+        places = np.array([episode.places[k] for episode, k in pairs])
+        forces = np.array([episode.forces[k] for episode, k in pairs])
+        return (places, forces)
 
     @property
     def _last(self) -> Array:
@@ -343,9 +365,12 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
 
 def _needed(places: Array) -> Array:
-    """Twice the largest increments (2,) between successive poses (k, 4, 4), with a least value.
+    """Default of the largest increments (2,): along an axis (m), and about an axis (rad).
 
-    They are along and about an axis (m, rad).
+    They are twice the largest increments between successive poses, and at least 1 mm and 5 mrad.
+
+    Args:
+        places: (k, 4, 4) desired poses at the ends of the steps.
     """
     largest = np.abs(_displacement(places[:-1], places[1:])).reshape(-1, 2, 3).max(axis=(0, 2))
     return np.maximum((1e-3, 5e-3), 2.0 * largest)
@@ -359,7 +384,8 @@ def _displacement(start: Array, end: Array) -> Array:
 
 def _turns(R: Array) -> Array:
     """Rotation vectors (B, 3) of rotations (B, 3, 3); NaN of matrices that are not finite."""
-    return np.array([pin.log3(one) if np.isfinite(one).all() else [np.nan] * 3 for one in R])
+    unknown = np.full(3, np.nan)
+    return np.array([pin.log3(matrix) if np.isfinite(matrix).all() else unknown for matrix in R])
 
 
 make_vector_env = ContactVectorEnv

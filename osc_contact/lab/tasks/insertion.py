@@ -31,17 +31,18 @@ from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.settings.control import EstimateSpec
 from osc_contact.spatial import Array
 
-PERIOD = 1e-3  #: s, of control
-FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
-WIDTH = 0.02  #: m, of the peg
-LENGTH = 0.06  #: m, of the peg
-DEPTH = 0.03  #: m, of the hole
-WALL = 0.04  #: m, of the block around the hole
-BELIEVED = pin.SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.5, 0.0, 0.3]))  #: pose of the hole
-POSTURE = (0.0, 0.1, 0.0, -2.1, 0.0, 2.2, 0.785)
-TCP = 0.1034  #: m, from the hand to its tip frame
-BASE = 0.10  #: m, from the hand to the base of the peg
-SECTORS = 32  #: boxes of which a round hole is made
+PERIOD = 1e-3  #: control period (s)
+FINGERS = ("panda_finger_joint1", "panda_finger_joint2")  #: locked joints of the hand
+WIDTH = 0.02  #: width of the peg (m)
+LENGTH = 0.06  #: length of the peg (m)
+DEPTH = 0.03  #: depth of the hole (m)
+WALL = 0.04  #: thickness of the block around the hole (m)
+#: Modelled pose of the hole in the world.
+BELIEVED = pin.SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.5, 0.0, 0.3]))
+POSTURE = (0.0, 0.1, 0.0, -2.1, 0.0, 2.2, 0.785)  #: joint positions near the start (rad)
+TCP = 0.1034  #: distance from the hand to its tip frame (m)
+BASE = 0.10  #: distance from the hand to the base of the peg (m)
+SECTORS = 32  #: number of boxes of which a round hole is made
 
 
 @dataclass(frozen=True)
@@ -101,22 +102,23 @@ class Insertion:
 
     @property
     def hole(self) -> Hole:
-        """Modelled hole, in the world."""
+        """Hole in the controller's model: its pose, and the true width with a random error."""
         clearance = self.clearance + self.drawn[6] * self.world.clearance_error
         return Hole(self.peg.shape, self.peg.width + clearance, DEPTH, BELIEVED)
 
     @property
     def true_hole(self) -> Hole:
-        """Hole as it is, in the world."""
-        d = self.displacement
-        pose = pin.SE3(pin.exp3(d[3:]) @ BELIEVED.rotation, BELIEVED.translation + d[:3])
+        """True hole, displaced from the modelled pose."""
+        displacement = self.displacement
+        rotation = pin.exp3(displacement[3:]) @ BELIEVED.rotation
+        pose = pin.SE3(rotation, BELIEVED.translation + displacement[:3])
         return Hole(self.peg.shape, self.peg.width + self.clearance, DEPTH, pose)
 
     def chain(self, mass: float = 1.0, held: float = 1.0) -> ClosedChain:
-        """Arm and peg.
+        """Make the chain of arm and peg.
 
         Args:
-            mass: factor of the masses of the arm. held: of the mass of the peg.
+            mass: factor of the masses of the arm. held: factor of the mass of the peg.
         """
         arm = Arm.from_urdf(
             robots.find_robot("panda")[0],
@@ -157,6 +159,7 @@ class InsertionRobot:
     """
 
     def __init__(self, task: Insertion, start: pin.SE3) -> None:
+        """Make plant, sensors and velocity estimate; the arm holds the peg at rest at `start`."""
         world = task.world
         self.task = task
         self.chain = chain = task.chain()
@@ -196,12 +199,16 @@ class InsertionRobot:
 
     def measure(self) -> Measurement:
         """Read encoders and wrist; velocities are estimated."""
-        read = self._sensed.measure()
-        q, v = self._velocities.update(read.q)
-        return replace(read, q=np.array(q), v=np.array(v), estimated=True)
+        measurement = self._sensed.measure()
+        q, v = self._velocities.update(measurement.q)
+        return replace(measurement, q=np.array(q), v=np.array(v), estimated=True)
 
     def command(self, tau: Array, duration: float) -> None:
-        """Apply torques for a period, and note the true forces at its end."""
+        """Apply torques for a period, and note the true forces at its end.
+
+        Args:
+            tau: (n_a,) motor torques (N m, N). duration: period (s).
+        """
         self._sensed.command(tau, duration)
         forces = self.contact_forces()
         self.largest_sum = max(self.largest_sum, float(np.linalg.norm(forces.sum(axis=0))))
@@ -226,7 +233,8 @@ class InsertionRobot:
         """True forces (k, 3) of the k contacts between peg and hole, world axes (N)."""
         import mujoco
 
-        model, data = self.plant.model, self.plant.data
+        model = self.plant.model
+        data = self.plant.data
         forces = np.zeros((data.ncon, 3))
         wrench = np.zeros(6)
         for k in range(data.ncon):
