@@ -97,6 +97,12 @@ class _ArmLoop:
     def __init__(
         self, arm: MujocoArm, contacts: Sequence[ContactPair], config: Mapping[str, Any]
     ) -> None:
+        """Make the controller of an arm and its loop, which has not begun.
+
+        Args:
+            arm: arm of the simulation. contacts: contact pairs of the arm. config: settings of the
+                controller.
+        """
         self.arm = arm
         self.names = [pair.name for pair in contacts]
         dt = float(arm.model.opt.timestep)

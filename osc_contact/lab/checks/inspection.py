@@ -192,6 +192,7 @@ def _words(pair: ContactPair) -> str:
 
 
 def _body(rig: Rig, contact: int) -> str:
+    """Name of the body that a contact touches, by the index of the contact."""
     return rig.bodies[rig.on[contact]].name
 
 
@@ -236,4 +237,5 @@ def _wrench_words(wrench: Array) -> str:
 
 
 def _vector(x: Array) -> str:
+    """Write a vector with three decimals, without −0."""
     return f"[{', '.join(f'{value:.3f}' for value in np.round(x, 3) + 0.0)}]"

@@ -80,6 +80,7 @@ class CompilationBar:
     """Progress bar of the compilation of the law, below the other output, on terminals only."""
 
     def __init__(self) -> None:
+        """Begin without a bar; it is made when the compilation begins."""
         self._bar: Progress | None = None
 
     def __call__(self, share: float) -> None:

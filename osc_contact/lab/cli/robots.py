@@ -177,6 +177,7 @@ def commission(
     from osc_contact.loop.commissioning import Commissioning
 
     def confirm(step: str) -> bool:
+        """Print the next step and ask for it on the terminal, unless --yes confirms all steps."""
         say(step)
         return yes or typer.confirm("continue?")
 

@@ -57,10 +57,12 @@ def _classic(name: str, module: str) -> str:
 
 
 def _text(content: str | bytes) -> str:
+    """Convert the content of a file to text."""
     return content if isinstance(content, str) else content.decode("utf-8")
 
 
 def _bytes(content: str | bytes) -> bytes:
+    """Convert the content of a file to bytes."""
     return content.encode("utf-8") if isinstance(content, str) else content
 
 

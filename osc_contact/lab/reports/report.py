@@ -133,6 +133,7 @@ def _over(step: Json) -> str:
 
 
 def _owner(force: str) -> str:
+    """Name of the contact of a force, such as pad of pad.1."""
     return force.partition(".")[0]
 
 
@@ -210,6 +211,11 @@ def robot_tables(robot: RobotSummary) -> Iterator[Table]:
 
 
 def _range(low: float, high: float, digits: int = 4) -> str:
+    """Write a range of two numbers; an infinite end becomes ∞.
+
+    Args:
+        low, high: ends of the range. digits: number of significant digits.
+    """
     words = (f"{value:.{digits}g}".replace("inf", "∞") for value in (low, high))
     return " … ".join(words)
 
@@ -224,6 +230,7 @@ def _basis(title: str, basis: Array, names: Sequence[str], kinds: Sequence[str])
 
 
 def _percent(ratio: float | None) -> str:
+    """Write a ratio in percent; None, an unknown ratio, becomes a dash."""
     return "–" if ratio is None else f"{100 * ratio:.3g} %"
 
 

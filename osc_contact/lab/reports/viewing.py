@@ -60,6 +60,13 @@ def content_of_recording(recording: Recording) -> Content:
 def _of_picture(
     picture: Any, name: str, contacts: tuple[Sequence[str], Sequence[int]], joints: int
 ) -> Content:
+    """Content of a page with one robot that is drawn by its picture, without a scenario.
+
+    Args:
+        picture: shapes of the robot, see `robots.pictures`. name: name of the robot.
+        contacts: names of the contacts, and index of the contact of each force.
+        joints: number of joints.
+    """
     arm = Visual(name, picture, (), pin.SE3.Identity(), slice(0, joints))
     return Content(name.replace("_", " "), [arm], [], *contacts, joints=joints)
 
@@ -175,6 +182,7 @@ class RealTime:
     """Viewer that slows a run or a replay down to real time."""
 
     def __init__(self, viewer: Viewer) -> None:
+        """Set the viewer; real time begins with the first tick."""
         self.viewer = viewer
         self.begin: float | None = None
 
@@ -255,5 +263,13 @@ def moving_picture(
 
 @contextmanager
 def _page(recording: Recording, rig: Rig | Content) -> Iterator[Path]:
+    """Context with the scene of a recording as a page in a temporary folder.
+
+    Args:
+        recording: recording to show. rig: rig or content of the page.
+
+    Yields:
+        Path of the page, which is deleted at the end of the context.
+    """
     with tempfile.TemporaryDirectory(prefix="osc_contact_") as folder:
         yield write_scene_of(recording, rig, Path(folder) / "scene.html")

@@ -1,8 +1,8 @@
-"""A task as a web page: plant and law run in the browser, from files that any host can serve.
+"""Web page with a task: plant and law run in the browser, from files that any host can serve.
 
-The plant is MuJoCo's official WebAssembly build, the law law.wasm, the picture the scene of the
-live view. Nothing of law, signals or scene is written a second time: references are sampled here
-into a table that the page plays, and what Python computes step by step is refused.
+The plant is MuJoCo's official WebAssembly build, the law is law.wasm, the picture is the scene of
+the live view. References are sampled into a table that the page plays. Features of a scenario that
+Python computes in every step are refused.
 """
 
 from __future__ import annotations
@@ -52,21 +52,23 @@ window.task = new Worker("worker.mjs", { type: "module" });
 window.task.onmessage = (message) => window.early.push(message);
 window.task.postMessage({ kind: "open", files: null });
 </script>"""
-PUSH = 20.0  #: N, of the pointer at most
-SAMPLES = 100.0  #: 1/s, of the curves
-WINDOW = 10.0  #: s, of the curves
-Selection = dict[str, Any]  #: point_m, force_axes, couple_axes of a selection law
-TICKS = 60_000  #: of the table of references, at most
-_DIGITS = 2**27  #: a column of the table in units of its largest number over this
-_POWERS = ("power_total", "power_projected")
+PUSH = 20.0  #: largest force by the pointer (N)
+SAMPLES = 100.0  #: rate of the samples of curves (1/s)
+WINDOW = 10.0  #: duration that curves show (s)
+Selection = dict[str, Any]  #: entries point_m, force_axes, couple_axes of a selection law
+TICKS = 60_000  #: largest number of rows of the table of references
+_DIGITS = 2**27  #: largest number of a column of the table, in the column's unit
+_POWERS = ("power_total", "power_projected")  #: channels that a page does not compute
 
 
 class Hindrance(NamedTuple):
     """Feature of a scenario that Python computes in every step, so that a page cannot have it.
 
     Attributes:
-        name: word for it in `without`. words: what it is. found: whether a scenario has it.
-        left_out: keys of the scenario that leave it out; None: that cannot be.
+        name: name of the feature in `without`. words: name of the feature in messages.
+        found: function that returns whether a scenario has the feature.
+        left_out: function that returns keys of the scenario without the feature; None: it cannot be
+            left out.
     """
 
     name: str
@@ -76,10 +78,16 @@ class Hindrance(NamedTuple):
 
 
 def _plant_without(key: str, value: Any) -> Callable[[Scenario], Json]:
+    """Make the function that replaces a key of a scenario's plant.
+
+    Args:
+        key: key of `plant`. value: value that leaves the feature out.
+    """
     return lambda s: {"plant": {**dict(s.plant), key: value}}
 
 
 def _has_moving_bodies(scenario: Scenario) -> bool:
+    """Return whether a body of the environment is driven or moves on a rail."""
     return any(rail.joints for rail in rails(environment_bodies(scenario)))
 
 
@@ -112,13 +120,13 @@ HINDRANCES = (
 
 
 def playable(scenario: Scenario, without: Collection[str] = ()) -> Scenario:
-    """A scenario without what a page cannot have.
+    """Leave features out of a scenario, and refuse one with features that a page cannot have.
 
     Args:
-        scenario: scenario to play. without: names of what is to be left out, of `HINDRANCES`.
+        scenario: scenario to play. without: names of features in `HINDRANCES` to be left out.
 
     Raises:
-        InvalidInputError: a name that is none, or something else that a page cannot have.
+        InvalidInputError: an unknown name, or a further feature that a page cannot have.
     """
     optional = [one.name for one in HINDRANCES if one.left_out is not None]
     if unknown := sorted(set(without) - set(optional)):
@@ -151,17 +159,18 @@ def write_web_page(
     """Write the page index.html and all its files into a folder.
 
     Args:
-        scenario: scenario to play. folder: is made. without: see `playable`.
-        mujoco: the archive of MuJoCo's npm package; None: npm brings it, or brought it before.
-        select: the selection law that the page can run beside; None: none.
-        one_file: index.html holds all the others and opens from disk.
+        scenario: scenario to play. folder: folder of the files, which is created.
+        without: names of features to be left out, see `playable`.
+        mujoco: archive of MuJoCo's npm package; None: it is taken from a cache, or fetched by npm.
+        select: function that makes the selection law with which the page compares; None: none.
+        one_file: True: index.html contains all other files, and can be opened from disk.
 
     Returns:
-        Bytes of each file.
+        Size of each file (bytes), by its name.
 
     Raises:
-        InvalidInputError: the scenario needs what a page cannot have.
-        OscContactError: there is no law.wasm, or no WebAssembly build of MuJoCo.
+        InvalidInputError: the scenario has a feature that a page cannot have.
+        OscContactError: law.wasm or the WebAssembly build of MuJoCo is missing.
     """
     scenario = playable(scenario, without)
     rig = build_rig(scenario)
@@ -201,7 +210,7 @@ def write_web_page(
 
 
 def _rough(scenario: Scenario) -> Rig:
-    """The rig with friction between object and faces, whose coefficient the page sets."""
+    """Make a rig with friction between object and faces, whose coefficient the page can set."""
     if scenario.plant.friction > 0.0:
         return build_rig(scenario)
     return build_rig(scenario.replaced(plant={**dict(scenario.plant), "friction": 0.1}))
@@ -211,7 +220,9 @@ def _rough(scenario: Scenario) -> Rig:
 
 
 def _references(rig: Rig) -> Array:
-    """(ticks, 28 + forces) the desired pose by rows, twist, its rate, and forces of each tick.
+    """References of all ticks (ticks, 28 + forces).
+
+    Each row has X_WD (4×4 by rows), V_D, A_D and the desired forces.
 
     Raises:
         InvalidInputError: the task is too long for a page.
@@ -229,14 +240,16 @@ def _references(rig: Rig) -> Array:
 
 
 def folded(table: Array) -> tuple[Json, bytes]:
-    """A table as third differences of whole numbers, which compress well; what changes only.
+    """Convert a table to third differences of whole numbers, which compress well.
+
+    Columns that do not change are left out.
 
     Args:
-        table: (ticks, columns).
+        table: (ticks, columns) numbers.
 
     Returns:
-        The first row, and of each column that changes its number and its unit; then (changing
-        columns × ticks) whole numbers of 32 bits, column by column.
+        Number of ticks, first row, and index and unit of each changing column; then whole numbers
+        of 32 bits as bytes, column by column.
     """
     changing = [k for k in range(table.shape[1]) if np.ptp(table[:, k]) > 0.0]
     columns, parts = [], []
@@ -252,7 +265,11 @@ def folded(table: Array) -> tuple[Json, bytes]:
 
 
 def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
-    """Data for the page's worker in addition to the files, for JSON."""
+    """Data for the page's worker beyond the other files, for JSON.
+
+    Args:
+        rig: rig of the scenario. plant: its plant at the start. references: result of `folded`.
+    """
     model = plant.model
     names = rig.chain.joint_names
     joints = [model.joint(name) for name in names]
@@ -300,8 +317,12 @@ def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
 
 
 def _forces(rig: Rig) -> list[Json]:
-    """Of each force its name, mean and largest command, and where MuJoCo alone gives its true
-    magnitude the number of its wall."""
+    """Description of each force for the page's controls and plots.
+
+    It has the name, the first and the largest command of the slider, its step and unit, and the
+    index of the body that is touched. The key `wall` is −1 if several forces act on the body, so
+    that MuJoCo does not give the true magnitude of this one.
+    """
     owners, on = rig.owners.tolist(), rig.on
     commands = rig.references.overview[1].alpha_d
     couples = _couples(rig)
@@ -325,12 +346,18 @@ def _forces(rig: Rig) -> list[Json]:
 
 
 def _couples(rig: Rig) -> list[bool]:
-    """Whether each column of N is a couple."""
+    """Flag of each column of N: True for a couple, which has no force."""
     return [bool(norm(column[:3]) < 1e-9) for column in rig.contact.N.T]
 
 
 def _walls(rig: Rig, plant: MujocoPlant) -> list[Json]:
-    """Of each body of the environment its name, a point that is touched, and axes to move along."""
+    """Description of each body of the environment: name, a touched point, and axes of its motion.
+
+    The axes are the outward normal and a horizontal axis along the face; all are in the world.
+
+    Args:
+        rig: rig of the scenario. plant: plant with the names of MuJoCo's bodies.
+    """
     found = []
     N = rig.contact.N
     for i, body in enumerate(rig.bodies):
@@ -357,14 +384,19 @@ def _walls(rig: Rig, plant: MujocoPlant) -> list[Json]:
 
 
 class _Drawn:
-    """The scene at the start, and how each of its nodes moves with a body of MuJoCo.
+    """Scene at the start, with the body of MuJoCo that each moving node is fixed to.
 
     Attributes:
-        bodies: for each moving node, the name of its body.
+        bodies: name of the body of each moving node.
     """
 
     def __init__(self, rig: Rig, plant: MujocoPlant, compares: bool) -> None:
-        """The drawing of a rig; compares: whether curves of a selection law stand beside."""
+        """Draw the scene of a rig at its start.
+
+        Args:
+            rig: rig of the scenario. plant: its plant. compares: True: plots have curves of a
+                selection law, too.
+        """
         self._compares = compares
         self._rig = rig
         self._plant = plant
@@ -388,7 +420,11 @@ class _Drawn:
         self.bodies = [{"body": node["body"]} for node in self._nodes]
 
     def _body(self, path: str) -> str:
-        """Name of the body of MuJoCo that a node moves with; "": of none."""
+        """Name of the body of MuJoCo that a node moves with; empty for a node at rest.
+
+        Args:
+            path: path of the node in the scene.
+        """
         folder, *parts = path.split("/")
         if folder == "bodies" and parts[-1] == "base":
             names = [body.name for body in self._rig.bodies]
@@ -401,7 +437,7 @@ class _Drawn:
         return ""
 
     def _node(self, path: str) -> Json:
-        """A node with its place in its body."""
+        """Description of a moving node: path, body, and pose in the body's frame (4×4 by rows)."""
         name = self._body(path)
         body = self._plant.data.body(name)
         X_WB = pin.SE3(body.xmat.reshape(3, 3).copy(), body.xpos.copy())
@@ -416,7 +452,11 @@ class _Drawn:
         }
 
     def _marks(self) -> list[Json]:
-        """Of each force where its arrows are in the object, and their rotation at the start."""
+        """Description of each force with the place of its arrows.
+
+        The place is a point in the object's frame (m), with the rotation of the arrows at the start
+        in the world (4×4 by rows).
+        """
         place = next(node for node in self._nodes if node["object"])
         found = []
         for force, about in zip(self._scene.forces, self._forces, strict=True):
@@ -442,8 +482,8 @@ class _Drawn:
         """Text of index.html.
 
         Args:
-            without: what was left out of the task. begin: HTML that starts the worker.
-            licences: HTML that says where they are.
+            without: names of features that were left out of the task. begin: HTML that starts the
+                worker. licences: HTML with a reference to the licences.
         """
         rig = self._rig
         keys = {
@@ -496,7 +536,7 @@ class _Drawn:
         return page_text(self._sink, title, config, around)
 
     def _add_errors(self) -> None:
-        """A plot of the errors of the forces: of this law, and dotted of the selection law."""
+        """Add a plot of the errors of the forces, with dotted lines for the selection law."""
         forces = [line for line in self._scene.lines if line["key"] == "alpha_cmd"]
         looks = {"error": "solid"} | ({"selection": "dotted"} if self._compares else {})
         self._scene.panels.append(
@@ -516,6 +556,10 @@ class _Drawn:
 
 
 def _is_of_recordings(paths: str | Sequence[str]) -> bool:
-    """Whether nodes mark what a page does not compute: motions permitted, and trails."""
+    """Return whether nodes are marks that a page does not compute: permitted motions, or trails.
+
+    Args:
+        paths: path of a node, or of several.
+    """
     first = [paths] if isinstance(paths, str) else paths
     return any(path.split("/")[0] in ("twists", "trails") for path in first)

@@ -136,9 +136,11 @@ class Browser:
             raise
 
     def __enter__(self) -> Browser:
+        """Return the browser itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the browser."""
         self.close()
 
     def close(self) -> None:

@@ -51,16 +51,16 @@ ROOM = 1 << 15  #: buffer of the socket (bytes)
 
 
 class Viewer:
-    """A live page at `url`, served on 127.0.0.1 only, by a process that ends with this one.
+    """Live page at `url`, served on 127.0.0.1 only, by a process that ends with this one.
 
     Args:
-        about: what it is handed, as pickle understands it: the scene.
-        rate: pictures per second at most, 1 … 60.
+        about: scene that is handed to the process by pickle.
+        rate: largest number of pictures per second, 1 … 60.
 
     Attributes:
-        url: address of the page; any number of browsers may open it, none needs to.
-        error: why the view has ended, once it has; the run continues.
-        stalled: whether its process has taken nothing for a second, as on a loaded machine; ticks
+        url: address of the page; any number of browsers may open it.
+        error: reason why the view has ended, or None; the run continues without it.
+        stalled: True if its process has taken no tick for a second, as on a loaded machine; ticks
             are dropped until it does.
 
     Raises:
@@ -74,6 +74,12 @@ class Viewer:
     """
 
     def __init__(self, about: object, rate: float = 30.0) -> None:
+        """Start the process that serves the page, and hand it the scene.
+
+        Raises:
+            InvalidInputError: the rate is not 1 to 60 pictures per second.
+            ViewerError: the process does not start.
+        """
         if not 1.0 <= rate <= 60.0:
             raise InvalidInputError(f"rate = {rate}; give 1 to 60 pictures per second")
         self.error: ViewerError | None = None
@@ -188,9 +194,11 @@ class Viewer:
         self.error = self.error or ViewerError("the live view was closed")
 
     def __enter__(self) -> Viewer:
+        """Return the viewer itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the viewer."""
         self.close()
 
 

@@ -78,6 +78,7 @@ class CommandSink:
     """
 
     def __init__(self) -> None:
+        """Begin without commands and without an animation."""
         self.commands: list[Json] = []
         self.animation = b""
 
@@ -164,6 +165,7 @@ class Embedded:
     height: int
 
     def _repr_html_(self) -> str:
+        """Return the page in a frame, which notebooks show."""
         return (
             f'<iframe srcdoc="{html.escape(self.page)}" loading="lazy" '
             f'style="width: 100%; height: {self.height}px; border: 0"></iframe>'

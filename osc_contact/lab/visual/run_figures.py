@@ -63,6 +63,7 @@ class FigureProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
+        """End the process; figures that are not finished are not drawn."""
         self._process.kill()
         self._process.communicate()
 

@@ -37,6 +37,7 @@ class Scene:
     """
 
     def __init__(self, content: Content, first: Samples) -> None:
+        """Make the parts of the scene: arms, bodies, forces, axes of twists, trails and plots."""
         located = {"contact_point", "contact_direction", "pose"} <= first.keys()
         contacts = content.contacts if located else ()
         self.owners = list(content.columns or range(len(contacts))) if contacts else []
@@ -64,12 +65,20 @@ class Scene:
         return {**samples, "normals": contact_normals(samples, self.owners)}
 
     def draw(self, scene: Visualizer) -> None:
-        """Make all nodes."""
+        """Draw all parts once.
+
+        Args:
+            scene: root of the scene.
+        """
         for part in self.parts:
             part.draw(scene)
 
     def states(self, samples: Samples) -> Frames:
-        """States of all moving nodes at F ticks."""
+        """States of all moving nodes at several ticks, by the path of the node.
+
+        Args:
+            samples: channels of the ticks.
+        """
         samples = self._with_normals(samples)
         return {path: one for part in self.parts for path, one in part.states(samples).items()}
 
@@ -116,7 +125,11 @@ class Scene:
         return cameras
 
     def config(self, **more: Any) -> Json:
-        """Configuration of the page's scripts: legend, labels and plots; `more` is added."""
+        """Configuration of the page's scripts: legend, labels and plots.
+
+        Args:
+            more: further entries, for example curves and cameras.
+        """
         numbers = {(line["key"], line["index"]): k for k, line in enumerate(self.lines)}
         labels = [
             label(
@@ -160,15 +173,15 @@ def write_scene(
     """Write the recording as an HTML page that plays by itself, with a time slider and plots.
 
     Args:
-        recording: needs ``t``; draws from ``q``, ``pose``, ``face_pose`` and the contact channels
-            what is there.
-        content: what to show.
-        path: the page to write.
-        fps: key frames per second, fewer if they would be more than 360.
-        still: s; the page opens standing still at that time instead of playing.
+        recording: recording with the channel ``t``; ``q``, ``pose``, ``face_pose`` and the contact
+            channels are drawn if it has them.
+        content: bodies and marks of the scene.
+        path: file of the page.
+        fps: key frames per second, fewer if there would be more than 360.
+        still: time at which the page stands still when it is opened (s); None: it plays.
 
     Returns:
-        The path written.
+        Path of the page.
 
     Raises:
         InvalidInputError: no ticks, fps < 1, a channel that a body needs is missing, or an arm's
@@ -204,11 +217,12 @@ def write_scene(
 
 
 def samples_at(channels: Mapping[str, Any], ticks: int | slice | NDArray[np.intp] | None) -> Json:
-    """The channels at some ticks.
+    """Take channels at some ticks, as arrays of numbers.
 
     Args:
-        channels: channels of a recording.
-        ticks: which; None: the channels are those of one tick, without an axis of ticks.
+        channels: channels of a recording, or of one tick.
+        ticks: index or indices of ticks; None: the channels are those of one tick, without an axis
+            of ticks, and get such an axis.
     """
     return {key: np.asarray(value[ticks], dtype=float) for key, value in channels.items()}
 
@@ -235,16 +249,16 @@ COVERED, NEARER = 0.04, 0.02
 def set_stage(
     scene: Visualizer, points: Array, view: Array, aspect: float = ASPECT, floor: float = 0.0
 ) -> None:
-    """Floor with lines every 0.25 m, background, and a camera that sees the points.
+    """Draw a floor with lines every 0.25 m and a background, and place a camera.
 
-    meshcat 0.3.2 has no camera methods and its orbit controls always turn about the viewer's
-    origin: the whole scene is moved so that the target is there, and the camera sits at the
-    offset in three.js axes (y up).
+    meshcat 0.3.2 has no camera methods, and its orbit controls rotate about the viewer's origin.
+    Therefore the whole scene is moved so that the target is at the origin, and the camera is placed
+    at the offset in three.js axes (y up).
 
     Args:
-        scene: where to draw. points: (k, 3) what fills the picture (m).
-        view: (3,) unit, from what is looked at to the eye. aspect: width / height of the picture.
-        floor: its height (m).
+        scene: root of the scene. points: (k, 3) points that fill the picture (m).
+        view: (3,) unit vector from the target to the eye. aspect: width / height of the picture.
+        floor: height of the floor (m).
     """
     from meshcat.geometry import Box, LineBasicMaterial, LineSegments, PointsGeometry
 
@@ -274,15 +288,18 @@ def set_stage(
 def headings(
     points: Array, bases: Array, pushes: Array, arrows: Array, links: Array
 ) -> tuple[float, float]:
-    """Headings (rad) of the object's side, and near it of where forces are seen best.
+    """Headings of two cameras (rad): at the object's side, and near it for a view of the forces.
 
-    They are seen best where the arms hide fewest of them, then where they are seen from the side,
-    then obliquely.
+    Best is the heading at which the arms hide the fewest arrows; among equal ones that at which the
+    forces are seen most from the side.
 
     Args:
-        points: (k, 3) what is shown (m). bases: (arms, 3) of the arms (m).
-        pushes: (contacts, 3) directions of the forces. arrows: (k, 3) points of them (m).
+        points: (k, 3) points that are shown (m). bases: (arms, 3) positions of the arms' bases (m).
+        pushes: (contacts, 3) directions of the forces. arrows: (k, 3) points of the arrows (m).
         links: (k, 3) points of the arms (m).
+
+    Returns:
+        Angle about the vertical axis of the direction from the target to each camera.
     """
     middle = centre(points)[:2]
     away = middle - bases[:, :2].mean(axis=0) if len(bases) else middle
