@@ -77,11 +77,11 @@ def _take_set(t):
     for c in range(model.n_contacts):
         contact = t.memory.contacts[c]
         phase = contact.phase
-        approached = model.phased and model.bodies[c].pushes
+        is_approached = model.phased and model.bodies[c].pushes
         if t.input.chosen_set and t.input.active[c] == 0.0:
             phase = OPEN
         elif phase == OPEN:
-            phase = APPROACHING if approached else CLOSED
+            phase = APPROACHING if is_approached else CLOSED
         if model.phased == 0:
             contact.since += t.work.dt
         if phase != contact.phase:
@@ -123,15 +123,17 @@ def separate_integrals(t):
     Args:
         t: Tick.
     """
-    same = True
+    unchanged = True
     for j in range(t.model.n_columns):
         contact = contact_of(t, j)
-        was = contact.active != 0
-        stays = was and t.work.here[j] != 0.0
-        same = same and was == (contact.phase != OPEN) and (stays or not was)
+        was_active = contact.active != 0
+        stays = was_active and t.work.here[j] != 0.0
+        unchanged = (
+            unchanged and was_active == (contact.phase != OPEN) and (stays or not was_active)
+        )
         if not stays:
             t.memory.columns[j].integral = 0.0
-    if not same:
+    if not unchanged:
         t.memory.by_column = 1
 
 

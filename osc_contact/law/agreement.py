@@ -69,32 +69,37 @@ def compare_speeds(t):
         if row.known == 0 or memory.compared == 0:
             row.velocity_from_positions = row.velocity_from_encoders = speed
             continue
-        shown = dot6(work.columns[j].N, V) - work.V_N[a]
-        row.velocity_from_positions += k * (shown - row.velocity_from_positions)
+        speed_from_positions = dot6(work.columns[j].N, V) - work.V_N[a]
+        row.velocity_from_positions += k * (speed_from_positions - row.velocity_from_positions)
         row.velocity_from_encoders += k * (speed - row.velocity_from_encoders)
-        short = row.velocity_from_positions - row.velocity_from_encoders
+        deficit = row.velocity_from_positions - row.velocity_from_encoders
         approached = contact_of(t, j).phase == APPROACHING
-        if approached and short > _AGREE * t.model.approach_speed:
+        if approached and deficit > _AGREE * t.model.approach_speed:
             work.speed[a] = max(speed, row.velocity_from_positions)
 
 
 @inner
 def check_arms(t):
-    """Return a reason to stop if motors, wrists and encoders of the arms contradict each other.
+    """Compare motors, wrists and encoders of the arms with each other.
 
     The motor residual less friction (`joint_friction`) must stay within `wrist_error` times the
-    torque limit of its long-term mean, and within twice that bound of zero.
+    torque limit of its long-term mean, and within twice that bound of zero. The arms must place the
+    object alike (`closure_error`). Wrists are not compared in ticks without wrenches. Updates
+    `apart`, `balanced` and `instant` of MEMORY.
 
     Args:
-        t: Tick.
+        t: Tick after `solve_chain`.
+
+    Returns:
+        `NO_REASON`; `APART` or `UNBALANCED`, with the arm in `culprit` of MEMORY.
     """
     model = t.model
     memory = t.memory
     dt = model.period * (1 + max(memory.gap, memory.wrench_age))
-    apart = _find_apart(t)
-    memory.apart = collect(memory.apart, dt, apart >= 0)
-    if apart >= 0 and memory.apart > _APART:
-        memory.culprit = apart
+    arm = _find_apart(t)
+    memory.apart = collect(memory.apart, dt, arm >= 0)
+    if arm >= 0 and memory.apart > _APART:
+        memory.culprit = arm
         return APART
     if memory.wrench_missing or memory.ticked == 0:
         return NO_REASON
@@ -109,53 +114,59 @@ def check_arms(t):
 
 @inner
 def _balance_arm(t, k, dt):
-    """Whether unexplained motor torques of arm k have exceeded their bound for too long.
+    """Determine whether unexplained motor torques of an arm have exceeded their bound for too long.
 
+    A torque is unexplained as far as the residual exceeds the friction that was identified over a
+    long time. It is low-passed and compared with its long-term mean. The bound is `wrist_error`
+    times the torque limit, more for modelled friction, doubled while the torque opposes the motion.
     Torques above half of the bound suspend the identification of friction for up to `_DOUBTED`,
     longer than the detection of a fault takes.
 
+    Reads the fields that `observe_arm` fills. Updates of the joints in MEMORY `trusted`, `rubbed`,
+    `slid`, `unexplained`, `usual` and `unbalanced`, and `doubtful` of the arm.
+
     Args:
-        t: Tick. k: arm. dt: time since the last computed tick with wrenches (s).
+        t: Tick. k: index of the arm. dt: time since the last computed tick with wrenches (s).
     """
     arm = t.model.arms[k]
     own = t.memory.arms[k]
-    found = False
-    doubtful = False
+    contradicts = False
+    is_doubtful = False
     observe_arm(t, arm, t.work.arms[k], own.doubtful == 0.0 or own.doubtful > _DOUBTED, dt)
-    first = 1.0 / t.memory.balanced  # low-passes begin as plain means
-    fast = max(dt / (_BALANCE + dt), first)
-    slow = max(dt / (_USUAL + dt), first)
+    first_share = 1.0 / t.memory.balanced  # low-passes begin as plain means
+    fast_share = max(dt / (_BALANCE + dt), first_share)
+    slow_share = max(dt / (_USUAL + dt), first_share)
     for j in range(arm.first, arm.sensor_joint + 1):
         known = t.memory.joints[j]
         joint = t.model.joints[j]
         if joint.motor < 0:
             continue
-        most = t.model.wrist_error * joint.tau_max
+        bound = t.model.wrist_error * joint.tau_max
         theta = joint.theta
         speed = abs(known.means[SPEED])
-        most += _RUBS * (theta[0] + theta[1] * speed)  # error of the modelled friction
+        bound += _RUBS * (theta[0] + theta[1] * speed)  # error of the modelled friction
         if t.memory.friction_known[j]:
             theta = t.memory.friction[j].theta
         for i in range(3):  # slow, so that a sudden wrist fault is not attributed to friction
-            known.trusted[i] += slow * (abs(theta[i]) - known.trusted[i])
+            known.trusted[i] += slow_share * (abs(theta[i]) - known.trusted[i])
         friction = known.trusted[0] + known.trusted[1] * speed + known.trusted[2] * abs(known.rate)
-        least = _DOUBTFUL * most
+        doubtful_bound = _DOUBTFUL * bound
         if known.means[V] * known.unexplained > _RUBBING * abs(known.unexplained):
-            most *= 2.0  # the torque opposes the motion, like friction not identified yet
+            bound *= 2.0  # the torque opposes the motion, like friction not identified yet
         if abs(known.past_v) > _RUBBING:
-            known.rubbed += fast * (abs(known.residual) - known.rubbed)
+            known.rubbed += fast_share * (abs(known.residual) - known.rubbed)
             known.slid += dt
-        rest = known.residual - clamped(known.residual, friction)
-        known.unexplained += fast * (clamped(rest, _OUTLIER * most) - known.unexplained)
-        rest = known.unexplained
-        known.usual += slow * (rest - known.usual)
-        unusual = abs(rest - known.usual)
-        doubtful = doubtful or unusual > least
-        too_much = unusual > most or abs(rest) > 2.0 * most
-        known.unbalanced = collect(known.unbalanced, dt, too_much)
-        found = found or known.unbalanced > UNBALANCED_TIME
-    own.doubtful = collect(own.doubtful, dt, doubtful)
-    return found
+        unexplained = known.residual - clamped(known.residual, friction)
+        unexplained = clamped(unexplained, _OUTLIER * bound)
+        known.unexplained += fast_share * (unexplained - known.unexplained)
+        known.usual += slow_share * (known.unexplained - known.usual)
+        deviation = abs(known.unexplained - known.usual)
+        is_doubtful = is_doubtful or deviation > doubtful_bound
+        exceeds = deviation > bound or abs(known.unexplained) > 2.0 * bound
+        known.unbalanced = collect(known.unbalanced, dt, exceeds)
+        contradicts = contradicts or known.unbalanced > UNBALANCED_TIME
+    own.doubtful = collect(own.doubtful, dt, is_doubtful)
+    return contradicts
 
 
 @leaf
@@ -172,13 +183,13 @@ def _find_apart(t):
     """
     model = t.model
     X = t.work.X_WO
-    apart = -1
+    found = -1
     if model.n_arms == 1:
-        return apart
+        return found
     for k in range(model.n_arms):
         arm = model.arms[k]
         tip = place_point(t.work.joints[arm.tip_joint], arm.tip[9:])
         gap = transformed(minus3(origin(X), tip), X, arm.point)
         if arm.kind != OTHER and sqrt(dot3(gap, gap)) > model.closure_error:
-            apart = k
-    return apart
+            found = k
+    return found

@@ -87,10 +87,10 @@ def cholesky(A, first, n, L):
             for k in range(j):
                 s -= L[i, k] * L[j, k]
             if i == j:
-                whole = A[first + i, first + i]
+                diagonal = A[first + i, first + i]
                 if not s > 0.0:  # also if NaN
                     return 0.0
-                least = min(least, s / whole)
+                least = min(least, s / diagonal)
                 L[i, i] = 1.0 / sqrt(s)
             else:
                 L[i, j] = s * L[j, j]
@@ -320,13 +320,13 @@ def one_sided_jacobi(X, count, length, carried):
         for p in range(count - 1):
             a = dot(X[p], X[p], length)
             for q in range(p + 1, count):
-                b = c = 0.0
+                b = c = 0.0  # squares a, b of both rows, and their product c
                 for i in range(length):
                     b += X[q, i] * X[q, i]
                     c += X[p, i] * X[q, i]
                 if abs(c) <= 2e-16 * max(a, b):
                     continue
-                d = b - a
+                d = b - a  # tan 2φ = 2c/d of the rotation by φ that makes c zero
                 h = d * d + 4.0 * c * c
                 if h < _NOTHING:  # two zero rows, whose squares have lost digits
                     continue
@@ -365,20 +365,20 @@ def orthonormalise(X, r, m, Q, L):
         for i in range(m):
             Q[a, i] = 0.0
         x = six(Q[a])
-        whole = dot6(x, x)
+        total = dot6(x, x)
         for b in range(a):
             L[a, b] = 0.0
         for _ in range(2):  # twice: the first pass leaves rounding errors
             for b in range(a):
-                t = dot6(x, Q[b])
-                L[a, b] += t
-                x = add(x, -t, Q[b])
+                component = dot6(x, Q[b])
+                L[a, b] += component
+                x = add(x, -component, Q[b])
         square = dot6(x, x)
         if not square > 0.0:  # also if NaN
             return 0.0
         L[a, a] = 1.0 / sqrt(square)
         fill(Q[a], scaled(L[a, a], x))
-        least = min(least, sqrt(square / whole))
+        least = min(least, sqrt(square / total))
     return least
 
 

@@ -82,14 +82,14 @@ def add_row(t, e):
     row = work.factor[size]
     _weigh(t, a, work.weighed[e])
     _multiply_constraints(t, work.weighed[e], e, row)
-    whole = row[size] = dot(work.weighed[e], a, t.model.n_joints)
+    square = row[size] = dot(work.weighed[e], a, t.model.n_joints)
     forward(work.factor, size, row)
-    left = whole - dot(row, row, size)
-    if left < _DOUBTFUL * whole:
-        left = _refine_pivot(t, e)
-    if not left > _DRIVEN * whole:  # also if NaN
+    remainder = square - dot(row, row, size)
+    if remainder < _DOUBTFUL * square:
+        remainder = _refine_pivot(t, e)
+    if not remainder > _DRIVEN * square:  # also if NaN
         return False
-    row[size] = 1.0 / sqrt(left)
+    row[size] = 1.0 / sqrt(remainder)
     return True
 
 
@@ -158,10 +158,10 @@ def _embed_free(work, x):
     Args:
         work: WORK. x: (d,) components along the free axes.
     """
-    whole = local(6)
+    components = local(6)
     for i in range(6):
-        whole[i] = x[i - work.locked] if i >= work.locked else 0.0
-    return turned_back(work, whole)
+        components[i] = x[i - work.locked] if i >= work.locked else 0.0
+    return turned_back(work, components)
 
 
 @inner
@@ -289,8 +289,8 @@ def allocate_torques(t):
             work.n_internal = 0
             work.commanded = 0
     size = d + count
-    own = _own_motions(t, d, count)
-    for e in range(count, count + own):
+    n_own = _own_motions(t, d, count)
+    for e in range(count, count + n_own):
         if e > size - d:  # a row before it was dropped
             b[size] = b[d + e]
             for j in range(n):
@@ -342,15 +342,17 @@ def _hold_posture(t, arm, own):
     model = t.model
     joints = t.work.joints
     lo = arm.first
-    moved = ZERO
+    wrench = ZERO
     for j in range(lo, arm.end):
         push = push_from_limits(model.joints[j], t.input.q[j])
-        s = joints[j].h + joints[j].M[j - lo] * push + retreat(t, arm, j, model.posture_damping)
-        joints[j].rest = s
-        joints[j].tau = s
-        moved = add(moved, s, joints[j].J_bar)
+        torque = (
+            joints[j].h + joints[j].M[j - lo] * push + retreat(t, arm, j, model.posture_damping)
+        )
+        joints[j].rest = torque
+        joints[j].tau = torque
+        wrench = add(wrench, torque, joints[j].J_bar)
     for j in range(lo, arm.end):
-        joints[j].rest -= dot6(joints[j].J, moved)
+        joints[j].rest -= dot6(joints[j].J, wrench)
     if own.n_lost > 0:
         _retreat_from_lost(t, arm, own)
 
@@ -370,16 +372,16 @@ def _retreat_from_lost(t, arm, own):
     hi = arm.end
     for e in range(own.n_lost):
         mode = own.mode[e]
-        along = 0.0
+        component = 0.0
         for j in range(lo, hi):
-            back = joints[j].h + retreat(t, arm, j, t.model.retreat_damping)
+            retreating = joints[j].h + retreat(t, arm, j, t.model.retreat_damping)
             if own.gone[e] != 0.0:
-                along += mode[j - lo] * (back - joints[j].tau)
+                component += mode[j - lo] * (retreating - joints[j].tau)
             else:
-                along += mode[j - lo] * (1.0 - own.share[e]) * back
+                component += mode[j - lo] * (1.0 - own.share[e]) * retreating
         for j in range(lo, hi):
             for k in range(lo, hi):
-                joints[j].rest += along * joints[j].M[k - lo] * mode[k - lo]
+                joints[j].rest += component * joints[j].M[k - lo] * mode[k - lo]
 
 
 @inner
@@ -416,8 +418,8 @@ def _own_motions(t, d, first):
             for j in range(model.n_joints):
                 work.extra[count, j] = 0.0
             for i in range(n):
-                back = retreat(t, arm, lo + i, model.retreat_damping)
-                side += motions[a, i] * (joints[lo + i].h + back)
+                retreating = retreat(t, arm, lo + i, model.retreat_damping)
+                side += motions[a, i] * (joints[lo + i].h + retreating)
                 work.extra[count, lo + i] = motions[a, i]
             work.sides[d + count] = side
             count += 1

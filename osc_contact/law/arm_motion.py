@@ -181,14 +181,14 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
     for j in range(arm.end - 1, arm.first - 1, -1):  # from the tip: sums over the bodies beyond j
         w = work[j]
         if j < arm.end - 1:
-            beyond = work[j + 1]
+            next_joint = work[j + 1]
             if j == arm.outer_joint:
-                fill(bias_out, plus(bias_out, beyond.force))
+                fill(bias_out, plus(bias_out, next_joint.force))
                 for i in range(13):
-                    outer[i] += beyond.body[i]
-            fill(w.force, plus(w.force, beyond.force))
+                    outer[i] += next_joint.body[i]
+            fill(w.force, plus(w.force, next_joint.force))
             for i in range(13):
-                w.body[i] += beyond.body[i]
+                w.body[i] += next_joint.body[i]
         w.h = dot6(w.column, w.force)
         momentum = _times(w.body, w.column)
         for k in range(arm.first, j + 1):

@@ -42,10 +42,10 @@ _DEPENDENT = 1e-9  # remainder of a row, relative to the longest one, that count
 def settable_bars(t, n_locked):
     """Compute the combinations of bar forces that the motors can set, and the levers of the bars.
 
-    Dependent bars are excluded, and forces that the structure of the arms carries independently of
-    the motors, and forces that no torques in null(G) produce (because hinges and balls do not
-    transmit them, or passive joints do not resist them). Reads `points`, `carried` and `owners`, J̄
-    of the joints. Fills `levers` (bars, n), E⁺J̄ᵀ: force in the bars per torque of a joint, without
+    Excluded are dependent bars, forces that the structure of the arms carries independently of the
+    motors, and forces that no torques in null(G) produce (because hinges and balls do not transmit
+    them, or passive joints do not resist them). Reads `points`, `carried` and `owners`, J̄ of the
+    joints. Fills `levers` (bars, n), E⁺J̄ᵀ: force in the bars per torque of a joint, without
     acceleration; and `basis` (bars, s): orthonormal columns, at most 3k − 6, the identity if all
     bars can be set.
 
@@ -64,63 +64,123 @@ def settable_bars(t, n_locked):
         Number s of columns of `basis`.
     """
     work = t.work
-    k = t.model.n_arms
+    arms = t.model.n_arms
     n = t.model.n_joints
     tolerance = t.model.angle_tolerance
+    bars = arms * (arms - 1) // 2
+    effects = work.bar_effects
+    rank = _compute_levers(t, bars, n_locked)
+    if arms == 2:  # `add_row` detects whether the grasps transmit the squeeze
+        work.basis[0, 0] = 1.0
+        return rank
+    count = rank
+    if n_locked > 0:
+        one_sided_jacobi(effects, rank, n_locked, n + bars)
+        width = n_locked + n + bars
+        count = _keep(effects, rank, n_locked, width, -1.0, tolerance * tolerance)
+    settable = _find_internal_torques(t, count, n_locked)
+    _fill_basis(t, settable, count, bars, n_locked)
+    return settable
+
+
+@inner
+def _compute_levers(t, bars, n_locked):
+    """Fill `levers` E⁺J̄ᵀ, and rows [locked forces, joints, bars] of `bar_effects`.
+
+    The rows of E⁺ that belong to singular values of zero are left out. Reads `points`, `carried`,
+    `owners`, J̄ of the joints; fills `bar_inverse` (E⁺ by rows), too.
+
+    Args:
+        t: Tick. bars: number of bars. n_locked: number of rows of `carried`.
+
+    Returns:
+        Rank of E, the number of filled rows of `bar_effects`.
+    """
+    work = t.work
+    arms = t.model.n_arms
+    n = t.model.n_joints
     levers = work.levers
-    basis = work.basis
-    bars = k * (k - 1) // 2
-    behind = n_locked + n
-    X = work.bar_inverse
-    Y = work.bar_effects
-    Z = work.bar_torques
-    Q = work.moving_torques
-    _place_bars(k, bars, work.points, X)
-    one_sided_jacobi(X, bars, 3 * k, bars)
-    rank = _invert(X, bars, 3 * k, bars, tolerance)
-    _dot_forces(t, rank, X, n_locked, Y)
+    inverse = work.bar_inverse
+    effects = work.bar_effects
+    _place_bars(arms, bars, work.points, inverse)
+    one_sided_jacobi(inverse, bars, 3 * arms, bars)
+    rank = _invert(inverse, bars, 3 * arms, bars, t.model.angle_tolerance)
+    _dot_forces(t, rank, inverse, n_locked, effects)
     for bar in range(bars):
         for j in range(n):
             levers[bar, j] = 0.0
         for row in range(rank):
-            Y[row, behind + bar] = X[row, 3 * k + bar]
+            share = inverse[row, 3 * arms + bar]  # element of u in E⁺ = UΣ⁻¹Yᵀ
+            effects[row, n_locked + n + bar] = share
             for j in range(n):
-                levers[bar, j] += X[row, 3 * k + bar] * Y[row, n_locked + j]
-    if k == 2:  # `add_row` detects whether the grasps transmit the squeeze
-        basis[0, 0] = 1.0
-        return rank
-    count = rank
-    if n_locked > 0:
-        one_sided_jacobi(Y, rank, n_locked, n + bars)
-        count = _keep(Y, rank, n_locked, behind + bars, -1.0, tolerance * tolerance)
-    # torques weighted by effort: Q spans those that move the object, Z those that load the bars
+                levers[bar, j] += share * effects[row, n_locked + j]
+    return rank
+
+
+@inner
+def _find_internal_torques(t, count, n_locked):
+    """Find torques that change bar forces and, being in null(G), do not move the object.
+
+    Torques are weighted by effort, τ/τ_max. They are selected by their angle to null(G), not by
+    size, because singular postures exaggerate some forces. Reads J̄ of the joints; weights the
+    joint elements of `bar_effects`. Fills `bar_torques` (s, n) with these torques, and
+    `moving_torques` with an orthonormal basis of the torques that move the object.
+
+    Args:
+        t: Tick. count: number of rows of `bar_effects`. n_locked: number of their leading elements,
+            which belong to locked wrenches.
+
+    Returns:
+        Number s of these torques.
+    """
+    work = t.work
+    n = t.model.n_joints
+    effects = work.bar_effects
+    loading = work.bar_torques
+    moving = work.moving_torques
     for j in range(n):
         effort = sqrt(t.model.joints[j].effort)
         driven = turned(work, work.joints[j].J_bar)
         for row in range(6):
-            Q[row, j] = driven[row] * effort if row >= work.locked else 0.0
+            moving[row, j] = driven[row] * effort if row >= work.locked else 0.0
         for row in range(count):
-            Y[row, n_locked + j] *= effort
-            Z[row, j] = Y[row, n_locked + j]
-    moving = _orthonormalise(Q, 6, n, _DEPENDENT)
-    felt = _orthonormalise(Z, count, n, _DEPENDENT)
-    for row in range(felt):
-        _take_out(Q, moving, n, Z[row])
-    # selected by their angle to null(G), not by size: singular postures exaggerate some forces
-    one_sided_jacobi(Z, felt, n, 0)
-    s = _keep(Z, felt, n, n, tolerance * tolerance, inf)
-    if s < count:
-        _make_forces(s, count, bars, n, Z, Y[:, n_locked:], X)
-        _orthonormalise(X, s, bars, 0.0)
+            effects[row, n_locked + j] *= effort
+            loading[row, j] = effects[row, n_locked + j]
+    n_moving = _orthonormalise(moving, 6, n, _DEPENDENT)
+    n_loading = _orthonormalise(loading, count, n, _DEPENDENT)
+    for row in range(n_loading):
+        _take_out(moving, n_moving, n, loading[row])
+    one_sided_jacobi(loading, n_loading, n, 0)
+    tolerance = t.model.angle_tolerance
+    return _keep(loading, n_loading, n, n, tolerance * tolerance, inf)
+
+
+@inner
+def _fill_basis(t, settable, count, bars, n_locked):
+    """Fill `basis` (bars, s) with orthonormal combinations of bar forces that motors can set.
+
+    If all bars can be set, they are the bars themselves; if all torques that load bars are in
+    null(G), the rows of `bar_effects`; else the forces by the torques in `bar_torques`.
+
+    Args:
+        t: Tick. settable: number s of columns. count: number of rows of `bar_effects`.
+        bars: number of bars. n_locked: number of leading elements of each row of `bar_effects`.
+    """
+    work = t.work
+    n = t.model.n_joints
+    effects = work.bar_effects
+    forces = work.bar_inverse  # E⁺ is not needed any more
+    if settable < count:
+        _make_forces(settable, count, bars, n, work.bar_torques, effects[:, n_locked:], forces)
+        _orthonormalise(forces, settable, bars, 0.0)
     for bar in range(bars):
-        for c in range(s):
-            if s == bars:
-                basis[bar, c] = 1.0 if c == bar else 0.0
-            elif s < count:
-                basis[bar, c] = X[c, bar]
+        for c in range(settable):
+            if settable == bars:
+                work.basis[bar, c] = 1.0 if c == bar else 0.0
+            elif settable < count:
+                work.basis[bar, c] = forces[c, bar]
             else:
-                basis[bar, c] = Y[c, behind + bar]
-    return s
+                work.basis[bar, c] = effects[c, n_locked + n + bar]
 
 
 @inner
@@ -213,8 +273,7 @@ def _keep(X, count, length, width, above, most):
 
     Args:
         X: matrix, whose rows are overwritten. count: number of rows. length: number of elements of
-            y.
-        width: number of elements of a row. above, most: bounds of |y|².
+            y. width: number of elements of a row that are moved. above, most: bounds of |y|².
 
     Returns:
         Number of these rows.
@@ -257,18 +316,18 @@ def _orthonormalise(X, count, length, tolerance):
     """
     largest = 0.0
     for done in range(count):
-        most = 0.0
-        at = done
+        longest = 0.0  # square of the length of the longest remaining row
+        selected = done
         for row in range(done, count):
             square = dot(X[row], X[row], length)
-            if square > most:
-                most = square
-                at = row
-        largest = max(largest, most)
-        if not most > tolerance * tolerance * largest:  # also if NaN
+            if square > longest:
+                longest = square
+                selected = row
+        largest = max(largest, longest)
+        if not longest > tolerance * tolerance * largest:  # also if NaN
             return done
         for i in range(length):
-            X[done, i], X[at, i] = X[at, i], X[done, i]
+            X[done, i], X[selected, i] = X[selected, i], X[done, i]
         _take_out(X, done, length, X[done])
         norm = sqrt(dot(X[done], X[done], length))
         for i in range(length):
@@ -312,13 +371,13 @@ def internal_rows(t, d):
     for e in range(count):
         side = 0.0
         for j in range(n):
-            s = 0.0
-            for c in range(bars):
-                s += work.basis[c, e] * work.levers[c, j]
-            work.extra[e, j] = s
-            side += s * (joints[j].inertial - joints[j].rest)
-        for c in range(bars):
-            side += work.basis[c, e] * work.internal[c].goal
+            element = 0.0  # of E
+            for bar in range(bars):
+                element += work.basis[bar, e] * work.levers[bar, j]
+            work.extra[e, j] = element
+            side += element * (joints[j].inertial - joints[j].rest)
+        for bar in range(bars):
+            side += work.basis[bar, e] * work.internal[bar].goal
         work.sides[d + e] = side
     return count
 
@@ -334,12 +393,12 @@ def internal_forces(t):
         t: Tick.
     """
     joints = t.work.joints
-    out = t.work.bars
+    forces = t.work.bars
     n = t.model.n_joints
     bars = t.model.n_bars
-    for c in range(bars):
-        out[c] = 0.0
+    for bar in range(bars):
+        forces[bar] = 0.0
         if t.work.commanded:
-            for j in range(n):
-                beyond = joints[j].tau - joints[j].friction - joints[j].inertial
-                out[c] += t.work.levers[c, j] * beyond
+            for j in range(n):  # torques without those of friction, motion and weight
+                squeezing = joints[j].tau - joints[j].friction - joints[j].inertial
+                forces[bar] += t.work.levers[bar, j] * squeezing

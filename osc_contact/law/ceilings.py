@@ -196,8 +196,8 @@ def _fastest_tip(t):
     arm = 0
     fastest = 0.0
     for k in range(t.model.n_arms):
-        own = t.model.arms[k]
-        tip = place_point(work.joints[own.tip_joint], own.tip[9:])
+        arm_row = t.model.arms[k]
+        tip = place_point(work.joints[arm_row.tip_joint], arm_row.tip[9:])
         velocity = velocity_at(work.arms[k].V, minus3(tip, work.p_C))
         speed = sqrt(dot3(velocity, velocity))
         if speed > fastest:

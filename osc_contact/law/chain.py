@@ -82,35 +82,15 @@ def solve_chain(t):
     work = t.work
     for k in range(model.n_arms):
         place_arm(t, model.arms[k], t.input.q)
-    if model.leader >= 0:
-        tip = work.joints[model.arms[model.leader].tip_joint]
-        place_frame(tip, model.X_LO, work.X_WO, work.p_O)
-        for i in range(3):
-            work.X_WO[i, 3] = work.p_O[i]
-            work.X_WO[3, i] = 0.0
-        work.X_WO[3, 3] = 1.0
-        R = local(3, 3)
-        place_frame(tip, model.X_LP, R, work.p_C)
-        set_axes(R, model.roots, work.axes)
-    else:
-        copy_rows(memory.X_WO, work.X_WO)
-        if memory.given >= GIVEN_POSE:
-            centre_object(t, work.X_WO)
-        elif not find_object(t, work.X_WO):
-            return OBJECT_UNKNOWN
+    if not _place_object(t):
+        return OBJECT_UNKNOWN
     for k in range(model.n_arms):
         own = work.arms[k]
         fill(own.bias, ZERO)
         move_arm(t, model.arms[k], t.input.v, work.p_C, own.V, own.drift, own.bias)
-    given = memory.given >= GIVEN_TWIST
-    if model.slipping:
-        if not find_twist(t, given):
-            return OBJECT_UNKNOWN
-    else:
-        fill(work.V_C, work.arms[0].V)
-    if given:
-        fill(work.V_C, carry_motion(memory.V_O, work.p_O, work.p_C))
-    fill(work.V_O, carry_motion(work.V_C, work.p_C, work.p_O))
+    twist_is_input = memory.given >= GIVEN_TWIST
+    if not _move_object(t, twist_is_input):
+        return OBJECT_UNKNOWN
     fill(work.bias_links, ZERO)
     fill(work.bias_e, ZERO)
     fill(work.chain_bias, ZERO)
@@ -124,7 +104,7 @@ def solve_chain(t):
         if reason != NO_REASON:
             return reason
         count += found
-    if model.n_arms > 1 and model.slipping == 0 and not given:
+    if model.n_arms > 1 and model.slipping == 0 and not twist_is_input:
         _combine_twists(t)
     _add_object(t)
     _intersect(t, count)
@@ -134,6 +114,66 @@ def solve_chain(t):
         fill(work.chain_bias, turned(work, work.chain_bias))
         fill(work.sigma, turned(work, work.sigma))
     return NO_REASON
+
+
+@inner
+def _place_object(t):
+    """Compute the pose of the object, its points O and C, and the axes of energy coordinates.
+
+    With a leader (an arm that holds the object rigidly) the pose follows from the leader's last
+    joint. Otherwise it is an input, or it is searched from the pose of the last tick. Reads R and p
+    of the joints, and `X_WO` and `given` of MEMORY; fills `X_WO`, `p_O`, `p_C` and `axes`.
+
+    Args:
+        t: Tick after `place_arm` of all arms.
+
+    Returns:
+        False if the grasps do not determine the pose.
+    """
+    model = t.model
+    work = t.work
+    if model.leader >= 0:
+        tip = work.joints[model.arms[model.leader].tip_joint]
+        place_frame(tip, model.X_LO, work.X_WO, work.p_O)
+        for i in range(3):
+            work.X_WO[i, 3] = work.p_O[i]
+            work.X_WO[3, i] = 0.0
+        work.X_WO[3, 3] = 1.0
+        R = local(3, 3)
+        place_frame(tip, model.X_LP, R, work.p_C)
+        set_axes(R, model.roots, work.axes)
+        return True
+    copy_rows(t.memory.X_WO, work.X_WO)
+    if t.memory.given >= GIVEN_POSE:
+        centre_object(t, work.X_WO)
+        return True
+    return find_object(t, work.X_WO)
+
+
+@inner
+def _move_object(t, is_input):
+    """Compute the twist of the object, `V_C` at C and `V_O` at O (m/s, rad/s, world axes).
+
+    If no grasp permits motions it is that of the first arm's tip, else it follows from the velocity
+    conditions of all grasps (`find_twist`). Reads V of the arms, and `V_O` of MEMORY if the twist
+    is an input.
+
+    Args:
+        t: Tick after `move_arm` of all arms. is_input: whether the twist is an input of the tick.
+
+    Returns:
+        False if the grasps do not determine the twist.
+    """
+    work = t.work
+    if t.model.slipping:
+        if not find_twist(t, is_input):
+            return False
+    else:
+        fill(work.V_C, work.arms[0].V)
+    if is_input:
+        fill(work.V_C, carry_motion(t.memory.V_O, work.p_O, work.p_C))
+    fill(work.V_O, carry_motion(work.V_C, work.p_C, work.p_O))
+    return True
 
 
 @inner
@@ -296,22 +336,24 @@ def _add_object(t):
     (x, y, z) = cross(w, Iw)
     weight = rotated(work.axes[0], model.gravity)
     force = join(minus3(cross(w, V), weight), (x / roots[1], y / roots[2], z / roots[3]))
-    held = 1.0 if model.held else 0.0
+    share = 1.0 if model.held else 0.0
     links = energy_wrench(work.axes, work.bias_links)
-    accumulate(work.chain_bias, held, force)
+    accumulate(work.chain_bias, share, force)
     for i in range(6):
-        work.Lambda[i, i] += held
-        work.out_T[i, i] += held
-    fill(work.bias_e, plus(work.bias_e, add(links, held, force)))
+        work.Lambda[i, i] += share
+        work.out_T[i, i] += share
+    fill(work.bias_e, plus(work.bias_e, add(links, share, force)))
     fill(work.bias_out, wrench_to_world(work, work.bias_e))
 
 
 @inner
 def _intersect(t, count):
-    """Find the wrenches that all arms together lock, and reflections that turn them to first axes.
+    """Combine the locked wrenches of all arms, and find reflections that turn them to first axes.
 
-    Reads `locked_rows`, which are made orthogonal. Fills `locked` (m), `reflectors` and `beta`, and
-    `sigma`, the acceleration along the locked axes at η̇ = 0 (energy coordinates, not yet turned).
+    The rows of all arms are rotated until they are orthogonal; those that remain longer than
+    `angle_tolerance` are the locked directions. Reads `locked_rows` (a wrench and its rate in each
+    row; overwritten). Fills `locked` (m), `reflectors` and `beta`, and `sigma`, the acceleration
+    along the locked axes at η̇ = 0 (energy coordinates, not yet turned).
 
     Args:
         t: Tick. count: number of filled rows of `locked_rows`.

@@ -148,11 +148,11 @@ def _reduce(t):
             rest = columns[work.chosen[j]].rest
             if dot6(rest, rest) >= _PIVOT * _PIVOT * longest:
                 first = work.chosen[j]
-        at = rank
-        while at > 0 and work.kept[at - 1] > first:
-            work.kept[at] = work.kept[at - 1]
-            at -= 1
-        work.kept[at] = first
+        place = rank
+        while place > 0 and work.kept[place - 1] > first:
+            work.kept[place] = work.kept[place - 1]
+            place -= 1
+        work.kept[place] = first
         rank += 1
         _remove(t, first)
     work.rank = rank
@@ -174,15 +174,15 @@ def _remove(t, first):
         t: Tick. first: index of the column among all columns of the model.
     """
     columns = t.work.columns
-    q = columns[first].rest
-    length = sqrt(dot6(q, q))
+    direction = columns[first].rest
+    length = sqrt(dot6(direction, direction))
     for i in range(t.work.count):
         j = t.work.chosen[i]
         x = columns[j].rest
         if j != first:
             for _ in range(2):
-                accumulate(x, -(dot6(q, x) / (length * length)), q)
-    fill(q, ZERO)
+                accumulate(x, -(dot6(direction, x) / (length * length)), direction)
+    fill(direction, ZERO)
 
 
 @inner
@@ -250,12 +250,16 @@ def _consistent(t):
 
 @inner
 def _same_body(t):
-    """Return a reason unless all active columns are on one body, or on unyielding bodies in unison.
+    """Require that dependent columns are on one body, or on unyielding bodies that move in unison.
 
-    Bodies are in unison if their bias and twist are equal. Reads `answer` of the bodies.
+    Bodies are in unison if their inverse inertia is zero and their bias and twist are equal; then
+    the distribution of a force among them does not matter. Reads `answer` of the bodies.
 
     Args:
         t: Tick.
+
+    Returns:
+        `NO_REASON` or `DIFFERENT_BODIES`.
     """
     work = t.work
     first = body_of(t, work.chosen[0]).same
@@ -392,13 +396,13 @@ def project_bodies(t):
         answer = work.bodies[body].answer
         work.b_N[a] = dot6(N, answer[36:])
         work.V_N[a] = dot6(N, answer[42:])
-        given = ZERO
+        yield_row = ZERO
         for i in range(6):
-            given = add(given, N[i], answer[6 * i :])
-        fill(work.yields[a], given)
+            yield_row = add(yield_row, N[i], answer[6 * i :])
+        fill(work.yields[a], yield_row)
         for b in range(work.rank):
             other = work.kept[b]
             if body_of(t, other).same == body:
                 pushed = plus(work.columns[other].N, work.friction_wrenches[b])
                 for i in range(6):
-                    work.Phi_mu[a, b] += given[i] * pushed[i]
+                    work.Phi_mu[a, b] += yield_row[i] * pushed[i]

@@ -128,19 +128,19 @@ def _judge_reach(t):
         work.reason_amount = 0.0
         return UNREACHABLE
     factor = local(6, 6)
-    seen = local(6, 6)  # rows: columns of N, weighted by the inertia of the chain
+    weighed = local(6, 6)  # rows: columns of N, weighted by the inertia of the chain
     basis = local(6, 6)
     if not cholesky(work.Lambda, m, d, factor) > 0.0:  # also if NaN
         return BAD_METRIC
     for a in range(r):
         N = work.N_t[a]
-        fill(seen[a], N)
-        forward(factor, d, seen[a, m:])
-        work.reason_amount = dot(seen[a, m:], seen[a, m:], d) / dot6(N, N)
+        fill(weighed[a], N)
+        forward(factor, d, weighed[a, m:])
+        work.reason_amount = dot(weighed[a, m:], weighed[a, m:], d) / dot6(N, N)
         if not work.reason_amount > _REACH:  # also if NaN
             work.where = a
             return UNREACHABLE
-    work.reason_amount = orthonormalise(seen, r, m, basis, factor)
+    work.reason_amount = orthonormalise(weighed, r, m, basis, factor)
     if not work.reason_amount > _APART:  # also if NaN
         return INSEPARABLE
     return NO_REASON
@@ -162,17 +162,17 @@ def permit_error(t):
     work = t.work
     r = work.rank
     e = local(6)
-    none = local(6)
-    fill(none, ZERO)
+    zero = local(6)
+    fill(zero, ZERO)
     fill_free(e, work, motion_to_energy(work, work.error))
-    project_onto_constraint(work.N_basis_t, r, e, none)
+    project_onto_constraint(work.N_basis_t, r, e, zero)
     fill(work.free_error, motion_to_world(work, turned_back(work, e)))
     fill(e, motion_to_energy(work, work.error))
     if t.model.metric == BY_OBJECT:
-        project_onto_constraint(work.N_basis, r, e, none)
+        project_onto_constraint(work.N_basis, r, e, zero)
     else:
         fill(e, turned(work, e))
-        if not _project_weighted(t, work.B_inv_t, 0, e, none):
+        if not _project_weighted(t, work.B_inv_t, 0, e, zero):
             return BAD_METRIC
         fill(e, turned_back(work, e))
     fill(work.motion_next, motion_to_world(work, e))
@@ -234,31 +234,31 @@ def reduce_motion(t):
     factor = local(6, 6)
     step = local(6)
     row = local(6)
-    none = local(6)
+    zero = local(6)
     fill(step, ZERO)
     set_identity(H)
     a = turned_back(work, work.acceleration_t)
     for k in range(t.model.n_arms):
-        own = work.arms[k]
+        lost = work.arms[k]
         arm = t.model.arms[k]
-        for e in range(own.n_lost):
+        for e in range(lost.n_lost):
             target = 0.0
             for i in range(arm.first, arm.end):
-                target += own.mode[e, i - arm.first] * retreat(t, arm, i, t.model.retreat_damping)
-            target *= own.chi[e]
+                target += lost.mode[e, i - arm.first] * retreat(t, arm, i, t.model.retreat_damping)
+            target *= lost.chi[e]
             for i in range(6):
-                target -= own.lost[e, i] * (a[i] - own.gamma[i])
-            fill_free(row, work, own.lost[e])
+                target -= lost.lost[e, i] * (a[i] - lost.gamma[i])
+            fill_free(row, work, lost.lost[e])
             size = dot(row, row, 6)
-            if own.gone[e] != 0.0 or size < _GONE:  # locked in the chain
+            if lost.gone[e] != 0.0 or size < _GONE:  # locked in the chain
                 continue
-            weight = (1.0 - own.share[e]) / (max(own.share[e], _HARD) * size)
+            weight = (1.0 - lost.share[e]) / (max(lost.share[e], _HARD) * size)
             accumulate(step, weight * target, row)
             add_square(weight, row, H)
-    fill(none, ZERO)
+    fill(zero, ZERO)
     cholesky(H, m, 6 - m, factor)
     cholesky_solve(factor, 6 - m, step[m:])
-    _project_weighted(t, H, m, step, none)
+    _project_weighted(t, H, m, step, zero)
     fill(work.acceleration_t, plus(work.acceleration_t, step))
 
 
@@ -319,10 +319,10 @@ def filter_motion(t):
         rho[a] = s
     weighed = t.model.metric != BY_OBJECT
     if weighed and m > 0:  # keeps Nᵀx of a locked motion exactly
-        kept = local(6)
+        along_N = local(6)
         for a in range(r):
-            kept[a] = dot6(work.N_t[a], x)
-        project_onto_columns(work.N_factor_t, work.N_basis_t, r, x, kept)
+            along_N[a] = dot6(work.N_t[a], x)
+        project_onto_columns(work.N_factor_t, work.N_basis_t, r, x, along_N)
     if not weighed:
         project_onto_columns(work.N_factor_t, work.N_basis_t, r, x, rho)
     elif r > 0 and not _project_weighted(t, work.B_inv_t, m, x, rho):

@@ -145,12 +145,12 @@ def shape_steps(t, own):
     memory = t.memory
     work = t.work
     dt = work.dt
-    T = memory.step_time
-    time = 0.0 if own else t.model.step_time
-    left = 0.0 if own else memory.step_left
-    if left > 0.0:
-        left = max(left - dt / T, 0.0)
-    smooth = left > 0.0 or time > 0.0
+    last_time = memory.step_time
+    rise_time = 0.0 if own else t.model.step_time
+    remaining = 0.0 if own else memory.step_left  # share 1 − x of the rise time
+    if remaining > 0.0:
+        remaining = max(remaining - dt / last_time, 0.0)
+    smooth = remaining > 0.0 or rise_time > 0.0
     sudden = False
     for i in range(work.count):
         j = work.chosen[i]
@@ -161,16 +161,17 @@ def shape_steps(t, own):
         row.scale = max(abs(goal), last.scale * (1.0 - _FADES * dt)) if smooth else 0.0
         approached = smooth and contact_of(t, j).phase == APPROACHING
         row.shaped = 0 if own or approached else 1
-        before = work.alpha[j] if memory.ticked else 0.0
+        start = work.alpha[j] if memory.ticked else 0.0  # force from which the step begins
         if last.has_desired:
-            before = last.desired
+            start = last.desired
         elif t.model.phased and goal > 0.0:
-            before = min(before, goal)  # the force of an impact is not maintained
+            start = min(start, goal)  # the force of an impact is not maintained
             if body_of(t, j).pushes:
-                before = max(before, 0.0)  # a face does not pull
-        row.to_come[0] = goal - before  # holds the step until the second loop
+                start = max(start, 0.0)  # a face does not pull
+        row.to_come[0] = goal - start  # holds the step until the second loop
         sudden = sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
-    sudden = sudden and time > 0.0
+    sudden = sudden and rise_time > 0.0
+    stretch = rise_time / last_time if remaining > 0.0 else 1.0
     largest = 0.0
     for i in range(work.count):
         j = work.chosen[i]
@@ -180,14 +181,14 @@ def shape_steps(t, own):
         if smooth and row.shaped and memory.columns[j].has_desired:
             to_come = linear(memory.columns[j].to_come)
         if sudden:
-            to_come = _add_step(to_come, step, left, time / T if left > 0.0 else 1.0)
+            to_come = _add_step(to_come, step, remaining, stretch)
         fill3(row.to_come, to_come)
-        w = _still_to_come(to_come, 1.0 if sudden else left)
+        w = _still_to_come(to_come, 1.0 if sudden else remaining)
         row.goal -= w
         if row.scale > 0.0:
             largest = max(largest, abs(w) / row.scale)
-    work.step_left = 1.0 if sudden else left
-    work.step_time = time if sudden else T
+    work.step_left = 1.0 if sudden else remaining
+    work.step_time = rise_time if sudden else last_time
     work.integral_scale = max(1.0 - largest / _RESTS, 0.0)
 
 
@@ -206,34 +207,33 @@ def shape_squeeze(t):
     memory = t.memory
     work = t.work
     dt = work.dt
-    T = memory.squeeze_time
-    time = t.model.step_time
-    left = memory.squeeze_left
-    if left > 0.0:
-        left = max(left - dt / T, 0.0)
+    last_time = memory.squeeze_time
+    rise_time = t.model.step_time
+    remaining = memory.squeeze_left  # share 1 − x of the rise time
+    if remaining > 0.0:
+        remaining = max(remaining - dt / last_time, 0.0)
     sudden = False
-    for c in range(t.model.n_bars):
-        own = work.internal[c]
-        last = memory.internal[c]
-        desired = memory.squeeze[c]
-        before = last.desired
-        if memory.ticked == 0:
-            before = desired
-        own.goal = desired - before  # holds the step until the second loop
-        own.scale = max(abs(desired), last.scale * (1.0 - _FADES * dt))
-        sudden = sudden or abs(own.goal) > _SUDDEN * dt * own.scale
-    sudden = sudden and time > 0.0
-    for c in range(t.model.n_bars):
-        own = work.internal[c]
+    for bar in range(t.model.n_bars):
+        row = work.internal[bar]
+        last = memory.internal[bar]
+        desired = memory.squeeze[bar]
+        start = last.desired if memory.ticked else desired
+        row.goal = desired - start  # holds the step until the second loop
+        row.scale = max(abs(desired), last.scale * (1.0 - _FADES * dt))
+        sudden = sudden or abs(row.goal) > _SUDDEN * dt * row.scale
+    sudden = sudden and rise_time > 0.0
+    stretch = rise_time / last_time if remaining > 0.0 else 1.0
+    for bar in range(t.model.n_bars):
+        row = work.internal[bar]
         to_come = (0.0, 0.0, 0.0)
-        if left > 0.0:
-            to_come = linear(memory.internal[c].to_come)
+        if remaining > 0.0:
+            to_come = linear(memory.internal[bar].to_come)
         if sudden:
-            to_come = _add_step(to_come, own.goal, left, time / T if left > 0.0 else 1.0)
-        fill3(own.to_come, to_come)
-        own.goal = memory.squeeze[c] - _still_to_come(to_come, 1.0 if sudden else left)
-    work.squeeze_left = 1.0 if sudden else left
-    work.squeeze_time = time if sudden else T
+            to_come = _add_step(to_come, row.goal, remaining, stretch)
+        fill3(row.to_come, to_come)
+        row.goal = memory.squeeze[bar] - _still_to_come(to_come, 1.0 if sudden else remaining)
+    work.squeeze_left = 1.0 if sudden else remaining
+    work.squeeze_time = rise_time if sudden else last_time
     if work.squeeze_left > 0.0:
         work.commanded = 1
 
@@ -274,12 +274,14 @@ def _continue(to_come, left, stretch):
     """
     a, b, c = to_come
     x = 1.0 - left
-    P = a + x * (b + x * c)
+    P = a + x * (b + x * c)  # w = (1 − x)³ P(x)
     slope = b + 2.0 * x * c
     bend = 2.0 * c
+    # w and its derivatives by the new x, whose unit is longer by the factor `stretch`
     w = left * left * left * P
     w_1 = stretch * (left * left) * (left * slope - 3.0 * P)
     w_2 = (stretch * stretch) * left * (6.0 * P - 6.0 * left * slope + left * left * bend)
+    # at x = 0 the new quintic has the value a, the slope b − 3a, the curvature 2c − 6b + 6a
     return w, w_1 + 3.0 * w, 0.5 * w_2 + 3.0 * w_1 + 6.0 * w
 
 
@@ -288,7 +290,9 @@ def brake_contacts(t):
     """Multiply `brake` κ (r,) by the speed to be braked: NᵀV_rel − v̄, or that of a yielding face.
 
     The result is a deceleration, in m/s² for columns that are forces. On a yielding face it is
-    b = κ(u + (K_i − w) p) − s α̈_s.
+    b = κ(u + (K_i − w) p) − s α̈_s, with u and p from `_deflection`. Reads `speed`, and `drift`
+    (v̄) of the columns in MEMORY. On a yielding face whose motion is not measured, the normal is
+    not turned in this tick (`slides`, `turned`).
 
     Args:
         t: Tick.
@@ -340,11 +344,17 @@ def _compliance(t, j):
 
 @leaf
 def _deflection(t, a, j):
-    """Variables of the brake on a yielding face: u (m/s), p (m), v̂ (m/s) and α̇_s (N/s).
+    """Compute the variables of the brake on a yielding face in this tick.
+
+    u = NᵀV − v̂ − s α̇_s is the speed of the contact that neither the motion of the face nor the
+    commanded force explains. While the contact is approached, u is NᵀV_rel and p is 0.
 
     Args:
-        t: Tick. a: index among the kept columns, with V_N[a] = 0 where the motion of the face is
-            not measured. j: index among all columns.
+        t: Tick. a: index of the column among the kept ones, with `V_N` = 0 where the motion of the
+            face is not measured. j: its index among all columns of the model.
+
+    Returns:
+        u (m/s), p (m), v̂ (m/s) and α̇_s (N/s).
     """
     work = t.work
     column = work.columns[j]
@@ -361,7 +371,15 @@ def _deflection(t, a, j):
 
 @leaf
 def _keep_deflections(t):
-    """Update the states of v̂, p, α̇_s and s of yielding faces in MEMORY.
+    """Advance the states v̂, p, α̇_s of the brake on yielding faces, and the estimate of s.
+
+    High-passes with the rate w give x̃, α̃ and α̃_s of position, force and commanded force; s is
+    the ratio of the forgetting integrals `correlation` ∫x̃ α̃_s and `excitation` ∫α̃ α̃_s
+    (`_compliance`), which are not changed during an approach.
+
+    Reads `V_N`, `speed`, `alpha_meas`, and `goal` (α_s) and `shaped` of the columns. Changes of the
+    columns in MEMORY `driven` (v̂, m/s), `deflection` (p, m), `eased` (α_s, N), `eased_rate` (α̇_s,
+    N/s), `yielded` (x̃, m), `alpha_mean`, `eased_mean` (N), `correlation` and `excitation`.
 
     Args:
         t: Tick.
@@ -386,9 +404,10 @@ def _keep_deflections(t):
         row.alpha_mean += w * dt * (work.alpha_meas[a] - row.alpha_mean)
         row.eased_mean += w * dt * (row.eased - row.eased_mean)
         change = dt * (row.eased - row.eased_mean)
-        kept = 1.0 - dt / _RECALLS
-        row.correlation = kept * row.correlation + change * row.yielded
-        row.excitation = kept * row.excitation + change * (work.alpha_meas[a] - row.alpha_mean)
+        forgetting = 1.0 - dt / _RECALLS
+        alpha = work.alpha_meas[a] - row.alpha_mean
+        row.correlation = forgetting * row.correlation + change * row.yielded
+        row.excitation = forgetting * row.excitation + change * alpha
 
 
 @leaf
@@ -405,12 +424,12 @@ def _keep_squeeze(t):
     work = t.work
     memory.squeeze_left = work.squeeze_left
     memory.squeeze_time = work.squeeze_time
-    for c in range(t.model.n_bars):
-        row = memory.internal[c]
-        own = work.internal[c]
-        row.desired = memory.squeeze[c]
-        row.scale = own.scale
-        fill3(row.to_come, own.to_come)
+    for bar in range(t.model.n_bars):
+        row = memory.internal[bar]
+        now = work.internal[bar]
+        row.desired = memory.squeeze[bar]
+        row.scale = now.scale
+        fill3(row.to_come, now.to_come)
 
 
 @inner
@@ -418,10 +437,11 @@ def keep_steps(t):
     """Update the steps of forces, v̄ and the turn of the normal of each column in MEMORY.
 
     Columns that are not in N are reset. Where active contacts are named by the user, the turn and
-    its covariance are retained for the next contact with the same face.
+    its covariance are retained for the next contact with the same face. v̄ follows the speed of a
+    contact that presses only as far as it is not attributed to the normal.
 
     Args:
-        t: Tick.
+        t: Tick whose torques have been computed.
     """
     work = t.work
     _keep_deflections(t)  # reads `has_desired`, which is overwritten below

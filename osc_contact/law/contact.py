@@ -34,14 +34,20 @@ AHEAD = 2.0  #: control periods from a measurement to the latest effect of its t
 
 @inner
 def place_contacts(t):
-    """Fill N, n_γ and friction wrenches of all columns; return False where a pair is degenerate.
+    """Fill N, n_γ and friction wrenches of the columns of all contacts, at O in world axes.
 
     N, n_γ and points of GIVEN pairs were filled by Python before the tick; those of FUNCTION pairs
     are computed by the user's compiled function. The friction wrench is predicted for the time at
     which the torques of this tick act, since friction reverses within milliseconds with the motion.
+    Reads `X_WO`, `V_O`, `V_D`, `A_D`, `mu`, and `touched` of INPUT; fills, too, the estimates of
+    `follow_face`.
 
     Args:
         t: Tick.
+
+    Returns:
+        False if a pair is degenerate, such as two parallel edges, or a user's function is not
+        finite.
     """
     model = t.model
     shapes = model.shapes
@@ -53,7 +59,7 @@ def place_contacts(t):
     X_WE = local(4, 4)
     V_E = local(6)
     V_rel = local(6)
-    V = local(6)
+    V_goal = local(6)
     evaluated = local(6, 11)  # N, n_γ, gap and point of each column of a FUNCTION pair
     evaluated[:] = 0.0
     set_identity(X_WE)
@@ -66,22 +72,22 @@ def place_contacts(t):
             unpack_pose(E, X_WE)
             fill(V_E, carry_motion(E[16:], origin(X_WE), origin(X_WO)))
             fill(V_rel, minus(V_O, V_E))
-        alone = pair.count == 1 and pair.has_friction != 0
-        given = pair.kind == GIVEN or pair.kind == FUNCTION
+        has_one_point = pair.count == 1 and pair.has_friction != 0
+        is_filled = pair.kind == GIVEN or pair.kind == FUNCTION
         if pair.kind == FUNCTION:
             row = shapes[pair.shape_at].row
             call_at(pair.address, X_WO, V_O, X_WE, V_E, row, evaluated)
             if not _take_evaluated(columns, pair.first, pair.count, evaluated):
                 return False
-        if not given:
+        if not is_filled:
             motion = Motion(X_WO, V_O, X_WE, V_E, V_rel, moving)
             if not place_pair(pair, shapes, columns, motion) >= PARALLEL:  # also if NaN
                 return False
-        elif alone:
+        elif has_one_point:
             turn_given(columns[pair.first], X_WE)
-        if alone and model.tilt > 0.0:
-            fill(V, minus(work.V_D, V_E))
-            follow_face(t, pair, X_WO, X_WE, V_rel, V)
+        if has_one_point and model.tilt > 0.0:
+            fill(V_goal, minus(work.V_D, V_E))
+            follow_face(t, pair, X_WO, X_WE, V_rel, V_goal)
         _predict_friction(t, pair, X_WE, V_rel)
     return True
 
@@ -126,11 +132,11 @@ def _take_evaluated(columns, first, count, evaluated):
     zero = 0.0
     for j in range(count):
         column = columns[first + j]
-        given = evaluated[j]
-        fill(column.N, given)
-        column.n_gamma = given[6]
-        fill3(column.point, given[8:])
-        zero += finiteness(given, 7) + finiteness(given[8:], 3)
+        row = evaluated[j]
+        fill(column.N, row)
+        column.n_gamma = row[6]
+        fill3(column.point, row[8:])
+        zero += finiteness(row, 7) + finiteness(row[8:], 3)
     return zero == 0.0
 
 

@@ -100,20 +100,20 @@ def find_twist(t, given):
     A[:] = 0.0
     for k in range(model.n_arms):
         arm = model.arms[k]
-        own = work.arms[k]
+        row = work.arms[k]
         if arm.m == 6:
             continue
-        place_frame(work.joints[arm.tip_joint], arm.tip, own.tip, own.tip[3])
-        grasp_rows(arm, own, work.p_C, work.axes, own.passed)
-        motions = own.passed[arm.m :]
-        if not orthonormalise(own.passed, arm.m, 0, own.passed, factor) > 0.0:  # also if NaN
+        place_frame(work.joints[arm.tip_joint], arm.tip, row.tip, row.tip[3])
+        grasp_rows(arm, row, work.p_C, work.axes, row.passed)
+        motions = row.passed[arm.m :]
+        if not orthonormalise(row.passed, arm.m, 0, row.passed, factor) > 0.0:  # also if NaN
             return False
         if not orthonormalise(motions, 6 - arm.m, 0, motions, factor) > 0.0:  # also if NaN
             return False
         if model.leader < 0 and not given:
-            twist = energy_motion(work.axes, own.V)
+            twist = energy_motion(work.axes, row.V)
             for a in range(arm.m):
-                _add_condition(own.passed[a], dot6(own.passed[a], twist), A, x)
+                _add_condition(row.passed[a], dot6(row.passed[a], twist), A, x)
     if given:
         return True
     if model.leader >= 0:
@@ -201,10 +201,10 @@ def filter_outboard(t, arm, own, bias):
         square = dot(X[k], X[k], n)
         if not sqrt(square) > _MOVES * largest:  # also if NaN
             continue
-        moved = combined(X[k], G, n)
-        felt = combined(X[k, n:], T, count)
+        own_reading = combined(X[k], G, n)
+        detector = combined(X[k, n:], T, count)
         for a in range(6):
-            accumulate(F[a], -moved[a] / square, felt)
+            accumulate(F[a], -own_reading[a] / square, detector)
     fill(work.bias_e, plus(work.bias_e, times6(F, bias)))
     for a in range(6):
         x = combined(F[a], H, 6)
@@ -234,7 +234,7 @@ def rotate(X, w):
         X: at least (3, 3), changed in its first three rows and columns. w: (3,) rad, world axes.
     """
     angle = sqrt(dot3(w, w))
-    a = 1.0
+    a = 1.0  # sin φ/φ and (1 − cos φ)/φ², or their limits at φ = 0
     b = 0.5
     if angle > 1e-6:
         a = sin(angle) / angle
@@ -280,12 +280,12 @@ def _miss(arm, tip, X, out):
         return
     u = rotated_back(tip, rotated(X, arm.axis))  # the object's axis, in the tip's axes
     x = cross(arm.tip_axis, u)
-    s = sqrt(dot3(x, x))
-    f = 1.0
-    if s > 1e-12:
-        f = atan2(s, dot3(arm.tip_axis, u)) / s
-    for b in range(3, 5):
-        out[b] = f * dot3(arm.grasp[b][3:], x)
+    sine = sqrt(dot3(x, x))
+    ratio = 1.0  # angle between both axes over its sine
+    if sine > 1e-12:
+        ratio = atan2(sine, dot3(arm.tip_axis, u)) / sine
+    for b in range(3, 5):  # the rows of N that are couples
+        out[b] = ratio * dot3(arm.grasp[b][3:], x)
 
 
 @inner
@@ -309,14 +309,14 @@ def _miss_of_group(arm, tip, X, out):
     p_O = rotated_back(tip, minus3(origin(X), tip[3]))
     fill3(p, minus3(p_O, rotated(R, arm.X_TO[9:])))
     for _ in range(30):
-        left = _remaining(p, R)
-        size = 0.0
+        displacement = _remaining(p, R)
+        largest = 0.0
         step = ZERO
         for a in range(arm.m, 6):
-            s = dot6(arm.grasp[a], left)
+            s = dot6(arm.grasp[a], displacement)
             step = add(step, s, arm.grasp[a])
-            size = max(size, abs(s))
-        if size < 1e-14:
+            largest = max(largest, abs(s))
+        if largest < 1e-14:
             break
         _take_off(R, p, scaled(-1.0, step))
     fill(out, times6(arm.grasp, _remaining(p, R)))
@@ -331,7 +331,7 @@ def _remaining(p, R):
     """
     w = rotation_vector(R)
     square = dot3(w, w)
-    c = 1.0 / 12.0 + square / 720.0
+    c = 1.0 / 12.0 + square / 720.0  # its series near 0
     if square > 1e-4:
         angle = sqrt(square)
         c = (1.0 - 0.5 * angle * sin(angle) / (1.0 - cos(angle))) / square
@@ -348,7 +348,7 @@ def _take_off(R, p, twist):
     """
     w = angular(twist)
     square = dot3(w, w)
-    b = 0.5 - square / 24.0
+    b = 0.5 - square / 24.0  # their series near 0
     c = 1.0 / 6.0 - square / 120.0
     if square > 1e-4:
         angle = sqrt(square)

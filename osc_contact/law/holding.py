@@ -87,33 +87,37 @@ def hold_posture(t):
         fill(outboard, ZERO)
         move_arm(t, model.arms[k], speed, world, twist, drift, outboard)
         _weigh(t, k, world, outboard)
-    there = _carry_weight(t, R, centre, weight)
-    holding = _count_holding(t)
+    object_is_known = _carry_weight(t, R, centre, weight)
+    n_holding = _count_holding(t)
     omega = model.hold_rate
-    fastest = min(BRAKE_RATE, model.torque_rate)
+    rate_limit = min(BRAKE_RATE, model.torque_rate)
     for j in range(model.n_joints):
         if abs(speed[j]) > model.joints[j].speed_max:
-            fastest = min(_HASTE * BRAKE_RATE, model.torque_rate)
-        back = omega * (q[j] - memory.joints[j].hold)
-        driven = model.joints[j].motor >= 0
-        joints[j].acceleration = -omega * (2.0 * speed[j] + back) if driven else 0.0
+            rate_limit = min(_HASTE * BRAKE_RATE, model.torque_rate)
+        restoring = omega * (q[j] - memory.joints[j].hold)
+        has_motor = model.joints[j].motor >= 0
+        joints[j].acceleration = -omega * (2.0 * speed[j] + restoring) if has_motor else 0.0
     for k in range(model.n_arms):
-        holds = there and (holding == model.n_arms or memory.arms[k].let_go == 0)
-        part = 1.0 / holding if holds else 0.0
-        share = _split_torques(t, model.arms[k], part, R, centre, weight)
-        rate = fastest if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
+        holds = object_is_known and (n_holding == model.n_arms or memory.arms[k].let_go == 0)
+        object_share = 1.0 / n_holding if holds else 0.0
+        share = _split_torques(t, model.arms[k], object_share, R, centre, weight)
+        rate = rate_limit if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
         _take_share(t, model.arms[k], share, rate)
     slew(work.tau, memory.torques, work.step, memory.ticked != 0)
 
 
 @inner
 def _take_share(t, arm, share, rate):
-    """Fill torques, their largest steps and the commanded accelerations of an arm that brakes.
+    """Set torques, their largest steps and the commanded accelerations of an arm that brakes.
+
+    Fills `tau` and `step` of the motors, and `acceleration`, `driven` and `hold` of the joints in
+    MEMORY.
 
     Args:
-        t: Tick. arm: row of MODEL. share: part of the braking torques that its motors can exert;
-            below 1 the positions to be held follow the joints.
-        rate: largest rate of the torques, in torque limits per second.
+        t: Tick, with the torques of `_split_torques` in `tau` (carrying) and `rest` (braking).
+        arm: ARM row. share: part of the braking torques that the motors can exert; below 1 the
+            positions to be held follow the joints. rate: largest rate of the torques (1/s, in
+            torque limits).
     """
     model = t.model
     memory = t.memory
@@ -125,11 +129,11 @@ def _take_share(t, arm, share, rate):
         if share < 1.0:
             memory.joints[j].hold = memory.q[j]
         motor = model.joints[j].motor
-        most = model.joints[j].tau_max
+        limit = model.joints[j].tau_max
         if motor >= 0:
-            s = min(max(joints[j].tau + share * joints[j].rest, -most), most)
-            work.tau[motor] = s if isfinite(s) else memory.torques[motor]
-            work.step[motor] = rate * model.period * most
+            torque = min(max(joints[j].tau + share * joints[j].rest, -limit), limit)
+            work.tau[motor] = torque if isfinite(torque) else memory.torques[motor]
+            work.step[motor] = rate * model.period * limit
 
 
 @inner
@@ -143,17 +147,17 @@ def _move_holds(t):
     """
     model = t.model
     memory = t.memory
-    fast = False
+    is_moving = False
     for j in range(model.n_joints):
-        known = memory.joints[j]
+        row = memory.joints[j]
         speed = abs(memory.v[j])
         if memory.settled == 0:
-            known.begun = memory.q[j]
-            known.way = speed * model.reaction
-        fast = fast or speed > _AT_REST
-        known.hold = known.begun + clamped(memory.q[j] - known.begun, known.way)
-    moves = fast and memory.age * model.period < _BRAKING
-    memory.settled = BRAKED if moves else SETTLED
+            row.begun = memory.q[j]
+            row.way = speed * model.reaction
+        is_moving = is_moving or speed > _AT_REST
+        row.hold = row.begun + clamped(memory.q[j] - row.begun, row.way)
+    is_braking = is_moving and memory.age * model.period < _BRAKING
+    memory.settled = BRAKED if is_braking else SETTLED
 
 
 @inner
@@ -169,22 +173,22 @@ def _count_holding(t):
     """
     model = t.model
     n = model.n_arms
-    holding = n
+    n_holding = n
     if t.memory.state == SAFE_STOP and model.held and n > 1:
         heaviest = 0
-        most = 0.0
+        largest_square = 0.0
         for k in range(n):
-            own = t.memory.arms[k]
-            holding -= own.let_go
-            load = dot3(own.load, own.load)
-            if load > most:
+            row = t.memory.arms[k]
+            n_holding -= row.let_go
+            load = dot3(row.load, row.load)
+            if load > largest_square:
                 heaviest = k
-                most = load
-        if holding == 0 and sqrt(most) > _HEAVY * _weight_share(t):
+                largest_square = load
+        if n_holding == 0 and sqrt(largest_square) > _HEAVY * _weight_share(t):
             t.memory.arms[heaviest].let_go = 0
             t.memory.arms[heaviest].holds = 1
-            holding = 1
-    return holding if holding > 0 else n
+            n_holding = 1
+    return n_holding if n_holding > 0 else n
 
 
 @leaf
@@ -252,26 +256,26 @@ def _split_torques(t, arm, part, R, centre, weight):
     joints = t.work.joints
     lo = arm.first
     share = 1.0
-    pull = _inertial_wrench(t, arm, part, R, centre)
+    object_wrench = _inertial_wrench(t, arm, part, R, centre)
     for j in range(lo, arm.end):
-        s = joints[j].h + part * dot6(joints[j].column, weight)
-        brake = dot6(joints[j].column, pull)
+        carrying = joints[j].h + part * dot6(joints[j].column, weight)
+        brake = dot6(joints[j].column, object_wrench)
         for i in range(lo, arm.end):
             brake += joints[j].M[i - lo] * joints[i].acceleration
-        joints[j].tau = s
+        joints[j].tau = carrying
         joints[j].rest = brake
         if table[j].motor >= 0 and abs(brake) > 0.0:
-            most = table[j].tau_max
-            room = most - s if brake > 0.0 else most + s
+            limit = table[j].tau_max
+            room = limit - carrying if brake > 0.0 else limit + carrying
             share = min(share, max(room, 0.0) / abs(brake))
     share = max(share, _LEAST)
-    gain = 0.0
+    power_gain = 0.0
     if share < 1.0:
         for j in range(lo, arm.end):
             if table[j].motor >= 0:
                 change = _clip_brake(joints[j], table[j].tau_max) - share * joints[j].rest
-                gain += change * joints[j].acceleration
-    if gain > 0.0:
+                power_gain += change * joints[j].acceleration
+    if power_gain > 0.0:
         for j in range(lo, arm.end):
             joints[j].rest = _clip_brake(joints[j], table[j].tau_max) / share
     return share

@@ -22,7 +22,14 @@ _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 
 
 def digest(function: FunctionType) -> str:
-    """SHA-256 of the ingredients of a function."""
+    """SHA-256 of the ingredients of a function, from which its key in the cache is made.
+
+    Args:
+        function: a Python function that numba translates.
+
+    Raises:
+        TypeError: the function reads a value whose content cannot be written as text.
+    """
     return sha256("\n".join(ingredients(function)).encode()).hexdigest()
 
 
@@ -51,7 +58,11 @@ def ingredients(function: FunctionType) -> list[str]:
 
 
 def values_read(function: FunctionType) -> dict[str, Any]:
-    """Global values that a function names, by name or, in a module, by path: `math.sqrt`."""
+    """Global values that a function names, by name or, in a module, by path: `math.sqrt`.
+
+    Args:
+        function: a Python function. Names of Python's builtins are left out.
+    """
     found: dict[str, Any] = {}
     for name, *members in _paths(function.__code__):
         if name not in function.__globals__:
@@ -69,7 +80,13 @@ def values_read(function: FunctionType) -> dict[str, Any]:
 
 @cache
 def _paths(code: CodeType) -> tuple[tuple[str, ...], ...]:
-    """Global names in a function's code, each with the attributes that directly follow it."""
+    """List the global names in a function's code, each with the attributes that directly follow it.
+
+    Nested functions are included.
+
+    Args:
+        code: code object of the function.
+    """
     found: list[tuple[str, ...]] = []
     follows = False
     for step in dis.get_instructions(code):
@@ -86,7 +103,13 @@ def _paths(code: CodeType) -> tuple[tuple[str, ...], ...]:
 
 @cache
 def _bytecode(code: CodeType) -> str:
-    """Text of a function's code without its docstring and its line numbers."""
+    """Text of a function's code without its docstring and its line numbers.
+
+    It is equal before and after an edit of comments, so that such an edit needs no new translation.
+
+    Args:
+        code: code object of the function.
+    """
     constants = [
         _bytecode(constant) if isinstance(constant, CodeType) else repr(constant)
         for place, constant in enumerate(code.co_consts)
@@ -113,6 +136,9 @@ def _text_of(value: Any) -> str:
 
     It is part of the key under which machine code is stored: a function that uses another value
     must have another key, so memory addresses are not part of it.
+
+    Args:
+        value: number, text, tuple, type, module or function.
 
     Raises:
         TypeError: the content cannot be written as text.

@@ -82,6 +82,10 @@ def inner(function: Any, inlined: bool = False) -> Any:
 
     Args:
         function: the function. inlined: whether it is inlined in its callers.
+
+    Returns:
+        The function itself in plain Python; else a callable of numba, translated once for all
+        callers (`units`) or, without `units`, compiled by numba in its usual way.
     """
     if not COMPILES:
         return function
@@ -108,6 +112,11 @@ class Entry:
     """Entry of the library, which is made or loaded at the first call."""
 
     def __init__(self, function: Any) -> None:
+        """Declare an entry without making or loading the library.
+
+        Args:
+            function: the function of Python whose name the library's function has.
+        """
         self.__wrapped__ = function
 
     @cached_property
@@ -116,6 +125,7 @@ class Entry:
         return getattr(the_library(), self.__wrapped__.__name__)
 
     def __call__(self, *arguments: Any) -> Any:
+        """Call the function of the library, which checks the types of its arguments."""
         return self.call(*arguments)
 
 
@@ -130,7 +140,17 @@ def the_library() -> Any:
 
 
 def _as_numba_does(function: Any) -> Any:
-    """Compile an entry with numba's own cache, in a folder for these sources."""
+    """Compile an entry in numba's usual way, with numba's own cache in a folder for these sources.
+
+    numba reads the folder of its cache from its configuration when it compiles, so the
+    configuration is changed meanwhile. Code is cached only where no other user may write.
+
+    Args:
+        function: the function of Python.
+
+    Returns:
+        Callable of numba that releases the GIL.
+    """
     usual = _config.CACHE_DIR
     folder = library.kept("numba")
     with suppress(OSError):
@@ -162,22 +182,44 @@ def as_python(part: Any, **instead: Any) -> Any:
 
 
 def call_address(address: int, *arrays: Any) -> None:
-    """Call the C function at an address with the addresses of arrays."""
+    """Call the C function at an address with the addresses of arrays.
+
+    Args:
+        address: address of a function without a result, all of whose arguments are pointers.
+        arrays: arrays whose addresses are passed.
+    """
     given = [one.ctypes.data for one in arrays]
     ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(given))(int(address))(*given)
 
 
 def _reshape(x: Any, start: int, rows: int, columns: int) -> Any:
-    """View numbers of a row x from `start` on as a matrix (rows, columns)."""
+    """View elements of a row as a matrix, in plain Python.
+
+    Args:
+        x: row. start: index of the first element. rows, columns: size of the matrix.
+
+    Returns:
+        Matrix (rows, columns) that shares its memory with x.
+    """
     return x[start : start + rows * columns].reshape((rows, columns))
 
 
 def _no_prefetch(raw: Any, start: int, count: int) -> None:
-    """Do nothing in place of a prefetch, in plain Python."""
+    """Do nothing in place of a prefetch, in plain Python.
+
+    Args:
+        raw: array of bytes. start: index of the first byte. count: number of bytes.
+    """
 
 
 def _empty(rows: int, columns: int | None = None) -> Any:
-    """New array (rows,) or (rows, columns) of NaN, so that reading uninitialised elements shows."""
+    """New array (rows,) or (rows, columns) of NaN, in place of `local` in plain Python.
+
+    NaN shows where an element is read before it is written.
+
+    Args:
+        rows, columns: sizes; columns None: an array with one axis.
+    """
     return np.full(rows if columns is None else (rows, columns), np.nan)
 
 
@@ -219,6 +261,7 @@ else:
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, given: Values
         ) -> Value:
+            """Generate code that reserves the memory, once for each call of the function."""
             with builder.goto_entry_block():
                 place = builder.alloca(ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))
             array = context.make_array(kind)(context, builder)
@@ -240,49 +283,75 @@ else:
 
     @intrinsic
     def _pointer(typing: TypingContext, address: Type) -> Intrinsic:
-        """Convert an address to a pointer."""
+        """Convert an address (an integer) to a pointer, in compiled code.
+
+        Args:
+            typing: typing context of numba. address: numba type of the address.
+        """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, arguments: Values
         ) -> Value:
+            """Generate the conversion."""
             return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
 
         return types.voidptr(types.uintp), generate
 
     @view
     def _place(x):
-        """Address of an array."""
+        """Address of the first element of an array x, as an unsigned integer."""
         return np.uintp(x.ctypes.data)
 
     @view
     def bytes_at(address):
-        """View all bytes from an address on as an array."""
+        """View all bytes from an address on as an array; its length is no limit."""
         return carray(_pointer(address), 1 << 40, np.uint8)
 
     @view
     def numbers_at(address, shape):
-        """View numbers at an address as an array of a shape."""
+        """View numbers (float64) at an address as an array.
+
+        Args:
+            address: address of the first number. shape: size, or tuple of sizes.
+        """
         return carray(_pointer(address), shape, np.float64)
 
     @view
     def words_at(address, count):
-        """View `count` integers at an address as an array."""
+        """View integers (int64) at an address as an array.
+
+        Args:
+            address: address of the first integer. count: number of integers.
+        """
         return carray(_pointer(address), count, np.int64)
 
     @view
     def matrix(x, start, rows, columns):
-        """View numbers of a row x from `start` on as a matrix (rows, columns)."""
+        """View elements of a row as a matrix, in compiled code.
+
+        Args:
+            x: row of numbers. start: index of the first element. rows, columns: size of the matrix.
+
+        Returns:
+            Matrix (rows, columns) that shares its memory with x.
+        """
         return numbers_at(_place(x) + np.uintp(8 * start), (rows, columns))
 
     @intrinsic
     def _call(
         typing: TypingContext, at: Type, a: Type, b: Type, c: Type, d: Type, e: Type, f: Type
     ) -> Intrinsic:
-        """Call the C function at an address with addresses."""
+        """Call the C function at an address with six addresses, in compiled code.
+
+        Args:
+            typing: typing context of numba. at: type of the function's address. a, b, c, d, e, f:
+                types of its six arguments, unsigned integers.
+        """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, given: Values
         ) -> Value:
+            """Generate the call."""
             kind = ir.FunctionType(ir.VoidType(), [ir.IntType(64)] * 6)
             builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
             return context.get_dummy_value()
@@ -291,17 +360,27 @@ else:
 
     @view
     def call_at(address, a, b, c, d, e, f):
-        """Call the C function at an address with the addresses of six arrays."""
+        """Call the C function at an address with the addresses of six arrays, in compiled code.
+
+        Args:
+            address: address of a function without a result, all of whose arguments are pointers.
+            a, b, c, d, e, f: arrays.
+        """
         at = _place(a), _place(b), _place(c), _place(d), _place(e), _place(f)
         _call(np.uintp(address), *at)
 
     @intrinsic
     def _prefetch(typing: TypingContext, address: Type) -> Intrinsic:
-        """Prefetch the cache line at an address."""
+        """Prefetch the cache line at an address, in compiled code.
+
+        Args:
+            typing: typing context of numba. address: type of the address.
+        """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, arguments: Values
         ) -> Value:
+            """Generate LLVM's intrinsic for a line that is read soon."""
             line = ir.IntType(8).as_pointer()
             flag = ir.IntType(32)
             kind = ir.FunctionType(ir.VoidType(), [line, flag, flag, flag])
@@ -314,6 +393,10 @@ else:
 
     @view
     def prefetch(raw, start, count):
-        """Prefetch `count` bytes from `start` on to the processor's cache."""
+        """Prefetch bytes to the processor's cache, one access for each line of 64 bytes.
+
+        Args:
+            raw: array of bytes. start: index of the first byte. count: number of bytes.
+        """
         for at in range(start, start + count, 64):
             _prefetch(_place(raw) + np.uintp(at))

@@ -126,48 +126,74 @@ def observe_arm(t, arm, own, sound, dt):
     known = t.memory.joints
     begins = t.memory.balanced <= 1  # without a last tick
     k = 0.0 if begins else max(dt / (LAG + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
-    beyond = scaled(-1.0, own.bias)
-    moved = ZERO
+    # wrenches that carry (at q̈ = 0) and accelerate the bodies beyond the wrist, the first negative
+    bias = scaled(-1.0, own.bias)
+    inertia_force = ZERO
     for j in range(arm.first, arm.end):
         v = joints[j].v
         known[j].rate += k * ((v - known[j].past_v) / dt - known[j].rate)
         known[j].past_v = v
-        if arm.outer_joint >= 0:  # wrench of the bodies beyond the wrist, in energy coordinates
-            moved = add(moved, known[j].rate, joints[j].outboard)
+        if arm.outer_joint >= 0:  # in energy coordinates
+            inertia_force = add(inertia_force, known[j].rate, joints[j].outboard)
             if arm.filtered:
-                beyond = add(beyond, joints[j].offset, joints[j].outboard)
-    moved = world_wrench(work.axes, moved)
+                bias = add(bias, joints[j].offset, joints[j].outboard)
+    inertia_force = world_wrench(work.axes, inertia_force)
     if arm.outer_joint >= 0 and arm.filtered:
-        beyond = world_wrench(work.axes, beyond)
+        bias = world_wrench(work.axes, bias)
     wrench = read_wrist(own.reading, joints[arm.sensor_joint], arm.sensor, work.p_C)
-    fill(own.net, minus(plus(wrench, beyond), moved))
+    fill(own.net, minus(plus(wrench, bias), inertia_force))
     for j in range(arm.first, arm.sensor_joint + 1):
-        row = known[j]
-        joint = t.model.joints[j]
-        if joint.motor < 0:
+        if t.model.joints[j].motor < 0:
             continue
-        inertial = -dot6(joints[j].column, moved)
-        for i in range(arm.first, arm.end):
-            inertial += joints[j].M[i - arm.first] * known[i].rate
-        weight = joints[j].h + dot6(joints[j].column, beyond)
-        if begins:
-            row.past_weight = weight
-        held = 0.5 * (weight + row.past_weight)
-        row.past_weight = weight
-        torque = t.memory.torques[joint.motor] - held
-        then = (torque, row.sign, row.speed, row.past_v, row.friction, held, row.rate, inertial)
-        if t.memory.stamped:
-            then = _align(t, t.memory.past[j], then, int(dt / t.model.period + 0.5))
-        torque = then[TORQUE]
-        bound = _OUTLIER * joint.tau_max
-        needed = min(max(dot6(joints[j].column, wrench), torque - bound), torque + bound)
-        row.means[TORQUE] += k * (torque - 0.5 * (needed + row.load) - row.means[TORQUE])
-        row.load = needed
-        for i in range(SIGN, RATE):
-            row.means[i] += k * (then[i] - row.means[i])
-        row.residual = row.means[TORQUE] - then[INERTIAL]
+        rate, inertial = _observe_joint(t, arm, j, wrench, bias, inertia_force, k, dt)
         if (t.model.friction_learning or t.model.friction_errors) and not begins:
-            _learn(t, j, sound, then[RATE], then[INERTIAL], dt)
+            _learn(t, j, sound, rate, inertial, dt)
+
+
+@inner
+def _observe_joint(t, arm, j, wrench, bias, inertia_force, k, dt):
+    """Update the low-passed signals `means`, `load` and `residual` of a joint with a motor.
+
+    A single wrong reading changes the residual by no more than `_OUTLIER` torque limits. Reads h,
+    M and `column` of the joint, and its former signals if wrenches are delayed.
+
+    Args:
+        t: Tick. arm: ARM row. j: index of the joint. wrench: reading of the arm's wrist.
+        bias: negative of the wrench that moves the bodies beyond the wrist at q̈ = 0.
+        inertia_force: wrench that accelerates them by q̈. All three are at C in world axes (six
+            numbers; N, N m). k: share of one step in the low-pass. dt: time since the last computed
+            tick (s).
+
+    Returns:
+        Acceleration of the joint (rad/s², m/s²) and torque M q̈ − Jᵀ w_out (N m, N), of the instant
+        of the wrench.
+    """
+    known = t.memory.joints
+    row = known[j]
+    own = t.work.joints[j]
+    joint = t.model.joints[j]
+    inertial = -dot6(own.column, inertia_force)
+    for i in range(arm.first, arm.end):
+        inertial += own.M[i - arm.first] * known[i].rate
+    weight = own.h + dot6(own.column, bias)
+    if t.memory.balanced <= 1:  # without a last tick
+        row.past_weight = weight
+    mean_weight = 0.5 * (weight + row.past_weight)
+    row.past_weight = weight
+    torque = t.memory.torques[joint.motor] - mean_weight
+    # in the order of the constants TORQUE … INERTIAL
+    now = (torque, row.sign, row.speed, row.past_v, row.friction, mean_weight, row.rate, inertial)
+    if t.memory.stamped:
+        now = _align(t, t.memory.past[j], now, int(dt / t.model.period + 0.5))
+    torque = now[TORQUE]
+    bound = _OUTLIER * joint.tau_max
+    load = min(max(dot6(own.column, wrench), torque - bound), torque + bound)
+    row.means[TORQUE] += k * (torque - 0.5 * (load + row.load) - row.means[TORQUE])
+    row.load = load
+    for i in range(SIGN, RATE):
+        row.means[i] += k * (now[i] - row.means[i])
+    row.residual = row.means[TORQUE] - now[INERTIAL]
+    return now[RATE], now[INERTIAL]
 
 
 @leaf
@@ -206,28 +232,10 @@ def _learn(t, j, sound, rate, inertial, dt):
         rate: acceleration of the joint (rad/s², m/s²). inertial: M q̈ − Jᵀ w_out (N m, N); both of
             the instant of the wrench. dt: time since the last computed tick (s).
     """
-    joint = t.model.joints[j]
-    prior = t.model.priors[j]
     row = t.memory.joints[j]
     learned = t.memory.friction[j]
-    state = t.memory.friction_known[j]
-    means = row.means
-    missing = row.residual - means[FRICTION]
-    if state == UNKNOWN:
-        state = MODEL_ONLY
-        learned.noise = prior.noise * prior.noise
-        learned.P[:] = 0.0
-        for i in range(_SIZE):
-            learned.theta[i] = learned.estimate[i] = joint.theta[i]
-            learned.P[i, i] = prior.doubt[i] * prior.doubt[i]
-        weight = _MASSES * t.work.joints[j].h
-        learned.P[3, 3] += weight * weight
-    if state == MODEL_ONLY:
-        seen = dt if abs(missing) > prior.rounding else -dt
-        learned.evidence = max(learned.evidence + seen, 0.0)
-        if learned.evidence > (0.0 if t.model.friction_errors else _EVIDENCE):
-            state = SUSPECTED if prior.sure > 0.0 else LEARNED
-    t.memory.friction_known[j] = state
+    missing = row.residual - row.means[FRICTION]
+    state = _begin_estimate(t, j, missing, dt)
     if state == LEARNED and learned.applied < 1.0:
         learned.applied = min(learned.applied + (dt / _RISE if _all_closed(t) else 1.0), 1.0)
     if state == LEARNED or (state == SUSPECTED and t.model.friction_errors):
@@ -235,17 +243,14 @@ def _learn(t, j, sound, rate, inertial, dt):
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
     _take_in_rotor(row, learned, t.model.priors[j], state == LEARNED, dt)
     k = dt / (_SMOOTH + dt)
+    _smooth_regressors(row, learned, rate, inertial, k)
     smooth = learned.smooth
-    own = row.rotor * rate  # M has it
-    torque = row.residual + own
-    shown = (torque, means[SIGN], means[SPEED], means[V], rate, means[WEIGHT] + inertial - own)
-    for i in range(len(shown)):
-        smooth[i] += k * (shown[i] - smooth[i])
-    least = _MOVES * (SLIDES if joint.slides else 1.0)
-    y = smooth[SPEED]
-    moves = min(abs(row.speed), abs(y)) > least and smooth[V] * y > _FOLLOWS * y * y
-    rests = abs(smooth[V]) < min(_FOLLOWS * abs(y), _RESTS * least)
-    rests = rests and (abs(y) > least or state == LEARNED)
+    threshold = _MOVES * (SLIDES if t.model.joints[j].slides else 1.0)
+    permitted = smooth[SPEED]
+    moves = min(abs(row.speed), abs(permitted)) > threshold
+    moves = moves and smooth[V] * permitted > _FOLLOWS * permitted * permitted
+    rests = abs(smooth[V]) < min(_FOLLOWS * abs(permitted), _RESTS * threshold)
+    rests = rests and (abs(permitted) > threshold or state == LEARNED)
     learned.rested = learned.rested + dt if rests else 0.0
     if state == LEARNED and _is_contradicted(t, j, missing, moves, dt):
         t.memory.friction_known[j] = UNKNOWN
@@ -256,6 +261,64 @@ def _learn(t, j, sound, rate, inertial, dt):
     settled = t.memory.balanced * dt > _SETTLED
     if t.model.friction_learning and settled and abs(smooth[SIGN]) > _FULL:
         _estimate(t, j, moves, min(_TURNS * k, 1.0), _TURNS * dt)
+
+
+@inner
+def _begin_estimate(t, j, missing, dt):
+    """Update the state of θ of a joint from UNKNOWN up to the beginning of its identification.
+
+    UNKNOWN becomes MODEL_ONLY, where estimate and covariance are those of the model and the prior.
+    MODEL_ONLY becomes SUSPECTED (the estimate has to differ from the model first) or LEARNED once
+    residuals have exceeded rounding for `_EVIDENCE`.
+
+    Args:
+        t: Tick. j: index of the joint. missing: residual less compensated friction (N m, N).
+        dt: time since the last computed tick (s).
+
+    Returns:
+        The new state, which is stored in `friction_known` of MEMORY.
+    """
+    prior = t.model.priors[j]
+    learned = t.memory.friction[j]
+    state = t.memory.friction_known[j]
+    if state == UNKNOWN:
+        state = MODEL_ONLY
+        learned.noise = prior.noise * prior.noise
+        learned.P[:] = 0.0
+        for i in range(_SIZE):
+            learned.theta[i] = learned.estimate[i] = t.model.joints[j].theta[i]
+            learned.P[i, i] = prior.doubt[i] * prior.doubt[i]
+        deviation = _MASSES * t.work.joints[j].h
+        learned.P[3, 3] += deviation * deviation
+    if state == MODEL_ONLY:
+        change = dt if abs(missing) > prior.rounding else -dt
+        learned.evidence = max(learned.evidence + change, 0.0)
+        if learned.evidence > (0.0 if t.model.friction_errors else _EVIDENCE):
+            state = SUSPECTED if prior.sure > 0.0 else LEARNED
+    t.memory.friction_known[j] = state
+    return state
+
+
+@inner
+def _smooth_regressors(row, learned, rate, inertial, k):
+    """Pass residual and regressors of a joint through the second low-pass, to `smooth`.
+
+    The torque of the inertia that M has beside the model's (`rotor`) is added to the residual and
+    subtracted from the load, so that the estimate of A is that of the whole rotor.
+
+    Args:
+        row: JOINT_MEMORY, of which `residual`, `rotor` and `means` are read. learned: its FRICTION,
+            of which `smooth` is changed. rate: acceleration (rad/s², m/s²).
+        inertial: M q̈ − Jᵀ w_out (N m, N). k: share of one step in the low-pass.
+    """
+    means = row.means
+    smooth = learned.smooth
+    rotor = row.rotor * rate
+    torque = row.residual + rotor
+    load = means[WEIGHT] + inertial - rotor
+    now = (torque, means[SIGN], means[SPEED], means[V], rate, load)
+    for i in range(len(now)):
+        smooth[i] += k * (now[i] - smooth[i])
 
 
 @leaf
@@ -294,11 +357,10 @@ def _is_contradicted(t, j, missing, moves, dt):
     """
     learned = t.memory.friction[j]
     row = t.memory.joints[j]
-    more = row.friction - _friction_along(row, t.model.joints[j].theta)
-    above = moves and abs(more) > t.model.priors[j].noise
-    above = above and abs(row.sign) > _FULL
-    less = above and missing * more < -_LESS * more * more
-    learned.contradicted = max(learned.contradicted + (dt if less else -dt), 0.0)
+    excess = row.friction - _friction_along(row, t.model.joints[j].theta)  # beyond the model
+    is_clear = moves and abs(excess) > t.model.priors[j].noise and abs(row.sign) > _FULL
+    contradicts = is_clear and missing * excess < -_LESS * excess * excess
+    learned.contradicted = max(learned.contradicted + (dt if contradicts else -dt), 0.0)
     if learned.contradicted <= _CONTRADICTED:
         return False
     learned.contradicted = 0.0
@@ -335,18 +397,18 @@ def _estimate(t, j, moves, k, dt):
     known = t.memory.friction_known
     smooth = learned.smooth
     a = smooth[_ACCELERATION]
-    likely = learned.estimate
-    dry = smooth[TORQUE] - likely[2] * a - likely[3] - likely[4] * smooth[WEIGHT]
-    most = max(likely[0], 0.0) + max(likely[1], 0.0) * abs(t.memory.joints[j].speed)
-    excess = dry * smooth[SIGN] - most
-    unsure = _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
-    sticks = learned.rested > _STANDS and excess > unsure
-    holds = learned.rested > _HOLDS and dry * smooth[SIGN] > unsure
+    estimate = learned.estimate  # F, D, A, bias, μ
+    friction = smooth[TORQUE] - estimate[2] * a - estimate[3] - estimate[4] * smooth[WEIGHT]
+    expected = max(estimate[0], 0.0) + max(estimate[1], 0.0) * abs(t.memory.joints[j].speed)
+    excess = friction * smooth[SIGN] - expected
+    uncertainty = _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
+    sticks = learned.rested > _STANDS and excess > uncertainty
+    holds = learned.rested > _HOLDS and friction * smooth[SIGN] > uncertainty
     if not (moves or sticks or holds):
         return
     phi = (smooth[SIGN], smooth[V], a, 1.0, smooth[WEIGHT])
     if sticks:  # gives a lower bound of F, so the covariance stays
-        likely[0] += min(excess, max(prior.high[0] - likely[0], 0.0))
+        estimate[0] += min(excess, max(prior.high[0] - estimate[0], 0.0))
     elif moves:
         _regress(prior, learned, phi, smooth[TORQUE], k, dt)
     C = local(_SIZE, _SIZE)
@@ -383,18 +445,18 @@ def _regress(prior, learned, phi, r, k, dt):
     R = max(learned.noise, (_QUIET * noise) * (_QUIET * noise))
     for i in range(_SIZE):
         gain[i] = dot(P[i], phi, _SIZE)
-    unsure = dot(gain, phi, _SIZE)
-    whole = R / k + unsure
-    whole *= max(miss * miss / (_SEEN * _SEEN * (R + unsure)), 1.0)  # outliers count less
+    variance = dot(gain, phi, _SIZE)  # φᵀPφ
+    total = R / k + variance
+    total *= max(miss * miss / (_SEEN * _SEEN * (R + variance)), 1.0)  # outliers count less
     for i in range(_SIZE):
-        estimate[i] += gain[i] * miss / whole
-        grown = 1.0 + 0.5 * dt / _FORGET
-        deviation = grown * sqrt(max(P[i, i] - gain[i] * gain[i] / whole, 0.0))
-        shows = abs(phi[i]) * prior.spread[i] > _SEEN * noise
-        growth[i] = grown if shows and deviation < prior.spread[i] else 1.0
+        estimate[i] += gain[i] * miss / total
+        forgetting = 1.0 + 0.5 * dt / _FORGET
+        deviation = forgetting * sqrt(max(P[i, i] - gain[i] * gain[i] / total, 0.0))
+        has_effect = abs(phi[i]) * prior.spread[i] > _SEEN * noise
+        growth[i] = forgetting if has_effect and deviation < prior.spread[i] else 1.0
     for i in range(_SIZE):
         for j in range(i + 1):
-            P[i, j] = growth[i] * growth[j] * (P[i, j] - gain[i] * gain[j] / whole)
+            P[i, j] = growth[i] * growth[j] * (P[i, j] - gain[i] * gain[j] / total)
             P[j, i] = P[i, j]
 
 
@@ -444,8 +506,8 @@ def _test_and_reset_friction(prior, known, learned, phi, C):
         torque += phi[i] * (theta[i] - known[i])
     for i in range(3):
         if C[i, i] > 0.0:
-            apart = theta[i] - known[i]
-            distance += apart * apart / C[i, i]
+            difference = theta[i] - known[i]
+            distance += difference * difference / C[i, i]
             _condition(theta, C, i, known[i])
         theta[i] = known[i]
     return distance > prior.sure * prior.sure and abs(torque) > _LEAST * prior.noise
@@ -459,8 +521,8 @@ def _condition(theta, C, i, value):
         theta: (5,) mean, changed. C: (5, 5) covariance, changed; C_i is its column i. i: index of
             the element that becomes certain. value: value that it takes.
     """
-    beyond = (theta[i] - value) / C[i, i]
-    add_scaled(-beyond, C[i], _SIZE, theta)
+    change = (theta[i] - value) / C[i, i]
+    add_scaled(-change, C[i], _SIZE, theta)
     theta[i] = value
     for j in range(_SIZE):
         if j != i:
@@ -497,18 +559,19 @@ def permit_speeds(t):
     fill(x, turned_back(work, x))
     for j in range(t.model.n_joints):
         joint = t.model.joints[j]
-        most = min(joint.rated, _FASTEST)
+        limit = min(joint.rated, _FASTEST)
         row = t.memory.joints[j]
         slip = joint.slip
         s = dot6(work.joints[j].J_bar, x)
-        s = min(max(s, -most), most) if s == s else 0.0  # NaN where the command overflows
-        before = row.speed if t.memory.ticked else s
-        most /= _SUDDEN
+        s = min(max(s, -limit), limit) if s == s else 0.0  # NaN where the command overflows
+        last_s = row.speed if t.memory.ticked else s
+        rate_limit = limit / _SUDDEN
         row.speed = s
-        row.turn = min(max((s - before) / work.dt, -most), most)
+        row.turn = min(max((s - last_s) / work.dt, -rate_limit), rate_limit)
         # mean of s/√(s² + s_0²) while s goes to s_1: (√(s_1² + s_0²) − √(s² + s_0²))/(s_1 − s)
-        then = s + t.model.period * row.turn
-        row.sign = (s + then) / (sqrt(s * s + slip * slip) + sqrt(then * then + slip * slip))
+        next_s = s + t.model.period * row.turn
+        roots = sqrt(s * s + slip * slip) + sqrt(next_s * next_s + slip * slip)
+        row.sign = (s + next_s) / roots
 
 
 @inner
@@ -543,17 +606,17 @@ def _compensation(t, j):
         Torque or force (N m, N).
     """
     row = t.memory.joints[j]
-    before = row.friction
+    last_friction = row.friction
     row.friction = believed_friction(t, j)
     F, D, _ = _theta(t, j)
-    most = F + D * abs(row.speed)
+    bound = F + D * abs(row.speed)
     if t.model.friction_errors:
-        most += _LINKS * abs(t.work.joints[j].h)
-    elif before * row.friction < 0.0 and row.friction * row.unlearned > 0.0:
+        bound += _LINKS * abs(t.work.joints[j].h)
+    elif last_friction * row.friction < 0.0 and row.friction * row.unlearned > 0.0:
         row.unlearned = 0.0
-    most = min(most, t.model.wrist_error * t.model.joints[j].tau_max)
-    rest = min(max(row.unlearned, -most), most)
-    return row.friction + t.model.friction_share * rest
+    bound = min(bound, t.model.wrist_error * t.model.joints[j].tau_max)
+    remainder = min(max(row.unlearned, -bound), bound)
+    return row.friction + t.model.friction_share * remainder
 
 
 @leaf
@@ -598,10 +661,10 @@ def believed_friction(t, j):
         t: Tick, with `speed`, `sign` and `turn` of the joint in MEMORY. j: index of the joint.
     """
     row = t.memory.joints[j]
-    friction = modelled = _friction_along(row, t.model.joints[j].theta)
+    friction = model_friction = _friction_along(row, t.model.joints[j].theta)
     if t.memory.friction_known[j] == LEARNED:
         friction = _friction_along(row, _theta(t, j))
         trusted = row.trusted[0] + row.trusted[1] * abs(row.speed) + row.trusted[2] * abs(row.turn)
-        most = t.model.wrist_error * t.model.joints[j].tau_max + trusted
-        friction = min(max(friction, modelled - most), modelled + most)
+        bound = t.model.wrist_error * t.model.joints[j].tau_max + trusted
+        friction = min(max(friction, model_friction - bound), model_friction + bound)
     return friction

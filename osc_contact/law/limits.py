@@ -92,6 +92,8 @@ def refine(p, slack):
 
     The least-squares problem in `rows` has the square root of H's condition number, so `point` is
     more accurate than the solver's z. Limits are active where the solver's multipliers are not 0.
+    Variables at a limit are fixed, active limits of A are eliminated one by one by a reflection of
+    the free variables, and the rest is solved by QR.
 
     Args:
         p: PROGRAM with the solver's multipliers `lam`. slack: number of slack variables, as in
@@ -104,59 +106,106 @@ def refine(p, slack):
     v = len(p.tau) + slack
     w = 6 + p.d + p.s + len(p.idle) + v
     A = matrix(p.A, 0, k, v)
-    lam = p.lam
-    lower = p.lower
-    upper = p.upper
     y = p.y
-    t = p.t
+    target = p.t
+    f = _fix_variables(p, A, v, w)
+    eliminated = _eliminate_limits(p, v, w, f)
+    remaining = p.reduced[eliminated:]
+    if not qr_rows(remaining, f - eliminated, w, p.diagonal, p.beta):
+        return False
+    for c in range(f - eliminated):
+        reflect(remaining[c, c:], p.beta[c], w - c, target[c:])
+    back_substitute(remaining, f - eliminated, 1, p.diagonal, matrix(target, 0, len(target), 1))
+    for c in range(f - eliminated):
+        y[eliminated + c] = -target[c]
+    for b in range(eliminated - 1, -1, -1):
+        reflect(p.normals[b], p.bend[b], f - b, y[b:])
+    for j in range(f):
+        p.point[p.free[j]] = y[j]
+    return _is_within_bounds(p, A, v)
+
+
+@inner
+def _fix_variables(p, A, v, w):
+    """Fix the variables whose limits are active, and list the others.
+
+    Reads `rows`, `lam`, `lower`, `upper`. Fills `point` of the fixed variables; `t` (w + k,), the
+    products of their values with `rows` and with A; `free`, the indices of the other variables, and
+    their rows of `rows` and columns of A in `reduced` (f, w + k).
+
+    Args:
+        p: PROGRAM. A: (k, v) limits of sums. v: number of variables. w: length of a row of `rows`.
+
+    Returns:
+        Number f of free variables.
+    """
     f = 0
-    kept = 0
-    t[:] = 0.0
+    p.t[:] = 0.0
     for j in range(v):
-        for i in range(w + k):
+        for i in range(w + p.k):
             p.reduced[f, i] = p.rows[j, i] if i < w else A[i - w, j]
-        if lam[j] == 0.0:
+        if p.lam[j] == 0.0:
             p.point[j] = 0.0
             p.free[f] = j
             f += 1
         else:
-            p.point[j] = upper[j] if lam[j] > 0.0 else lower[j]
-            add_scaled(p.point[j], p.reduced[f], w + k, t)
+            p.point[j] = p.upper[j] if p.lam[j] > 0.0 else p.lower[j]
+            add_scaled(p.point[j], p.reduced[f], w + p.k, p.t)
+    return f
+
+
+@inner
+def _eliminate_limits(p, v, w, f):
+    """Eliminate one free variable by each active limit of A.
+
+    A reflector maps the limit's coefficients to the first of the remaining variables, whose value
+    follows from the bound. Dependent limits are skipped. Fills `normals` and `bend` (vectors and β
+    of the reflectors), `y` (values of the eliminated variables); changes `reduced` and `t`.
+
+    Args:
+        p: PROGRAM after `_fix_variables`. v: number of variables. w: length of a row of `rows`.
+        f: number of free variables.
+
+    Returns:
+        Number of eliminated variables.
+    """
+    k = p.k
+    eliminated = 0
     for c in range(k):
-        u = p.normals[kept]
-        rest = p.reduced[kept:]
-        for j in range(f - kept):
-            u[j] = rest[j, w + c]
-        if lam[v + c] == 0.0 or kept == f:
+        normal = p.normals[eliminated]
+        remaining = p.reduced[eliminated:]
+        for j in range(f - eliminated):
+            normal[j] = remaining[j, w + c]
+        if p.lam[v + c] == 0.0 or eliminated == f:
             continue
-        mirrored = qr_rows(p.normals[kept:], 1, f - kept, p.diagonal, p.bend[kept:])
+        bend = p.bend[eliminated:]
+        mirrored = qr_rows(p.normals[eliminated:], 1, f - eliminated, p.diagonal, bend)
         if not mirrored or abs(p.diagonal[0]) <= _DEPENDENT:
             continue
         p.mix[:] = 0.0
-        for j in range(f - kept):
-            add_scaled(p.bend[kept] * u[j], rest[j], w + k, p.mix)
-        for j in range(f - kept):
-            add_scaled(-u[j], p.mix, w + k, rest[j])
-        bound = upper[v + c] if lam[v + c] > 0.0 else lower[v + c]
-        y[kept] = (bound - t[w + c]) / p.diagonal[0]
-        add_scaled(y[kept], rest[0], w + k, t)
-        kept += 1
-    rest = p.reduced[kept:]
-    if not qr_rows(rest, f - kept, w, p.diagonal, p.beta):
-        return False
-    for c in range(f - kept):
-        reflect(rest[c, c:], p.beta[c], w - c, t[c:])
-    back_substitute(rest, f - kept, 1, p.diagonal, matrix(t, 0, len(t), 1))
-    for c in range(f - kept):
-        y[kept + c] = -t[c]
-    for b in range(kept - 1, -1, -1):
-        reflect(p.normals[b], p.bend[b], f - b, y[b:])
-    for j in range(f):
-        p.point[p.free[j]] = y[j]
-    for j in range(v + k):
+        for j in range(f - eliminated):
+            add_scaled(bend[0] * normal[j], remaining[j], w + k, p.mix)
+        for j in range(f - eliminated):
+            add_scaled(-normal[j], p.mix, w + k, remaining[j])
+        bound = p.upper[v + c] if p.lam[v + c] > 0.0 else p.lower[v + c]
+        p.y[eliminated] = (bound - p.t[w + c]) / p.diagonal[0]
+        add_scaled(p.y[eliminated], remaining[0], w + k, p.t)
+        eliminated += 1
+    return eliminated
+
+
+@inner
+def _is_within_bounds(p, A, v):
+    """Determine whether `point` and A `point` are within all bounds, up to `_ROOM`.
+
+    Args:
+        p: PROGRAM, of which `point`, `lower` and `upper` are read. A: (k, v). v: number of
+            variables.
+    """
+    for j in range(v + p.k):
         x = p.point[j] if j < v else dot(A[j - v], p.point, v)
         room = _ROOM * (1.0 + abs(x))
-        if not lower[j] - room <= x <= upper[j] + room:  # also if NaN
+        if not p.lower[j] - room <= x <= p.upper[j] + room:  # also if NaN
             return False
     return True
 
@@ -204,14 +253,14 @@ def _mobility(p, X, P, D, extent, K):
     """
     d = p.d
     r = p.r
-    u = 6 + d
+    U_at = 6 + d
     for a in range(r):
-        for i in range(6):
+        for i in range(6):  # the last d elements, which are free, come first
             X[a, (i + d) % 6] = p.N[a, i]
         for i in range(d):
             X[a, 6 + i] = p.pushed[a, 6 - d + i] - p.N[a, 6 - d + i]
         for b in range(r):
-            X[a, u + b] = 1.0 if a == b else 0.0
+            X[a, U_at + b] = 1.0 if a == b else 0.0
     one_sided_jacobi(X, r, d, 6 + r)
     if not cholesky(p.Lambda, 6 - d, d, K) > 0.0:  # also if NaN
         return False
@@ -224,7 +273,7 @@ def _mobility(p, X, P, D, extent, K):
         for b in range(r):
             D[a, b] = dot(X[a], P[b], d)
             for c in range(r):
-                D[a, b] += X[a, u + c] * dot(p.Phi_e[c], X[b, u:], r)
+                D[a, b] += X[a, U_at + c] * dot(p.Phi_e[c], X[b, U_at:], r)
             extent[a] = max(extent[a], abs(D[a, b]))
         for b in range(r):
             D[a, b] /= extent[a]
@@ -283,7 +332,8 @@ def prepare(raw, slack):
     """Fill the program min |rowsᵀz|² with lower ≤ (z, Az) ≤ upper, z = (δτ/scale, slack).
 
     H is (v, v), A is (k, v), with v = n_a + slack variables. Each row of `rows` has the roots of
-    the energies that one variable causes.
+    the energies that one variable causes: of motion and force (`_respond`), squeeze, joint motions
+    of redundant arms, and, on a diagonal, of each variable itself.
 
     Args:
         raw: bytes of PROGRAM. slack: number of slack variables: 0, or k, if the k forces may leave
@@ -293,37 +343,15 @@ def prepare(raw, slack):
         False if the response of the chain to the motors is singular.
     """
     p = _program(raw, 0)
-    tau_max = p.tau_max
-    scale = p.scale
-    lower = p.lower
-    upper = p.upper
-    rows = p.rows
-    n = len(scale)
+    n = len(p.scale)
     v = n + slack
+    rows = p.rows
     H = matrix(p.H, 0, v, v)
-    A = matrix(p.A, 0, p.k, v)
-    largest = 0.0
-    energy = 0.0
-    e = 6 + p.d
-    w = e + p.s + len(p.idle)
-    for j in range(n):
-        if not isinf(tau_max[j]):
-            largest = max(largest, tau_max[j])
-    largest = largest if largest > 0.0 else 1.0
-    for j in range(n):
-        scale[j] = min(tau_max[j], largest)
-        lower[j] = max((-tau_max[j] - p.desired[j]) / scale[j], -_INFINITE)
-        upper[j] = min((tau_max[j] - p.desired[j]) / scale[j], _INFINITE)
+    w = 6 + p.d + p.s + len(p.idle)
+    _scale_torques(p)
     if not _respond(p):
         return False
-    for j in range(n):
-        for c in range(p.s):
-            carried = dot(p.carried[c, 6 - p.d :], p.motion[j], p.d)
-            p.squeeze[c, j] = p.E[c, j] * scale[j] - carried
-            rows[j, e + c] = sqrt(_SQUEEZE / p.mass) * p.squeeze[c, j]
-        for c in range(len(p.idle)):
-            rows[j, e + p.s + c] = sqrt(_POSTURE) * p.idle[c, j] * scale[j]
-        energy += dot(rows[j], rows[j], w)
+    energy = _add_energies(p, w)
     size = sqrt(energy / n) if energy > 0.0 else 1.0
     for j in range(v):
         weight = _TORQUE if j < n else _BEYOND
@@ -333,6 +361,75 @@ def prepare(raw, slack):
             rows[j, w + i] = sqrt(weight) if i == j else 0.0
         for i in range(j + 1):
             H[i, j] = H[j, i] = dot(rows[i], rows[j], w + v)
+    _bound_contacts(p, slack)
+    return True
+
+
+@inner
+def _scale_torques(p):
+    """Fill `scale` (a,), the torque of a unit of z (N m, N), and the bounds of z for the motors.
+
+    The scale of a motor is its limit; that of a motor without a limit is the largest limit. Reads
+    `tau_max` and `desired`; fills the first elements of `lower` and `upper`, too.
+
+    Args:
+        p: PROGRAM.
+    """
+    tau_max = p.tau_max
+    scale = p.scale
+    largest = 0.0
+    for j in range(len(scale)):
+        if not isinf(tau_max[j]):
+            largest = max(largest, tau_max[j])
+    largest = largest if largest > 0.0 else 1.0
+    for j in range(len(scale)):
+        scale[j] = min(tau_max[j], largest)
+        p.lower[j] = max((-tau_max[j] - p.desired[j]) / scale[j], -_INFINITE)
+        p.upper[j] = min((tau_max[j] - p.desired[j]) / scale[j], _INFINITE)
+
+
+@inner
+def _add_energies(p, w):
+    """Fill the roots of the energies of squeeze and of redundant joint motions in `rows`.
+
+    Reads `E`, `carried`, `motion`, `mass`, `idle` and `scale`; fills `squeeze` (s, a), the squeeze
+    (N) by a unit of z.
+
+    Args:
+        p: PROGRAM after `_respond`. w: number of elements of a row that are energies.
+
+    Returns:
+        Sum of the energies that units of all torques cause (N²/kg).
+    """
+    rows = p.rows
+    begin = 6 + p.d  # behind the elements of `_respond`
+    energy = 0.0
+    for j in range(len(p.scale)):
+        for c in range(p.s):
+            carried = dot(p.carried[c, 6 - p.d :], p.motion[j], p.d)
+            p.squeeze[c, j] = p.E[c, j] * p.scale[j] - carried
+            rows[j, begin + c] = sqrt(_SQUEEZE / p.mass) * p.squeeze[c, j]
+        for c in range(len(p.idle)):
+            rows[j, begin + p.s + c] = sqrt(_POSTURE) * p.idle[c, j] * p.scale[j]
+        energy += dot(rows[j], rows[j], w)
+    return energy
+
+
+@inner
+def _bound_contacts(p, slack):
+    """Fill A and the bounds of the contact forces that must not pull, and of the slack variables.
+
+    A force may fall from its command to its floor, and must not rise. Each row of A is divided by
+    its norm. Reads `share`, `force`, `floor` and `alpha`.
+
+    Args:
+        p: PROGRAM after `_respond`. slack: number of slack variables, 0 or k.
+    """
+    lower = p.lower
+    upper = p.upper
+    n = len(p.scale)
+    v = n + slack
+    A = matrix(p.A, 0, p.k, v)
     for c in range(p.k):
         for j in range(v):
             A[c, j] = dot(p.share[c], p.force[j], p.r) if j < n else 0.0
@@ -346,7 +443,6 @@ def prepare(raw, slack):
             upper[n + c] = _INFINITE
         lower[v + c] = min((p.floor[c] - dot(p.share[c], p.alpha, p.r)) / norm, 0.0)
         upper[v + c] = 0.0  # no contact presses harder than commanded
-    return True
 
 
 @entry
@@ -373,9 +469,9 @@ def finish(raw, slack):
     for j in range(n):
         if not abs(z[j]) < _INFINITE:  # also if NaN
             return False
-        most = p.tau_max[j]
-        p.tau[j] = max(-most, min(most, p.desired[j] + p.scale[j] * z[j]))
-        p.at_limit[j] = abs(p.tau[j]) >= most * (1.0 - _SLACK)
+        limit = p.tau_max[j]
+        p.tau[j] = max(-limit, min(limit, p.desired[j] + p.scale[j] * z[j]))
+        p.at_limit[j] = abs(p.tau[j]) >= limit * (1.0 - _SLACK)
         add_scaled(-z[j], p.force[j], p.r, p.lost_force)
         add_scaled(-z[j], p.motion[j], p.d, p.lost_motion[6 - p.d :])
     for c in range(p.s):
@@ -551,6 +647,10 @@ def _idle_motions(t, arm, own, idle, count):
 def fill_program(raw, at, i, program):
     """Fill the operands of the program from the records of a saturated tick.
 
+    Copies torques and limits of the motors, J̄ (G), Λ, N, N_μ, Φ_μ and α_u in turned energy
+    coordinates; adds the rows of the squeeze with the squeeze that inertial forces cause (E M J̄ᵀ),
+    the joint motions of redundant arms, and the forces that must not pull.
+
     Args:
         raw: bytes of `records.Rows`. at: offset of the JOB. i: row whose tick has just ended
             SATURATED. program: bytes of PROGRAM.
@@ -581,11 +681,11 @@ def fill_program(raw, at, i, program):
     for e in range(work.n_internal):
         carried = ZERO
         for k in range(model.n_arms):
-            lo = model.arms[k].first
-            hi = model.arms[k].end
-            for j in range(lo, hi):
-                s = dot(rows[e, lo:], joints[j].M, hi - lo)
-                carried = add(carried, s, joints[j].J_bar)
+            first = model.arms[k].first
+            end = model.arms[k].end
+            for j in range(first, end):
+                inertia = dot(rows[e, first:], joints[j].M, end - first)
+                carried = add(carried, inertia, joints[j].J_bar)
         fill(p.carried[e], turned(work, carried))
     count = 0
     if len(p.idle) > 0:
@@ -599,9 +699,10 @@ def fill_program(raw, at, i, program):
 
 @entry
 def settle(raw, at, i, program):
-    """Apply the solution of the program: torques, limited in their rate, and the force integrals.
+    """Apply the solution of the program to the records: torques, force integrals, internal forces.
 
-    The lost force is excluded from the integral of the force law.
+    Torques are limited in their rate; the lost force is excluded from the integral of the force
+    law. Changes `tau` of WORK, `torques` and `force_sum` of MEMORY, and `bars`.
 
     Args:
         raw: bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated tick.

@@ -59,11 +59,19 @@ class Nested:
             self.at = pointer_to(self)
 
     def slot(self, size: str) -> int:
-        """Index of the word of the layout that contains a count."""
+        """Index of the word of the layout that contains a count.
+
+        Args:
+            size: name of the count, such as "k" for the number of arms.
+        """
         return len(self.tables) + self.counts.index(size)
 
     def start(self, table: str) -> int:
-        """Index of the word of the layout that contains the offset of a table."""
+        """Index of the word of the layout that contains the offset of a table.
+
+        Args:
+            table: name of the table.
+        """
         return list(self.tables).index(table)
 
     def new(self, counts: dict[str, int]) -> Bytes:
@@ -95,7 +103,11 @@ class Nested:
         return rows.view((np.record, kind), Table) if kind.names else rows
 
     def view(self, raw: Bytes) -> View:
-        """View of the record at the beginning of an array of bytes."""
+        """View of the record at the beginning of an array of bytes, for plain Python.
+
+        Args:
+            raw: bytes of the record, and any bytes behind them.
+        """
         view: View = self._view(self, raw)
         return view
 
@@ -104,12 +116,24 @@ class Table(np.ndarray[Any, Any]):
     """A table in plain Python: its columns are attributes, as of `numpy.recarray`, but quickly."""
 
     def __getattr__(self, name: str) -> Any:
+        """Return a column of the table, which shares its memory.
+
+        Python calls it for names that are not attributes of the array.
+
+        Args:
+            name: name of a field of the rows.
+        """
         if name not in (self.dtype.names or ()):
             raise AttributeError(name)
         column = self[name]
         return column if column.dtype.names else column.view(np.ndarray)
 
     def __setattr__(self, name: str, value: Any) -> None:
+        """Set all elements of a column, or an attribute of the array.
+
+        Args:
+            name: name of a field of the rows, or of an attribute. value: new value or values.
+        """
         if name in (self.dtype.names or ()):
             self[name] = value
         else:
@@ -117,7 +141,11 @@ class Table(np.ndarray[Any, Any]):
 
 
 def _number(name: str) -> Any:
-    """Property of a field with one number, which is faster than `__getattr__`."""
+    """Property of a field with one number, which is faster than `View.__getattr__`.
+
+    Args:
+        name: name of the field.
+    """
     return property(lambda view: view.head[name])
 
 
@@ -128,10 +156,23 @@ class View:
     """
 
     def __init__(self, kind: Nested, raw: Bytes) -> None:
+        """Bind the view to bytes, which it shares.
+
+        Args:
+            kind: declaration of the record. raw: bytes that begin with the record.
+        """
         head = raw[: kind.dtype.itemsize].view(kind.dtype)[0]
         self.__dict__.update(kind=kind, raw=raw, head=head)
 
     def __getattr__(self, name: str) -> Any:
+        """Return a table or an array of the head, and store it as an attribute for the next access.
+
+        Args:
+            name: name of a table or field.
+
+        Raises:
+            AttributeError: the record has no such table or field.
+        """
         own = self.__dict__
         try:
             if name in own["kind"].tables:
@@ -144,7 +185,17 @@ class View:
         return found
 
     def __setattr__(self, name: str, value: Any) -> None:
+        """Set a field of the head.
+
+        Args:
+            name: name of the field. value: new value; an array field is overwritten in place.
+        """
         self.__dict__["head"][name] = value
 
     def __getitem__(self, name: str) -> Any:
+        """Return a field of the head by its name, without storing it.
+
+        Args:
+            name: name of the field.
+        """
         return self.__dict__["head"][name]

@@ -41,6 +41,11 @@ def lower_tables(record: type[Type], kind: Layout) -> None:
         key = record
 
         def generic_resolve(self, value: Type, attr: str) -> Type | None:  # type: ignore[override]
+            """Return the array type of a table, or None if the record has no such table.
+
+            Args:
+                value: numba type of the record. attr: name of the attribute.
+            """
             return tables[attr].array if attr in tables else None
 
     for name, table in tables.items():

@@ -45,6 +45,11 @@ class _Pointer(models.PrimitiveModel):
     """Data model of a record as a pointer, so that it may be part of a tuple."""
 
     def __init__(self, manager: Any, record: Any) -> None:
+        """Set the pointer's type: bytes of the size of the record's head.
+
+        Args:
+            manager: manager of numba's data models. record: numba type of the record.
+        """
         super().__init__(manager, record, ir.ArrayType(BYTE, record.size).as_pointer())
 
 
@@ -52,7 +57,12 @@ _records: dict[str, Type] = {}  #: types of records by their names
 
 
 def record_named(name: str) -> Type:
-    """Return the numba type of a record, by its name with the hash of the layout.
+    """Return the numba type of a record.
+
+    It is how pickled types of cached parts find the record of the present process.
+
+    Args:
+        name: name of the type, which contains the hash of the layout.
 
     Raises:
         KeyError: this process has no record with this layout.
@@ -60,8 +70,10 @@ def record_named(name: str) -> Type:
     return _records[name]
 
 
-def pointer_to(kind: Layout) -> Any:
-    """Compiled function (bytes, offset) that returns the record at an offset.
+def _record_class(kind: Layout) -> Any:
+    """Class of the numba type of a record; tables become further attributes in `pointer_to`.
+
+    Each record has a class of its own, because numba registers attributes by class.
 
     Args:
         kind: declaration of the record, a `Nested`.
@@ -74,6 +86,7 @@ def pointer_to(kind: Layout) -> Any:
         """
 
         def __init__(self) -> None:
+            """Make the type from the fields of the head; name it after head and tables."""
             head: Any = _public.from_dtype(kind.dtype)
             fields = [(name, field._asdict()) for name, field in head.fields.items()]
             super().__init__(fields, head.size, head.aligned)
@@ -81,12 +94,23 @@ def pointer_to(kind: Layout) -> Any:
             self.name = f"record_{sha256(layout.encode()).hexdigest()[:16]}"
 
         def __reduce__(self) -> tuple[Callable[[str], Type], tuple[str]]:
+            """Reduce the type to its name for pickle."""
             return record_named, (self.name,)
 
         def __repr__(self) -> str:
             """Name with the hash of the layout, for keys of parts; numba's own omits tables."""
             return str(self.name)
 
+    return Record
+
+
+def pointer_to(kind: Layout) -> Any:
+    """Compiled function (bytes, offset) that returns the record at an offset.
+
+    Args:
+        kind: declaration of the record, a `Nested`.
+    """
+    Record = _record_class(kind)
     register_model(Record)(_Pointer)
     record = Record()
     _records[record.name] = record
@@ -100,15 +124,27 @@ def pointer_to(kind: Layout) -> Any:
 
     @intrinsic
     def point(typing: TypingContext, address: Type) -> Intrinsic:
+        """Convert an address to the record there, in compiled code.
+
+        Args:
+            typing: typing context of numba. address: type of the address, an unsigned integer.
+        """
+
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, given: Values
         ) -> Value:
+            """Generate the conversion of the integer to a pointer."""
             return builder.inttoptr(given[0], context.get_value_type(record))
 
         return record(types.uintp), generate
 
     @view
     def at(raw, start):
+        """Return the record at an offset of an array of bytes.
+
+        Args:
+            raw: array of bytes. start: offset of the record.
+        """
         return point(raw.ctypes.data + np.uintp(start))
 
     return at
@@ -129,12 +165,15 @@ def _attribute(kind: Layout, name: str) -> Callable[[Type], Implementation]:
 
     # numba compares the parameters of `choose` with those of its results, annotations included
     def one_size(record: Any) -> NDArray[Any]:
+        """Return a table with one size as an array, in compiled code."""
         return carray(start(record), (rows(record),), dtype)
 
     def two_sizes(record: Any) -> NDArray[Any]:
+        """Return a table with two sizes as an array, in compiled code."""
         return carray(start(record), (rows(record), columns(record)), dtype)
 
     def choose(record: Any) -> Implementation:
+        """Choose the implementation for a record by the table's number of sizes."""
         return one_size if len(shape) == 1 else two_sizes
 
     return choose
@@ -149,9 +188,16 @@ def _start(slot: int) -> Any:
 
     @intrinsic
     def start(typing: TypingContext, record: Type) -> Intrinsic:
+        """Return the address of the table of a record.
+
+        Args:
+            typing: typing context of numba. record: type of the record.
+        """
+
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, given: Values
         ) -> Value:
+            """Generate code for the address."""
             return table_address(builder, given[0], slot)
 
         return types.voidptr(record), generate
@@ -168,9 +214,16 @@ def _count(slot: int) -> Any:
 
     @intrinsic
     def count(typing: TypingContext, record: Type) -> Intrinsic:
+        """Return the size from the layout of a record.
+
+        Args:
+            typing: typing context of numba. record: type of the record.
+        """
+
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, given: Values
         ) -> Value:
+            """Generate code that loads the size."""
             return layout_word(builder, given[0], slot)
 
         return types.intp(record), generate
@@ -179,10 +232,19 @@ def _count(slot: int) -> Any:
 
 
 def _fixed(size: int) -> Any:
-    """Compiled function of a record that returns a constant size of its tables."""
+    """Compiled function of a record that returns a constant size of its tables.
+
+    Args:
+        size: the size, such as 6 for rows of six numbers.
+    """
 
     @intrinsic
     def fixed(typing: TypingContext, record: Type) -> Intrinsic:
+        """Return the size for any record.
+
+        Args:
+            typing: typing context of numba. record: type of the record.
+        """
         return types.intp(record), lambda context, builder, signature, given: WORD(size)
 
     return fixed

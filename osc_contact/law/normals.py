@@ -57,7 +57,8 @@ _SLIDES = 0.01  #: v_1 (m/s), sliding speed at which half of v is attributed to 
 def load_normal_estimates(t):
     """Copy v̄ and the turns of the assumed normals from MEMORY to the columns of WORK.
 
-    Fills `drift`, `turn`, `turned` (equal to `turn`), and zeroes `slides`, `lever` and `prior`.
+    Fills `drift` (m/s), `turn` and `turned` (equal to `turn`: no change yet), and zeroes `slides`,
+    `lever` and `prior`, which `follow_face` fills.
 
     Args:
         t: Tick.
@@ -100,28 +101,28 @@ def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
     column = t.work.columns[pair.first]
     last = t.memory.columns[pair.first]
     N = column.N
-    size = sqrt(dot3(N, N))
+    length = sqrt(dot3(N, N))
     v = tangential_part(velocity_at(V_goal, _tracked(pair, shapes, X_WO, X_WE, column)), N)
     if pair.kind == EDGES:
         v = _shown_by_edges(shapes[pair.shape_at].row, X_WO, X_WE, column, v)
     column.lever = square = dot3(v, v)
-    column.unexplained = (dot6(N, V_rel) - column.drift) / size
+    column.unexplained = (dot6(N, V_rel) - column.drift) / length
     axes = X_WO if pair.kind == FACE_ON_VERTEX else X_WE
     v = rotated_back(axes, v)
-    n = rotated_back(axes, scaled3(1.0 / size, N))
+    normal = rotated_back(axes, scaled3(1.0 / length, N))
     fill3(column.shown, scaled3(1.0 / sqrt(max(square, _LEAST_SQUARE)), v))
     for i in range(3):
         for j in range(3):  # a face turns about axes across n, an edge changes n along n
-            across = (1.0 if i == j else 0.0) - n[i] * n[j]
-            share = n[i] * n[j] if pair.kind == EDGES else across
+            tangential = (1.0 if i == j else 0.0) - normal[i] * normal[j]
+            share = normal[i] * normal[j] if pair.kind == EDGES else tangential
             column.prior[3 * i + j] = 0.25 * model.tilt * model.tilt * share
     expected = square * _quadratic(last.covariance, column.shown)
     column.slides = square * square / (square * square + _SLIDES**4)
     if expected > 0.0:
         column.slides *= expected / (expected + last.residual)
     gain = model.drift_share * column.slides * column.unexplained / max(square, _LEAST_SQUARE)
-    n = add3(plus3(column.believed, column.turn), -gain, v)
-    turn = minus3(divided3(n, sqrt(dot3(n, n))), column.believed)
+    normal = add3(plus3(column.believed, column.turn), -gain, v)
+    turn = minus3(divided3(normal, sqrt(dot3(normal, normal))), column.believed)
     angle = sqrt(dot3(turn, turn))
     if angle > model.tilt:
         column.slides = 0.0
@@ -176,8 +177,10 @@ def learn_normal(share, last, column):
         return
     square = column.lever * column.lever
     last.unexplained += _FASTER * share * (column.unexplained - last.unexplained)
-    found = last.unexplained * last.unexplained - column.lever * _quadratic(P, u)
-    last.residual += share * square / (square + _SLIDES**4) * (max(found, 0.0) - last.residual)
+    unexplained_square = last.unexplained * last.unexplained - column.lever * _quadratic(P, u)
+    last.residual += (
+        share * square / (square + _SLIDES**4) * (max(unexplained_square, 0.0) - last.residual)
+    )
     k = share * column.slides
     w = rotated9(P, u)
     noise = last.residual / (max(column.lever, _LEAST_SQUARE) * max(share, 1e-12))

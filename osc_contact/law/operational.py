@@ -275,11 +275,11 @@ def _separate(t, lo, n, m, arm, row):
     largest = 0.0
     for k in range(m):
         largest = max(largest, dot(X[k], X[k], n))
-    least = t.model.rank_tolerance * t.model.rank_tolerance * largest / (1.0 + largest)
+    threshold = t.model.rank_tolerance * t.model.rank_tolerance * largest / (1.0 + largest)
     for k in range(m):
         square = dot(X[k], X[k], n)
         u = X[k, n:]
-        if square > least:
+        if square > threshold:
             for j in range(n):
                 accumulate(joints[lo + j].J_bar, X[k, j] / square, u)
             fill(arm.kept[arm.n_kept], u)
@@ -482,17 +482,17 @@ def _unit_row(X, k, n, chi):
     """
     norm = chi
     if not chi > _SMALL:  # also if NaN
-        best = 0
+        axis = 0
         largest = -1.0
         for e in range(n):  # axis with the largest part outside the span of the former rows
-            left = 1.0
+            remainder = 1.0
             for b in range(k):
-                left -= X[b, e] * X[b, e]
-            if left > largest:
-                best = e
-                largest = left
+                remainder -= X[b, e] * X[b, e]
+            if remainder > largest:
+                axis = e
+                largest = remainder
         for j in range(n):
-            X[k, j] = 1.0 if j == best else 0.0
+            X[k, j] = 1.0 if j == axis else 0.0
         for _ in range(2):
             for b in range(k):
                 add_scaled(-dot(X[b], X[k], n), X[b], n, X[k])
@@ -514,12 +514,12 @@ def retreat(t, arm, i, damping):
         Torque or force (N m, N).
     """
     model = t.model
-    s = 0.0
+    torque = 0.0
     for j in range(arm.first, arm.end):
-        back = model.posture_stiffness * (model.joints[j].posture - t.input.q[j])
-        back = back - damping * t.input.v[j]
-        s += t.work.joints[i].M[j - arm.first] * back
-    return s
+        acceleration = model.posture_stiffness * (model.joints[j].posture - t.input.q[j])
+        acceleration = acceleration - damping * t.input.v[j]
+        torque += t.work.joints[i].M[j - arm.first] * acceleration
+    return torque
 
 
 # --- Λ, μ, p, J, J̄, Φ and h of one arm at its tip in world axes, outside of a tick ----------------

@@ -110,8 +110,8 @@ def predict_force(t, row, commanded, limited, dt):
             expected. dt: time since the last tick (s).
     """
     model = t.model
-    late = row.predicted + dt / (model.rise + dt) * (commanded - row.predicted)
-    row.predicted = min(commanded, late)
+    delayed = row.predicted + dt / (model.rise + dt) * (commanded - row.predicted)
+    row.predicted = min(commanded, delayed)
     if limited:
         row.predicted = min(row.predicted, model.approach_damping * model.approach_speed)
 
@@ -138,15 +138,15 @@ def monitor(limits, row, force, speed, dt, dwell, more):
         dwell: time of high force until contact is made (s).
         more: N, added to `force_off`.
     """
-    away = speed < -limits.leaving
-    low = away or force < limits.force_off + more
-    high = force > limits.force_on and not away
-    row.low_for = row.low_for + dt if low else 0.0
-    row.high_for = row.high_for + dt if high else 0.0
-    before = row.closed != 0
-    lost = before and row.low_for > limits.patience
-    closed = (before or row.high_for > dwell) and not lost
-    row.armed_for = max(row.armed_for - dt, 0.0) if before else limits.window
+    separates = speed < -limits.leaving
+    is_low = separates or force < limits.force_off + more
+    is_high = force > limits.force_on and not separates
+    row.low_for = row.low_for + dt if is_low else 0.0
+    row.high_for = row.high_for + dt if is_high else 0.0
+    was_closed = row.closed != 0
+    is_lost = was_closed and row.low_for > limits.patience
+    closed = (was_closed or row.high_for > dwell) and not is_lost
+    row.armed_for = max(row.armed_for - dt, 0.0) if was_closed else limits.window
     row.burst = max(row.burst, abs(force * speed)) if closed or row.high_for > 0.0 else 0.0
     collision = closed and row.armed_for > 0.0 and row.burst > limits.power
     if collision:
@@ -168,66 +168,104 @@ def advance_phases(t):
     Returns:
         True if the set of contacts in N differs from that of the last tick.
     """
-    model = t.model
-    dt = t.work.dt
     changed = False
-    push = model.approach_damping * model.approach_speed
-    for c in range(model.n_contacts):
+    for c in range(t.model.n_contacts):
         contact = t.memory.contacts[c]
-        pushes = model.bodies[c].pushes != 0
-        before = contact.phase
-        desired = False
-        some_closed = False
-        all_closed = True
-        for j in range(model.n_columns):
-            if model.columns[j].contact != c:
-                continue
-            row = t.memory.columns[j]
-            goal = t.work.goal[j]
-            dwell = model.dwell
-            more = -inf  # a smaller force cannot be distinguished from zero, so it cannot be lost
-            if row.predicted > model.force_on:
-                more = model.lost_share * max(row.predicted - push, 0.0)
-            force = row.net
-            if row.closed == 0:  # a failing sensor of wrists or speeds resembles an impact
-                flies = row.speed > _SLOWED * model.approach_speed and row.high_for < _SOFT
-                dwell = inf if flies else model.dwell
-                force = min(row.net, _FELT * row.force) - row.noise
-                if row.explained > 0.0:  # more force than the friction of closed contacts explains
-                    force = min(force, row.touch - row.explained)
-            monitor(model, row, force, row.speed, dt, dwell, more)
-            if before == OPEN:
-                row.closed = 0
-                row.collision = 0
-                contact.held = 0
-            elif row.high_for > model.rise:
-                contact.held = 1
-            desired = desired or goal > 0.0
-            some_closed = some_closed or row.closed != 0
-            light = goal <= model.force_on  # such a force cannot be distinguished from zero
-            all_closed = all_closed and (light or row.closed != 0)
-        wanted = desired or not pushes
+        pushes = t.model.bodies[c].pushes != 0
+        last_phase = contact.phase
+        is_desired, is_made = _monitor_contact(t, c)
+        takes_part = is_desired or not pushes
         if t.input.chosen_set:  # `active_set` opens and adds contacts
-            wanted = before != OPEN
+            takes_part = last_phase != OPEN
         phase = CLOSED
-        if not wanted:
+        if not takes_part:
             phase = OPEN
-        elif pushes and not (some_closed and all_closed):
+        elif pushes and not is_made:
             phase = APPROACHING
-        contact.since = contact.since + dt if phase == before else 0.0
+        contact.since = contact.since + t.work.dt if phase == last_phase else 0.0
         contact.phase = phase
         changed = changed or (phase != OPEN) != (contact.active != 0)
-        known = before != OPEN and phase != OPEN
-        known = known and not (phase == CLOSED and contact.since > model.rise)
-        left = before == CLOSED and phase == APPROACHING and contact.held != 0
-        for j in range(model.n_columns):
-            if model.columns[j].contact == c:
-                t.work.here[j] = before != OPEN and phase >= before
-                row = t.memory.columns[j]
-                row.gap = max(row.gap - dt * row.speed, 0.0) if known else 0.0
-                lost = known and (row.time_since_loss > 0.0 or left)
-                row.time_since_loss = row.time_since_loss + dt if lost else 0.0
+        _measure_gap(t, c, last_phase, phase)
     return changed
+
+
+@inner
+def _monitor_contact(t, c):
+    """Detect contact and its loss on all columns of one contact, from the forces measured last.
+
+    Of a column that is not closed, the force has to exceed its noise, the force of an impact and
+    the part that friction of other contacts explains. Reads `goal`, `predicted`, `net`, `force`,
+    `noise`, `touch`, `explained` and `speed` of the columns; changes their fields of `monitor`, and
+    `held` of the contact, which is 1 once a steady force was measured since it was OPEN.
+
+    Args:
+        t: Tick. c: index of the contact.
+
+    Returns:
+        Whether a force is desired of it; and whether contact is made: at least one column is
+        closed, and all whose desired force can be distinguished from zero.
+    """
+    model = t.model
+    contact = t.memory.contacts[c]
+    approach_force = model.approach_damping * model.approach_speed
+    is_desired = False
+    some_closed = False
+    all_closed = True
+    for j in range(model.n_columns):
+        if model.columns[j].contact != c:
+            continue
+        row = t.memory.columns[j]
+        goal = t.work.goal[j]
+        dwell = model.dwell
+        margin = -inf  # a smaller force cannot be distinguished from zero, so it cannot be lost
+        if row.predicted > model.force_on:
+            margin = model.lost_share * max(row.predicted - approach_force, 0.0)
+        force = row.net
+        if row.closed == 0:  # a failing sensor of wrists or speeds resembles an impact
+            flies = row.speed > _SLOWED * model.approach_speed and row.high_for < _SOFT
+            dwell = inf if flies else model.dwell
+            force = min(row.net, _FELT * row.force) - row.noise
+            if row.explained > 0.0:  # more force than the friction of closed contacts explains
+                force = min(force, row.touch - row.explained)
+        monitor(model, row, force, row.speed, t.work.dt, dwell, margin)
+        if contact.phase == OPEN:
+            row.closed = 0
+            row.collision = 0
+            contact.held = 0
+        elif row.high_for > model.rise:
+            contact.held = 1
+        is_desired = is_desired or goal > 0.0
+        some_closed = some_closed or row.closed != 0
+        is_light = goal <= model.force_on  # such a force cannot be distinguished from zero
+        all_closed = all_closed and (is_light or row.closed != 0)
+    return is_desired, some_closed and all_closed
+
+
+@inner
+def _measure_gap(t, c, last_phase, phase):
+    """Integrate the distance of a lost contact from its face, and the time since its loss.
+
+    Both are zero for an open contact, and `rise` after a contact has closed. Fills, of the columns
+    of the contact, `gap` (m) and `time_since_loss` (s) in MEMORY, and `here` in WORK: 1 where the
+    column remains in N without returning to an earlier phase.
+
+    Args:
+        t: Tick. c: index of the contact. last_phase: its phase in the last tick. phase: its phase
+            now.
+    """
+    model = t.model
+    contact = t.memory.contacts[c]
+    dt = t.work.dt
+    is_known = last_phase != OPEN and phase != OPEN
+    is_known = is_known and not (phase == CLOSED and contact.since > model.rise)
+    is_loss = last_phase == CLOSED and phase == APPROACHING and contact.held != 0
+    for j in range(model.n_columns):
+        if model.columns[j].contact == c:
+            t.work.here[j] = last_phase != OPEN and phase >= last_phase
+            row = t.memory.columns[j]
+            row.gap = max(row.gap - dt * row.speed, 0.0) if is_known else 0.0
+            is_lost = is_known and (row.time_since_loss > 0.0 or is_loss)
+            row.time_since_loss = row.time_since_loss + dt if is_lost else 0.0
 
 
 @inner
@@ -280,10 +318,10 @@ def max_speed_ratio(t):
     Args:
         t: Tick, of which v of the joints is read.
     """
-    most = 0.0
+    largest = 0.0
     for j in range(t.model.n_joints):
-        most = max(most, abs(t.work.joints[j].v) / t.model.joints[j].speed_max)
-    return most
+        largest = max(largest, abs(t.work.joints[j].v) / t.model.joints[j].speed_max)
+    return largest
 
 
 @inner

@@ -121,32 +121,33 @@ def find_jumps(t):
     work.jumps = work.speed_jumps = 0
     if memory.compared == 0 or memory.repeated & JOINTS:
         return
-    read = 0
-    off = 0
-    off_speeds = 0
+    n_read = 0
+    n_deviating = 0
+    n_speeds_deviating = 0
     for j in range(t.model.n_joints):
-        now = t.input.q[j]
-        if not isfinite(now):
+        position = t.input.q[j]
+        if not isfinite(position):
             continue
-        read += 1
+        n_read += 1
         known = memory.joints[j]
-        if known.barred != NOT_BARRED or abs(now - known.q) > _NOISE:
-            known.barred = _jump(t, j, now)
+        if known.barred != NOT_BARRED or abs(position - known.q) > _NOISE:
+            known.barred = _jump(t, j, position)
             if known.barred != NOT_BARRED:
                 work.jumps += 1
                 work.jumped = j
         if _changes_speed(t, j):
-            off_speeds += 1
+            n_speeds_deviating += 1
             if _speed_jumps(t, j):
                 work.speed_jumps += 1
                 work.speed_jumped = j
-        off += 1 if abs(now - _expected(t, j)) > _EXCHANGED else 0
-    if off > 1 and work.jumps < 2:
-        _find_exchange(t, off)
-    if off_speeds > 1 and work.speed_jumps < 2:
-        _find_exchanged_speeds(t, off_speeds)
-    several = max(work.jumps, work.speed_jumps) > 1
-    if several or (read == 0 and memory.mixed > 0.0):
+        if abs(position - _expected(t, j)) > _EXCHANGED:
+            n_deviating += 1
+    if n_deviating > 1 and work.jumps < 2:
+        _find_exchange(t, n_deviating)
+    if n_speeds_deviating > 1 and work.speed_jumps < 2:
+        _find_exchanged_speeds(t, n_speeds_deviating)
+    several_jump = max(work.jumps, work.speed_jumps) > 1
+    if several_jump or (n_read == 0 and memory.mixed > 0.0):
         memory.mixed += t.model.period
     else:
         memory.mixed = 0.0
@@ -180,14 +181,14 @@ def _jump(t, j, now):
     """
     known = t.memory.joints[j]
     room = _NOISE + t.model.plausible_speed * t.model.joints[j].rated * t.model.period
-    moved = abs(now - known.q)
+    displacement = abs(now - known.q)
     if known.barred == EXCHANGED:
         return EXCHANGED if abs(now - _expected(t, j)) > 0.5 * _EXCHANGED else NOT_BARRED
     if known.barred == JUMP:
-        moved = abs(now - t.memory.q[j])
+        displacement = abs(now - t.memory.q[j])
     else:
         room += (room - _NOISE) * known.unread_q
-    return JUMP if moved > room else NOT_BARRED
+    return JUMP if displacement > room else NOT_BARRED
 
 
 @inner
@@ -201,11 +202,12 @@ def _find_exchange(t, off):
         t: Tick. off: number of joints whose positions deviate from their predictions.
     """
     n = t.model.n_joints
-    crossed = 0
+    n_crossed = 0
     for i in range(n):
         for j in range(i):
-            crossed += 2 if _cross(t, i, j) else 0
-    if crossed != off:
+            if _cross(t, i, j):
+                n_crossed += 2
+    if n_crossed != off:
         return
     for i in range(n):
         for j in range(i):
@@ -227,8 +229,8 @@ def _cross(t, i, j):
         t: Tick. i, j: indices of the joints.
     """
     q = t.input.q
-    far = min(abs(q[i] - _expected(t, i)), abs(q[j] - _expected(t, j))) > _EXCHANGED
-    return far and _is_near_other(q[i], q[j], _expected(t, i), _expected(t, j))
+    is_deviating = min(abs(q[i] - _expected(t, i)), abs(q[j] - _expected(t, j))) > _EXCHANGED
+    return is_deviating and _is_near_other(q[i], q[j], _expected(t, i), _expected(t, j))
 
 
 @leaf
@@ -238,8 +240,8 @@ def _is_near_other(x, y, expected_x, expected_y):
     Args:
         x, y: readings (rad, m). expected_x, expected_y: their predictions (rad, m).
     """
-    near = _SAME * abs(x - expected_x)
-    return abs(x - expected_y) < near and abs(y - expected_x) < near
+    tolerance = _SAME * abs(x - expected_x)
+    return abs(x - expected_y) < tolerance and abs(y - expected_x) < tolerance
 
 
 @inner
@@ -249,19 +251,19 @@ def _find_exchanged_speeds(t, off):
     Args:
         t: Tick. off: number of joints whose speeds deviate from their predictions.
     """
-    crossed = 0
-    first = 0
+    n_crossed = 0
+    last_found = 0
     for i in range(t.model.n_joints):
         for j in range(i):
-            both = _changes_speed(t, i) and _changes_speed(t, j)
+            both_change = _changes_speed(t, i) and _changes_speed(t, j)
             x = t.input.v[i]
             y = t.input.v[j]
-            if both and _is_near_other(x, y, _expected_speed(t, i), _expected_speed(t, j)):
-                crossed += 2
-                first = j
-    if crossed == off:
+            if both_change and _is_near_other(x, y, _expected_speed(t, i), _expected_speed(t, j)):
+                n_crossed += 2
+                last_found = j
+    if n_crossed == off:
         t.work.speed_jumps = 2
-        t.work.speed_jumped = first
+        t.work.speed_jumped = last_found
 
 
 @leaf
@@ -306,9 +308,9 @@ def _changes_speed(t, j):
     """
     if t.memory.derived:
         return False
-    now = t.input.v[j]
+    speed = t.input.v[j]
     room = _SLIGHT * _speed_room(t, j)
-    return abs(now - t.memory.v[j]) > room and abs(now - _expected_speed(t, j)) > room
+    return abs(speed - t.memory.v[j]) > room and abs(speed - _expected_speed(t, j)) > room
 
 
 @leaf
@@ -322,10 +324,13 @@ def _speed_jumps(t, j):
         t: Tick. j: index of the joint.
     """
     room = _speed_room(t, j)
-    last = t.memory.v[j]
-    follows = _expected_speed(t, j)
-    now = t.input.v[j]
-    return now < min(last, follows) - room or now > max(last, follows) + room
+    last_speed = t.memory.v[j]
+    commanded_speed = _expected_speed(t, j)
+    speed = t.input.v[j]
+    return (
+        speed < min(last_speed, commanded_speed) - room
+        or speed > max(last_speed, commanded_speed) + room
+    )
 
 
 @leaf
@@ -337,9 +342,8 @@ def is_measurable(t, k):
     """
     fits = True
     for i in range(6):
-        fits = fits and abs(t.input.wrenches[k, i]) <= (
-            t.model.force_range if i < 3 else t.model.torque_range
-        )
+        limit = t.model.force_range if i < 3 else t.model.torque_range
+        fits = fits and abs(t.input.wrenches[k, i]) <= limit  # False if NaN
     return fits
 
 
@@ -352,8 +356,9 @@ def _is_rotation(X):
     Args:
         X: at least (3, 3), such as a pose.
     """
-    worst = 0.0
+    deviation = 0.0  # largest element of R Rᵀ − 1
     for i in range(3):
         for j in range(i + 1):
-            worst = max(worst, abs(dot3(X[i], X[j]) - (1.0 if i == j else 0.0)))
-    return worst < _ROUND and dot3(cross(X[0], X[1]), X[2]) > 0.0
+            expected = 1.0 if i == j else 0.0
+            deviation = max(deviation, abs(dot3(X[i], X[j]) - expected))
+    return deviation < _ROUND and dot3(cross(X[0], X[1]), X[2]) > 0.0

@@ -315,17 +315,17 @@ def command_force(t):
     work = t.work
     for a in range(work.rank):
         desired = work.alpha_d[a]
-        before = last_integral(t, a)
-        room = integral_room(t.model.integral_force, desired)
-        after = before + work.gain[a] * work.dt * (desired - work.felt[a])
-        after = min(max(after, -room), room)
-        force = desired + after - work.damping[a] * work.speed[a]
+        last_integral_a = last_integral(t, a)
+        bound = integral_room(t.model.integral_force, desired)
+        integral = last_integral_a + work.gain[a] * work.dt * (desired - work.felt[a])
+        integral = min(max(integral, -bound), bound)
+        force = desired + integral - work.damping[a] * work.speed[a]
         floor = min(work.least[a], _LEAST * desired)
         if force < floor:
             force = floor
-            after = max(after, before)
+            integral = max(integral, last_integral_a)
         work.alpha_u[a] = force
-        work.force_next[a] = after
+        work.force_next[a] = integral
 
 
 @inner
@@ -463,9 +463,9 @@ def _find_mobility(t, weighed, normal):
     for b in range(r):
         for a in range(r):
             along[a] = 1.0 if a == b else 0.0
-        seen = add_yield(work, ZERO, along)
+        reading = add_yield(work, ZERO, along)
         for a in range(r):
-            A[a, b] = dot6(weighed[a], seen)
+            A[a, b] = dot6(weighed[a], reading)
             columns[b, a] = normal[b, a]
     if not lu_solve(A, r, columns, r):
         work.weightless = 1
@@ -494,7 +494,7 @@ def learn_friction(t):
     if model.learning == 0.0:
         return
     dependent = work.rank < work.count
-    found = slid = whole = uncertain = 0.0
+    friction = sliding = square = normal_variance = 0.0
     for j in range(work.count):
         chosen = work.chosen[j]
         if not has_point(t, chosen):
@@ -502,21 +502,23 @@ def learn_friction(t):
         column = work.columns[chosen]
         s = column.slip
         w = _likely_force(work, chosen)
-        along = dot3(s, s)
-        share = (_ALONG**2 - _ACROSS**2) * along + _ACROSS**2
-        found += w * w * w * share * dot6(reading_of_force(t, linear(s), chosen), work.reading_rest)
-        pressed = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
-        slid += w * pressed * along
-        whole += w * w
-        uncertain += column.prior[0] + column.prior[4] + column.prior[8]
-    if not whole > 0.0:  # also if NaN
+        slip_square = dot3(s, s)
+        share = (_ALONG**2 - _ACROSS**2) * slip_square + _ACROSS**2
+        friction += (
+            w * w * w * share * dot6(reading_of_force(t, linear(s), chosen), work.reading_rest)
+        )
+        pressing = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
+        sliding += w * pressing * slip_square
+        square += w * w
+        normal_variance += column.prior[0] + column.prior[4] + column.prior[8]
+    if not square > 0.0:  # also if NaN
         return
     k = model.learning
-    if not uncertain > 0.0 and not dependent:  # also if NaN
+    if not normal_variance > 0.0 and not dependent:  # also if NaN
         k = max(k, 1.0 / (_FIRST + work.slid))
-        work.slid += work.dt * slid / whole
-    more = work.more_friction + min(k * work.dt, 1.0) * found / whole
-    work.more_friction = min(max(more, -model.mu), _MOST_FRICTION - model.mu)
+        work.slid += work.dt * sliding / square
+    excess = work.more_friction + min(k * work.dt, 1.0) * friction / square
+    work.more_friction = min(max(excess, -model.mu), _MOST_FRICTION - model.mu)
 
 
 @leaf
@@ -553,8 +555,8 @@ def oppose_friction(t):
     d = 6 - m
     r = work.rank
     x = local(1, 6)
-    pushed = local(6)
-    total = ZERO
+    tangential_wrench = local(6)
+    wrench = ZERO
     for a in range(r):
         x[0, a] = 0.0
     for j in range(t.model.n_columns):
@@ -567,28 +569,28 @@ def oppose_friction(t):
         past = t.memory.columns[chosen].tangential
         resting = scaled3(1.0 - dot3(column.slip, column.slip), past)
         f = join(resting, cross(column.point, resting))
-        total = plus(total, turned(work, wrench_to_energy(work, f)))
+        wrench = plus(wrench, turned(work, wrench_to_energy(work, f)))
         if work.moving:
             for a in range(r):
                 if body_of(t, work.kept[a]).same == body_of(t, chosen).same:
                     x[0, a] += dot6(work.yields[a], f)
         _find_tangential(t, column, chosen, past)
-    fill(pushed, total)
+    fill(tangential_wrench, wrench)
     factor = local(6, 6)
     D = local(6, 6)
-    answer = local(6)
+    response = local(6)
     solvable = d > 0 and cholesky(work.Lambda, m, d, factor) > 0.0
     if solvable:
         for a in range(r):
-            fill(answer, work.N_t[a])
-            cholesky_solve(factor, d, answer[m:])
-            x[0, a] += dot(answer[m:], pushed[m:], d)
+            fill(response, work.N_t[a])
+            cholesky_solve(factor, d, response[m:])
+            x[0, a] += dot(response[m:], tangential_wrench[m:], d)
             for b in range(r):
-                D[a, b] = work.Phi_mu[a, b] + dot(answer[m:], work.pushed_t[b, m:], d)
+                D[a, b] = work.Phi_mu[a, b] + dot(response[m:], work.pushed_t[b, m:], d)
         solvable = lu_solve(D, r, x, 1)
     for a in range(r):
-        most = _REACTION * abs(work.alpha_d[a])
-        work.reaction[a] = min(max(x[0, a], -most), most) if solvable else 0.0
+        limit = _REACTION * abs(work.alpha_d[a])
+        work.reaction[a] = min(max(x[0, a], -limit), limit) if solvable else 0.0
 
 
 @inner
@@ -602,15 +604,15 @@ def _find_tangential(t, column, chosen, past):
             last tick (N).
     """
     work = t.work
-    shown = local(3)
+    multiplier = local(3)
     for k in range(3):
-        shown[k] = dot6(reading_of_force(t, across(column.N, k), chosen), work.reading_rest)
+        multiplier[k] = dot6(reading_of_force(t, across(column.N, k), chosen), work.reading_rest)
     w = _likely_force(work, chosen)
-    along = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, shown)
+    along_slip = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, multiplier)
     k = work.dt / (_LAG + work.dt)
     for i in range(3):
-        found = w * w * (_ACROSS**2 * shown[i] + along * column.slip[i])
-        column.tangential[i] = past[i] + k * (found - past[i])
+        force = w * w * (_ACROSS**2 * multiplier[i] + along_slip * column.slip[i])
+        column.tangential[i] = past[i] + k * (force - past[i])
 
 
 @inner

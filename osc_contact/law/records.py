@@ -69,62 +69,67 @@ UNYIELDING, CONVEYOR, CART, YIELDING, ELSEWHERE = range(5)  #: kinds of touched 
 
 _MODEL = _record(
     whole=(
-        "n_arms",
-        "n_joints",
-        "n_motors",
-        "n_shapes",
-        "n_columns",
-        "n_contacts",
+        "n_arms",  # k, number of arms
+        "n_joints",  # n, number of joints of all arms, passive ones included
+        "n_motors",  # n_a, number of joints with a motor
+        "n_shapes",  # number of rows with the geometry of pairs
+        "n_columns",  # number of columns of N of all contacts
+        "n_contacts",  # number of contacts that may occur
         "n_bars",  # internal forces that can be commanded: pairs of grasps
         "n_extra",  # largest number of rows E of the torque allocation
         "held",  # 1 if an object is held
-        "metric",
+        "metric",  # of the motion filter: BY_OBJECT, BY_CHAIN or BY_MATRIX
         "slipping",  # 1 if a grasp permits motions
-        "reading",  # method of computing contact forces
+        "reading",  # method of computing contact forces: FILTER or LEAST_SQUARES
         "leader",  # arm that holds the object rigidly, or −1
         "rubs",  # 1 if joint friction is compensated
         "friction_learning",  # 1 if joint friction is identified
         "friction_errors",  # 1 if errors of the links' masses are compensated, too
         "phased",  # 1 with contact phases
         "guarded",  # 1 if readings are checked: in a controller, not in a chain alone
-        # see `safety`: largest numbers of ticks with repeated torques, without a computed tick,
-        # with a joint above its speed limit
-        "repeats",
-        "fault_ticks",
-        "fast_ticks",
-        "row_bytes",
-        "memory_bytes",  # of one controller
+        # see `safety`
+        "repeats",  # largest number of ticks with repeated torques
+        "fault_ticks",  # number of ticks that are not computed from which on the arms are stopped
+        "fast_ticks",  # largest number of ticks with a joint above its speed limit
+        "row_bytes",  # size of this record (bytes)
+        "memory_bytes",  # size of MEMORY of one controller (bytes)
     ),
     number=(
-        "rank_tolerance",  # see `dynamics.closed_chain`
-        "angle_tolerance",
-        "stiffness",
-        "damping",
-        "integral",
-        "period",
-        "posture_stiffness",
-        "posture_damping",
-        "retreat_damping",
-        "mu",
-        "slip",
-        "learning",
-        "hold_rate",
+        # see `dynamics.closed_chain`
+        "rank_tolerance",  # threshold of σ for locked directions, see `operational.arm_terms`
+        "angle_tolerance",  # rad, angle between directions that counts as zero
+        # motion law, see `commands.command_motion`
+        "stiffness",  # K_p (1/s²)
+        "damping",  # K_d (1/s)
+        "integral",  # K_i (1/s³)
+        "period",  # s, of the controller
+        # posture law, see `operational.retreat`
+        "posture_stiffness",  # k_p (1/s²)
+        "posture_damping",  # k_d (1/s)
+        "retreat_damping",  # k_d (1/s) along motions that the task loses in a singular posture
+        # friction of contacts, see `contact` and `reading.learn_friction`
+        "mu",  # assumed coefficient
+        "slip",  # v_0 (m/s), sliding speed below which friction is regularised
+        "learning",  # 1/s, rate at which the coefficient is identified; 0: never
+        "hold_rate",  # ω (1/s) of a hold, see `holding`
         "torque_rate",  # 1/s, see `phases.torque_rate`
-        # see `safety`: s to begin braking, W, N of the least limit, s of low and of high forces
-        "reaction",
-        "contact_power",
-        "contact_force",
-        "contact_loss_time",
-        "regain_time",
-        "overforce_time",
-        "integral_force",
-        "integral_motion",  # largest contributions of integrals: N; m/s² or rad/s²
-        "force_brake",
-        "drift_share",
-        "step_time",
-        "tilt",  # see `contact`
-        "friction_share",
-        "friction_smoothing",  # 1/s, see `joint_friction`
+        # see `safety`
+        "reaction",  # s until brakes act
+        "contact_power",  # W, largest power into the contacts
+        "contact_force",  # N, measured force up to which no contact is overloaded
+        "contact_loss_time",  # s of too little force until a contact is lost
+        "regain_time",  # s in which a lost contact must be regained
+        "overforce_time",  # s of too much force until the arms are stopped
+        # see `reading.command_force` and `commands`
+        "integral_force",  # N, largest contribution of a force integral to small commands
+        "integral_motion",  # m/s², rad/s², largest contribution of the motion integral
+        "force_brake",  # κ (1/s)
+        "drift_share",  # share of one tick in the low-pass of v̄ and in the estimate of normals
+        "step_time",  # s, rise time of a step of a desired force
+        "tilt",  # rad, largest error of a declared normal, see `normals`
+        # see `joint_friction`
+        "friction_share",  # g, share of e that is compensated
+        "friction_smoothing",  # K_d (1/s)
         # limits of sensor checks, see `plausibility`, `sensors`, `agreement` and `safety`
         "force_range",  # N
         "torque_range",  # N m
@@ -138,25 +143,25 @@ _MODEL = _record(
         "wrist_error",  # share of a torque limit
         "closure_error",  # m
         # contact phases, see `phases`
-        "force_gain",
-        "force_damping",
-        "approach_speed",
-        "approach_damping",
-        "travel",
-        "rise",
-        "least_force",
-        "phase_rate",
-        "lost_share",
-        "lag",
-        "force_on",
-        "force_off",
-        "power",
-        "patience",
-        "window",
-        "dwell",
-        "leaving",
-        "return_speed",
-        "friction_bound",
+        "force_gain",  # K_i of the force law (1/s)
+        "force_damping",  # K_v of the force law (N s/m)
+        "approach_speed",  # v_a (m/s)
+        "approach_damping",  # K_a (N s/m)
+        "travel",  # m, longest approach
+        "rise",  # s, time in which the force of a closed contact rises to its goal
+        "least_force",  # α_min (N), least command of a closed contact that must not pull
+        "phase_rate",  # 1/s, rate of torques after a change of phase
+        "lost_share",  # share of the expected force that is added to `force_off`
+        "lag",  # s, time constant of the low-pass of forces and speeds
+        "force_on",  # N, force above which contact is made
+        "force_off",  # N, force below which contact is lost
+        "power",  # W, above which an impact is a collision
+        "patience",  # s of low force until contact is lost
+        "window",  # s after contact is made in which collisions are detected
+        "dwell",  # s of high force until contact is made
+        "leaving",  # m/s, speed of separation at which a contact is lost at any force
+        "return_speed",  # m/s, largest speed of the return of a lost contact
+        "friction_bound",  # μ_b, bound of the coefficient of friction, see `witness`
         # see `ceilings`
         "contact_ceiling",  # N
         "wrist_ceiling",  # N
@@ -176,15 +181,15 @@ _MODEL = _record(
 )
 ARM = _record(
     whole=(
-        "first",
-        "end",
-        "tip_joint",
-        "sensor_joint",
-        "outer_joint",  # −1: none
-        "m",
-        "kind",
-        "filtered",
-        "full_rank",
+        "first",  # index of its first joint
+        "end",  # index of the joint behind its last one
+        "tip_joint",  # joint that carries the tip
+        "sensor_joint",  # joint that carries the wrist sensor; −1 without a sensor
+        "outer_joint",  # joint that carries the first link beyond the sensor; −1: none
+        "m",  # number of independent wrenches that the grasp transmits
+        "kind",  # of the grasp: RIGID, HINGE, BALL or OTHER
+        "filtered",  # 1 if bodies beyond the sensor can move by themselves, see `grasps`
+        "full_rank",  # number of motions of the tip, on the range of N, in regular postures
     ),
     tip=12,  # frame of the tip in `tip_joint`: rotation by rows, then point
     sensor=12,  # frame of the wrist sensor in `sensor_joint`
@@ -199,21 +204,21 @@ ARM = _record(
 JOINT = _record(
     whole=("slides", "motor"),  # 1 if prismatic; number of its motor or −1
     number=(
-        "tau_max",
-        "speed_max",
-        "lower",
-        "upper",
+        "tau_max",  # N m, N; inf without a limit
+        "speed_max",  # rad/s, m/s; inf without a limit, and without a motor
+        "lower",  # rad, m, end of its range
+        "upper",  # rad, m
         "rated",  # speed limit, also of passive joints, whose speeds are not monitored
         "brake",  # s²/rad: 1/(2a), a the deceleration of a stop
         "effort",  # τ_max²; 0 without a motor
         "ease",  # 1/τ_max²; 0 without a motor
-        "armature",
-        "posture",
+        "armature",  # inertia of its rotor at the joint (kg m², kg)
+        "posture",  # q₀ of the posture law (rad, m)
         # repulsion from the limits, see `allocation.push_from_limits`
-        "low",
-        "high",
-        "width",
-        "most",
+        "low",  # rad, m, position below which it is pushed up
+        "high",  # rad, m, position above which it is pushed down
+        "width",  # rad, m, depth at which the push is largest
+        "most",  # rad/s², m/s², largest push
         "slip",  # s_0, speed below which dry friction is regularised
     ),
     theta=5,  # initial θ of `joint_friction`
@@ -226,17 +231,19 @@ JOINT = _record(
 PRIOR = _record(number=("noise", "rounding", "sure"), doubt=5, spread=5, low=5, high=5)
 PAIR = _record(
     whole=(
-        "kind",
-        "first",
-        "count",
-        "shape_at",
-        "freedoms",
-        "has_friction",
+        "kind",  # POINTS … FUNCTION
+        "first",  # index of its first column of N
+        "count",  # number of its columns
+        "shape_at",  # index of its first SHAPE
+        "freedoms",  # number of permitted motions that are declared (TANGENTS)
+        "has_friction",  # 1 if it touches at known points, so that friction acts there
         "address",  # of the compiled function of a FUNCTION pair
     )
 )
-SHAPE = _record(row=16)
-COLUMN = _record(whole=("contact",))
+SHAPE = _record(row=16)  #: numbers of a pair's geometry, see the functions of `pair_geometry`
+COLUMN = _record(whole=("contact",))  #: column of N: index of its contact
+#: Body touched by a contact: kind (UNYIELDING …); index of the first contact with the same body; 1
+#: if the pair can only push; numbers of a cart or a yielding face, see `columns` and `commands`.
 BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
 
 # States -----------------------------------------------------------------------------------------
@@ -255,14 +262,14 @@ FAULTY_SPEED = 2  #: flag of a joint
 
 _MEMORY = _record(
     whole=(
-        "force_rank",
-        "located",
-        "ticked",
-        "fresh",
-        "gap",
-        "engaged",
-        "hand_over",
-        "reason",
+        "force_rank",  # number of columns kept in the last tick
+        "located",  # 1 once the pose of the object is known
+        "ticked",  # number of computed ticks
+        "fresh",  # 1 if measured forces have not been evaluated by `active_set` yet
+        "gap",  # ticks since the last computed one
+        "engaged",  # 1 if contacts are included in the law
+        "hand_over",  # 1 if this tick converts the motion integral to a wrench
+        "reason",  # of the last tick
         # see `safety`
         "state",
         "age",  # ticks in this state
@@ -270,7 +277,7 @@ _MEMORY = _record(
         "lost",  # ticks that were not computed, less computed ones (≥ 0)
         "overspeed",  # weighted ticks above a speed limit
         "repeats",  # ticks for which torques may be repeated
-        "cause",
+        "cause",  # reason of the present state
         "settled",  # state of a hold: 0 where it begins, BRAKED, SETTLED
         "culprit",  # joint, arm or column of N concerned by the cause
         "unbraked",  # joint that is stopped without a sound reading, or −1
@@ -324,9 +331,9 @@ _MEMORY = _record(
     centre_rate=3,  # its rate, low-passed (m/s²)
     X_WO=(4, 4),  # pose of the object; without a leader, the start of the next search
     vector=(
-        "motion_sum",  # integral of the permitted pose error
-        "f_tare",
-        "f_bias",
+        "motion_sum",  # integral of the permitted pose error, at O (m s, rad s)
+        "f_tare",  # wrench that is subtracted from the readings of the wrists, at O
+        "f_bias",  # constant wrench added to commands, see `tick.transfer_integral`, at O
         "force_sum",  # force integrals of the columns kept in the last tick (N)
         "V_O",  # GIVEN_TWIST: twist of the object at O
         "filtered_twist",  # of the object at O, low-passed, see `phases.low_pass`
@@ -334,21 +341,22 @@ _MEMORY = _record(
 )
 CONTACT_MEMORY = _record(
     whole=("active", "phase", "held"),  # held: 1 once a steady force was measured since OPEN
+    # of the force law: K_i (1/s), K_v (N s/m), κ (1/s), α_min (N); s in the present phase
     number=("gain", "damping", "brake", "least", "since"),
 )
 COLUMN_MEMORY = _record(
     whole=(
-        "closed",
-        "collision",
-        "known",
+        "closed",  # 1 if contact is made
+        "collision",  # 1 if a collision begins in this tick
+        "known",  # 1 if the column was in N in the last computed tick
         "has_desired",  # 1 if a force was desired in the last tick
     ),
     number=(
         # see `phases.monitor`
-        "low_for",
-        "high_for",
-        "burst",
-        "armed_for",
+        "low_for",  # s of low force
+        "high_for",  # s of high force
+        "burst",  # W, largest power of this contact
+        "armed_for",  # s in which collisions are still detected
         "force",  # N, low-passed measured force
         "filtered_speed",  # m/s, low-passed NᵀV_rel
         "alpha",  # N, measured force of the last tick
@@ -487,96 +495,98 @@ _WORK = _record(
         "jumped",
         "speed_jumps",
         "speed_jumped",
-        "rank",
-        "locked",
-        "count",
-        "status",
+        "rank",  # r, number of independent columns of N
+        "locked",  # m, number of motions of the object that the arms cannot make
+        "count",  # number of active columns of N
+        "status",  # OK, SATURATED, HELD or DEGRADED
         "reason",
-        "where",
-        "n_lost",
-        "n_internal",
-        "commanded",
-        "moving",
-        "weightless",
+        "where",  # column that the reason concerns
+        "n_lost",  # number of lost directions of all arms near singular postures
+        "n_internal",  # number of rows of E for internal forces
+        "commanded",  # 1 if internal forces are commanded
+        "moving",  # 1 if motions of the touched bodies are measured
+        "weightless",  # 1 if no inertia is between wrist sensors and contacts
     ),
     number=(
         "reason_amount",  # number in the sentence of a reason
-        "dt",
-        "mu",
-        "more_friction",
-        "slid",
-        "step_left",
-        "step_time",
-        "squeeze_left",
+        "dt",  # s, time since the last computed tick
+        "mu",  # coefficient of friction, assumed and identified
+        "more_friction",  # identified coefficient less the assumed one
+        "slid",  # s of sliding from which it was identified
+        "step_left",  # remaining share of the rise time of a step, see `commands`
+        "step_time",  # s, its rise time
+        "squeeze_left",  # the same of internal forces
         "squeeze_time",
-        "integral_scale",
+        "integral_scale",  # factor of the gain of force integrals, 0 during a step
     ),
     # contiguous, as recordings copy them together
-    f_meas=6,
-    bias_out=6,
-    V_O=6,
-    X_WO=(4, 4),
-    f_c=6,
-    error=6,
-    free_error=6,
+    f_meas=6,  # sum of the wrist readings less tare
+    bias_out=6,  # wrench that moves the bodies beyond the wrist sensors at η̈ = 0
+    V_O=6,  # twist of the object at O
+    X_WO=(4, 4),  # pose of the object
+    f_c=6,  # N α_meas
+    error=6,  # pose error (m, rad)
+    free_error=6,  # its part that contacts and arms permit
     p_C=3,  # centre of mass of the object
     p_O=3,  # operational point
-    axes=(4, 3, 3),
-    X_WD=(4, 4),
-    beta=8,
+    axes=(4, 3, 3),  # maps from world axes at C to energy coordinates, see `vectors.set_axes`
+    X_WD=(4, 4),  # reference of the last computed tick
+    beta=8,  # β of `reflectors`
     vector=(
         "V_D",  # reference of the last computed tick, with X_WD and A_D
         "A_D",
         "V_C",  # twist of the object at C
-        "bias_links",
-        "bias_e",
-        "chain_bias",
-        "sigma",  # _e, then _t
-        "b_N",
-        "V_N",
-        "n_gamma",
-        "alpha_d",
-        "alpha_meas",
-        "alpha_u",
+        "bias_links",  # wrench of the bodies beyond the wrist sensors at q̈ = 0, at C
+        "bias_e",  # bias_out _e
+        "chain_bias",  # μ + p of object and arms, _e, then _t
+        "sigma",  # σ, acceleration of the object at η̇ = 0; _e, then _t
+        # of the kept columns (r,)
+        "b_N",  # Nᵀb_e, acceleration of the touched bodies (m/s²)
+        "V_N",  # NᵀV_e, their speeds (m/s)
+        "n_gamma",  # n_γ (m/s²)
+        "alpha_d",  # desired forces (N)
+        "alpha_meas",  # measured forces (N)
+        "alpha_u",  # commanded forces (N)
         "reaction",  # N, contact force lost by tangential forces, see `reading.oppose_friction`
-        "speed",
-        "gain",
-        "damping",
-        "brake",
-        "least",
+        "speed",  # NᵀV_rel (m/s)
+        "gain",  # K_i (1/s)
+        "damping",  # K_v (N s/m)
+        "brake",  # κ (1/s), then the deceleration by the brake (m/s²)
+        "least",  # α_min (N)
         "felt",  # N, measured force that the force integral compares with alpha_d
         "reading_e",  # f_meas − bias_out
         "reading_rest",  # R⁻¹(f − N_μα) of least squares, see `reading.weigh_magnitudes`
-        "motion_next",
-        "force_next",
-        "a_u",
-        "acceleration_t",  # commanded acceleration of the object, S η̇_c + σ
-        "f_S",
+        "motion_next",  # Ω_m e, then ∫Ω_m e dt after this tick (m s, rad s)
+        "force_next",  # force integrals after this tick (N)
+        "a_u",  # commanded acceleration of the object, spatial
+        "acceleration_t",  # filtered acceleration of the object, S η̇_c + σ
+        "f_S",  # commanded force on the object, along S from element m on; _t
     ),
     matrix=(
-        "Lambda",
-        "effort",  # Λ_S and least effort, _e, then _t
+        "Lambda",  # Λ of object and arms, _e, then _t
+        "effort",  # inverse metric of least effort of all arms, _e, then _t
         "out_T",  # Λ_out transposed, _e
-        "reflectors",
-        "N_e",
+        "reflectors",  # vectors of the reflections from _e to _t, by rows
+        "N_e",  # kept columns of N, by rows
         "N_t",
-        "pushed",
+        "pushed",  # N_μ, by rows, _e
         "pushed_t",
-        "friction_wrenches",
+        "friction_wrenches",  # N_μ − N, by rows, at O
         # N = N_factor N_basis (rows), the basis orthonormal, see `algebra.orthonormalise`
         "N_basis",
         "N_factor",
         "N_basis_t",
         "N_factor_t",
-        "Phi_mu",
-        "mobility",
-        "B_inv_t",
+        "Phi_mu",  # NᵀΦ_eN_μ
+        "mobility",  # D, normal acceleration per measured contact force
+        "B_inv_t",  # B⁻¹ of the motion filter
         "yields",  # NᵀΦ_e, at O
     ),
 )
 ARM_WORK = _record(
+    # numbers of the rows of `resisted`, `kept` and `lost`; wide: 1 with redundant joints
     whole=("n_locked", "n_kept", "wide", "n_lost"),
-    tip=(4, 3),
+    tip=(4, 3),  # axes of the tip by rows, then its point
     mode=(6, MAX_JOINTS),  # joints' motions of lost directions
     vector=(
         "reading",  # of its wrist
@@ -585,47 +595,57 @@ ARM_WORK = _record(
         "bias",  # wrench of the outboard bodies at q̈ = 0, at C
         "gamma",  # drift, _e
         # of lost directions, see `operational.find_lost`
-        "chi",
-        "share",
+        "chi",  # χ, distance from the singular posture
+        "share",  # φ, share of the command that is executed
         "gone",  # 1 if the chain counts them as locked
         "net",  # reading of its wrist at C less weight and inertia of the bodies outboard of it
     ),
     matrix=(
         "passed",  # m of N, then 6 − m of T, orthonormal _e
-        "filter",
-        "Lambda",
-        "effort",
+        "filter",  # F of a gripper that can move by itself, _e, see `grasps.filter_outboard`
+        "Lambda",  # Λ of the arm, _e
+        "effort",  # its inverse metric of least effort, _e
         "resisted",  # orthonormal wrenches _e that its structure carries, n_locked of them
         "kept",  # orthonormal wrenches _e that the joints resist with their motors or inertia
         "lost",  # wrenches _e of lost directions
     ),
 )
 JOINT_WORK = _record(
-    number=("q", "v", "h", "tau", "rest", "offset", "acceleration", "inertial", "friction"),
-    R=(3, 3),
-    p=3,
-    body=13,
-    M=MAX_JOINTS,
+    number=(
+        "q",  # rad, m
+        "v",  # rad/s, m/s
+        "h",  # C v + g (N m, N)
+        "tau",  # commanded torque (N m, N)
+        "rest",  # τ_0, torque without command; of a hold the braking torque
+        "offset",  # −J̄ᵀγ, acceleration of the joint at a = 0
+        "acceleration",  # q̈ under the command
+        "inertial",  # h + M q̈
+        "friction",  # compensated friction
+    ),
+    R=(3, 3),  # axes of its frame in the world
+    p=3,  # origin of its frame in the world (m)
+    body=13,  # mass, mass × centre, inertia at C of all bodies that it carries
+    M=MAX_JOINTS,  # its row of the arm's joint-space inertia
     vector=(
-        "column",
-        "J",
-        "J_bar",
-        "force",
-        "outboard",
+        "column",  # its column of J at C, world axes
+        "J",  # the same _e
+        "J_bar",  # its row of J̄, _e
+        "force",  # wrench that moves the bodies that it carries at q̈ = 0, at C
+        "outboard",  # wrench of the bodies beyond the wrist sensor per q̈, at C, later _e
     ),
 )
 COLUMN_WORK = _record(
-    whole=("shaped",),
+    whole=("shaped",),  # 1 if steps of its desired force are shaped
     number=(
-        "n_gamma",
-        "extent",
-        "alpha_d",
-        "goal",
-        "scale",
-        "slides",
-        "drift",
-        "unexplained",
-        "lever",
+        "n_gamma",  # n_γ (m/s²)
+        "extent",  # norm in energy coordinates
+        "alpha_d",  # N, desired force, as in the reference
+        "goal",  # N, α_s, the desired force after shaping
+        "scale",  # N, size of the force
+        "slides",  # σλ, share of the speed that turns the normal
+        "drift",  # m/s, lasting speed v̄
+        "unexplained",  # m/s, speed that v̄ does not explain
+        "lever",  # (m/s)², square of the sliding speed
         # N, see `witness`
         "touch",
         "touch_inertia",
@@ -641,11 +661,11 @@ COLUMN_WORK = _record(
     believed=3,  # declared normal, in the axes of the body that carries the face
     tangential=3,  # N, for the next tick
     vector=(
-        "N",
-        "friction_wrench",
-        "energy",
-        "rest",
-        "share",
+        "N",  # at O, world axes
+        "friction_wrench",  # μ [s; p × s], at O
+        "energy",  # N _e
+        "rest",  # part outside the span of the columns that are kept so far, _e
+        "share",  # magnitudes of the kept columns with the same wrench
     ),
 )
 BAR_WORK = _record(number=("goal", "scale"), to_come=3)  #: commanded force (N), size, step
@@ -690,8 +710,8 @@ WORK = Nested(
     columns=(COLUMN_WORK, "r"),
     bodies=(BODY_WORK, "c"),
     locked_rows=("6k", 7),  # of all arms: unit wrenches _e and their rates
-    tau="a",  # motor torques
-    step="a",  # their largest changes
+    tau="a",  # motor torques (N m, N)
+    step="a",  # their largest changes in this tick
     # columns of N
     goal="r",  # N
     here="r",  # 1 if active
@@ -710,16 +730,16 @@ WORK = Nested(
     rest_weighed="n",
     # internal forces, see `commands` and `bars.settable_bars`
     internal=(BAR_WORK, "squeezes"),
-    bars="squeezes",
-    points=("k", 3),
-    owners=(_INT, "6k"),
-    carried=("6k", 3),
-    levers=("bars", "n"),
-    basis=("bars", "bars"),
-    bar_inverse=("bars", "bar_row"),
-    bar_effects=("bars", "effect_row"),
-    bar_torques=("bars", "n"),
-    moving_torques=(_FLOAT, 6, "n"),
+    bars="squeezes",  # N, internal forces by the commanded torques
+    points=("k", 3),  # grasp points in the world (m)
+    owners=(_INT, "6k"),  # arm of each row of `carried`
+    carried=("6k", 3),  # forces that the structures of the arms carry without motors
+    levers=("bars", "n"),  # E⁺J̄ᵀ, force in the bars per torque
+    basis=("bars", "bars"),  # settable combinations of bar forces, as columns
+    bar_inverse=("bars", "bar_row"),  # E⁺ by rows
+    bar_effects=("bars", "effect_row"),  # forces in the bars by locked wrenches and by joints
+    bar_torques=("bars", "n"),  # torques that change bar forces
+    moving_torques=(_FLOAT, 6, "n"),  # torques that move the object
 )
 #: Input of a tick.
 INPUT = Nested(
@@ -727,14 +747,14 @@ INPUT = Nested(
         # 1 if motions of the touched bodies are measured; 1 if active contacts are named
         whole=("moving", "chosen_set"),
         # reference
-        X_WD=(4, 4),
-        V_D=6,
-        A_D=6,
+        X_WD=(4, 4),  # desired pose of the object
+        V_D=6,  # desired twist at O
+        A_D=6,  # desired classical acceleration at O
     ),
-    q="n",
-    v="n",
-    wrenches=("k", 6),
-    alpha_d="r",
+    q="n",  # rad, m
+    v="n",  # rad/s, m/s
+    wrenches=("k", 6),  # readings of the wrists, in the axes of the sensors (N, N m)
+    alpha_d="r",  # desired contact forces (N)
     touched=("c", 28),  # X_WE by rows, V_E, A_E of the bodies
     active="c",  # 1: in the active set, 0: not
 )
@@ -742,22 +762,25 @@ INPUT = Nested(
 JOB = Nested(
     _record(
         whole=(
-            "switches",
-            "begin",
-            "stop",
-            "first",
-            "last",
-            "count",
-            "model",
-            "model_step",
-            "memory",
-            "work",
-            "input",
+            "switches",  # flags of the tick, such as `tick.MOVING`
+            "begin",  # first part
+            "stop",  # part before which to stop
+            "first",  # first row
+            "last",  # row before which to stop
+            "count",  # number of all rows, of which the input arrays have the values
+            # offsets of records in the bytes
+            "model",  # of the first row
+            "model_step",  # distance of two rows; 0 if all share one
+            "memory",  # of the first row
+            "work",  # of the thread
+            "input",  # of the thread
         )
     )
 )
 
-#: The four records that the functions of a tick take.
+#: The four records that the functions of a tick take: MODEL, settings and structure; MEMORY, states
+#: between ticks; WORK, results and intermediate results of this tick; INPUT, measurement and
+#: reference.
 Tick = namedtuple("Tick", "model memory work input")
 
 
@@ -781,13 +804,27 @@ def row_of(raw, at, i):
 
 @leaf
 def contact_of(t, column):
-    """Return the CONTACT_MEMORY of the contact of a column of N."""
+    """Return the state of the contact that a column of N belongs to.
+
+    Args:
+        t: Tick. column: index of the column among all columns of the model.
+
+    Returns:
+        Row of CONTACT_MEMORY.
+    """
     return t.memory.contacts[t.model.columns[column].contact]
 
 
 @leaf
 def body_of(t, column):
-    """Return the BODY row of the body touched by the contact of a column of N."""
+    """Return the body that the contact of a column of N touches.
+
+    Args:
+        t: Tick. column: index of the column among all columns of the model.
+
+    Returns:
+        Row of BODY.
+    """
     return t.model.bodies[t.model.columns[column].contact]
 
 

@@ -89,28 +89,31 @@ def watch_joints(t):
     """
     model = t.model
     memory = t.memory
-    fast = -1
-    near = -1
-    times = 1.0
+    fast_joint = -1
+    ending_joint = -1
+    largest_ratio = 1.0
     for j in range(model.n_joints):
-        x = t.input.q[j]
+        position = t.input.q[j]
         speed = t.input.v[j]
         row = model.joints[j]
-        if abs(speed) > times * row.speed_max:
-            fast = j
-            times = abs(speed) / row.speed_max
-        rest = x + speed * (model.reaction + row.brake * abs(speed))
-        if (rest > row.upper and x <= row.upper) or (rest < row.lower and x >= row.lower):
-            near = j
-    weight = 1 + int(_FASTER * min(times - 1.0, _MOST))
-    ticks = 1 + memory.gap
-    memory.overspeed = max(memory.overspeed + ticks * (weight if fast >= 0 else -1), 0)
-    memory.ending = collect(memory.ending, ticks * model.period, near >= 0)
+        if abs(speed) > largest_ratio * row.speed_max:
+            fast_joint = j
+            largest_ratio = abs(speed) / row.speed_max
+        stopping_position = position + speed * (model.reaction + row.brake * abs(speed))
+        if (stopping_position > row.upper and position <= row.upper) or (
+            stopping_position < row.lower and position >= row.lower
+        ):
+            ending_joint = j
+    weight = 1 + int(_FASTER * min(largest_ratio - 1.0, _MOST))
+    n_ticks = 1 + memory.gap
+    change = weight if fast_joint >= 0 else -1
+    memory.overspeed = max(memory.overspeed + n_ticks * change, 0)
+    memory.ending = collect(memory.ending, n_ticks * model.period, ending_joint >= 0)
     if memory.ending > max(SURE, 1.5 * model.period):
-        memory.culprit = near
+        memory.culprit = ending_joint
         return NEAR_END
     if memory.overspeed > model.fast_ticks:
-        memory.culprit = fast
+        memory.culprit = fast_joint
         return OVERSPEED
     return NO_REASON
 
@@ -140,16 +143,17 @@ def watch_contacts(t):
         if alpha > 0.0 and speed > 0.0:
             power += alpha * speed
         row = memory.columns[work.kept[a]]
-        size = abs(desired)
-        missing = size > _LIGHT and (alpha if desired > 0.0 else -alpha) < _SHARE * size
-        missing = missing and model.phased == 0
+        command = abs(desired)
+        pressing = alpha if desired > 0.0 else -alpha  # measured force along the desired one
+        is_missing = command > _LIGHT and pressing < _SHARE * command
+        is_missing = is_missing and model.phased == 0
         if memory.force_rank == work.rank and memory.by_column == 0:
-            room = _FULL * integral_room(model.integral_force, desired)
-            missing = missing or abs(memory.force_sum[a]) > room
-        fair = memory.state == RUN or memory.faults > 0
-        row.underforce = collect(row.underforce, dt, missing and fair)
-        most = max(_OVERFORCE * size, model.contact_force)
-        row.overforce = collect(row.overforce, dt, abs(alpha) > most)
+            integral_limit = _FULL * integral_room(model.integral_force, desired)
+            is_missing = is_missing or abs(memory.force_sum[a]) > integral_limit
+        is_judged = memory.state == RUN or memory.faults > 0
+        row.underforce = collect(row.underforce, dt, is_missing and is_judged)
+        force_limit = max(_OVERFORCE * command, model.contact_force)
+        row.overforce = collect(row.overforce, dt, abs(alpha) > force_limit)
         if row.underforce > model.contact_loss_time or row.time_since_loss > model.regain_time:
             reason = CONTACT_LOST
         elif row.overforce > model.overforce_time:
@@ -179,6 +183,10 @@ _RECENT = 0.5  #: s, time constant of the share of ticks that are not computed
 def guard(t, reason):
     """Update the state of the controller, and compute torques of a tick that was not computed.
 
+    These are the torques of the last tick in the state DEGRADED, or as long as joints were never
+    read; else those of `hold_posture`. Updates of MEMORY the ages of readings, `missed` (share of
+    ticks that were not computed), `state`, `cause`, and the counts that belong to them.
+
     Args:
         t: Tick. reason: reason of the tick so far, NO_REASON if it was computed.
 
@@ -186,47 +194,76 @@ def guard(t, reason):
         The same reason.
     """
     model = t.model
-    work = t.work
     memory = t.memory
     memory.wrench_age = memory.wrench_age + 1 if memory.wrench_missing else 0
     memory.old_joints = memory.old_joints + 1 if memory.repeated & JOINTS else 0
     memory.old_wrists = memory.old_wrists + 1 if memory.repeated & WRISTS else 0
-    cause = check_sensors(t)
+    sensor_reason = check_sensors(t)
     if reason == UNBALANCED:
         isolate_packet(t)
     estimate_joints(t)
-    held = 0.0 if reason == NO_REASON else 1.0
-    memory.missed += model.period / (_RECENT + model.period) * (held - memory.missed)
+    not_computed = 0.0 if reason == NO_REASON else 1.0
+    memory.missed += model.period / (_RECENT + model.period) * (not_computed - memory.missed)
     if reason == NO_REASON:
-        memory.gap = 0
-        _note_accelerations(t)
-        memory.has_wrench = 1
-        if work.status != SATURATED:  # a saturated tick is counted when `limits` has finished it
-            count_computed(t)
-        memory.repeats = model.repeats if work.status != SATURATED else 0
-        fine = work.status == OK and memory.wrench_missing == 0
-        _enter(t, RUN if fine else DEGRADED_STATE)
-        if cause != NO_REASON:  # the torques of this tick are valid; the next tick stops
-            memory.cause = cause
-            _enter(t, SAFE_STOP)
+        _note_computed(t, sensor_reason)
         return NO_REASON
     memory.gap += 1
-    state = SAFE_STOP
-    if memory.state != SAFE_STOP:
-        memory.faults += 1
-        memory.lost += 1
-        if cause == NO_REASON:
-            cause = MISSED if memory.missed > model.missed_share else reason
-        memory.cause = cause
-        if memory.lost < model.fault_ticks and cause < LASTING:
-            state = HOLD if memory.faults > memory.repeats else DEGRADED_STATE
-    _enter(t, state)
+    _enter(t, _choose_state(t, reason, sensor_reason))
     if memory.state == DEGRADED_STATE or memory.compared == 0:
         for i in range(model.n_motors):
-            work.tau[i] = memory.torques[i]
+            t.work.tau[i] = memory.torques[i]
     else:
         hold_posture(t)
     return reason
+
+
+@inner
+def _note_computed(t, sensor_reason):
+    """Update counts and state after a computed tick: RUN or DEGRADED, or a stop by a sensor fault.
+
+    The torques of this tick are valid in any case; a stop begins with the next one.
+
+    Args:
+        t: Tick. sensor_reason: reason of `check_sensors`, or NO_REASON.
+    """
+    work = t.work
+    memory = t.memory
+    memory.gap = 0
+    _note_accelerations(t)
+    memory.has_wrench = 1
+    if work.status != SATURATED:  # a saturated tick is counted when `limits` has finished it
+        count_computed(t)
+    memory.repeats = t.model.repeats if work.status != SATURATED else 0
+    is_ok = work.status == OK and memory.wrench_missing == 0
+    _enter(t, RUN if is_ok else DEGRADED_STATE)
+    if sensor_reason != NO_REASON:
+        memory.cause = sensor_reason
+        _enter(t, SAFE_STOP)
+
+
+@inner
+def _choose_state(t, reason, sensor_reason):
+    """Choose the state of the controller after a tick that was not computed.
+
+    DEGRADED for the first few ticks, in which torques are repeated; then HOLD; SAFE_STOP after too
+    many such ticks, or for a reason that lasts. A stop lasts until a reset. Updates `faults`,
+    `lost` and `cause` of MEMORY.
+
+    Args:
+        t: Tick. reason: reason of the tick. sensor_reason: reason of `check_sensors`, or NO_REASON.
+    """
+    memory = t.memory
+    if memory.state == SAFE_STOP:
+        return SAFE_STOP
+    memory.faults += 1
+    memory.lost += 1
+    cause = sensor_reason
+    if cause == NO_REASON:
+        cause = MISSED if memory.missed > t.model.missed_share else reason
+    memory.cause = cause
+    if memory.lost < t.model.fault_ticks and cause < LASTING:
+        return HOLD if memory.faults > memory.repeats else DEGRADED_STATE
+    return SAFE_STOP
 
 
 @inner
@@ -236,13 +273,14 @@ def _note_accelerations(t):
     Args:
         t: Tick.
     """
-    dead = stop_at_once(t)
+    is_dead = stop_at_once(t)
     for k in range(t.model.n_arms):
         arm = t.model.arms[k]
         for j in range(arm.first, arm.end):
             known = t.memory.joints[j]
             known.acceleration = t.work.joints[j].acceleration
-            known.driven = 1 if known.rested > 0.0 and (dead or exceeds_dry_friction(t, j)) else 0
+            must_move = known.rested > 0.0 and (is_dead or exceeds_dry_friction(t, j))
+            known.driven = 1 if must_move else 0
 
 
 @leaf

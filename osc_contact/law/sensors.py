@@ -108,81 +108,37 @@ def check_sensors(t):
     Args:
         t: Tick.
     """
-    model = t.model
     memory = t.memory
     work = t.work
-    q = t.input.q
-    v = t.input.v
     reason = NO_REASON
-    compared = memory.compared != 0
     culprit = memory.culprit
-    dead, same_wrenches = _check_wrists(t)
-    if dead >= 0:
+    dead_arm, same_wrenches = _check_wrists(t)
+    if dead_arm >= 0:
         reason = WRIST_FROZEN
-        culprit = dead
+        culprit = dead_arm
     if work.looked == 0:  # `check_readings` has not called it
         find_jumps(t)
     work.looked = 0
-    several = work.jumps > 1
+    positions_jump = work.jumps > 1
     speeds_jump = work.speed_jumps > 1
-    fresh = memory.repeated & JOINTS == 0 and not several
-    if (several or speeds_jump) and memory.mixed > BLIND:
+    if (positions_jump or speeds_jump) and memory.mixed > BLIND:
         reason = MIXED
-        culprit = work.jumped if several else work.speed_jumped
-    complete = fresh
-    same_joints = compared
-    elapsed = model.period
-    shares = _shares(elapsed)
-    changed = 0
-    for j in range(model.n_joints):
-        known = memory.joints[j]
-        joint = model.joints[j]
-        known.pending += known.acceleration * model.period
-        read = fresh and isfinite(q[j]) and known.barred == NOT_BARRED
-        credible = fresh and abs(v[j]) <= model.plausible_speed * joint.rated and not speeds_jump
-        complete = complete and read
-        if read:
-            step = q[j] - known.q
-            if elapsed != model.period * (1 + known.unread_q):
-                elapsed = model.period * (1 + known.unread_q)
-                shares = _shares(elapsed)
-            changed += 1 if step != 0.0 else 0
-            same_joints = same_joints and step == 0.0 and credible and v[j] == known.v
-            if compared and credible:
-                found = _check_joint(t, known, joint.speed_max, step, v[j], elapsed, shares)
-                if found != NO_REASON:
-                    reason = found
-                    culprit = j
-                    isolate_joint(t, j)
-            known.q = q[j]
-            known.pending = 0.0
-        if credible:
-            known.v = v[j]
-            if not compared:
-                known.model_v = known.model_q = v[j]
-        known.unread_q = 0 if read else known.unread_q + 1
-        known.unread_v = 0 if credible else known.unread_v + 1
-    if complete:
-        memory.compared = 1
-        if not same_joints:
-            span = memory.still + elapsed
-            share = changed * elapsed / (model.n_joints * span)
-            memory.lively += span / (_TURNING + span) * (share - memory.lively)
-        memory.still = memory.still + elapsed if same_joints else 0.0
-        memory.frozen = memory.frozen + elapsed if same_joints and same_wrenches else 0.0
-        for j in range(model.n_joints if memory.still > model.frozen_time else 0):
-            if abs(memory.joints[j].v) * memory.still > _RESOLUTION:
-                reason = DISAGREE
-                culprit = j
-        silent = memory.still > model.frozen_time and memory.lively > _LIVELY
-        if (silent or memory.frozen > model.frozen_time) and _were_noisy(t):
-            reason = FROZEN
-        if memory.state == SAFE_STOP and memory.settled == SETTLED:
-            _test_encoders(t, elapsed)
-    dead_packet = reason in (STUCK, DISAGREE, FROZEN) and complete and memory.still > DEAD
-    for j in range(model.n_joints if dead_packet or reason == MIXED else 0):
+        culprit = work.jumped if positions_jump else work.speed_jumped
+    is_new = memory.repeated & JOINTS == 0 and not positions_jump
+    joint_reason, faulty_joint, is_complete = _check_joints(t, is_new, speeds_jump, same_wrenches)
+    if joint_reason != NO_REASON:
+        reason = joint_reason
+        culprit = faulty_joint
+    if is_complete:
+        packet_reason, faulty_joint = _check_packet(t)
+        if packet_reason != NO_REASON:
+            reason = packet_reason
+        if faulty_joint >= 0:
+            culprit = faulty_joint
+    is_dead = reason in (STUCK, DISAGREE, FROZEN) and is_complete and memory.still > DEAD
+    for j in range(t.model.n_joints if is_dead or reason == MIXED else 0):
         memory.joints[j].faulty |= FAULTY_SPEED
-        if dead_packet or several:
+        if is_dead or positions_jump:
             memory.joints[j].faulty |= FAULTY_POSITION
     if memory.state != SAFE_STOP:  # the cause of a stop keeps its culprit
         memory.culprit = culprit
@@ -203,6 +159,121 @@ def _shares(dt):
     return dt / (_MODEL + dt), dt / (_LAG + dt), dt / (_TURNING + dt)
 
 
+@inner
+def _check_joints(t, is_new, speeds_jump, same_wrenches):
+    """Update the evidence of faults of all joints by the readings of this tick.
+
+    A position is used if it is finite and not barred by a jump, a speed if it is plausible. Reads q
+    and v of INPUT, and `barred` and `acceleration` of the joints in MEMORY; updates their last
+    readings `q` and `v`, `pending`, `unread_q`, `unread_v`, and what `_check_joint` changes.
+
+    Args:
+        t: Tick. is_new: whether the packet has new readings of joints that can be used.
+        speeds_jump: whether speeds of several joints jump, so that no speed is used.
+        same_wrenches: whether the readings of all wrists equal those of the last tick.
+
+    Returns:
+        A reason to stop, of the last joint with a fault; the index of this joint, or −1; and
+        whether all positions were read.
+    """
+    model = t.model
+    memory = t.memory
+    q = t.input.q
+    v = t.input.v
+    reason = NO_REASON
+    faulty_joint = -1
+    compared = memory.compared != 0
+    is_complete = is_new
+    all_same = compared
+    elapsed = model.period
+    shares = _shares(elapsed)
+    changed = 0
+    for j in range(model.n_joints):
+        known = memory.joints[j]
+        joint = model.joints[j]
+        known.pending += known.acceleration * model.period
+        is_read = is_new and isfinite(q[j]) and known.barred == NOT_BARRED
+        is_credible = is_new and abs(v[j]) <= model.plausible_speed * joint.rated
+        is_credible = is_credible and not speeds_jump
+        is_complete = is_complete and is_read
+        if is_read:
+            step = q[j] - known.q
+            if elapsed != model.period * (1 + known.unread_q):
+                elapsed = model.period * (1 + known.unread_q)
+                shares = _shares(elapsed)
+            changed += 1 if step != 0.0 else 0
+            all_same = all_same and step == 0.0 and is_credible and v[j] == known.v
+            if compared and is_credible:
+                joint_reason = _check_joint(t, known, joint.speed_max, step, v[j], elapsed, shares)
+                if joint_reason != NO_REASON:
+                    reason = joint_reason
+                    faulty_joint = j
+                    isolate_joint(t, j)
+            known.q = q[j]
+            known.pending = 0.0
+        if is_credible:
+            known.v = v[j]
+            if not compared:
+                known.model_v = known.model_q = v[j]
+        known.unread_q = 0 if is_read else known.unread_q + 1
+        known.unread_v = 0 if is_credible else known.unread_v + 1
+    if is_complete:
+        _note_packet(t, all_same, same_wrenches, changed, elapsed)
+    return reason, faulty_joint, is_complete
+
+
+@inner
+def _note_packet(t, all_same, same_wrenches, changed, elapsed):
+    """Update the evidence of a repeated packet after a tick in which all positions were read.
+
+    Fills in MEMORY `compared`, `lively` (share of readings that change a position, low-passed),
+    `still` and `frozen` (s of identical readings, of joints, and of joints and wrists). Stopped
+    joints that are held are tested.
+
+    Args:
+        t: Tick. all_same: whether all positions and speeds equal those of the last packet.
+        same_wrenches: whether the readings of all wrists equal those of the last tick.
+        changed: number of positions that changed. elapsed: time since the last packet (s).
+    """
+    memory = t.memory
+    memory.compared = 1
+    if not all_same:
+        span = memory.still + elapsed
+        share = changed * elapsed / (t.model.n_joints * span)
+        memory.lively += span / (_TURNING + span) * (share - memory.lively)
+    memory.still = memory.still + elapsed if all_same else 0.0
+    memory.frozen = memory.frozen + elapsed if all_same and same_wrenches else 0.0
+    if memory.state == SAFE_STOP and memory.settled == SETTLED:
+        _test_encoders(t, elapsed)
+
+
+@inner
+def _check_packet(t):
+    """Return a reason to stop if the readings of all joints have been identical for too long.
+
+    DISAGREE: a joint has a speed with which its constant position would have changed. FROZEN: the
+    readings were noisy before; wrists are constant, too, or most readings of joints had noise.
+
+    Args:
+        t: Tick after `_note_packet`, of which `still`, `frozen` and `lively` of MEMORY are read.
+
+    Returns:
+        `NO_REASON`, `DISAGREE` or `FROZEN`; and the last joint that shows DISAGREE, or −1.
+    """
+    model = t.model
+    memory = t.memory
+    reason = NO_REASON
+    faulty_joint = -1
+    for j in range(model.n_joints if memory.still > model.frozen_time else 0):
+        if abs(memory.joints[j].v) * memory.still > _RESOLUTION:
+            reason = DISAGREE
+            faulty_joint = j
+    is_silent = memory.still > model.frozen_time and memory.lively > _LIVELY
+    if (is_silent or memory.frozen > model.frozen_time) and _were_noisy(t):
+        reason = FROZEN
+    return reason, faulty_joint
+
+
 @leaf
 def _check_joint(t, known, limit, step, v, dt, shares):
     """Update the evidence of faults of a joint by a new reading of its position and speed.
@@ -210,50 +281,23 @@ def _check_joint(t, known, limit, step, v, dt, shares):
     Args:
         t: Tick. known: JOINT_MEMORY, changed. limit: speed limit (rad/s, m/s). step: change of the
             position since it was last read (rad, m). v: speed read (rad/s, m/s). dt: time since the
-            position was last read (s). shares: shares of dt in the low-passes of predictions,
-            errors and reversals (dt/(T + dt), T their time constants).
+            position was last read (s). shares: shares of dt in the low-passes, from `_shares`.
 
     Returns:
         `STUCK` if the joint does not follow commands, `DISAGREE` if position and speed contradict
         each other, else `NO_REASON`.
     """
     model = t.model
-    k, lag, turning = shares
     slope = step / dt
-    same = v == known.v
-    known.same_speed = known.same_speed + dt if same else 0.0
-    known.moved = known.moved + step if same else 0.0
-    known.due = known.due + v * dt if step == 0.0 else 0.0
-    known.rested = known.rested + dt if step == 0.0 else 0.0
-    gained = min(abs(known.pending), _GAIN * model.stuck_speed * limit)
-    if step != 0.0:
-        known.gained = 0.0
-        known.changes += 1
-    elif known.driven:
-        known.gained += gained
-    if v != 0.0 or (same and step != 0.0):
-        known.halted = 0.0
-    elif not same:
-        known.halted = abs(known.v) / dt
-    if abs(step) > _FINE:
-        back = 1.0 if step * known.step < 0.0 else 0.0
-        known.turning += turning * (back - known.turning)
-        known.step = step
+    _note_changes(t, known, limit, step, v, dt, shares[2])
     error = clamped(v - slope, 2.0 * limit)
-    known.error += lag * (error - known.error)
-    kept = 1.0 - min(dt / _FORGET, 1.0)
-    drift = (known.drift + error * dt) * kept
-    explained = _SCALE * dt * abs(v)
+    known.error += shares[1] * (error - known.error)
+    forgetting = 1.0 - min(dt / _FORGET, 1.0)
+    drift = (known.drift + error * dt) * forgetting
+    explained = _SCALE * dt * abs(v)  # by a small error of the speed's scale
     drift = max(drift - explained, 0.0) if drift > 0.0 else min(drift + explained, 0.0)
     known.drift = drift
-    known.model_v += known.pending
-    known.model_q += known.pending
-    known.surprise_v += lag * (v - known.model_v - known.surprise_v)
-    known.surprise_q += lag * (slope - known.model_q - known.surprise_q)
-    more = abs(known.surprise_v) - abs(known.surprise_q)
-    known.blame = (known.blame + more * dt) * kept
-    known.model_v += k * (v - known.model_v)
-    known.model_q += k * (slope - known.model_q)
+    _compare_with_predictions(known, slope, v, dt, shares, forgetting)
     known.stuck = known.gained > model.stuck_speed * limit
     if known.stuck:
         return STUCK
@@ -266,6 +310,63 @@ def _check_joint(t, known, limit, step, v, dt, shares):
     if t.memory.derived == 0 and abs(drift) > model.position_drift + _LATE * abs(v):
         return DISAGREE
     return NO_REASON
+
+
+@leaf
+def _note_changes(t, known, limit, step, v, dt, share):
+    """Update the evidence of a constant position or speed of a joint.
+
+    Fills `same_speed`, `moved`, `due`, `rested`, `gained`, `changes`, `halted`, `turning` and
+    `step` of the joint.
+
+    Args:
+        t: Tick. known: JOINT_MEMORY with the last reading `v`, changed. limit: speed limit (rad/s,
+            m/s). step: change of the position since it was last read (rad, m). v: speed read
+            (rad/s, m/s). dt: time since the position was last read (s). share: share of dt in the
+            low-pass of reversals.
+    """
+    same_v = v == known.v
+    known.same_speed = known.same_speed + dt if same_v else 0.0
+    known.moved = known.moved + step if same_v else 0.0
+    known.due = known.due + v * dt if step == 0.0 else 0.0
+    known.rested = known.rested + dt if step == 0.0 else 0.0
+    gained = min(abs(known.pending), _GAIN * t.model.stuck_speed * limit)
+    if step != 0.0:
+        known.gained = 0.0
+        known.changes += 1
+    elif known.driven:
+        known.gained += gained
+    if v != 0.0 or (same_v and step != 0.0):
+        known.halted = 0.0
+    elif not same_v:
+        known.halted = abs(known.v) / dt
+    if abs(step) > _FINE:
+        reversal = 1.0 if step * known.step < 0.0 else 0.0
+        known.turning += share * (reversal - known.turning)
+        known.step = step
+
+
+@leaf
+def _compare_with_predictions(known, slope, v, dt, shares, forgetting):
+    """Compare the changes of a joint's readings with those that the commands predict.
+
+    Both speeds are predicted from commanded accelerations, and follow the readings slowly. `blame`
+    is the integral of the difference of both errors: positive if the speed is predicted worse than
+    the position. Fills `model_v`, `model_q`, `surprise_v`, `surprise_q` and `blame` of the joint.
+
+    Args:
+        known: JOINT_MEMORY, changed. slope: speed from positions (rad/s, m/s). v: speed read
+            (rad/s, m/s). dt: time since the position was last read (s). shares: shares of dt in the
+            low-passes, from `_shares`. forgetting: factor of `blame` in this step, ≤ 1.
+    """
+    known.model_v += known.pending
+    known.model_q += known.pending
+    known.surprise_v += shares[1] * (v - known.model_v - known.surprise_v)
+    known.surprise_q += shares[1] * (slope - known.model_q - known.surprise_q)
+    difference = abs(known.surprise_v) - abs(known.surprise_q)
+    known.blame = (known.blame + difference * dt) * forgetting
+    known.model_v += shares[0] * (v - known.model_v)
+    known.model_q += shares[0] * (slope - known.model_q)
 
 
 @inner
@@ -286,13 +387,13 @@ def _check_wrists(t):
     last_wrenches = memory.wrenches
     wrenches = t.input.wrenches
     all_same = True
-    dead = -1
-    fresh = memory.repeated & WRISTS == 0 and memory.wrench_missing == 0
+    dead_arm = -1
+    is_new = memory.repeated & WRISTS == 0 and memory.wrench_missing == 0
     for k in range(model.n_arms):
         known = memory.arms[k]
-        if not (fresh and is_measurable(t, k)):
+        if not (is_new and is_measurable(t, k)):
             known.unread += 1
-            all_same = all_same and not (fresh and _exceeds(t, k))
+            all_same = all_same and not (is_new and _exceeds(t, k))
             continue
         same = memory.has_wrench != 0
         for i in range(6):
@@ -303,8 +404,8 @@ def _check_wrists(t):
         all_same = all_same and same
         pressed = model.arms[k].sensor_joint >= 0 and memory.engaged != 0 and memory.force_rank > 0
         if pressed and known.same > model.frozen_time:
-            dead = k
-    return dead, all_same
+            dead_arm = k
+    return dead_arm, all_same
 
 
 @leaf
@@ -316,8 +417,8 @@ def _exceeds(t, k):
     """
     exceeds = False
     for i in range(6):
-        most = t.model.force_range if i < 3 else t.model.torque_range
-        exceeds = exceeds or abs(t.input.wrenches[k, i]) > most
+        limit = t.model.force_range if i < 3 else t.model.torque_range
+        exceeds = exceeds or abs(t.input.wrenches[k, i]) > limit
     return exceeds
 
 
@@ -357,14 +458,14 @@ def _test_encoders(t, dt):
     memory.above = 1 - memory.above
     for j in range(t.model.n_joints):
         known = memory.joints[j]
-        went = known.q - known.begun
+        displacement = known.q - known.begun
         if known.changes == 0 and known.followed >= _FOLLOWED:
             known.faulty |= FAULTY_POSITION
             if memory.derived or known.same_speed >= memory.tested:
                 known.faulty |= FAULTY_SPEED
-        follows = known.changes >= _CHANGES and went * known.went < 0.0
+        follows = known.changes >= _CHANGES and displacement * known.went < 0.0
         known.followed = min(known.followed + 1, _FOLLOWED) if follows else 0
-        known.went = went
+        known.went = displacement
         known.begun = known.q
         known.changes = 0
         known.hold += _MOVED if memory.above else -_MOVED
@@ -383,15 +484,16 @@ def stop_at_once(t):
     """
     if t.memory.still <= DEAD:
         return False
-    found = False
+    is_stopped = False
     for k in range(t.model.n_arms):
         arm = t.model.arms[k]
         for j in range(arm.first, arm.end):
-            halted = t.memory.joints[j].halted
-            if halted > 0.0 and t.model.joints[j].motor >= 0:
-                most = 2.0 * (_dry_friction_bound(t, j) + _HELD * t.model.joints[j].tau_max)
-                found = found or t.work.joints[j].M[j - arm.first] * halted > most
-    return found
+            deceleration = t.memory.joints[j].halted
+            if deceleration > 0.0 and t.model.joints[j].motor >= 0:
+                bound = 2.0 * (_dry_friction_bound(t, j) + _HELD * t.model.joints[j].tau_max)
+                inertia = t.work.joints[j].M[j - arm.first]
+                is_stopped = is_stopped or inertia * deceleration > bound
+    return is_stopped
 
 
 @leaf
@@ -427,10 +529,10 @@ def exceeds_dry_friction(t, j):
     joint = t.model.joints[j]
     own = t.work.joints[j]
     known = t.memory.joints[j]
-    most = _dry_friction_bound(t, j)
+    bound = _dry_friction_bound(t, j)
     if joint.motor >= 0:
-        held = _HELD * joint.tau_max
+        unknown = _HELD * joint.tau_max
         if t.memory.still > DEAD and known.slid > _SLID:
-            held = min(held, 2.0 * known.rubbed + _LITTLE * joint.tau_max)
-        most += held
-    return abs(own.inertial - own.h) > most
+            unknown = min(unknown, 2.0 * known.rubbed + _LITTLE * joint.tau_max)
+        bound += unknown
+    return abs(own.inertial - own.h) > bound

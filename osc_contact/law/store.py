@@ -19,10 +19,10 @@ _DIGEST = 32  #: bytes
 
 
 def _digest(key: str, content: bytes) -> bytes:
-    """Checksum of a stored result, with which its file begins.
+    """Checksum (SHA-256) of a key and the bytes stored under it, with which a file begins.
 
     Args:
-        key: key of the result. content: its bytes.
+        key: key of the result. content: bytes of the result.
     """
     return sha256(key.encode() + content).digest()
 
@@ -35,10 +35,21 @@ class Store:
     """
 
     def __init__(self, folder: Path) -> None:
+        """Set the folder; it need not exist.
+
+        Args:
+            folder: folder of the files.
+        """
         self.folder = folder
 
     def find(self, key: str) -> bytes | None:
-        """Return the content stored under a key, or None if it is missing or damaged."""
+        """Return the content stored under a key, or None if it is missing or damaged.
+
+        The file counts as used now, see `remove_old`.
+
+        Args:
+            key: key of the result, the name of its file.
+        """
         path = self.folder / key
         try:
             self._require_private()
@@ -52,7 +63,11 @@ class Store:
         return content[_DIGEST:]
 
     def keep(self, key: str, content: bytes) -> None:
-        """Store a result under a key; without success it is made again next time."""
+        """Store a result under a key; without success it is made again next time.
+
+        Args:
+            key: key of the result, the name of its file. content: bytes of the result.
+        """
         with suppress(OSError):
             for folder in (self.folder.parent, self.folder):
                 folder.mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -97,27 +97,29 @@ def nearest(shapes, at, p):
     """
     row = shapes[at].row
     foot = p
-    s = 0.0
+    scale = 0.0  # λ
     for _ in range(_ITERATIONS):
         x, y, z = foot
         h, h_x, h_y, h_xx, h_xy, h_yy = _height(shapes, at, x, y)
-        g = (row[4] * x - h_x, row[5] * y - h_y, row[6] * z + row[7])
+        gradient = (row[4] * x - h_x, row[5] * y - h_y, row[6] * z + row[7])
         F = 0.5 * (row[4] * x * x + row[5] * y * y + row[6] * z * z) + row[7] * z + row[8] - h
         H = (row[4] - h_xx, -h_xy, row[5] - h_yy, row[6])
-        xx = 1.0 + s * H[0]
-        xy = s * H[1]
-        yy = 1.0 + s * H[2]
+        # (1 + λH)⁻¹, whose z axis is not coupled to x and y
+        xx = 1.0 + scale * H[0]
+        xy = scale * H[1]
+        yy = 1.0 + scale * H[2]
         det = xx * yy - xy * xy
-        M = (yy / det, -xy / det, xx / det, 1.0 / (1.0 + s * H[3]))
-        m = _times(M, g)
-        off = add3(minus3(p, foot), -s, g)
-        ds = (dot3(m, off) + F) / dot3(m, g)
-        step = _times(M, add3(off, -ds, g))
+        inverse = (yy / det, -xy / det, xx / det, 1.0 / (1.0 + scale * H[3]))
+        inverse_gradient = _times(inverse, gradient)
+        # Newton's step for foot + λ∇F = p, F(foot) = 0: its rows are missed by `miss` and by F
+        miss = add3(minus3(p, foot), -scale, gradient)
+        change = (dot3(inverse_gradient, miss) + F) / dot3(inverse_gradient, gradient)
+        step = _times(inverse, add3(miss, -change, gradient))
         foot = plus3(foot, step)
-        s = s + ds
+        scale = scale + change
         if is_near(step):
             break
-    return s, g, H, M
+    return scale, gradient, H, inverse
 
 
 @leaf

@@ -97,8 +97,8 @@ def reading_of_wrench(t, f, chosen):
     along = local(6)
     body = body_of(t, chosen).same
     for a in range(work.rank):  # NᵀΦ_e f
-        here = body_of(t, work.kept[a]).same == body
-        along[a] = dot6(work.yields[a], f) if here else 0.0
+        on_body = body_of(t, work.kept[a]).same == body
+        along[a] = dot6(work.yields[a], f) if on_body else 0.0
     return add_yield(work, reading, along)
 
 
@@ -143,12 +143,16 @@ def outboard_times(work, x):
 
 @inner
 def add_yield(work, f, along):
-    """Return f + Λ_out N⁺ s (six numbers): f plus an inertial force of the object.
+    """Add to f the inertial force of an object that moves with a yielding body: f + Λ_out N⁺ s.
 
-    N⁺s is the acceleration of least kinetic energy with Nᵀa = s.
+    N⁺s is the acceleration of least kinetic energy with Nᵀa = s; with N = L Q (rows) it is QᵀL⁻¹s.
 
     Args:
-        work: WORK. f: six numbers, energy coordinates. along: (r,) s (m/s²), overwritten.
+        work: WORK, of which `N_factor` L, `N_basis` Q and `out_T` are read. f: wrench (six numbers,
+            energy coordinates). along: (r,) s (m/s²), overwritten.
+
+    Returns:
+        Wrench (six numbers, energy coordinates).
     """
     forward(work.N_factor, work.rank, along)
     return plus(f, outboard_times(work, combined(along, work.N_basis, work.rank)))

@@ -163,12 +163,13 @@ def look(t, flags):
     work.moving = t.input.moving
     work.rank = 0
     work.count = 0
-    lost = memory.gap if memory.ticked else 0  # no time passes before the first tick
-    work.dt = model.period * (1 + min(lost, MOST_LOST))
+    lost_ticks = memory.gap if memory.ticked else 0  # no time passes before the first tick
+    work.dt = model.period * (1 + min(lost_ticks, MOST_LOST))
     engaged = memory.engaged != 0 and model.n_contacts > 0
-    misfit = engaged and flags & NO_FORCES != 0
-    engaged = engaged and not misfit
-    misfit = flags & MISFIT != 0 or (misfit and flags & PARTIAL == 0)
+    lacks_forces = engaged and flags & NO_FORCES != 0
+    engaged = engaged and not lacks_forces
+    # while the number of columns is not known (PARTIAL), alpha_d may have another size
+    misfit = flags & MISFIT != 0 or (lacks_forces and flags & PARTIAL == 0)
     if misfit or not is_finite(t, engaged, work.moving):
         return BAD_INPUT
     if memory.state == SAFE_STOP:
@@ -195,25 +196,25 @@ def is_finite(t, engaged, moving):
         moving: whether motions of the touched bodies are measured.
     """
     model = t.model
-    given = t.input
-    s = finiteness(given.q, model.n_joints) + finiteness(given.v, model.n_joints)
-    s += finiteness(given.V_D, 6) + finiteness(given.A_D, 6)
+    row = t.input
+    zero = finiteness(row.q, model.n_joints) + finiteness(row.v, model.n_joints)
+    zero += finiteness(row.V_D, 6) + finiteness(row.A_D, 6)
     for c in range(max(model.n_bars, 1)):
-        s += t.memory.squeeze[c] * _BEYOND * 0.0
+        zero += t.memory.squeeze[c] * _BEYOND * 0.0
     for i in range(4):
-        s += finiteness(given.X_WD[i], 4)
+        zero += finiteness(row.X_WD[i], 4)
     for k in range(model.n_arms):
-        s += finiteness(given.wrenches[k], 6)
+        zero += finiteness(row.wrenches[k], 6)
     if moving:
         for c in range(model.n_contacts):
-            s += finiteness(given.touched[c], 28)
+            zero += finiteness(row.touched[c], 28)
     if engaged:
         for j in range(model.n_columns):
-            s += given.alpha_d[j] * _BEYOND * 0.0
-    if given.chosen_set:
+            zero += row.alpha_d[j] * _BEYOND * 0.0
+    if row.chosen_set:
         for c in range(model.n_contacts):
-            s += given.active[c] * 0.0
-    return isfinite(s)
+            zero += row.active[c] * 0.0
+    return isfinite(zero)
 
 
 @leaf
@@ -229,21 +230,21 @@ def take_in(t, engaged, moving):
     """
     model = t.model
     work = t.work
-    given = t.input
-    copy_rows(given.X_WD, work.X_WD)
-    fill(work.V_D, given.V_D)
-    fill(work.A_D, given.A_D)
+    row = t.input
+    copy_rows(row.X_WD, work.X_WD)
+    fill(work.V_D, row.V_D)
+    fill(work.A_D, row.A_D)
     for j in range(model.n_joints):
-        work.joints[j].q = given.q[j]
-        work.joints[j].v = given.v[j]
+        work.joints[j].q = row.q[j]
+        work.joints[j].v = row.v[j]
     for k in range(model.n_arms):
-        fill(work.arms[k].reading, given.wrenches[k])
+        fill(work.arms[k].reading, row.wrenches[k])
     for j in range(model.n_columns):
-        work.goal[j] = work.columns[j].alpha_d = given.alpha_d[j] if engaged else 0.0
+        work.goal[j] = work.columns[j].alpha_d = row.alpha_d[j] if engaged else 0.0
     if moving:
         for c in range(model.n_contacts):
             for i in range(28):
-                work.bodies[c].motion[i] = given.touched[c, i]
+                work.bodies[c].motion[i] = row.touched[c, i]
 
 
 # --- Force ----------------------------------------------------------------------------------------
@@ -321,8 +322,8 @@ def set_desired_forces(t, flags):
     """
     work = t.work
     columns = work.columns
-    own = flags & OWN_FORCE != 0
-    shape_steps(t, own)
+    users_own = flags & OWN_FORCE != 0
+    shape_steps(t, users_own)
     shape_squeeze(t)
     brake_contacts(t)
     independent = work.rank == work.count
@@ -333,13 +334,13 @@ def set_desired_forces(t, flags):
             s += column.share[a] * column.goal
         work.alpha_d[a] = s
         work.gain[a] *= work.integral_scale
-        work.brake[a] = 0.0 if own else work.brake[a]
+        work.brake[a] = 0.0 if users_own else work.brake[a]
         approached = contact_of(t, work.kept[a]).phase == phases.APPROACHING
         work.felt[a] = work.alpha_meas[a]
         if approached and independent:
             work.gain[a] = phases.APPROACH_GAIN
             work.felt[a] = work.damping[a] * work.speed[a]
-        if own and not approached:  # the user's force law includes its own damping
+        if users_own and not approached:  # the user's force law includes its own damping
             work.damping[a] = 0.0
 
 
@@ -382,14 +383,14 @@ def transfer_integral(t):
     work = t.work
     memory = t.memory
     x = local(6)
-    seen = local(6)
+    along_N = local(6)
     force = local(6)
     fill(x, motion_to_energy(work, scaled(t.model.integral, memory.motion_sum)))
     fill(x, turned(work, x))
     fill(memory.motion_sum, ZERO)
     for a in range(work.rank):  # keeps Nᵀx exactly, although locked components are dropped
-        seen[a] = dot6(work.N_t[a], x)
-    project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, seen)
+        along_N[a] = dot6(work.N_t[a], x)
+    project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, along_N)
     fill(force, ZERO)
     for i in range(work.locked, 6):
         for j in range(work.locked, 6):
@@ -418,23 +419,23 @@ def command(t, flags):
     model = t.model
     work = t.work
     memory = t.memory
-    own = flags & OWN_FORCE != 0
+    users_own = flags & OWN_FORCE != 0
     for a in range(work.rank):
-        if own:
+        if users_own:
             work.force_next[a] = last_integral(t, a)
             if work.damping[a] > 0.0:  # the contact is being approached
                 work.alpha_u[a] = work.alpha_d[a] - work.damping[a] * work.speed[a]
         elif memory.wrench_missing:
             work.gain[a] = 0.0
-    if not own:
+    if not users_own:
         command_force(t)
     if memory.hand_over:
         memory.hand_over = 0
         transfer_integral(t)
-    most = model.integral_motion / model.integral if model.integral > 0.0 else inf
+    bound = model.integral_motion / model.integral if model.integral > 0.0 else inf
     for i in range(6):
-        s = memory.motion_sum[i] + work.motion_next[i] * work.dt
-        work.motion_next[i] = clamped(s, most)
+        integral = memory.motion_sum[i] + work.motion_next[i] * work.dt
+        work.motion_next[i] = clamped(integral, bound)
     if flags & OWN_MOTION == 0:
         command_motion(t)
     reason = filter_motion(t)
@@ -597,6 +598,63 @@ def _copy(x, start, fits, out):
         out[i] = x[start + i] if fits else nan
 
 
+@inner
+def _sizes_fit(head, given, count, flags):
+    """Determine whether the input arrays have the sizes of the model, except for alpha_d.
+
+    Args:
+        head: MODEL of any row. given: input arrays of `rows`. count: number of rows. flags: with
+            MOVING, the array of the touched bodies is checked, too.
+    """
+    q, v, wrenches, X_WD, V_D, A_D, _, touched, active = given
+    fits = q.size == count * head.n_joints and v.size == count * head.n_joints
+    fits = fits and wrenches.shape == (count * head.n_arms, 6) and X_WD.shape == (4 * count, 4)
+    fits = fits and V_D.size == 6 * count and A_D.size == 6 * count
+    if flags & MOVING != 0:
+        fits = fits and touched.shape == (count * head.n_contacts, 28)
+    if active.size > 0:
+        fits = fits and active.size == count * head.n_contacts
+    return fits
+
+
+@inner
+def _load_input(t, given, count, i, flags):
+    """Copy the values of one row from the input arrays to INPUT.
+
+    Positions, speeds and wrenches of a wrong size are replaced by NaN; the other arrays are not
+    read if a size is wrong (MISFIT). Missing wrenches are those of the last tick. Fills `moving`
+    and `chosen_set`, too.
+
+    Args:
+        t: Tick. given: input arrays of `rows`. count: number of rows. i: index of the row.
+        flags: MOVING, MISFIT and NO_FORCES are read.
+    """
+    q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active = given
+    row = t.input
+    n = t.model.n_joints
+    k = t.model.n_arms
+    c = t.model.n_contacts
+    row.moving = flags & MOVING != 0
+    row.chosen_set = active.size > 0
+    _copy(q, i * n, q.size == count * n, row.q)
+    _copy(v, i * n, v.size == count * n, row.v)
+    if t.memory.wrench_missing:
+        copy_rows(t.memory.wrenches, row.wrenches)
+    elif wrenches.shape == (count * k, 6):
+        copy_rows(wrenches[i * k :], row.wrenches)
+    else:
+        row.wrenches[:] = nan
+    if flags & MISFIT == 0:
+        copy_rows(X_WD[4 * i :], row.X_WD)
+        _copy(V_D, 6 * i, True, row.V_D)
+        _copy(A_D, 6 * i, True, row.A_D)
+        if flags & NO_FORCES == 0:
+            _copy(alpha_d, i * t.model.n_columns, True, row.alpha_d)
+        if row.moving:
+            copy_rows(touched[i * c :], row.touched)
+        _copy(active, i * c, row.chosen_set != 0, row.active)
+
+
 @entry
 def rows(raw, at, given):
     """Run controllers `first` to `last` − 1 of a job, each from part `begin` until part `stop`.
@@ -617,9 +675,7 @@ def rows(raw, at, given):
         Twice the number of the next row (`last` if all are done), plus 1 if some row did not end
         OK.
     """
-    q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active = given
     job = _job(raw, at)
-    flags = job.switches
     count = job.count
     head = _model(raw, job.model)
     size = head.memory_bytes
@@ -627,22 +683,11 @@ def rows(raw, at, given):
     layout = _memory(raw, job.memory).layout
     unused = layout[_FRICTION]
     columns = layout[_COLUMNS]
-    n = head.n_joints
-    k = head.n_arms
-    c = head.n_contacts
-    moving = flags & MOVING != 0
-    fits_q = q.size == count * n
-    fits_v = v.size == count * n
-    fits_wrenches = wrenches.shape == (count * k, 6)
-    fits = fits_q and fits_v and fits_wrenches and X_WD.shape == (4 * count, 4)
-    fits = fits and V_D.size == 6 * count and A_D.size == 6 * count
-    fits = fits and (not moving or touched.shape == (count * c, 28))
-    chosen_set = active.size > 0
-    fits = fits and (not chosen_set or active.size == count * c)
-    has_desired = alpha_d.size == count * head.n_columns
-    if not fits:
+    alpha_d = given[6]
+    flags = job.switches
+    if not _sizes_fit(head, given, count, flags):
         flags |= MISFIT
-    elif not has_desired:
+    elif alpha_d.size != count * head.n_columns:
         flags |= NO_FORCES
     violated = 0
     for i in range(job.first, job.last):
@@ -652,27 +697,8 @@ def rows(raw, at, given):
             prefetch(raw, following, unused)
             prefetch(raw, following + columns, size - columns)
         t = row_of(raw, at, i)
-        own = t.input
         if job.begin == LOOK:
-            own.moving = moving
-            own.chosen_set = chosen_set
-            _copy(q, i * n, fits_q, own.q)
-            _copy(v, i * n, fits_v, own.v)
-            if t.memory.wrench_missing:
-                copy_rows(t.memory.wrenches, own.wrenches)
-            elif fits_wrenches:
-                copy_rows(wrenches[i * k :], own.wrenches)
-            else:
-                own.wrenches[:] = nan
-            if fits:
-                copy_rows(X_WD[4 * i :], own.X_WD)
-                _copy(V_D, 6 * i, True, own.V_D)
-                _copy(A_D, 6 * i, True, own.A_D)
-                if has_desired:
-                    _copy(alpha_d, i * head.n_columns, True, own.alpha_d)
-                if moving:
-                    copy_rows(touched[i * c :], own.touched)
-                _copy(active, i * c, chosen_set, own.active)
+            _load_input(t, given, count, i, flags)
         status = _row(t, flags, job.begin, job.stop)
         if job.begin != HAND_OVER:
             t.memory.status = status

@@ -146,6 +146,13 @@ class Unit:
     """
 
     def __init__(self, function: FunctionType, inlined: bool) -> None:
+        """Register a function of the law for translation; nothing is translated yet.
+
+        Functions of the same name get a number behind it, in the order of their registration.
+
+        Args:
+            function: the Python function. inlined: whether it is inlined in its callers.
+        """
         name = f"{function.__module__}.{function.__qualname__}".removeprefix(f"{__package__}.")
         same = sum(other.partition("~")[0] == name for other in _units)
         self.name = f"{name}~{same}" if same else name
@@ -156,7 +163,11 @@ class Unit:
 
     @global_compiler_lock
     def translated(self, kinds: tuple[Type, ...]) -> Part:
-        """Part for a list of argument types, from the cache or newly translated."""
+        """Part for a list of argument types, from the cache or newly translated.
+
+        Args:
+            kinds: numba types of the arguments.
+        """
         if kinds not in self.known:
             symbol = f"{self.name}.{sha256(str(kinds).encode()).hexdigest()[:12]}"
             key = self.key(kinds)
@@ -172,7 +183,13 @@ class Unit:
         return self.known[kinds]
 
     def key(self, kinds: tuple[Type, ...]) -> str:
-        """Hash of the ingredients of a part for a list of argument types, without called parts."""
+        """Hash of the ingredients of a part for a list of argument types, without called parts.
+
+        It is the key of the part in the cache.
+
+        Args:
+            kinds: numba types of the arguments.
+        """
         made_of = (_machinery(), self.name, self.inlined, kinds, digest(self.py_func))
         return sha256("\n".join(map(str, made_of)).encode()).hexdigest()
 
@@ -267,6 +284,11 @@ class _Helper(JITCodeLibrary):
     """
 
     def __init__(self, *given: Any) -> None:
+        """Make an empty library.
+
+        Args:
+            given: arguments of numba's library, the code generator and a name.
+        """
         super().__init__(*given)
         self.plain: list[bytes] = []
 
@@ -280,6 +302,11 @@ class _Library(_Helper):
     """Library of one part, which is optimised later, together with its helpers."""
 
     def _optimize_functions(self, module: llvm.ModuleRef) -> None:
+        """Leave the functions of a module as they are, instead of optimising them, as numba would.
+
+        Args:
+            module: module of LLVM, whose data layout is set.
+        """
         module.data_layout = self._codegen._data_layout
 
 
@@ -340,7 +367,14 @@ def _linked_plain(stored: bytes) -> llvm.ModuleRef:
 
 
 def _call_of(part: Part) -> Call:
-    """Reference to a part, for the list of calls of another part."""
+    """Reference to a part, for the list of calls of another part.
+
+    Args:
+        part: a part that was translated or found in this process.
+
+    Raises:
+        KeyError: no unit has this part.
+    """
     for unit in _units.values():
         for kinds, known in unit.known.items():
             if known is part:
@@ -353,9 +387,20 @@ def called(unit: Unit) -> Any:
 
     An inlined unit takes array fields of records as arrays of any size, so that one translation
     serves all sizes; LLVM recovers the sizes when it inlines the unit.
+
+    Args:
+        unit: the function of the law.
+
+    Returns:
+        The intrinsic, with the attributes `py_func` and `unit`.
     """
 
     def typed(typing: TypingContext, *given: Type) -> Intrinsic:
+        """Translate the unit for the types of a call; return signature and code generator.
+
+        Args:
+            typing: typing context of numba. given: types of the arguments.
+        """
         given = tuple(types.unliteral(one) for one in given)
         kinds = tuple(_any_size(one) for one in given) if unit.inlined else given
         part = unit.translated(kinds)
@@ -363,6 +408,7 @@ def called(unit: Unit) -> Any:
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
+            """Generate the call of the part's symbol, with arguments cast to its types."""
             convention = context.call_conv
             kind = convention.get_function_type(part.returned, kinds)
             function = cgutils.get_or_insert_function(builder.module, kind, part.symbol)
@@ -389,7 +435,11 @@ def called(unit: Unit) -> Any:
 
 
 def _any_size(kind: Type) -> Type:
-    """Type of an array without its size, if the size is part of its type; else the type itself."""
+    """Replace the type of an array of fixed size by that of an array of any size.
+
+    Args:
+        kind: numba type. Types that contain no size are returned unchanged.
+    """
     if isinstance(kind, types.NestedArray):
         return types.Array(kind.dtype, kind.ndim, "C")
     return kind
@@ -400,6 +450,7 @@ def _any_size(kind: Type) -> Type:
 
 @cache
 def _store() -> Store:
+    """Cache of translated parts and of object files, in the user's cache folder."""
     return Store(library.cache_folder() / "parts")
 
 
@@ -419,7 +470,14 @@ def _machinery() -> str:
 
 
 def _find(key: str, symbol: str) -> Part | None:
-    """Cached part, or None if it is missing or if a called part has another result type now."""
+    """Find a part in the cache.
+
+    Args:
+        key: key of the part, from `Unit.key`. symbol: name of its function.
+
+    Returns:
+        The part; None if it is missing, or if a called part has another result type now.
+    """
     content = _store().find(key)
     if content is None:
         return None
@@ -468,6 +526,7 @@ def target_of(triple: str = "") -> llvm.TargetMachine:
 
 @cache
 def _own_target() -> llvm.TargetMachine:
+    """Target machine of this platform, made once."""
     return target_of()
 
 
@@ -512,12 +571,20 @@ def _with_own_helpers(linked: llvm.ModuleRef, symbol: str) -> llvm.ModuleRef:
 
 
 def _defined(module: llvm.ModuleRef) -> list[llvm.ValueRef]:
-    """List functions and variables that are defined in a module."""
+    """List functions and variables that are defined in a module, not only declared.
+
+    Args:
+        module: module of LLVM.
+    """
     return [one for one in (*module.functions, *module.global_variables) if not one.is_declaration]
 
 
 def _needed(roots: dict[str, Part]) -> list[Part]:
-    """List parts and all parts that they call, in an order that is the same in every process."""
+    """List parts and all parts that they call, in an order that is the same in every process.
+
+    Args:
+        roots: parts by the symbols that are exported.
+    """
     found: dict[str, Part] = {}
     left = list(roots.values())
     while left:
@@ -559,7 +626,11 @@ def link(roots: dict[str, Part], target: llvm.TargetMachine, plain: bool) -> llv
 
 
 def _pointer_bytes(layout: str) -> int:
-    """Size of a pointer (bytes) in a data layout of LLVM."""
+    """Size of a pointer (bytes) on a platform.
+
+    Args:
+        layout: data layout of LLVM for the platform.
+    """
     return int(ir.IntType(8).as_pointer().get_abi_size(llvm.create_target_data(layout)))
 
 
@@ -577,6 +648,9 @@ def emit(
     Args:
         roots: parts by the symbols that the file exports. target: from `target_of`.
         report: called after each stage with the share of the time that is usually over then.
+
+    Raises:
+        OscContactError: the platform needs code as generated by numba, and a part has none.
     """
     plain = target.triple.partition("-")[0] in PLAIN
     made_of = sha256(f"{_machinery()} {target.triple} {target.target_data}".encode())

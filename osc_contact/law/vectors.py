@@ -104,11 +104,11 @@ def axis3(k):
 
 
 @leaf
-def fill3(x, t):
-    """Copy three numbers t to an array x."""
-    x[0] = t[0]
-    x[1] = t[1]
-    x[2] = t[2]
+def fill3(x, y):
+    """Copy three numbers y to the front of an array x."""
+    x[0] = y[0]
+    x[1] = y[1]
+    x[2] = y[2]
 
 
 @leaf
@@ -124,24 +124,24 @@ def six(x):
 
 
 @leaf
-def fill(x, t):
-    """Copy six numbers t to an array x."""
-    x[0] = t[0]
-    x[1] = t[1]
-    x[2] = t[2]
-    x[3] = t[3]
-    x[4] = t[4]
-    x[5] = t[5]
+def fill(x, y):
+    """Copy six numbers y to the front of an array x."""
+    x[0] = y[0]
+    x[1] = y[1]
+    x[2] = y[2]
+    x[3] = y[3]
+    x[4] = y[4]
+    x[5] = y[5]
 
 
 @leaf
-def add(t, s, x):
-    """Sum t + s x of vectors of six numbers.
+def add(y, s, x):
+    """Sum y + s x of vectors of six numbers.
 
     Args:
-        t: Tick. t, x: (6,). s: factor.
+        y, x: (6,). s: factor.
     """
-    return join(add3(t, s, x), add3(angular(t), s, angular(x)))
+    return join(add3(y, s, x), add3(angular(y), s, angular(x)))
 
 
 @leaf

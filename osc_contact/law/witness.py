@@ -67,14 +67,14 @@ def measure_approached_forces(t):
         t: Tick.
     """
     work = t.work
-    needed = False
+    is_needed = False
     for i in range(work.count):
         column = work.chosen[i]
-        needed = needed or (contact_of(t, column).phase == APPROACHING and _beside(t, column))
+        is_needed = is_needed or (contact_of(t, column).phase == APPROACHING and _beside(t, column))
         work.columns[column].touch = 0.0
         work.columns[column].touch_inertia = 0.0
         work.columns[column].explained = 0.0
-    if needed and work.rank == work.count and t.model.friction_bound > 0.0:
+    if is_needed and work.rank == work.count and t.model.friction_bound > 0.0:
         _explain(t)
 
 
@@ -85,12 +85,12 @@ def _beside(t, column):
     Args:
         t: Tick. column: index of the column among all columns of the model.
     """
-    found = False
+    rubs = False
     for i in range(t.work.count):
         other = t.work.chosen[i]
-        same = t.model.columns[other].contact == t.model.columns[column].contact
-        found = found or (not same and _may_rub(t, other))
-    return found
+        same_contact = t.model.columns[other].contact == t.model.columns[column].contact
+        rubs = rubs or (not same_contact and _may_rub(t, other))
+    return rubs
 
 
 @inner
@@ -119,17 +119,10 @@ def _explain(t):
     g = local(6)
     fill(inertia, _measured_inertia_force(t))
     _add_noise(t, noise)
-    for i in range(6):
-        fill(R[i], scaled(_SURE * _SURE, noise[i]))
-    for a in range(r):
-        column = work.chosen[a]
-        if _may_rub(t, column):
-            most = t.model.friction_bound * _pressed(t, a)
-            for k in range(_ways(t, column)):
-                add_square(1.0, _friction(t, column, k, most), R)
+    _add_friction(t, noise, R)
     if not cholesky(R, 0, 6, factor) > 0.0:  # also if NaN
         return
-    for a in range(r):
+    for a in range(r):  # rows of HᵀR⁻¹, then (HᵀR⁻¹H)
         fill(H[a], work.pushed[a])
         fill(weighed[a], H[a])
         cholesky_solve(factor, 6, weighed[a])
@@ -145,20 +138,53 @@ def _explain(t):
         if not lu_solve(H, r, solved, 1):
             return
         fill(g, combined(solved[0], weighed, r))
-        own = work.columns[column]
-        own.touch = dot6(g, work.reading_e)
-        own.touch_inertia = dot6(g, inertia)
-        for b in range(r):
-            other = work.chosen[b]
-            if b != a and _may_rub(t, other):
-                most = t.model.friction_bound * _pressed(t, b)
-                square = 0.0
-                for k in range(_ways(t, other)):
-                    part = dot6(g, _friction(t, other, k, most))
-                    square += part * part
-                own.explained += sqrt(square)
+        row = work.columns[column]
+        row.touch = dot6(g, work.reading_e)
+        row.touch_inertia = dot6(g, inertia)
+        row.explained += _bound_friction(t, a, g)
         spread = _SURE * sqrt(max(dot6(g, combined(g, noise, 6)), 0.0))
-        own.explained += max(spread - t.model.force_on, 0.0)  # `force_on` covers so much of it
+        row.explained += max(spread - t.model.force_on, 0.0)  # `force_on` covers so much of it
+
+
+@inner
+def _add_friction(t, noise, R):
+    """Fill the covariance R = Σ(μ_b α_j)² T_jT_jᵀ + 3² cov ν of what the reading has beside N α.
+
+    Args:
+        t: Tick, of which `alpha_meas` is read. noise: (6, 6) cov ν. R: (6, 6), filled; both in
+            energy coordinates.
+    """
+    work = t.work
+    for i in range(6):
+        fill(R[i], scaled(_SURE * _SURE, noise[i]))
+    for a in range(work.rank):
+        column = work.chosen[a]
+        if _may_rub(t, column):
+            size = t.model.friction_bound * _pressed(t, a)
+            for k in range(_ways(t, column)):
+                add_square(1.0, _friction(t, column, k, size), R)
+
+
+@inner
+def _bound_friction(t, a, g):
+    """Bound the share of α_n that friction of other contacts may cause: e = μ_b Σα_j‖gᵀT_j‖ (N).
+
+    Args:
+        t: Tick, of which `alpha_meas` is read. a: index of the approached column n among the kept
+            ones. g: (6,) row of (NᵀR⁻¹N)⁻¹NᵀR⁻¹ for this column, in energy coordinates.
+    """
+    work = t.work
+    bound = 0.0
+    for b in range(work.rank):
+        column = work.chosen[b]
+        if b != a and _may_rub(t, column):
+            size = t.model.friction_bound * _pressed(t, b)
+            square = 0.0
+            for k in range(_ways(t, column)):
+                component = dot6(g, _friction(t, column, k, size))
+                square += component * component
+            bound += sqrt(square)
+    return bound
 
 
 @inner
@@ -190,13 +216,13 @@ def _add_noise(t, noise):
     """
     work = t.work
     f = local(6)
-    averaged = sqrt(min(0.5 * work.dt / t.model.lag, 1.0)) if t.model.lag > 0.0 else 1.0
+    averaging = sqrt(min(0.5 * work.dt / t.model.lag, 1.0)) if t.model.lag > 0.0 else 1.0
     for i in range(6):
         fill(noise[i], ZERO)
     for k in range(t.model.n_arms):
         for i in range(6 if t.model.arms[k].sensor_joint >= 0 else 0):
             fill(f, ZERO)
-            f[i] = averaged * (_FORCE_NOISE if i < 3 else _COUPLE_NOISE)
+            f[i] = averaging * (_FORCE_NOISE if i < 3 else _COUPLE_NOISE)
             add_square(1.0, energy_wrench(work.axes, object_wrench(t, k, f)), noise)
     for a in range(work.rank):
         column = work.chosen[a]
