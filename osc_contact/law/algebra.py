@@ -102,7 +102,8 @@ def forward_rows(L, n, X):
     """Overwrite the rows X[:n, :6] with L⁻¹X.
 
     Args:
-        L: (n, n) factor from `cholesky`. n: its size. X: (n, 6), overwritten.
+        L: (n, n) factor from `cholesky`, reciprocals on its diagonal. n: its size. X: (n, 6),
+            overwritten.
     """
     for i in range(n):
         x = six(X[i])
@@ -116,7 +117,8 @@ def forward(L, n, x):
     """Overwrite x[:n] with L⁻¹x, L from `cholesky`.
 
     Args:
-        L: (n, n) factor. n: its size. x: right-hand side, overwritten with the solution.
+        L: (n, n) factor, reciprocals on its diagonal. n: its size. x: right-hand side, overwritten
+            with the solution.
     """
     for i in range(n):
         s = x[i]
@@ -130,7 +132,8 @@ def forward_each(L, n, X, m):
     """Multiply each of the rows X[:m, :n] by L⁻¹: X ← X L⁻ᵀ.
 
     Args:
-        L: (n, n) factor from `cholesky`. n: its size. X: (m, n), overwritten. m: number of rows.
+        L: (n, n) factor from `cholesky`, reciprocals on its diagonal. n: its size. X: (m, n),
+            overwritten. m: number of rows.
     """
     for i in range(m):
         forward(L, n, X[i])
@@ -141,7 +144,8 @@ def transposed_factor_times(L, n, x):
     """Overwrite x[:n] with Lᵀx.
 
     Args:
-        L: (n, n) factor from `cholesky`. n: its size. x: operand, overwritten with the product.
+        L: (n, n) factor from `cholesky`, reciprocals on its diagonal. n: its size. x: operand,
+            overwritten with the product.
     """
     for i in range(n):
         s = x[i] / L[i, i]
@@ -155,7 +159,8 @@ def factor_times(L, n, B, m, out):
     """Compute the product L B, L from `cholesky` or `orthonormalise`.
 
     Args:
-        L: (n, n) factor. n: its size. B: (n, m). m: number of columns of B. out: (n, m), filled.
+        L: (n, n) factor, reciprocals on its diagonal. n: its size. B: (n, m). m: number of columns
+            of B. out: (n, m), filled.
     """
     for i in range(n):
         for j in range(m):
@@ -170,7 +175,8 @@ def backward(L, n, x):
     """Overwrite x[:n] with L⁻ᵀx, L from `cholesky`.
 
     Args:
-        L: (n, n) factor. n: its size. x: right-hand side, overwritten with the solution.
+        L: (n, n) factor, reciprocals on its diagonal. n: its size. x: right-hand side, overwritten
+            with the solution.
     """
     for i in range(n - 1, -1, -1):
         s = x[i]
@@ -184,7 +190,8 @@ def cholesky_solve(L, n, x):
     """Overwrite x[:n] with (LLᵀ)⁻¹x, L from `cholesky`.
 
     Args:
-        L: (n, n) factor. n: its size. x: right-hand side, overwritten with the solution.
+        L: (n, n) factor, reciprocals on its diagonal. n: its size. x: right-hand side, overwritten
+            with the solution.
     """
     forward(L, n, x)
     backward(L, n, x)
@@ -294,7 +301,8 @@ def back_substitute(X, rows, length, diagonal, Z):
     """Overwrite the rows Z[:rows, :length] with R⁻¹Z, R from `qr_rows`.
 
     Args:
-        X, rows, diagonal: from `qr_rows`. length: number of elements of each row of Z.
+        X, rows, diagonal: from `qr_rows`; element (k, j) of R, k < j, is X[j, k].
+        length: number of elements of each row of Z.
         Z: (rows, length) right-hand sides, overwritten with the solutions.
     """
     for k in range(rows - 1, -1, -1):

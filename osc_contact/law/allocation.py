@@ -374,11 +374,11 @@ def _retreat_from_lost(t, arm, own):
         mode = own.mode[e]
         component = 0.0
         for j in range(lo, hi):
-            retreating = joints[j].h + retreat(t, arm, j, t.model.retreat_damping)
+            posture_torque = joints[j].h + retreat(t, arm, j, t.model.retreat_damping)
             if own.gone[e] != 0.0:
-                component += mode[j - lo] * (retreating - joints[j].tau)
+                component += mode[j - lo] * (posture_torque - joints[j].tau)
             else:
-                component += mode[j - lo] * (1.0 - own.share[e]) * retreating
+                component += mode[j - lo] * (1.0 - own.share[e]) * posture_torque
         for j in range(lo, hi):
             for k in range(lo, hi):
                 joints[j].rest += component * joints[j].M[k - lo] * mode[k - lo]
@@ -402,24 +402,24 @@ def _own_motions(t, d, first):
     joints = work.joints
     count = first
     for k in range(model.n_arms):
-        own = work.arms[k]
+        row = work.arms[k]
         arm = model.arms[k]
         lo = arm.first
         n = arm.end - lo
-        if own.wide or own.n_kept >= n:
+        if row.wide or row.n_kept >= n:
             continue
         J = local(MAX_JOINTS, 6)
         motions = local(MAX_JOINTS, MAX_JOINTS)
         for j in range(n):
             fill(J[j], joints[lo + j].J)
-        null_motions(own, J, n, motions)
-        for a in range(own.n_kept, n):
+        null_motions(row, J, n, motions)
+        for a in range(row.n_kept, n):
             side = 0.0
             for j in range(model.n_joints):
                 work.extra[count, j] = 0.0
             for i in range(n):
-                retreating = retreat(t, arm, lo + i, model.retreat_damping)
-                side += motions[a, i] * (joints[lo + i].h + retreating)
+                posture_torque = retreat(t, arm, lo + i, model.retreat_damping)
+                side += motions[a, i] * (joints[lo + i].h + posture_torque)
                 work.extra[count, lo + i] = motions[a, i]
             work.sides[d + count] = side
             count += 1

@@ -61,20 +61,20 @@ def osc_law_rows(raw, at, arrays, sizes):
     Returns:
         The value returned by `tick.rows`.
     """
-    x = words_at(arrays, 9)
-    n = words_at(sizes, 9)
-    given = (
-        numbers_at(x[0], n[0]),
-        numbers_at(x[1], n[1]),
-        numbers_at(x[2], (n[2], 6)),
-        numbers_at(x[3], (n[3], 4)),
-        numbers_at(x[4], n[4]),
-        numbers_at(x[5], n[5]),
-        numbers_at(x[6], n[6]),
-        numbers_at(x[7], (n[7], 28)),
-        numbers_at(x[8], n[8]),
+    addresses = words_at(arrays, 9)
+    counts = words_at(sizes, 9)
+    inputs = (
+        numbers_at(addresses[0], counts[0]),
+        numbers_at(addresses[1], counts[1]),
+        numbers_at(addresses[2], (counts[2], 6)),
+        numbers_at(addresses[3], (counts[3], 4)),
+        numbers_at(addresses[4], counts[4]),
+        numbers_at(addresses[5], counts[5]),
+        numbers_at(addresses[6], counts[6]),
+        numbers_at(addresses[7], (counts[7], 28)),
+        numbers_at(addresses[8], counts[8]),
     )
-    return _rows(bytes_at(raw), at, given)
+    return _rows(bytes_at(raw), at, inputs)
 
 
 def osc_law_terms(raw, q, v, out, sizes):
@@ -211,10 +211,10 @@ def _make(folder: Path) -> Any:
     others = sorted(folder.parent.glob("law-*"), key=lambda path: path.stat().st_mtime)
     for old in others[:-KEPT]:
         shutil.rmtree(old, ignore_errors=True)
-    made = library.load(folder / library.LIBRARY)
-    if made is None:
+    module = library.load(folder / library.LIBRARY)
+    if module is None:
         raise OscContactError(f"Python cannot load {folder / library.LIBRARY}, which was just made")
-    return made
+    return module
 
 
 def _object(show: Callable[[float], None], triple: str = "") -> bytes:
@@ -286,9 +286,9 @@ def _translated(entry: Any) -> Any:
     """
     from numba import types
 
-    kinds = {"p": types.uintp, "i": types.int64}
+    kinds = {"p": types.uintp, "i": types.int64}  # letters of ENTRIES
     unit = jit.UNITS.Unit(entry, False)
-    return unit.translated(tuple(kinds[one] for one in ENTRIES[entry]))
+    return unit.translated(tuple(kinds[letter] for letter in ENTRIES[entry]))
 
 
 def _cores() -> int:

@@ -51,10 +51,14 @@ def watch_ceilings(t):
     """Return a reason if a contact, a wrist or a tip has been above its ceiling for too long.
 
     Time below a ceiling is subtracted from the time above it, as for the limits of `safety`. If
-    wrists were not read in this tick, their time does not change.
+    wrists were not read in this tick, their time does not change. Updates in MEMORY `over_contact`,
+    `over_wrist`, `over_tip` (s) and the largest commands; fills `culprit`, `reached` and `ceiling`.
 
     Args:
-        t: Tick.
+        t: Tick after `command`.
+
+    Returns:
+        `NO_REASON`, `CONTACT_ABOVE_CEILING`, `WRIST_ABOVE_CEILING` or `TIP_ABOVE_CEILING`.
     """
     model = t.model
     memory = t.memory

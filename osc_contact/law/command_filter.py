@@ -82,7 +82,7 @@ def reflect_columns(t):
 
 @inner
 def require_reachable(t):
-    """Return a reason unless the arms can push along every column (`response.require_reachable`).
+    """Require that the arms can push along every column of N (`response.require_reachable`).
 
     Since 1 ≤ Λ_S ≤ trace, NᵀΦ₀N is between NᵀN / trace and NᵀN, so that for most contacts N alone
     is sufficient. Reads `N_t`, `locked` (m), `Lambda`. Fills `N_factor_t` and `N_basis_t` of N_t,
@@ -90,6 +90,9 @@ def require_reachable(t):
 
     Args:
         t: Tick.
+
+    Returns:
+        `NO_REASON`, or the reason of `_judge_reach`.
     """
     work = t.work
     r = work.rank
@@ -111,13 +114,17 @@ def require_reachable(t):
 
 @inner
 def _judge_reach(t):
-    """Return a reason unless NᵀΦ₀N, Φ₀ = Λ_S⁻¹, shows that the arms can push along every column.
+    """Determine from NᵀΦ₀N, Φ₀ = Λ_S⁻¹, whether the arms can push along every column of N.
 
     Reads `N_t`, `locked`, `Lambda`. Fills `where` (the column) and `reason_amount` (its relative
     mobility, or the least part of a column outside the span of the others).
 
     Args:
         t: Tick.
+
+    Returns:
+        `NO_REASON`; `UNREACHABLE` if a column has hardly any mobility; `INSEPARABLE` if columns are
+        dependent as seen through the arms; `BAD_METRIC` if Λ_S is not positive definite.
     """
     work = t.work
     r = work.rank
@@ -148,16 +155,19 @@ def _judge_reach(t):
 
 @inner
 def permit_error(t):
-    """Project the pose error at O on the motions that the contacts permit; return a reason.
+    """Project the pose error at O on the motions that the contacts permit (4).
 
     Reads `error`, the factors of `N_e` and `N_t`, and `B_inv_t`. Fills `motion_next`, Ω_m(B) times
-    the error (4) over all six axes; and `free_error`, the part that both contacts and arms permit,
-    projected in the metric of the object. For `free_error` the locked axes are removed first,
-    because Ω_m would turn a displacement along N (a yielding contact) into motions that the arms
-    cannot execute.
+    the error over all six axes (m, rad); and `free_error`, the part that both contacts and arms
+    permit, projected in the metric of the object. For `free_error` the locked axes are removed
+    first, because Ω_m would turn a displacement along N (a yielding contact) into motions that the
+    arms cannot execute.
 
     Args:
         t: Tick.
+
+    Returns:
+        `NO_REASON`, or `BAD_METRIC` if the metric B⁻¹ is not positive definite.
     """
     work = t.work
     r = work.rank

@@ -33,21 +33,35 @@ _shown: list[Callable[[float], None]] = [_nowhere]
 @cache
 def rows() -> Any:
     """Compiled `law.tick.rows`; arguments of other types raise a TypeError."""
-    none = np.zeros(0)
-    empty = Rows(new_model(1, 1, 1))
-    empty.job.last = 0
+    no_numbers = np.zeros(0)
+    no_rows = Rows(new_model(1, 1, 1))
+    no_rows.job.last = 0
     wrenches = np.zeros((0, 6))
     X_WD = np.zeros((0, 4))
-    given = none, none, wrenches, X_WD, none, none, none, np.zeros((0, 28)), none
-    return _made(law.rows, empty.raw, 0, given)
+    inputs = (
+        no_numbers,
+        no_numbers,
+        wrenches,
+        X_WD,
+        no_numbers,
+        no_numbers,
+        no_numbers,
+        np.zeros((0, 28)),
+        no_numbers,
+    )
+    return _made(law.rows, no_rows.raw, 0, inputs)
 
 
 @cache
 def operational_space() -> Any:
     """Compiled `law.operational.operational_space`; arguments of other types raise a TypeError."""
-    none = np.zeros(0)
+    no_numbers = np.zeros(0)
     return _made(
-        operational.operational_space, Rows(new_model(1, 1, 1)).raw, none, none, none[:, None]
+        operational.operational_space,
+        Rows(new_model(1, 1, 1)).raw,
+        no_numbers,
+        no_numbers,
+        no_numbers[:, None],
     )
 
 
@@ -75,14 +89,14 @@ def announced() -> Iterator[Callable[[float], None]]:
     of the time would be spent on them.
     """
     began = perf_counter()
-    usual = gc.get_threshold()
+    thresholds = gc.get_threshold()
     gc.set_threshold(50_000, 20, 100)
     _log.info("compiling the control tick, once: a minute (without a C compiler, three) …")
     _shown[-1](0.0)
     try:
         yield _shown[-1]
     finally:
-        gc.set_threshold(*usual)
+        gc.set_threshold(*thresholds)
         _shown[-1](1.0)
     _log.info("compiled in %.0f s", perf_counter() - began)
 

@@ -97,7 +97,7 @@ def _paths(code: CodeType) -> tuple[tuple[str, ...], ...]:
             found[-1] += (str(step.argval),)
         elif step.opname not in ("CACHE", "EXTENDED_ARG", "PUSH_NULL"):
             follows = False
-    inner = [_paths(one) for one in code.co_consts if isinstance(one, CodeType)]
+    inner = [_paths(constant) for constant in code.co_consts if isinstance(constant, CodeType)]
     return (*found, *(path for paths in inner for path in paths))
 
 

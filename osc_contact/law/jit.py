@@ -100,7 +100,15 @@ def leaf(function: Any) -> Any:
 
 
 def entry(function: Any) -> Any:
-    """Decorator of a function that Python calls, one of `c_object.ENTRIES`; it releases the GIL."""
+    """Decorator of a function that Python calls, one of `c_object.ENTRIES`; it releases the GIL.
+
+    Args:
+        function: the function.
+
+    Returns:
+        The function itself in plain Python; a callable of numba where numba compiles in its usual
+        way; else an `Entry`, which calls the library.
+    """
     if PLAIN_PYTHON:
         return np.errstate(all="ignore")(function)  # compiled code does not warn either
     if COMPILES and UNITS is None:
@@ -151,16 +159,16 @@ def _as_numba_does(function: Any) -> Any:
     Returns:
         Callable of numba that releases the GIL.
     """
-    usual = _config.CACHE_DIR
+    user_folder = _config.CACHE_DIR
     folder = library.kept("numba")
     with suppress(OSError):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    kept = bool(usual) or (library.may_keep(folder.parent) and library.may_keep(folder))
-    _config.CACHE_DIR = usual or str(folder)
+    may_cache = bool(user_folder) or (library.may_keep(folder.parent) and library.may_keep(folder))
+    _config.CACHE_DIR = user_folder or str(folder)
     try:
-        return njit(nogil=True, cache=kept, **_PLAIN)(function)
+        return njit(nogil=True, cache=may_cache, **_PLAIN)(function)
     finally:
-        _config.CACHE_DIR = usual
+        _config.CACHE_DIR = user_folder
 
 
 def as_python(part: Any, **instead: Any) -> Any:
@@ -188,8 +196,8 @@ def call_address(address: int, *arrays: Any) -> None:
         address: address of a function without a result, all of whose arguments are pointers.
         arrays: arrays whose addresses are passed.
     """
-    given = [one.ctypes.data for one in arrays]
-    ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(given))(int(address))(*given)
+    addresses = [array.ctypes.data for array in arrays]
+    ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(addresses))(int(address))(*addresses)
 
 
 def _reshape(x: Any, start: int, rows: int, columns: int) -> Any:

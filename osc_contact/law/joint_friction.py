@@ -475,8 +475,8 @@ def _keep_bounds(prior, learned, C):
         theta[i] = learned.estimate[i]
         for j in range(_SIZE):
             C[i, j] = learned.P[i, j]
-    for turn in range(2 * _SIZE):  # twice, as conditioning may move an earlier element to its bound
-        i = turn % _SIZE
+    for step in range(2 * _SIZE):  # each element twice: conditioning on a later one may move it
+        i = step % _SIZE
         bound = min(max(theta[i], prior.low[i]), prior.high[i])
         if theta[i] != bound and C[i, i] > 0.0:
             _condition(theta, C, i, bound)

@@ -56,8 +56,8 @@ def obstacle() -> str:
 
 def cache_folder() -> Path:
     """Folder of libraries that are made on this machine."""
-    usual = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(os.environ.get("OSC_CONTACT_CACHE") or Path(usual) / "osc_contact")
+    user_folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(os.environ.get("OSC_CONTACT_CACHE") or Path(user_folder) / "osc_contact")
 
 
 def kept(kind: str = "law") -> Path:
@@ -96,14 +96,16 @@ def named(path: Path) -> Any:
         OscContactError: the file does not exist, or is not a library of these sources for this
             platform.
     """
-    made = load(path)
-    if made is None:
-        what = "is no library of this law for this platform" if path.is_file() else "is not there"
+    module = load(path)
+    if module is None:
+        problem = (
+            "is no library of this law for this platform" if path.is_file() else "is not there"
+        )
         raise OscContactError(
-            f"OSC_CONTACT_LAW names {path}, which {what}: unset it, or make the library by "
+            f"OSC_CONTACT_LAW names {path}, which {problem}: unset it, or make the library by "
             "OSC_CONTACT_LAW= python -m osc_contact.law.c_object, which prints where it is"
         )
-    return made
+    return module
 
 
 def may_keep(folder: Path) -> bool:

@@ -38,12 +38,12 @@ class Nested:
                 another type name = (dtype, size, …).
         """
         self.tables: dict[str, tuple[np.dtype[Any], list[Any]]] = {}
-        for name, given in tables.items():
-            sizes: list[Any] = [given] if isinstance(given, str) else list(given)
+        for name, declared in tables.items():
+            sizes: list[Any] = [declared] if isinstance(declared, str) else list(declared)
             kind = np.float64 if isinstance(sizes[0], str) else sizes.pop(0)
             self.tables[name] = (np.dtype(kind), sizes)
-        sizes = [one for _, all_sizes in self.tables.values() for one in all_sizes]
-        self.counts = list(dict.fromkeys(one for one in sizes if isinstance(one, str)))
+        sizes = [size for _, all_sizes in self.tables.values() for size in all_sizes]
+        self.counts = list(dict.fromkeys(size for size in sizes if isinstance(size, str)))
         words = len(self.tables) + len(self.counts)
         fields: Any = [(name, head[name]) for name in head.names or ()]
         if words:
@@ -84,7 +84,7 @@ class Nested:
         end = self.dtype.itemsize
         for kind, sizes in self.tables.values():
             starts.append(end := -(-end // _LINE) * _LINE)
-            end += kind.itemsize * prod(counts.get(one, one) for one in sizes)
+            end += kind.itemsize * prod(counts.get(size, size) for size in sizes)
         raw: Bytes = np.zeros(-(-end // _LINE) * _LINE, np.uint8)
         layout = starts + [counts[name] for name in self.counts]
         raw[: 8 * len(layout)].view(np.int64)[:] = layout
@@ -98,7 +98,7 @@ class Nested:
         """
         kind, sizes = self.tables[name]
         start = layout[self.start(name)]
-        shape = [int(layout[self.slot(one)]) if isinstance(one, str) else one for one in sizes]
+        shape = [int(layout[self.slot(size)]) if isinstance(size, str) else size for size in sizes]
         rows = raw[start : start + kind.itemsize * prod(shape)].view(kind).reshape(shape)
         return rows.view((np.record, kind), Table) if kind.names else rows
 

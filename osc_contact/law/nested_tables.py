@@ -69,7 +69,8 @@ class _Table:
         self.array = types.Array(_public.from_dtype(dtype), len(sizes), "C")
         self._item = dtype.itemsize
         self._start = kind.start(name)
-        self._sizes = [kind.slot(one) if isinstance(one, str) else WORD(one) for one in sizes]
+        # each size is the index of a word of the layout, or a constant
+        self._sizes = [kind.slot(size) if isinstance(size, str) else WORD(size) for size in sizes]
 
     def lower(self, context: CPUContext, builder: Builder, record: Type, value: Value) -> Value:
         """Generate code for the array, in the form of `numba.extending.lower_getattr`.
@@ -79,8 +80,8 @@ class _Table:
                 of the record. value: pointer to the record.
         """
         shape = [
-            one if isinstance(one, ir.Constant) else layout_word(builder, value, one)
-            for one in self._sizes
+            size if isinstance(size, ir.Constant) else layout_word(builder, value, size)
+            for size in self._sizes
         ]
         strides = [WORD(self._item)]
         for size in reversed(shape[1:]):

@@ -158,7 +158,7 @@ def _attribute(kind: Layout, name: str) -> Callable[[Type], Implementation]:
     """
     dtype, sizes = kind.tables[name]
     start = _start(kind.start(name))
-    shape = [_count(kind.slot(one)) if isinstance(one, str) else _fixed(one) for one in sizes]
+    shape = [_count(kind.slot(size)) if isinstance(size, str) else _fixed(size) for size in sizes]
     rows = shape[0]
     columns = shape[-1]
     carray = _public.carray

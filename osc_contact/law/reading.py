@@ -283,11 +283,14 @@ def integral_room(most, desired):
 
 @leaf
 def last_integral(t, a):
-    """Force integral of kept column a (N) after the last tick; 0 if the number of columns changed.
+    """Return the force integral of a kept column (N) after the last tick.
 
-    If the set of active contacts changed, it is the sum of the integrals of all active columns,
-    weighted by their shares. Reads `force_sum`, `force_rank`, `by_column` and `integral` of the
-    columns of MEMORY, and `share`.
+    It is 0 if the number of columns changed. If the set of active contacts changed, it is the sum
+    of the integrals of all active columns, weighted by their shares. Reads `force_sum`,
+    `force_rank`, `by_column` and `integral` of the columns of MEMORY, and `share`.
+
+    Args:
+        t: Tick. a: index of the column among the kept ones.
     """
     memory = t.memory
     work = t.work
@@ -504,9 +507,8 @@ def learn_friction(t):
         w = _likely_force(work, chosen)
         slip_square = dot3(s, s)
         share = (_ALONG**2 - _ACROSS**2) * slip_square + _ACROSS**2
-        friction += (
-            w * w * w * share * dot6(reading_of_force(t, linear(s), chosen), work.reading_rest)
-        )
+        multiplier = dot6(reading_of_force(t, linear(s), chosen), work.reading_rest)  # sᵀTᵀR⁻¹(…)
+        friction += w * w * w * share * multiplier
         pressing = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
         sliding += w * pressing * slip_square
         square += w * w

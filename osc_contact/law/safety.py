@@ -82,10 +82,14 @@ def watch_joints(t):
 
     The stopping distance of a joint is |q̇|(t_r + |q̇|/(2a)), where t_r is the time until the
     brakes act. Joints beyond the end of their range are excluded, because braking cannot keep them
-    in it.
+    in it. Reads q and v of INPUT. Updates `overspeed` (weighted ticks) and `ending` (s) of MEMORY;
+    fills `culprit`.
 
     Args:
         t: Tick.
+
+    Returns:
+        `NO_REASON`, `NEAR_END` or `OVERSPEED`.
     """
     model = t.model
     memory = t.memory
@@ -127,8 +131,14 @@ def watch_contacts(t):
     integral is at its bound; with contact phases, if it is not regained within `regain_time`. It is
     overloaded above three times its command or above `contact_force`, whichever is larger.
 
+    Reads `alpha_meas`, `alpha_d` and `speed`. Updates in MEMORY `underforce` and `overforce` (s) of
+    the columns, and `powered` (s); fills `culprit`.
+
     Args:
         t: Tick.
+
+    Returns:
+        `NO_REASON`, `CONTACT_LOST`, `OVERFORCE` or `POWERED`.
     """
     model = t.model
     work = t.work

@@ -485,7 +485,7 @@ def finish(t):
 
     Returns:
         `NO_REASON`; the reason of `allocate_torques`; or `NOT_FINITE` if torques or integrals are
-        not finite. MEMORY is not changed then.
+        not finite. Integrals and steps in MEMORY keep their values then.
     """
     model = t.model
     work = t.work
@@ -552,11 +552,19 @@ _FRICTION, _COLUMNS = (MEMORY.start(name) for name in ("friction", "columns"))
 
 @inner
 def _row(t, flags, begin, stop):
-    """Run parts of a tick of one controller; return its status.
+    """Run the parts of a tick from `begin` until before `stop` for one controller.
+
+    A part that fails ends the tick: the following parts are skipped, and `guard` computes torques
+    that hold the arms. Between parts that are called one by one (custom laws in Python) the reason
+    is kept in WORK. Fills `status` and `reason` of WORK, and `reason` of MEMORY.
 
     Args:
-        t: Tick. flags: flags of the tick. begin, stop: first part, and the part before which to
-            stop.
+        t: Tick. flags: sum of MOVING, COMMANDED, OWN_FORCE, OWN_MOTION, PARTIAL, MISFIT and
+            NO_FORCES.
+        begin: first part, LOOK … ALLOCATE, or HAND_OVER. stop: part before which to stop, or END.
+
+    Returns:
+        Status of the tick: OK, SATURATED, HELD or DEGRADED.
     """
     memory = t.memory
     work = t.work

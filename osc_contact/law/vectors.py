@@ -27,7 +27,11 @@ def join(a, b):
 
 @leaf
 def clamped(x, most):
-    """Clamp a number x to the range −most … most."""
+    """Clamp a number x to the range −most … most.
+
+    Args:
+        x: number. most: bound, ≥ 0.
+    """
     return min(max(x, -most), most)
 
 
@@ -237,7 +241,11 @@ def reflector(square, head):
 
 @leaf
 def finiteness(x, n):
-    """Return 0 if all of x[:n] are finite, else NaN."""
+    """Return 0 if all of x[:n] are finite, else NaN, since 0 · x is NaN for infinity and NaN.
+
+    Args:
+        x: array of numbers. n: number of elements that are checked.
+    """
     s = 0.0
     for i in range(n):
         s += 0.0 * x[i]
