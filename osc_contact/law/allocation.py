@@ -136,7 +136,7 @@ def _refine_pivot(t, e):
     size = 6 - m + e
     rest = work.rest
     x = work.multipliers
-    for i in range(size):
+    for i in range(size):  # multipliers of the rows before it, which the remainder leaves out
         x[i] = Z[size, i]
     backward(Z, size, x)
     y = _embed_free(work, x)
@@ -144,6 +144,7 @@ def _refine_pivot(t, e):
         rest[j] = work.extra[e, j] - dot6(work.joints[j].J_bar, y)
     for c in range(e):
         add_scaled(-x[6 - m + c], work.extra[c], n, rest)
+    # the part of the remainder that rounding left in the span of these rows
     _weigh(t, rest, work.rest_weighed)
     _multiply_constraints(t, work.rest_weighed, e, x)
     forward(Z, size, x)
@@ -467,7 +468,7 @@ def limit_torques(t):
     total = 0.0
     for j in range(t.model.n_joints):
         if table[j].motor >= 0:
-            total += joints[j].tau * 0.0
+            total += joints[j].tau * 0.0  # NaN if the torque is not finite
             excess = excess or abs(joints[j].tau) > table[j].tau_max
     if not isfinite(total):
         return False, False

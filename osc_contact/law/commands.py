@@ -451,7 +451,7 @@ def keep_steps(t):
     for j in range(t.model.n_columns):
         row = t.memory.columns[j]
         own = work.columns[j]
-        if work.here[j] == 0.0:
+        if work.here[j] == 0.0:  # not in N: the next contact begins without a past
             row.has_desired = 0
             row.desired = row.scale = row.predicted = 0.0
             row.drift = row.driven = row.deflection = row.eased = row.eased_rate = 0.0
@@ -468,6 +468,7 @@ def keep_steps(t):
         row.desired = work.goal[j]
         row.scale = own.scale
         presses = own.shaped != 0 and work.alpha[j] > _PRESSES * work.goal[j] > 0.0
+        # an approach shows no tilt of the face, so its whole speed counts as lasting
         lasting = work.speeds[j] * (1.0 - own.slides if presses else 1.0)
         row.drift += work.integral_scale * t.model.drift_share * (lasting - row.drift)
         learn_normal(work.integral_scale * t.model.drift_share if presses else 0.0, row, own)

@@ -129,7 +129,7 @@ def _take_evaluated(columns, first, count, evaluated):
         first, count: first column of the pair and their number.
         evaluated: (6, 11) rows [N; n_γ; gap; point], one for each column.
     """
-    zero = 0.0
+    zero = 0.0  # NaN where a number is not finite
     for j in range(count):
         column = columns[first + j]
         row = evaluated[j]

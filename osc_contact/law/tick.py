@@ -571,7 +571,7 @@ def _row(t, flags, begin, stop):
     if begin == HAND_OVER:
         transfer_integral(t)
         return work.status
-    reason = work.reason if work.status == HELD else NO_REASON
+    reason = work.reason if work.status == HELD else NO_REASON  # of the parts before
     if begin == LOOK:
         reason = look(t, flags)
     if begin <= MEASURE < stop and reason == NO_REASON:
