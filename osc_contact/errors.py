@@ -77,7 +77,7 @@ class OscContactError(Exception):
 
 
 class InvalidInputError(OscContactError, ValueError):
-    """An argument has the wrong shape, is not finite, or is outside its range.
+    """Error of an argument of wrong shape, that is not finite, or outside its range.
 
     Example:
         >>> osc.JerkLimits(velocity=0.0, acceleration=1.0, jerk=10.0)
@@ -88,7 +88,7 @@ class InvalidInputError(OscContactError, ValueError):
 
 
 class ModelError(OscContactError):
-    """A robot, an object or a closed chain is impossible: bad URDF, lost or unactuated motions.
+    """Error of an impossible robot, object or closed chain: bad URDF, lost or unactuated motions.
 
     Attributes:
         findings: every `osc_contact.robots.ModelFinding` of a refused URDF; else empty.
@@ -104,7 +104,7 @@ class ModelError(OscContactError):
 
 
 class ContactError(OscContactError):
-    """A contact state is impossible: NᵀT ≠ 0, contradictory or unreachable contacts.
+    """Error of an impossible contact state: NᵀT ≠ 0, contradictory or unreachable contacts.
 
     Example:
         >>> osc.Contact(np.ones((6, 2)))  # dependent columns
@@ -115,7 +115,7 @@ class ContactError(OscContactError):
 
 
 class ScenarioError(OscContactError):
-    """A scenario file is wrong; the message names the file, the line and the key.
+    """Error in a scenario file; the message names the file, the line and the key.
 
     Example:
         >>> osc.load_scenario("two_contact_rod", ["squeeze=5 mm"])
@@ -126,7 +126,7 @@ class ScenarioError(OscContactError):
 
 
 class SolverError(OscContactError):
-    """A quadratic program was not solved, or no jerk-limited trajectory was found.
+    """Failure of a solver: of a quadratic program, or of the search for a jerk-limited trajectory.
 
     In the first case a controller holds its last torques, in the second a set point keeps its
     former goal.
@@ -141,7 +141,7 @@ class SolverError(OscContactError):
 
 
 class PlantError(OscContactError):
-    """A plant cannot be built, or its simulation left the range in which it is valid.
+    """Failure of a plant: it cannot be built, or its simulation left the range of its validity.
 
     Attributes:
         recording: the `Recording` of a run until its plant failed, else None.
@@ -157,7 +157,7 @@ class PlantError(OscContactError):
 
 
 class RecordingError(OscContactError):
-    """A recording cannot be written or read back.
+    """Error of a recording that cannot be written or read.
 
     Example:
         >>> osc.Recording({}, {"t": [0.0, 0.1], "force": [5.0]})
@@ -168,7 +168,7 @@ class RecordingError(OscContactError):
 
 
 class ViewerError(OscContactError):
-    """A picture cannot be shown: no browser, no server, or the live view has ended.
+    """Failure to show a picture: no browser, no server, or the live view has ended.
 
     Example:
         >>> try:
@@ -179,7 +179,7 @@ class ViewerError(OscContactError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """A run was ended in order by Ctrl-C, SIGTERM or SIGHUP.
+    """End of a run in order after Ctrl-C, SIGTERM or SIGHUP.
 
     Attributes:
         recording: the `Recording` until then.

@@ -147,7 +147,13 @@ class Measurement:
         sequence: int | None = None,
         estimated: bool = False,
     ) -> None:
-        """Convert and store the readings; the class's docstring has their shapes and units."""
+        """Convert and store the readings of one tick.
+
+        Args:
+            q, v: (n,) joint positions (rad, m) and velocities (rad/s, m/s). wrenches: (arms, 6) of
+                the wrist sensors (N, N m).
+            touched, joint_torques, stamps, seen, wrench_valid, sequence, estimated: see the class.
+        """
         self.__dict__.update(
             q=_readable(q),
             v=_readable(v),

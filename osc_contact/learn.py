@@ -1,4 +1,4 @@
-"""The public place of the action term for mjlab, see `osc_contact.lab.learn`."""
+"""Public module of the action term for mjlab, see `osc_contact.lab.learn`."""
 
 from osc_contact.lab.learn import ContactAction, ContactActionCfg, begin
 

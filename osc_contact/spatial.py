@@ -1,4 +1,4 @@
-"""The conventions: how motions and forces are written everywhere in this package.
+"""Conventions of this package: vectors of motions and forces, poses, and operations on them.
 
 * Order: linear first, then angular, as in Pinocchio (`pin.Motion`, `pin.Force`).
   Featherstone's book orders them the other way round; the 1999 paper lists forces before

@@ -1,4 +1,4 @@
-"""The public place of `check_robot`, which checks the driver of a robot."""
+"""Public module of `check_robot`, which checks the driver of a robot."""
 
 from osc_contact.loop.testing import check_robot
 

@@ -1,8 +1,8 @@
 """Sequences of active sets: twelve known contacts of a Panda, some of them active at each tick.
 
-Of each tick the KKT oracle of the active set gives what the wrists read while any torques act, and
-what the controller's torques bring about. Contacts are pairs that push and pairs that hold, of all
-kinds, in the world.
+For each tick the KKT oracle of the active set gives the wrist readings under arbitrary torques, and
+forces and motion under the controller's torques. Contacts are pairs that push and pairs that hold,
+of all kinds, fixed to the world.
 """
 
 from copy import copy
@@ -20,12 +20,12 @@ from samples import aligned
 
 import osc_contact as osc
 
-KNOWN = 12
+KNOWN = 12  #: number of known contacts
 K_P, K_D, K_I, K_V = (400.0, 40.0, 30.0, 5.0)
 DT = 1e-3
-SLOWER = 0.1  #: times a random velocity
-LEAST_APART = 0.05
-#: gap functions, whose n_γ comes from differences
+SLOWER = 0.1  #: factor of random velocities
+LEAST_APART = 0.05  #: least distance of active columns from dependence, see `State.apart`
+#: gap functions, whose n_γ is computed by differences
 ROUGH = {"bead_on_a_wire", "point_on_a_saddle"}
 GAINS = osc.Gains(osc.MotionGains(K_P, K_D, 0.0), osc.ForceGains(K_I, K_V, rise=0.0, brake=0.0))
 
@@ -39,6 +39,7 @@ class Scene:
 
     @classmethod
     def random(cls, rng):
+        """Random Panda in a regular posture, with `KNOWN` random contacts."""
         near_singular = True
         while near_singular:
             case = random_case(["panda"], ["rigid"], rng)
@@ -59,7 +60,7 @@ class Scene:
         return cls(rest, contacts)
 
     def draw(self, rng, most=5):
-        """(12,) truth values: contacts whose columns are independent, most of them at most."""
+        """Random flags (12,) of active contacts: independent columns, `most` of them at most."""
         active = np.zeros(KNOWN, dtype=bool)
         N = np.zeros((0, 6))
         for number in rng.permutation(KNOWN)[: rng.integers(0, KNOWN)]:
@@ -70,7 +71,7 @@ class Scene:
         return active
 
     def state(self, active, rng):
-        """The arms in a motion that the active contacts permit."""
+        """State of the arms in a random slow motion that the active contacts (12,) permit."""
         touched = [copy(contact) for contact, here in aligned(self.contacts, active) if here]
         state = State(self.rest.case, touched, 0.0, self.rest)
         state.move(rng)
@@ -80,6 +81,7 @@ class Scene:
         return state
 
     def controller(self, **how):
+        """Controller of all known contacts, without limits and joint friction."""
         controller = osc.Controller(
             self.rest.case.chain,
             [contact.pair for contact in self.contacts],
@@ -96,11 +98,13 @@ class Scene:
 
 @dataclass
 class Tick:
-    """What a controller is given, and what its torques are to bring about.
+    """Inputs of a controller in a tick, and the expected effects of its torques.
 
     Attributes:
-        active: (12,). state: of the arms with these. alpha: (r,) contact forces that the wrists
-            read. forces: (r,) those that the torques are to bring about.
+        active: (12,) flags of active contacts. state: state of the arms with these contacts.
+        measured, reference: inputs of the tick.
+        alpha: (r,) contact forces in the wrist readings (N). forces: (r,) contact forces that the
+            torques have to cause (N).
     """
 
     active: np.ndarray
@@ -111,7 +115,11 @@ class Tick:
     forces: np.ndarray
 
     def misses(self, tau, found):
-        """Errors of what was read, and of forces and motion that these torques bring about."""
+        """Relative errors of measured forces, and of forces and motion under the torques.
+
+        Args:
+            tau: (n_a,) torques of the controller (N m). found: (r,) forces that it measured (N).
+        """
         answer = self.state.answer(tau)
         X_WO = self.state.case.X_WO
         reference = self.reference
@@ -127,7 +135,12 @@ class Tick:
 
 
 def sequence(seed, count, lasting=4):
-    """A scene, and ticks whose active sets last for some ticks each."""
+    """Scene and ticks whose active sets last for some ticks each.
+
+    Args:
+        seed: seed of the random numbers. count: number of ticks. lasting: mean number of ticks of
+            an active set.
+    """
     rng = default_rng(seed)
     scene = Scene.random(rng)
     owners = np.repeat(np.arange(KNOWN), [len(c.along_object) for c in scene.contacts])
@@ -157,14 +170,14 @@ def sequence(seed, count, lasting=4):
 
 
 def torques(seed, count, **how):
-    """(count, 7) of a controller."""
+    """Torques (count, 7) of a controller in a sequence; `how` has arguments of the controller."""
     scene, ticks = sequence(seed, count)
     controller = scene.controller(**how)
     return np.array([controller.tick(one.measured, one.reference) for one in ticks])
 
 
 def worst(seed, count):
-    """The largest errors of a sequence, by kind, and how many sets there were."""
+    """Largest errors of a sequence of `count` ticks, by kind, and the set of its active sets."""
     scene, ticks = sequence(seed, count)
     controller = scene.controller()
     owners = controller.records.model.columns.contact

@@ -1,4 +1,4 @@
-"""The package's errors as tests expect them: `with invalid_input("words of its sentence"):`."""
+"""Expectations of the package's errors: `with invalid_input("words of its sentence"):`."""
 
 from pytest import mark, raises
 
@@ -6,9 +6,10 @@ import osc_contact as osc
 
 
 def expecting(error):
-    """A function that expects this error with given words: a pattern of its sentence."""
+    """Make a function that expects an error of a class."""
 
     def expected(words):
+        """Context that expects the error with a sentence that matches the pattern `words`."""
         return raises(error, match=words)
 
     return expected
@@ -24,10 +25,15 @@ viewer_error = expecting(osc.ViewerError)
 
 
 def refusals(expected, calls):
-    """A test that each call is refused with the words before it."""
+    """Make a test that each call is refused.
+
+    Args:
+        expected: function by `expecting`. calls: call by the pattern of its error's sentence.
+    """
 
     @mark.parametrize("words, call", calls.items())
     def test(words, call):
+        """Assert that a call is refused with these words."""
         with expected(words):
             call()
 

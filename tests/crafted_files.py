@@ -1,8 +1,8 @@
-"""Controllers' files with some of their words replaced, and what a C program makes of them.
+"""Files of controllers with some words replaced, and their reading by a C program.
 
     python tests/crafted_files.py [MUTATIONS [SEED]]
 
-tries every whole number with others in its place, and as many random mutations in all.
+tries other values for every whole number, and a number of random mutations.
 """
 
 import struct
@@ -27,18 +27,18 @@ from osc_contact.lab.runs.tape import Tape
 from osc_contact.law import records
 
 FLAGS = ("-std=gnu11", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-w")
-#: how a crafted file ends that is accepted; below 1: an error code
+#: results of the C program for a file that is accepted; below 1: error codes
 SOUND, WRONG_TORQUES, OVERWRITTEN, CRASHED, ENDLESS = range(1, 6)
 ENDINGS = ("", "sound", "wrong torques", "overwritten", "crashed", "endless")
 FLOATS = ("MODEL", "MEMORY")  #: records whose floating-point numbers have ranges
-#: words that mutations put in: the worst of whole and of floating-point numbers
+#: extreme whole and floating-point numbers that mutations insert
 WHOLE = (-(1 << 63), -(1 << 31), -2, -1, 0, 1, 2, 3, 4, 5, 6, 7, 17, 1000, 1 << 20, 1 << 40)
 NUMBERS = (np.nan, np.inf, -np.inf, 1.8e308, -1.8e308, 1e300, -1e300, 1e150, -1e150, 1e30, -1e30)
 NUMBERS += (1e9, -1e9, 1e3, -1e3, 1.0, -1.0, 0.0, -0.0, 1e-9, 1e-300, -1e-300, 5e-324)
 
 
 def whole_fields(kind):
-    """Table and field ("": the element itself) of all whole numbers but the layout."""
+    """List table and field ("": the element itself) of all whole numbers except the layout."""
     heads = {"": kind.dtype, **{table: dtype for table, (dtype, _) in kind.tables.items()}}
     return [
         (table, field)
@@ -68,19 +68,22 @@ def on_spline(controller):
 
 
 class Base:
-    """A controller's file, with a recording of the ticks after it, in a folder.
+    """File of a controller and a recording of the next ticks, in a folder.
 
     Attributes:
-        content: of the file. starts: where records are, behind the head.
+        content: bytes of the file. raw: its records. starts: offset of each record in `raw`.
+        folder: the folder.
     """
 
     def __init__(
         self, folder: Path, name: str, ticks: int, blind: int = 0, spline: bool = False
     ) -> None:
-        """Run a scenario for some ticks, the last `blind` of them without readings.
+        """Run a scenario and save the controller.
 
         Args:
-            folder: is made. name: of the scenario. spline: whether its sphere is a spline instead.
+            folder: folder, which is made. name: name of the scenario. ticks: number of ticks.
+            blind: number of last ticks without joint readings. spline: True: a spline surface
+                replaces the scenario's sphere.
         """
         rig = rig_of(name)
         plant, controller = start(rig)
@@ -88,6 +91,7 @@ class Base:
             controller = on_spline(controller)
 
         def tick(k: int, blind: bool) -> None:
+            """Run tick k; `blind`: without joint readings."""
             m = plant.measure()
             if blind:
                 m = replace(m, q=m.q * np.nan)
@@ -111,11 +115,11 @@ class Base:
         self.raw = raw
 
     def word(self, at: int) -> int:
-        """The word at a place behind the head."""
+        """Word (64 bit) at an offset in the records."""
         return int(self.raw[at : at + 8].view(np.int64)[0])
 
     def whole_numbers(self) -> list[tuple[str, int]]:
-        """Name and place of every whole number, layouts among them."""
+        """List name and offset of every whole number, layouts included."""
         found = []
         for name, first in self.starts.items():
             kind = KINDS[name]
@@ -136,13 +140,17 @@ class Base:
         return found
 
     def moves(self, patch: list[tuple[int, int]]) -> bool:
-        """Whether it replaces a word that places records or tables."""
+        """True if a patch, a list of (offset, word), changes the place of records or tables."""
         layout = {at for label, at in self.whole_numbers() if "layout" in label or "JOB" in label}
         layout |= set(range(self.starts["MODEL"] + 96, self.starts["MODEL"] + 280, 8))
         return any(at in layout for at, _ in patch)
 
     def mutations(self, count: int, seed: int) -> list[list[tuple[int, int]]]:
-        """Random ones: each replaces one to three words, of some record."""
+        """List random patches, each of which replaces one to three words of records.
+
+        Args:
+            count: number of patches. seed: seed of the random numbers.
+        """
         rng = default_rng(seed)
         ends = dict(zip(self.starts, [*list(self.starts.values())[1:], len(self.raw)], strict=True))
         whole = [at for _, at in self.whole_numbers()]
@@ -173,7 +181,7 @@ class Base:
         return found
 
     def out_of_range(self) -> list[tuple[str, list[tuple[int, int]]]]:
-        """Every whole number replaced by others."""
+        """List name and patch for every whole number and each of several other values of it."""
         found = []
         for name, at in self.whole_numbers():
             old = self.word(at)
@@ -183,7 +191,11 @@ class Base:
         return found
 
     def tried(self, program: Path, patches: list[list[tuple[int, int]]]) -> list[int]:
-        """Results of the C program for each crafted file."""
+        """Run the C program for each patch; return its results, see `ENDINGS`.
+
+        Args:
+            program: the C program. patches: lists of (offset, word).
+        """
         words = []
         for patch in patches:
             words.append(struct.pack("<Q", len(patch)))
@@ -196,20 +208,23 @@ class Base:
 
 
 def _as_word(x: float) -> int:
+    """Word with the bits of a floating-point number."""
     return int(struct.unpack("<q", struct.pack("<d", x))[0])
 
 
 def _as_number(word: int) -> float:
+    """Floating-point number with the bits of a word; 1 for numbers that are not finite."""
     x = float(struct.unpack("<d", struct.pack("<q", word))[0])
     return x if np.isfinite(x) else 1.0
 
 
 def _wrapped(word: int) -> int:
+    """Signed 64-bit number equal to a whole number modulo 2⁶⁴."""
     return (word + (1 << 63)) % (1 << 64) - (1 << 63)
 
 
 def built(library: Path, folder: Path) -> Path:
-    """The program, with the C library of this folder in it."""
+    """Compile the C program with the C library in the folder `library`; return its path."""
     include = ["-I", library, "-I", library / "daqp" / "include"]
     solver, program = folder / "osc_daqp.o", folder / "crafted"
     completed("cc", *FLAGS, *include, "-c", library / "osc_daqp.c", "-o", solver)
@@ -218,7 +233,7 @@ def built(library: Path, folder: Path) -> Path:
     return program
 
 
-#: controllers at their start and in contact; of motor limits, moving bodies, phases, holds, stops
+#: Scenarios: at the start, in contact, with motor limits, moving bodies, phases, holds and stops.
 BASES = {
     "two_contact_rod": {"ticks": 200},
     "three_arm_plate": {"ticks": 50},
@@ -234,7 +249,7 @@ BASES = {
 
 
 def main(count: int = 10_000, seed: int = 1) -> int:
-    """Print what became of all of them; 1: something that must not."""
+    """Try all patches of all scenarios and print the results; return 1 if a file did harm."""
     total: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -1,4 +1,4 @@
-"""The simulated FR3 of `franka_server.py` for tests: a process, a model, a task."""
+"""Simulated FR3 of `franka_server.py` for tests: its process, a model of the arm, and a task."""
 
 import json
 import subprocess
@@ -24,70 +24,80 @@ HAND = """
  <origin rpy="0 0 -0.7853981633974483"/></joint>
 <link name="tcp"/><joint name="tcp_joint" type="fixed"><parent link="hand"/><child link="tcp"/>
  <origin xyz="0 0 0.1034"/></joint></robot>"""
-#: m from the tool centre, along its z
-PROBE = 0.125 - 0.1034
-RADIUS = 0.015
-TIP = 0.28454 - RADIUS  #: m, height of the probe's end at the start
-SLID = 2.2  #: s after landing, when it is released
+PROBE = 0.125 - 0.1034  #: distance of the probe from the tool centre along its z axis (m)
+RADIUS = 0.015  #: radius of the probe (m)
+TIP = 0.28454 - RADIUS  #: height of the probe's end at the start (m)
+SLID = 2.2  #: time after landing at which the contact is released (s)
 
 
 class FrankaServer:
-    """The server's process."""
+    """Process of the simulated robot, controlled by lines of JSON.
+
+    Attributes:
+        folder: folder of files. urdf: the robot with a hand. process: the process. host: address.
+    """
 
     def __init__(self, folder):
+        """Write the URDF into a folder and start the process."""
         self.folder = folder
         self.urdf = folder / "fr3.urdf"
         self.urdf.write_text(URDF.read_text().replace("</robot>", HAND))
         self.start()
 
     def start(self):
+        """Start the process and wait for its address."""
         program = [sys.executable, Path(__file__).with_name("franka_server.py")]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         self.process = subprocess.Popen(program, **pipes, text=True)
         self.host = self._answer()["host"]
 
     def _answer(self):
+        """Next line of the process as an object of JSON."""
         line = self.process.stdout.readline()
         assert line, "the simulated robot has ended"
         return json.loads(line)
 
     def send(self, **order):
+        """Send an order and return the answer of the process."""
         self.process.stdin.write(json.dumps(order) + "\n")
         self.process.stdin.flush()
         return self._answer()
 
     def wait(self, steps):
-        """Until the robot, which holds by itself, has made so many."""
+        """Wait until the robot, which holds its posture by itself, has made a number of steps."""
         end = self.send()["steps"] + steps
         while self.send()["steps"] < end:
             sleep(0.01)
 
     def begin(self, *, faults=None, **scene):
+        """Reset the simulation with a scene and faults; start the process again if it has ended."""
         if self.process.poll() is not None:
             self.end()
             self.start()
         self.send(scene=scene, faults=faults or {})
 
     def truth(self):
-        """(steps, 11) normal force on the plate, place of the probe, joint speeds."""
+        """True signals (steps, 11): normal force (N), probe's position (m), v (rad/s)."""
         file = self.folder / "truth.npy"
         self.send(truth=str(file))
         return np.load(file)
 
     def end(self):
+        """End the process."""
         with suppress(BrokenPipeError):
             self.process.stdin.close()
         self.process.stdout.close()
         self.process.wait(10)
 
     def arm(self, sensor="tcp"):
-        """Nothing is known of its rotors and its joints' friction; the file has 0.2 N m."""
+        """Model of the arm with a wrist sensor frame, without rotors and without joint friction."""
         known = {"tip": "tcp", "wrist_sensor": sensor, "friction_factor": 0.0}
         return osc.Arm.from_urdf(self.urdf, name="fr3", **known)
 
 
 @module_fixture
 def franka(tmp_path_factory):
+    """Process of the simulated robot for all tests of a module."""
     server = FrankaServer(tmp_path_factory.mktemp("franka"))
     yield server
     server.end()
@@ -95,20 +105,30 @@ def franka(tmp_path_factory):
 
 @dataclass
 class Press:
-    """Approach, press for 0.7 s, slide 40 mm in 1.3 s, release and retreat."""
+    """Task: approach a plate, press for 0.7 s, slide 40 mm in 1.3 s, release and retreat.
+
+    Attributes:
+        server: process of the robot. force: desired force (N).
+        gap, modelled: gap to the plate at the start, true and in the controller's model (m).
+        slide: length of the slide (m). ticks: largest number of ticks. hold: time from landing to
+            the end (s).
+        scene, faults: arguments of `FrankaServer.begin`. check: True: checks before the first
+            command.
+    """
 
     server: FrankaServer
     force: float = 10.0
-    gap: float = 0.004  #: of the plate
-    modelled: float = 0.004  #: of the plate that the controller assumes
+    gap: float = 0.004
+    modelled: float = 0.004
     slide: float = 0.04
     ticks: int = 11000
-    hold: float = 2.75  #: s from landing to the end
+    hold: float = 2.75
     scene: dict = field(default_factory=dict)
     faults: dict = field(default_factory=dict)
-    check: bool = True  #: before the first command
+    check: bool = True
 
     def prepare(self, **driver):
+        """Reset the simulation, connect the driver (with arguments `driver`), make a controller."""
         self.server.begin(height=TIP - self.gap, faults=self.faults, **self.scene)
         self.chain = osc.ClosedChain([self.server.arm(sensor=driver.pop("sensor", "tcp"))])
         self.robot = FrankaRobot(self.server.host, self.chain, **driver)
@@ -125,7 +145,7 @@ class Press:
         self.normal = np.zeros(1)
 
     def run(self):
-        """Run it, and keep what was true from its first tick on."""
+        """Run the task, and store the true forces and positions from its first tick on."""
         try:
             osc.run_loop(self.robot, self.controller, self.references(), check=self.check)
         finally:
@@ -135,6 +155,7 @@ class Press:
                 self.probe = rows[:, 1:4]
 
     def references(self):
+        """Yield the reference of each tick; times count from landing."""
         x = self.start.translation
         away = np.zeros(3)
         for k in range(self.ticks):

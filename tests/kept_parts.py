@@ -1,10 +1,11 @@
-"""Whether an edited law, made from parts that were kept, is the law that is made without them.
+"""Test that an edited law is compiled from stored parts to the same object file as without them.
 
     python tests/kept_parts.py [--count 20] [--seed 1] [--entries osc_law_rows ...]
 
-Works in a copy of the package. Functions are drawn at random; in each a number or a comparison is
-changed, and the object file of the entries is made twice: with the parts that the law before the
-edit left, and in an empty store. Both have to be equal to the byte, and other than before the edit.
+It works in a copy of the package. Functions are drawn at random; in each a number or a comparison
+is changed, and the object file of the entries is compiled twice: with the parts that were stored
+before the edit, and with an empty store. Both have to be equal to the byte, and different from the
+file before the edit.
 """
 
 import argparse
@@ -20,8 +21,8 @@ from processes import python
 
 import osc_contact
 
-#: Makes the object file of some entries; prints its hash, the units it is made of, and how many
-#: parts were new.
+#: Program that compiles the object file of some entries, and prints its hash, the names of its
+#: units, and the number of parts that were not in the store.
 PROGRAM = """
 import json, sys
 from hashlib import sha256
@@ -34,13 +35,17 @@ made = jit.UNITS.emit(roots, jit.UNITS.target_of())
 units = [unit.name for unit in jit.UNITS.all_units() if unit.known]
 print(json.dumps([sha256(made).hexdigest(), units, kept.count(False)]))
 """
-TIMEOUT = 3000  #: s; all entries anew take a minute of an idle core
-#: Comparisons, and those that stand in their place.
+TIMEOUT = 3000  #: time limit (s); compiling all entries takes a minute of an idle core
+#: Comparison that replaces each comparison.
 OTHERS = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq}
 
 
 def made(copy, store, entries):
-    """The hash of the object file, its units, and the number of parts that were not kept."""
+    """Compile in a copy of the package; return hash, units and number of parts not in the store.
+
+    Args:
+        copy: folder of the copy. store: folder of the store. entries: names of entries; none: all.
+    """
     environment = {"OSC_CONTACT_CACHE": store, "OSC_CONTACT_LAW": "compile"}
     environment["NUMBA_DISABLE_JIT"] = "0"
     done = python("-c", PROGRAM, *entries, cwd=copy, timeout=TIMEOUT, **environment)
@@ -48,7 +53,14 @@ def made(copy, store, entries):
 
 
 def edit(source, name, rng):
-    """A module's source with a number or a comparison of a function changed; None: it has none."""
+    """Change a random number or comparison of a function; return the module's source.
+
+    Args:
+        source: source of the module. name: name of the function. rng: random numbers.
+
+    Returns:
+        The changed source; None if the function has neither numbers nor comparisons.
+    """
     tree = ast.parse(source)
     [function] = [
         one for one in ast.walk(tree) if isinstance(one, ast.FunctionDef) and one.name == name
@@ -70,7 +82,14 @@ def edit(source, name, rng):
 
 
 def compare(count, seed, entries=()):
-    """Edit functions and compare: a line for each, an AssertionError where objects differ."""
+    """Edit functions and compare the object files; yield a line of text for each function.
+
+    Args:
+        count: number of edits. seed: seed of the random numbers. entries: names; none: all.
+
+    Raises:
+        AssertionError: object files differ, or too few functions can be edited.
+    """
     rng = random.Random(seed)
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"

@@ -59,7 +59,7 @@ class Body:
 
     @classmethod
     def random(cls, name, rng, at):
-        """Random body of a kind in `BODIES`, near a point `at` (3,) (m)."""
+        """Random body of the kind `name` in `BODIES`, near a point `at` (3,) (m)."""
         return replace(BODIES[name](rng, at), name=name)
 
     @property

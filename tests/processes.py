@@ -1,4 +1,4 @@
-"""Processes that tests start: what they print, waiting for what they do, whether they ended."""
+"""Processes that tests start: their outputs, waits for their effects, and their ends."""
 
 import os
 import signal
@@ -15,7 +15,12 @@ COMMAND = [sys.executable, "-c", "from osc_contact.lab.cli.app import app; app()
 
 
 def completed(*words, code=0, **how):
-    """A command that has to end with this code (None: with any one), and what it printed."""
+    """Run a command, which has to end with an exit code; return the completed process.
+
+    Args:
+        *words: words of the command. code: exit code; None: any. **how: arguments of
+            `subprocess.run`.
+    """
     how = {"capture_output": True, "text": True, "timeout": 500} | how
     done = subprocess.run(list(map(str, words)), **how)
     assert code in (None, done.returncode), (done.returncode, done.stdout, done.stderr)
@@ -23,10 +28,11 @@ def completed(*words, code=0, **how):
 
 
 def python(*words, code=0, cwd=None, timeout=500, **environment):
-    """A new Python with these variables, which imports what the tests can import.
+    """Run Python in a new process that can import the modules of the tests.
 
     Args:
-        words: after the interpreter. code: that it has to end with. timeout: s.
+        *words: arguments of the interpreter. code: exit code; None: any. cwd: working directory.
+        timeout: time limit (s). **environment: environment variables.
     """
     path = os.pathsep.join((os.path.dirname(__file__), *sys.path))
     env = {**os.environ, "PYTHONPATH": path, **environment}
@@ -34,14 +40,19 @@ def python(*words, code=0, cwd=None, timeout=500, **environment):
 
 
 def started(command, **how):
-    """A process whose outputs are read when it has ended."""
+    """Start a process whose outputs are read after its end; `how` has arguments of `Popen`."""
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **how
     )
 
 
 def wait_until(there, seconds=300.0, process=None):
-    """Wait for something and return it; a process that is to do it must not end before."""
+    """Wait until a function returns a true value; return this value.
+
+    Args:
+        there: function without arguments. seconds: time limit (s). process: process that must not
+            end before, or None.
+    """
     deadline = time.monotonic() + seconds
     while not (found := there()):
         assert process is None or process.poll() is None, process.communicate()
@@ -51,6 +62,7 @@ def wait_until(there, seconds=300.0, process=None):
 
 
 def alive(number):
+    """True if the process with a number exists and is not a zombie."""
     try:
         return "\nState:\tZ" not in Path(f"/proc/{number}/status").read_text()
     except FileNotFoundError:
@@ -58,7 +70,7 @@ def alive(number):
 
 
 def sockets(pid):
-    """(ip, port) of a process's network sockets: all that are open, those that listen."""
+    """Addresses of a process's open network sockets; (address, port) of those that listen."""
     opened = psutil.Process(pid).net_connections("all")
     opened = [one for one in opened if one.family != socket.AF_UNIX]
     listening = [tuple(one.laddr) for one in opened if one.status == psutil.CONN_LISTEN]

@@ -1,4 +1,4 @@
-"""Numbers of robots: of URDFs, read from their text by the standard library; of MuJoCo's models."""
+"""Numbers of robots: from texts of URDFs by the standard library, and from MuJoCo's models."""
 
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -11,7 +11,7 @@ from osc_contact import robots
 
 
 def mass_matrix(model, data):
-    """MuJoCo's own."""
+    """Mass matrix (nv, nv) by MuJoCo at the positions in `data`."""
     M = np.zeros((model.nv, model.nv))
     for row, unit in zip(M, np.eye(model.nv), strict=True):
         mujoco.mj_mulM(model, data, row, unit)
@@ -19,22 +19,25 @@ def mass_matrix(model, data):
 
 
 def element(name, link):
-    """A link of a file, or of a packaged file by its name."""
+    """Element of a link in a URDF, given by its path or by the name of a packaged file."""
     path = name if isinstance(name, Path) else robots.urdf_path(name)
     return ElementTree.parse(path).find(f"link[@name='{link}']")
 
 
 def numbers(text):
+    """Array of the numbers in a text; three zeros without a text."""
     return np.array((text or "0 0 0").split(), dtype=float)
 
 
 def placement(owner):
+    """Pose of the <origin> of an element; the identity without it."""
     origin = owner.find("origin")
     values = {} if origin is None else origin.attrib
     return pin.SE3(pin.rpy.rpyToMatrix(numbers(values.get("rpy"))), numbers(values.get("xyz")))
 
 
 def written_inertia(link):
+    """Inertia of a link in the link's frame, as the file has it."""
     inertial = link.find("inertial")
     tensor = inertial.find("inertia")
     xx, xy, xz, yy, yz, zz = (

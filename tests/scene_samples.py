@@ -1,4 +1,4 @@
-"""A small recording whose every number is known, and what its page shows."""
+"""Small recording with known numbers, and a reader of the page that shows it."""
 
 import base64
 import json
@@ -28,7 +28,11 @@ ENDS = ["left_end", "right_end"]
 
 
 def make_recording(contacts=2, without=()):
-    """One second at 100 Hz: a turning arm, a rod on its way, forces rising from 0 to 12 N."""
+    """Recording of 1 s at 100 Hz: an arm turns, a rod moves, forces rise from 0 to 12 N.
+
+    Args:
+        contacts: number of contacts. without: names of channels to leave out.
+    """
     t = np.arange(101) / 100.0
     pose = np.tile([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0], (101, 1))
     pose[:, 1] = 0.05 * np.sin(t)
@@ -69,7 +73,7 @@ RECORDING = make_recording()
 
 
 def changed(**channels):
-    """The recording with other channels."""
+    """Copy of the recording with other channels."""
     return Recording(RECORDING.meta, RECORDING.channels | channels)
 
 
@@ -77,14 +81,19 @@ CONTENT = Content("test <scene>", ARMS, BODIES, ENDS)
 
 
 def write(folder, recording=RECORDING, fps=10, **how):
-    """The recording's page."""
+    """Write the page of a recording into a folder; return its path.
+
+    Args:
+        folder: folder of the page. recording: the recording. fps: frames per second.
+        **how: further arguments of `write_scene`.
+    """
     contacts = recording.meta["contact_names"]
     content = replace(CONTENT, contacts=contacts)
     return write_scene(recording, content, folder / "scene.html", fps, **how)
 
 
 def links(q):
-    """Placements of the arm's links in the world, by Pinocchio alone."""
+    """Placements of the arm's links in the world at q, by name, computed by Pinocchio only."""
     model = pin.buildModelFromUrdf(str(URDF / "scara_left.urdf"))
     data = data_at(model, q)
     joints = ("joint1", "joint2", "joint3", "hinge")
@@ -92,7 +101,7 @@ def links(q):
 
 
 def read_commands(page):
-    """The drawing commands of a written page, in the order in which they are drawn."""
+    """Read the drawing commands of a page, in their order."""
     (folded,) = re.findall(r'^unfold\("([A-Za-z0-9+/=]*)"\)', page.read_text(), re.MULTILINE)
     whole = zlib.decompress(base64.b64decode(folded))
     commands = []
@@ -104,14 +113,15 @@ def read_commands(page):
 
 
 def matrix(command):
-    """(4, 4) of a set_transform."""
+    """Matrix (4, 4) of a command set_transform."""
     return np.reshape(command["matrix"], (4, 4)).T
 
 
 class Shown:
-    """The nodes of a page at a frame of its animation, as meshcat's viewer has them."""
+    """Nodes of a page at the frames of its animation, as meshcat's viewer shows them."""
 
     def __init__(self, page):
+        """Read the commands, objects, key frames and configuration of a page."""
         self.page = page
         self.commands = read_commands(page)
         self.objects = {c["path"]: c["object"] for c in self.of("set_object")}
@@ -125,11 +135,15 @@ class Shown:
         self.config = json.loads(text)
 
     def of(self, kind):
-        """Commands of a type."""
+        """List of the commands of a type."""
         return [command for command in self.commands if command["type"] == kind]
 
     def at(self, path, key, frame):
-        """A property of a node: its key frame, or what it was set to once."""
+        """Value of a property of a node at a frame: from its key frames, or as it was set.
+
+        Args:
+            path: path of the node. key: name of the property. frame: number of the frame.
+        """
         keys = self.tracks.get((path, key))
         if keys is not None:
             return keys[max(k for k in keys if k <= frame)]
@@ -144,23 +158,23 @@ class Shown:
         return ({"position": numbers[:3], "quaternion": numbers[3:]} | found)[key]
 
     def pose(self, path, frame):
-        """Placement of a node in its parent."""
+        """Pose of a node, given by its path, in its parent at a frame."""
         numbers = [self.at(path, key, frame) for key in ("position", "quaternion")]
         return pin.XYZQUATToSE3(np.concatenate(numbers))
 
     def length(self, arrow, frame):
-        """From the tip of an arrow to the end of its shaft (m)."""
+        """Distance from the tip of an arrow to the end of its shaft at a frame (m)."""
         shaft = f"{arrow}/shaft"
         return self.at(shaft, "scale", frame)[1] - self.at(shaft, "position", frame)[1]
 
     def seen(self, path, frame):
-        """Whether a node and everything above it is visible."""
+        """True if a node, given by its path, and all nodes above it are visible at a frame."""
         parts = path.split("/")
         above = ["/".join(parts[: k + 1]) for k in range(2, len(parts))]
         return all(self.at(node, "visible", frame) for node in above)
 
     def path_of_tube(self, path):
-        """(k, 3) middles of a tube of six sides, and the angles of the points about y."""
+        """Middles (k, 3) of a tube with six sides (m), and their angles (k,) about y (rad)."""
         data = self.objects[path]["geometries"][0]["data"]["attributes"]["position"]["array"].data
         middles = np.frombuffer(data, np.float32).reshape(-1, 6, 3).mean(axis=1)
         return (middles, np.unwrap(np.arctan2(middles[:, 0], middles[:, 2])))

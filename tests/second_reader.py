@@ -1,4 +1,4 @@
-"""Link placements of our readers against those of yourdfpy and MuJoCo."""
+"""Link placements by the readers of the package, compared with those of yourdfpy and MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -10,15 +10,17 @@ from osc_contact import robots
 
 
 def postures(model):
+    """Neutral configuration and five random ones, (nq,) each."""
     return [pin.neutral(model), *robots.random_configurations(model, 5)]
 
 
 def largest_difference(model, theirs):
-    """Over `postures`, of all entries of the 4×4 placements in the world.
+    """Largest difference of elements of the links' 4×4 placements in the world, over `postures`.
 
     Args:
-        model: of ours. theirs: joint positions by name → placements by name; it may move
-            joints that follow others.
+        model: model of the package.
+        theirs: function from joint positions by name to placements by name; it may change the
+            positions of joints that follow others.
     """
     names = list(model.names)[1:]
     worst = []
@@ -32,10 +34,15 @@ def largest_difference(model, theirs):
 
 
 def urdf_difference(file, **how):
-    """Difference of a model from its URDF; mimic joints follow their masters."""
+    """Largest difference between the package's model of a URDF and yourdfpy's.
+
+    Args:
+        file: the URDF. **how: further arguments of `robots.load_model`.
+    """
     other = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
 
     def placements(joints):
+        """Placements of the links by yourdfpy; mimic joints follow their masters."""
         for name in joints:
             if mimic := other.joint_map[name].mimic:
                 joints[name] = mimic.multiplier * joints[mimic.joint] + mimic.offset
@@ -47,11 +54,13 @@ def urdf_difference(file, **how):
 
 
 def mjcf_difference(file):
+    """Largest difference between the package's model of an MJCF file and MuJoCo's."""
     mj = mujoco.MjModel.from_xml_path(str(file))
     data = mujoco.MjData(mj)
     model = robots.load_mjcf(mj)
 
     def placements(joints):
+        """Placements of the bodies by MuJoCo."""
         for name, position in joints.items():
             data.joint(name).qpos = position
         mujoco.mj_kinematics(mj, data)

@@ -1,7 +1,7 @@
-"""Seeded mutants of sound URDFs, judged by the loader and by a mass matrix of its own.
+"""Random mutants of sound URDFs, judged by the loader and by an independent mass matrix.
 
-Run as ``python urdf_mutants.py SEED COUNT``: prints one line of JSON. A crash of the process is
-what the caller looks for, so this runs by itself.
+Run as ``python urdf_mutants.py SEED COUNT``: it prints one line of JSON. It is a program of its own
+because the caller looks for crashes of the process.
 """
 
 import json
@@ -81,7 +81,7 @@ WORD = re.compile(r"[A-Za-z_]{3,}")
 
 
 def mutant(rng, text):
-    """One to four changes: numbers, words, lines, spans, bytes."""
+    """Bytes of a text after one to four random changes of numbers, words, lines, spans or bytes."""
     for _ in range(rng.choice((1, 1, 2, 4))):
         kind = rng.randrange(-4, 8)
         if kind <= 2:
@@ -110,6 +110,12 @@ def mutant(rng, text):
 
 
 def _exchange(rng, text, pattern, by):
+    """Replace a random match of a pattern in a text by one of several words.
+
+    Args:
+        rng: random numbers. text: the text. pattern: regular expression. by: words; None: the
+            number is multiplied by a random factor.
+    """
     hits = list(pattern.finditer(text))
     if not hits:
         return text
@@ -122,11 +128,15 @@ def _exchange(rng, text, pattern, by):
     return text[: hit.start()] + new + text[hit.end() :]
 
 
-# The second opinion -----------------------------------------------------------------------------
+# Independent mass matrix --------------------------------------------------------------------------
 
 
 def mass_matrix(text, names, q):
-    """M(q) = Σ JᵀIJ over the links, from the file itself."""
+    """Compute M(q) = Σ JᵀIJ over the links from the text of a URDF.
+
+    Args:
+        text: the text. names: names of the moving joints, in the order of q. q: (n,) positions.
+    """
     root = ElementTree.fromstring(text)
     links = {link.get("name"): link for link in root.findall("link")}
     above = {joint.find("child").get("link"): joint for joint in root.findall("joint")}
@@ -156,7 +166,11 @@ def mass_matrix(text, names, q):
 
 
 def judge(text, model, rng):
-    """(relative difference of M from the second opinion, smallest eigenvalue at unit diagonal)."""
+    """Compare Pinocchio's M of a loaded model with `mass_matrix` at random positions.
+
+    Returns:
+        Largest difference, and smallest eigenvalue, both of M scaled to unit diagonal.
+    """
     q = rng.uniform(-2, 2, model.nq)
     M = mass_matrix(text, list(model.names)[1:], q)
     scale = 1 / np.sqrt(np.abs(M.diagonal()) + 1e-300)
@@ -167,6 +181,7 @@ def judge(text, model, rng):
 
 
 def main(seed, count):
+    """Load `count` mutants and print the results as JSON."""
     rng = random.Random(seed)
     numpy_rng = np.random.default_rng(seed)
     scara = robots.urdf_path("scara_left").read_text()

@@ -123,8 +123,8 @@ class Contact:
     def stack(cls, contacts: Sequence[Contact], Phi_ref: Array | None = None) -> Contact:
         """Join several contacts to one, with all their columns of N and elements of n_γ.
 
-        Dependent contacts (a table on four legs) are reduced to independent columns, a subset of
-        the given ones. `R` gives all columns, N_all = N R; `magnitudes` distributes a force among
+        Dependent contacts (a table on four legs) are reduced to a subset of independent columns.
+        `R` gives all columns, N_all = N R; `magnitudes` distributes a force among
         them.
 
         Args:

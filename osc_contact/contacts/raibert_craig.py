@@ -181,7 +181,7 @@ def _why(Q: Array, size: float, tolerance: float, forces: int) -> str:
     """Sentence on the violated conditions (i) and (ii), with the amounts of the violations.
 
     Args:
-        Q: (6, r) orthonormal basis of N, moments about the centre over the size.
+        Q: (6, r) orthonormal basis of N, moments about the centre divided by the object's size.
         size: length of the object by which moments are divided (m).
         tolerance: largest residual of a frame that describes N.
         forces: number of forces that the nearest frame selects.
@@ -236,9 +236,9 @@ def _miss_in_words(F: Array, moments: Array, couples: int, miss: float, size: fl
 
     Args:
         F: (3, k) orthonormal directions of the forces.
-        moments: (3, k) moments of these forces about the centre, over the size.
+        moments: (3, k) moments of these forces about the centre, divided by the object's size.
         couples: dimension of the space C of couples.
-        miss: couple of a unit force about the best point, over the size.
+        miss: couple of a unit force about the best point, divided by the object's size.
         size: length of the object (m).
     """
     if F.shape[1] == 2 and couples == 0:
@@ -281,10 +281,11 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
     that triad, with each force weighted by its share of a unit wrench.
 
     Args:
-        Q: (6, r) orthonormal basis of N, moments about the centre over the size.
+        Q: (6, r) orthonormal basis of N, moments about the centre divided by the object's size.
 
     Returns:
-        Triads (B, 3, 3), origins (B, 3) over the size, and selections (B, 6), forces then couples.
+        Triads (B, 3, 3), origins (B, 3) divided by the object's size, and selections (B, 6) of
+        forces, then couples.
     """
     r = Q.shape[1]
     U, _, Vh = np.linalg.svd(Q[:3])
@@ -368,9 +369,11 @@ def _space(E: Array, p: Array, chosen: Array) -> Array:
     """Compute orthonormal bases (B, 6, r) of the force spaces of B Raibert–Craig frames.
 
     Args:
-        E: (B, 3, 3) axes of the frames. p: (B, 3) origins of the frames from the centre, over the
-            size. chosen: (B, 6) selected forces, then selected couples; r in each row.
+        E: (B, 3, 3) axes of the frames.
+        p: (B, 3) origins of the frames from the centre, divided by the object's size.
+        chosen: (B, 6) selected forces, then selected couples; r in each row.
     """
+    # columns [e_i; p × e_i] of unit forces, then [0; e_i] of unit couples
     full = np.zeros((len(E), 6, 6))
     full[:, :3, :3] = full[:, 3:, 3:] = E
     full[:, 3:, :3] = np.einsum("bl,lij,bjk->bik", p, _SKEW, E)
@@ -384,7 +387,7 @@ def sines(E: Array, p: Array, chosen: Array, rest: Array) -> Array:
 
     Args:
         E: (B, 3, 3) triads.
-        p: (B, 3) origins from the centre, over the size.
+        p: (B, 3) origins from the centre, divided by the object's size.
         chosen: (B, 6) selected forces, then selected couples.
         rest: (6, 6−r) orthonormal basis of the complement of N.
     """
@@ -400,7 +403,7 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
 
     Args:
         E: (B, 3, 3) triads.
-        p: (B, 3) origins from the centre, over the size.
+        p: (B, 3) origins from the centre, divided by the object's size.
         chosen: (B, 6) selected forces, then selected couples, whose wrenches span S.
         rest: (6, 6−r) orthonormal basis of the complement of N, which S is to approximate.
 
@@ -411,9 +414,10 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
     E = E.copy()
     p = p.copy()
     S = _space(E, p, chosen)
-    across = rest.T @ S
+    across = rest.T @ S  # (B, 6−r, r) residual, zero if S is N
     for _ in range(_REFINEMENTS):
-        GS = _GENERATORS @ S[:, None]  # (B, 6, 6, r), for each unit twist
+        # Jacobian (B, 6, (6−r) r): change of the residual by each unit twist
+        GS = _GENERATORS @ S[:, None]
         rates = rest.T @ GS - across[:, None] @ (S.transpose(0, 2, 1)[:, None] @ GS)
         J = rates.reshape(len(E), 6, -1)
         gradient = J @ across.reshape(len(E), -1, 1)
@@ -421,6 +425,7 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
         step = -np.linalg.solve(normal, gradient)[:, :, 0]
         half = 0.5 * np.einsum("bl,lij->bij", step[:, 3:], _SKEW)
         turn = np.linalg.solve(_EYE - half, _EYE + half)  # rotation matrix by Cayley's formula
+        # accept steps of those frames that become better
         new_E = turn @ E
         new_p = (turn @ p[:, :, None])[:, :, 0] + step[:, :3]
         new_S = _space(new_E, new_p, chosen)

@@ -85,7 +85,7 @@ class Surface:
     Example:
         >>> x, y = np.meshgrid(np.linspace(-0.1, 0.1, 12), np.linspace(-0.1, 0.1, 12))
         >>> measured = np.column_stack([x.ravel(), y.ravel(), 0.5 * x.ravel() ** 2])
-        >>> surface = osc.Surface.fitted(measured, cells=(4, 4))  # as of a scanner
+        >>> surface = osc.Surface.fitted(measured, cells=(4, 4))
         >>> print(surface.worst < 1e-6)  # m
         True
     """

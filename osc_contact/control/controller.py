@@ -213,6 +213,9 @@ class Controller(ControllerState):
     def __setattr__(self, name: str, value: object) -> None:
         """Set an attribute that may change after construction.
 
+        Args:
+            name: name in `_SETTABLE`, or a private name. value: value of the attribute.
+
         Raises:
             InvalidInputError: the attribute is fixed at construction.
         """
@@ -225,7 +228,7 @@ class Controller(ControllerState):
         object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        """Return a setting of the controller as an attribute."""
+        """Return a setting of `Settings` as an attribute of the controller."""
         if name in Settings.__dataclass_fields__ and "settings" in self.__dict__:
             return getattr(self.settings, name)
         raise AttributeError(f"'{type(self).__name__}' has no attribute '{name}'")
@@ -238,6 +241,10 @@ class Controller(ControllerState):
         Raises only in the first tick, for arrays of wrong shapes (a programming error, not a sensor
         fault). Torques are always finite and within the limits: a tick that cannot be computed
         repeats the last torques, holds the posture or stops the arms, see `status` and `state`.
+
+        Args:
+            measurement: sensor readings of this tick.
+            reference: commanded motion and forces of this tick.
         """
         try:
             if measurement.stamps is not None or measurement.sequence is not None:
@@ -396,6 +403,9 @@ class Controller(ControllerState):
         The force integral, which is a force, does not change. The command of the motion integral
         does not change either: ∫e is scaled by the ratio of the old gain to the new one, or the
         command is added to `f_bias` if the new gain is 0.
+
+        Args:
+            gains: gains of both loops.
         """
         settings = replace(self.settings, gains=gains)
         other = self._another(settings, self.laws)
@@ -418,7 +428,11 @@ class Controller(ControllerState):
         return other
 
     def with_safety(self, safety: SafetySettings) -> Self:
-        """Make a controller with new safety limits that continues with the present state."""
+        """Make a controller with new safety limits that continues with the present state.
+
+        Args:
+            safety: limits of the robot, and conditions of a hold and a stop.
+        """
         settings = replace(self.settings, safety=safety)
         other = self._another(settings, self.laws)
         pack_safety(settings, other.records.model)

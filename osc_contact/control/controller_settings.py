@@ -62,7 +62,7 @@ _KINDS: dict[str, tuple[type, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """All settings of a controller, see `Controller`.
+    """Settings of a controller with their checks, see `Controller` for their meaning.
 
     `reading` = None is replaced by the method that `choose_reading` selects.
 

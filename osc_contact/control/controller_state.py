@@ -116,7 +116,7 @@ class ControllerState:
 
     @property
     def needs_python(self) -> bool:
-        """Whether the controller has pairs, bodies or laws that only Python can evaluate."""
+        """True if the controller has pairs, bodies or laws that only Python can evaluate."""
         return self.custom.needed
 
     @property
@@ -260,7 +260,7 @@ class ControllerState:
 
     @property
     def engaged(self) -> bool:
-        """Whether the law includes the contacts; False: the object is controlled as free."""
+        """True if the law includes the contacts; False: the object is controlled as free."""
         return bool(self.records.memory.engaged)
 
     @engaged.setter

@@ -206,8 +206,13 @@ class CustomParts:
         """Evaluate custom pairs and bodies, and write their results to WORK.
 
         Fills `N`, `n_gamma` and `point` of the pairs' columns and `answer` of the bodies. If a pair
-        has another number of columns than before, the records are replaced by larger or smaller
-        ones first. Arguments as in `tick`.
+        has another number of columns than before, records of another size replace the records
+        first.
+
+        Args:
+            parts: stages of the tick, of which LOOK has been run.
+            measurement, reference: inputs of the tick.
+            replace: function that is called with the new records.
 
         Returns:
             False if the tick has ended HELD.
@@ -236,7 +241,7 @@ class CustomParts:
         return True
 
     def _command(self, parts: TickParts, reference: Reference) -> bool:
-        """Run the parts MEASURE and COMMAND of the tick, with custom laws in place of the own ones.
+        """Run the parts MEASURE and COMMAND of the tick with the custom laws.
 
         A custom force law fills `alpha_u` of WORK, a motion law `a_u`, a structure law
         `acceleration_t` and `f_S`.
@@ -331,9 +336,9 @@ class CustomParts:
             )
 
     def _repack(self, old: TickRecords, changed: dict[int, int]) -> TickRecords:
-        """Make records with other numbers of columns of N, and copy the states that do not depend.
+        """Make records with other numbers of columns of N; copy the states that do not depend on N.
 
-        Copied is MEMORY from behind its layout to the table of the columns.
+        These are the fields of MEMORY between its layout and the table of the columns.
 
         Args:
             old: records of the controller. changed: new numbers of columns by the index of the
@@ -521,7 +526,7 @@ class _Structure(ABC):
         """
 
     def damp(self, Lambda: Array, turn: Array, rate: Array) -> Array:
-        """Compute the damping wrench (d,) for the error rate ė, along the free locked axes.
+        """Compute the damping wrench (d,) for the error rate ė, along the axes that are not locked.
 
         Args:
             Lambda: (d, d) inertia of arms and object. turn: (d, 6) map of wrenches from world axes.
@@ -543,11 +548,24 @@ class _Impedance(_Structure):
     ratio: float
 
     def command(self, work: View, desired: Array, reading: Array) -> tuple[Array, Array]:
-        """Command A_D, and the spring force K e plus N α_d; see `_Structure.command`."""
+        """Command A_D and the spring force K e + N α_d.
+
+        Args:
+            work: WORK of the tick, with A_D and the pose error e. desired: (6,) N α_d (N, N m).
+            reading: (6,) wrist reading, which is not used.
+
+        Returns:
+            Classical acceleration (6,) (m/s², rad/s²) and wrench (6,) (N, N m), at O.
+        """
         return work.A_D, self.K * work.error + desired
 
     def damp(self, Lambda: Array, turn: Array, rate: Array) -> Array:
-        """Compute D ė with D = 2ζ L (L⁻¹ K L⁻ᵀ)^½ Lᵀ, Λ = L Lᵀ; see `_Structure.damp`."""
+        """Compute the damping wrench D ė (d,) with D = 2ζ L (L⁻¹ K L⁻ᵀ)^½ Lᵀ, Λ = L Lᵀ.
+
+        Args:
+            Lambda: (d, d) inertia of arms and object. turn: (d, 6) map of wrenches from world axes.
+            rate: (d,) error rate ė.
+        """
         L = np.linalg.cholesky(Lambda)
         half = np.linalg.solve(L, turn * np.sqrt(self.K))  # half halfᵀ = L⁻¹ K L⁻ᵀ
         squares, U = np.linalg.eigh(half @ half.T)
@@ -578,7 +596,14 @@ class _Admittance(_Structure):
         """Integrate M c̈ + D ċ + K c = N α_d − f over a tick; command the motion to x_d + c.
 
         The additional wrench f compensates the reading, so that contact forces do not move the
-        object otherwise. Arguments and result as in `_Structure.command`.
+        object otherwise.
+
+        Args:
+            work: WORK of the tick, with the period, the reference and the object's motion.
+            desired: (6,) N α_d (N, N m). reading: (6,) wrist reading f less bias (N, N m).
+
+        Returns:
+            Classical acceleration (6,) (m/s², rad/s²) and wrench (6,) (N, N m), at O.
         """
         dt = float(work.dt)
         before = self.rate

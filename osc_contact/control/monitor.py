@@ -41,7 +41,7 @@ class ContactMonitor:
 
     @property
     def calm(self) -> bool:
-        """Whether the state is constant: all contacts hold, no force is low, no timer runs."""
+        """True if the state is constant: all contacts hold, no force is low, no timer runs."""
         return all(row.closed and not (row.armed_for or row.low_for) for row in self.rows)
 
     def update(self, alpha: Array, speed: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The MODEL row of a controller, packed from its settings."""
+"""Packing of a controller's settings into a row of MODEL."""
 
 from __future__ import annotations
 

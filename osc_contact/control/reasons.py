@@ -25,7 +25,7 @@ class _Facts(dict[str, Any]):
     """
 
     def __init__(self, records: TickRecords, settings: Settings) -> None:
-        """Store the sources of the values."""
+        """Store the sources of the values: records of the tick, and settings of the controller."""
         self.rows = records
         self.settings = settings
 
@@ -154,7 +154,11 @@ def _describe_input(
 
 
 def unbraked_joint(records: TickRecords, settings: Settings) -> str | None:
-    """Name of a joint of stopped arms whose position and speed sensors are both faulty, or None."""
+    """Name of a joint of stopped arms whose position and speed sensors are both faulty, or None.
+
+    Args:
+        records: records of the controller. settings: its settings, with the names of the joints.
+    """
     joint = int(records.memory.unbraked)
     stopped = joint >= 0 and records.memory.state == at.SAFE_STOP
     return settings.chain.joint_names[joint] if stopped else None

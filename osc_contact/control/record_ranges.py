@@ -329,7 +329,7 @@ def names_in(text: str) -> set[str]:
 
 
 def _holds(text: str, value: Callable[[str], int]) -> bool:
-    """Whether one of the alternatives of a relation holds.
+    """True if one of the alternatives of a relation holds.
 
     Args:
         text: relation, see `read_relation`. value: function from a name to its value.

@@ -102,7 +102,10 @@ class StartCheck:
 
 
 def require_start(chain: ClosedChain, q: Array) -> None:
-    """Refuse measured joint positions (n,) that are far outside the joints' limits.
+    """Refuse measured joint positions that are far outside the joints' limits.
+
+    Args:
+        chain: the arms, with the limits. q: (n,) measured positions (rad, m).
 
     Raises:
         InvalidInputError: a position is outside by more than 5 % of the joint's range.
@@ -112,7 +115,7 @@ def require_start(chain: ClosedChain, q: Array) -> None:
 
 
 def is_clear(settings: Settings, rows: TickRecords) -> bool:
-    """Whether all contacts of the controller are open, so that no contact force acts.
+    """True if all contacts of the controller are open, so that no contact force acts.
 
     A contact that only pushes is open if each gap exceeds `CLEAR`; an overlap is a contact, since a
     soft face yields by more than `CLEAR`. A contact that transmits forces of either sign (a hinge,

@@ -78,7 +78,7 @@ class MotorLimits:
 
 
 def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
-    """All torques by one factor until none exceeds its limit.
+    """Scale all torques by one factor, so that none exceeds its limit.
 
     For custom control structures, of which nothing is known.
 

@@ -22,12 +22,13 @@ if TYPE_CHECKING:
 
 PerJoint = float | Sequence[float] | Array  #: a number for all joints, or one for each
 
-_UNLIMITED = 1e12  #: larger effort limits mean that there is none (N m, N)
+_UNLIMITED = 1e12  #: larger effort limits mean that a motor has no limit (N m, N)
+#: Field of Pinocchio's model for each quantity of the joints.
 _PER_JOINT = {"armature": "armature", "damping": "damping", "friction": "upperDryFrictionLimit"}
 
 
 def effort_limits(model: pin.Model, actuated: Array) -> Array:
-    """Effort limits (n_a,) of motors (N m, N); inf for the huge numbers of unlimited ones.
+    """Read the effort limits (n_a,) of motors (N m, N); inf for motors without a limit.
 
     Args:
         model: model of the joints.

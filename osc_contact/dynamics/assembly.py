@@ -89,7 +89,7 @@ MOST_STEPS = 30  #: largest number of steps of Newton's method
 def close(chain: ClosedChain, q: ArrayLike, gaps: Gaps | None = None) -> Array:
     """Compute the nearest joint positions (n,) with closed loops of arms and zero gaps.
 
-    Steps of Newton's method are the least ones in the arms' inertia metric.
+    Each step of Newton's method is the least step in the arms' inertia metric.
 
     Args:
         chain: the arms.

@@ -114,6 +114,7 @@ def _pack_arms(chain: ChainStructure, rows: Table) -> None:
         row.first = joints.start
         row.end = joints.stop
         row.full_rank = chain.full_ranks[i]
+        # poses in the z frames of joints; −1: there is no sensor, or nothing beyond it
         tip = chain.tips[i]
         sensor = chain.sensors[i]
         row.tip_joint = model.frames[tip].parentJoint - 1
@@ -126,6 +127,7 @@ def _pack_arms(chain: ChainStructure, rows: Table) -> None:
             link = chain.outboard[i][0]
             row.outer_joint = link.joint - 1
             row.outer[:] = _flat_inertia(_z_frame(model, link.joint).actInv(link.inertia))
+        # the grasp: N, then a basis of the permitted motions, point and axis in tip and object
         row.m = grasp.N.shape[1]
         row.kind = _KINDS[grasp.kind]
         row.filtered = not grasp.is_rigid and len(chain.outboard[i]) > 0
@@ -153,6 +155,7 @@ def _pack_joints(chain: ChainStructure, rows: Table) -> None:
     firsts = {part.start for part in chain.slices}
     rows.motor[:] = -1
     rows.armature[:] = model.armature
+    # frame of the world, then z frames of the joints; Pinocchio's joint 0 is the universe
     frames = [SE3.Identity(), *(_z_frame(model, j + 1) for j in range(len(rows)))]
     for j, row in enumerate(rows):
         joint = model.joints[j + 1]

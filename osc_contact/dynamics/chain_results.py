@@ -32,7 +32,11 @@ class EvaluatedChain(ChainStructure, Protocol):
     actuated: NDArray[np.intp]
 
     def law_row(self, led: bool) -> Bytes:
-        """Row of MODEL of the chain."""
+        """Row of MODEL of the chain.
+
+        Args:
+            led: True: the leader determines the object's pose; False: the pose is given.
+        """
 
     def tip_poses(self, data: pin.Data | None = None) -> list[SE3]:
         """Poses of the tips of the arms in the world."""
@@ -41,7 +45,12 @@ class EvaluatedChain(ChainStructure, Protocol):
         """Poses of the wrist sensors in the world."""
 
     def unactuated_motions(self, G: Array, S: Array) -> Array:
-        """Motions (6, u) of the object that no motor drives."""
+        """Motions (6, u) of the object that no motor drives.
+
+        Args:
+            G: (d, n_a) generalised force on the object from motor torques.
+            S: (6, d) basis of the object's motions.
+        """
 
 
 def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | None) -> View:
@@ -160,7 +169,11 @@ def _all_arm_terms(
 
 
 def _payload_terms(chain: EvaluatedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
-    """Terms of the held object at its pose and twist (6,) (m/s, rad/s); zero without an object."""
+    """Compute the terms of the held object; they are zero without an object.
+
+    Args:
+        chain: the arms, with the object. X_WO, V_O: its pose and twist (6,) (m/s, rad/s).
+    """
     if chain.payload is None:
         return _NOTHING
     return chain.payload.terms(X_WO, V_O, chain.model.gravity.linear)

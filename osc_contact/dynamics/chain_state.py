@@ -25,7 +25,7 @@ class ObjectTerms:
 
 @dataclass(frozen=True)
 class RigidObject:
-    """A rigid body held by the arms; the origin of its frame is the operational point.
+    """Rigid body held by the arms; the origin of its frame is the operational point.
 
     Attributes:
         inertia: spatial inertia in the object frame (kg, m).

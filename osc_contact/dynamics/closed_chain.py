@@ -303,7 +303,7 @@ class ClosedChain:
 
     @cached_property
     def _rows(self) -> dict[bool, Bytes]:
-        """Rows of MODEL by `led`, made and compared with Pinocchio at the first use."""
+        """Row of MODEL for both values of `led`, made and compared with Pinocchio at first use."""
         rows = {led: chain_row(self, led) for led in (False, True)}
         require_pinocchio_agrees(self, rows[False])
         return rows

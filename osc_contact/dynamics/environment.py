@@ -81,8 +81,8 @@ def element_sizes(Phi: Array) -> Array:
 
     There is one scale for the linear and one for the angular axes, so that rounding errors in a
     locked direction (for example of an inverse inertia carried from another point) are not
-    amplified. Linear mobilities below 1 mm/rad times the angular ones count as rounding errors,
-    too, as of an axis through O.
+    amplified. Linear mobilities below 1 mm/rad times the angular mobility count as rounding errors,
+    too, such as those of an axis through O.
 
     Args:
         Phi: Φ_e (6, 6).
@@ -520,10 +520,13 @@ class Conveyor:
     """Body with a prescribed motion, which does not yield: Φ_e = 0, b_e as commanded."""
 
     def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """Environment of the body.
+        """Environment with the measured motion: Φ_e = 0, b_e from A_E.
 
         Args:
-            X_WE, V_E, A_E, O: see `Body.environment`.
+            X_WE: measured pose of the body's frame E.
+            V_E: (6,) measured twist at E's origin, world axes (m/s, rad/s).
+            A_E: (6,) commanded classical acceleration of E (m/s², rad/s²).
+            O: (3,) operational point (m).
         """
         return Environment.moving(X_WE=X_WE, V_E=V_E, A_E=A_E, O=O)
 
@@ -551,10 +554,13 @@ class Yielding:
             raise InvalidInputError(f"yielding: compliance = {self.compliance:g} m/N; give > 0")
 
     def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """Environment of the body; `A_E` is not used.
+        """Environment with the measured twist, which is assumed to be constant: Φ_e = 0.
 
         Args:
-            X_WE, V_E, A_E, O: see `Body.environment`.
+            X_WE: measured pose of the body's frame E.
+            V_E: (6,) measured twist at E's origin, world axes (m/s, rad/s).
+            A_E: not used.
+            O: (3,) operational point (m).
         """
         return Environment.moving(X_WE=X_WE, V_E=V_E, A_E=np.zeros(6), O=O)
 
@@ -582,10 +588,15 @@ class Guided:
             raise InvalidInputError("a guided body has a slide or a hinge, and no motion; give one")
 
     def environment(self, X_WE: SE3, V_E: Array, A_E: Array, O: Array) -> Environment:  # noqa: E741
-        """Environment of the body; `A_E` is not used, as the acceleration follows from f.
+        """Environment with the motion along the rail, with the unit twist u at O.
+
+        Φ_e = u uᵀ/I, b_e = u (weight + preload − k s − c ṡ)/I, V_e = u ṡ.
 
         Args:
-            X_WE, V_E, A_E, O: see `Body.environment`.
+            X_WE: measured pose of the body's frame E, from which s follows.
+            V_E: (6,) measured twist at E's origin, world axes (m/s, rad/s), from which ṡ follows.
+            A_E: not used, as the acceleration follows from the force.
+            O: (3,) operational point (m).
         """
         rail = self.rail
         if rail.joints == [1]:

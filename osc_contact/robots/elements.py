@@ -237,7 +237,7 @@ class Element:
 
 
 def _hint(text: str) -> str:
-    """Cure of a text that is not a number: macros left over, or decimal commas; "" for others."""
+    """Advice on a text that is not a number: macros left over, or decimal commas; "" for others."""
     if "${" in text:
         return "expand the macros first (xacro in.xacro > out.urdf)"
     if "," in text:
@@ -265,7 +265,7 @@ def read_bytes(file: Path) -> bytes:
 
 
 def parse(file: Path, data: bytes) -> Element:
-    """Root element <robot> of the text of a URDF.
+    """Parse the text of a URDF; return its root element <robot>.
 
     Args:
         file: name of the file, for messages.
@@ -307,7 +307,10 @@ class _Reader:
         self.parser.buffer_text = True
 
     def read(self, data: bytes) -> Element:
-        """Root element of a text.
+        """Parse a text; return its root element.
+
+        Args:
+            data: content of the file.
 
         Raises:
             ModelError: XML that is not well-formed, or refused by a handler.
@@ -327,7 +330,11 @@ class _Reader:
         return self.roots[0]
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
-        """Handle the beginning of an element."""
+        """Handle the beginning of an element: append it to its parent, and make it the open one.
+
+        Args:
+            tag: name of the element. attributes: texts of its attributes by name.
+        """
         self.elements += 1
         if len(self.open) >= MAX_DEPTH:
             self.stop(
@@ -366,7 +373,7 @@ class _Reader:
     def doctype(
         self, name: str, system: str | None, public: str | None, has_subset: bool
     ) -> NoReturn:
-        """Handle <!DOCTYPE>, with the arguments of expat."""
+        """Refuse <!DOCTYPE>; expat calls it with the parts of the declaration."""
         reason = "<!DOCTYPE> is refused: a robot needs no document type and no entities"
         self.stop(reason, "delete it and write entities out")
 
@@ -375,7 +382,11 @@ class _Reader:
         return (self.parser.CurrentLineNumber, self.parser.CurrentColumnNumber + 1)
 
     def stop(self, reason: str, cure: str) -> NoReturn:
-        """Raise a `ModelError` about the place that is read now."""
+        """Raise a `ModelError` about the place that is read now.
+
+        Args:
+            reason, cure: sentences on the error and its correction.
+        """
         line, column = self.place()
         refuse_file("xml", self.file, reason, cure, line, column)
 

@@ -111,7 +111,7 @@ def load_model(
 ) -> pin.Model:
     """Build the fixed-base Pinocchio model of a URDF after checking that it can be controlled.
 
-    Continuous joints become revolute ones without end stops (nq = nv = 1, limits ∓inf).
+    Continuous joints become revolute joints without end stops (nq = nv = 1, limits ∓inf).
 
     Args:
         path: the URDF.
@@ -345,7 +345,7 @@ def _robot_data_root() -> Path:
         data = importlib.metadata.distribution(ROBOT_DATA)
         prefixes.insert(0, Path(str(data.locate_file("cmeel.prefix"))))
     except importlib.metadata.PackageNotFoundError:
-        pass  # another packager may have put the data beside Pinocchio
+        pass  # other package managers install the data in the folder of Pinocchio
     for prefix in prefixes:
         root = prefix / "share" / ROBOT_DATA / "robots"
         if root.is_dir():

@@ -120,7 +120,11 @@ def scene_picture(
 
 
 def _joint(model: pin.Model, j: int) -> Json:
-    """Describe name, parent, placement and axis of a joint, given by its number, as JSON data."""
+    """Describe name, parent, placement and axis of a joint as JSON data.
+
+    Args:
+        model: model of the arm. j: number of the joint, from 1.
+    """
     linear, angular = joint_axis(model, j).reshape(2, 3)
     is_slide = slides(model, j)
     return {
@@ -161,7 +165,7 @@ def _packed(rows: ArrayLike, kind: str) -> str:
 def _unpacked(text: str, kind: str) -> Array:
     """Decompress numbers (k, 3) of the NumPy type `kind` from text by `_packed`.
 
-    At most `MOST_CORNERS` rows are decompressed, whatever the text contains.
+    At most `MOST_CORNERS` rows are decompressed, so that a damaged text cannot fill the memory.
 
     Raises:
         ValueError, zlib.error: the text is damaged.

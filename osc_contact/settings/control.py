@@ -464,7 +464,9 @@ class SafetySettings(OrderedSpec):
 
     @classmethod
     def motors_only(cls, **keys: Any) -> SafetySettings:
-        """Make settings without limits except those of the motors, for ticks unrelated in time.
+        """Make settings without limits except those of the motors.
+
+        They are for ticks that are not successive states of a motion, as in tests of random states.
 
         Args:
             **keys: limits that apply nevertheless, by their names.

@@ -48,10 +48,10 @@ _SIGNS = {
 
 
 class _Source(str):
-    """A piece of source as `help` prints it: without quotes."""
+    """Piece of source code, which `help` prints without quotes."""
 
     def __repr__(self) -> str:
-        """The text itself."""
+        """Text without quotes."""
         return str(self)
 
 
@@ -179,7 +179,11 @@ def refuse(text: str) -> PydanticCustomError:
 
 
 def meaning(owner: type, key: str) -> str | None:
-    """The docstring of a model's key in one line, read from its source when it is needed."""
+    """Docstring of a key of a group in one line, read from the source; None: it has none.
+
+    Args:
+        owner: class of the group. key: name of the key.
+    """
     for base in (*owner.__mro__, getattr(owner, "describes", object)):
         if key in inspect.get_annotations(base) and key in (texts := _docstrings_of_keys(base)):
             return texts[key]
@@ -188,7 +192,11 @@ def meaning(owner: type, key: str) -> str | None:
 
 @functools.cache  # a class's source is found by parsing its whole file
 def _docstrings_of_keys(model: type) -> Mapping[str, str]:
-    """The docstring below each annotated name of a class, in one line; empty without a source."""
+    """Docstring below each annotated name of a class, in one line; empty without a source.
+
+    Args:
+        model: class of a group of settings.
+    """
     try:
         (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
     except (OSError, TypeError, SyntaxError):
