@@ -59,9 +59,9 @@ def did_you_mean(word: str, known: Iterable[str], most: int = SHOWN) -> str:
     hint = f"did you mean {' or '.join(map(repr, near))}?" if near else ""
     if most == 0 or (near and len(names) > MANY):
         return hint
-    more = f", … ({len(names)} in all)" if len(names) > most else ""
+    ellipsis = f", … ({len(names)} in all)" if len(names) > most else ""
     listed = ", ".join(names[:most]) or "none"
-    return f"{hint} known: {listed}{more}".lstrip()
+    return f"{hint} known: {listed}{ellipsis}".lstrip()
 
 
 class OscContactError(Exception):

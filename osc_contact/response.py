@@ -109,8 +109,8 @@ def Lambda_rel(state: ChainState, environment: Environment) -> Array:
             f"Λ_rel does not exist: neither chain nor environment yields to the wrench {locked} "
             f"(mobility {values[0]:.2g} of the free object's). Use Φ₀ + Φ_e, its inverse."
         )
-    whole = L @ vectors
-    return (whole / values) @ whole.T
+    scaled = L @ vectors
+    return (scaled / values) @ scaled.T
 
 
 def require_reachable(state: ChainState, contact: Contact, Phi_e: Array | None = None) -> None:

@@ -109,11 +109,12 @@ def as_pose(name: str, position: object, rotation: object) -> SE3:
     """
     p = as_array(f"{name} position", position, (3,))
     R = as_array(f"{name} rotation", rotation, (3, 3))
-    off = np.abs(R.T @ R - np.eye(3)).max()
-    if off > 1e-6 or np.linalg.det(R) < 0.0:
+    difference = np.abs(R.T @ R - np.eye(3)).max()
+    if difference > 1e-6 or np.linalg.det(R) < 0.0:
         raise InvalidInputError(
-            f"{name} rotation: RᵀR differs from 1 by {off:.3g} and det R = {np.linalg.det(R):.3g}; "
-            "give a rotation matrix, such as pin.rpy.rpyToMatrix(roll, pitch, yaw)"
+            f"{name} rotation: RᵀR differs from 1 by {difference:.3g} and det R = "
+            f"{np.linalg.det(R):.3g}; give a rotation matrix, such as "
+            "pin.rpy.rpyToMatrix(roll, pitch, yaw)"
         )
     return SE3(R, p)
 
@@ -265,10 +266,10 @@ class Poses:
 
     def coordinates(self, k: int) -> Array:
         """Position and quaternion x, y, z, w (k, 7), in the order of `pin.SE3ToXYZQUAT`."""
-        out = np.empty((k, 7))
-        out[:, :3] = self.p.T
-        out[:, 3:] = _quaternions(self.R)
-        return out
+        rows = np.empty((k, 7))
+        rows[:, :3] = self.p.T
+        rows[:, 3:] = _quaternions(self.R)
+        return rows
 
 
 def rotated(R: Array, x: Array) -> Array:
@@ -306,10 +307,10 @@ def moved(X: Array, d: Array) -> Array:
     """
     k, B = d.shape[:2]
     E = rotations(d[..., 3:].reshape(k * B, 3).T).transpose(2, 0, 1).reshape(k, B, 3, 3)
-    out = np.tile(X, (k, 1, 1, 1))
-    out[..., :3, :3] = E @ X[:, :3, :3]
-    out[..., :3, 3] += d[..., :3]
-    return out
+    poses = np.tile(X, (k, 1, 1, 1))
+    poses[..., :3, :3] = E @ X[:, :3, :3]
+    poses[..., :3, 3] += d[..., :3]
+    return poses
 
 
 def _quaternions(R: Array) -> Array:
@@ -320,7 +321,7 @@ def _quaternions(R: Array) -> Array:
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     size = np.sqrt(np.maximum(trace, 0.0) + 1.0)
     vector = axial(R) * (0.5 / size)
-    out = np.column_stack((vector.T, 0.5 * size))
+    quaternions = np.column_stack((vector.T, 0.5 * size))
     for i in np.flatnonzero(trace <= 0.0):
-        out[i] = pin.Quaternion(R[:, :, i].copy()).coeffs()
-    return out
+        quaternions[i] = pin.Quaternion(R[:, :, i].copy()).coeffs()
+    return quaternions

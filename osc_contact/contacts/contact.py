@@ -286,16 +286,16 @@ def reduce(scaled: Array, size: Array) -> tuple[list[int], Array]:
         Indices `keep` of the selected columns, ascending, and R for the columns before scaling.
     """
     rank = int((np.linalg.svd(scaled, compute_uv=False) >= projections.INDEPENDENT).sum())
-    rest = scaled.copy()
+    remainder = scaled.copy()
     keep: list[int] = []
     for _ in range(rank):
-        length = np.linalg.norm(rest, axis=0)
+        length = np.linalg.norm(remainder, axis=0)
         length[keep] = 0.0
         first = int((length >= _PIVOT * length.max()).argmax())
         keep.append(first)
-        q = rest[:, first] / length[first]
+        q = remainder[:, first] / length[first]
         for _ in range(2):  # twice is enough for orthogonality to rounding
-            rest -= np.outer(q, q @ rest)
+            remainder -= np.outer(q, q @ remainder)
     keep.sort()
     R = np.linalg.lstsq(scaled[:, keep], scaled, rcond=None)[0]
     R[:, keep] = np.eye(rank)

@@ -336,8 +336,8 @@ class BatchController:
         `__setstate__` makes threads and views again.
         """
         rebuilt = ("_pool", "_memories", "_codes", "_columns", "_torques", "_squeeze", "_jobs")
-        kept = {name: value for name, value in self.__dict__.items() if name not in rebuilt}
-        return {**kept, "_bytes": (self._bytes.model, self._bytes.memory)}
+        attributes = {name: value for name, value in self.__dict__.items() if name not in rebuilt}
+        return {**attributes, "_bytes": (self._bytes.model, self._bytes.memory)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a batch from its pickle: its records, views of them, and its threads."""

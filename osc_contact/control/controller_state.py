@@ -207,10 +207,10 @@ class ControllerState:
         The columns are arguments of `Arm`, friction and damping, for the start of another session.
         """
         model = self.settings.chain.model
-        known = np.column_stack([model.upperDryFrictionLimit, model.damping])
+        model_values = np.column_stack([model.upperDryFrictionLimit, model.damping])
         memory = self.records.memory
         learned = memory.friction_known != 0
-        return np.where(learned[:, None], memory.friction.theta[:, :2], known)
+        return np.where(learned[:, None], memory.friction.theta[:, :2], model_values)
 
     @property
     def missing_inertia(self) -> Array:

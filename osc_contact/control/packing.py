@@ -227,10 +227,10 @@ def _pack_friction(settings: Settings, head: View) -> None:
         return
     model = settings.chain.model
     rows = head.joints
-    known = np.zeros((len(rows), 5))
-    known[:, 0] = model.upperDryFrictionLimit
-    known[:, 1] = model.damping
-    head.rubs = friction.learning or friction.errors or known.any()
+    model_values = np.zeros((len(rows), 5))
+    model_values[:, 0] = model.upperDryFrictionLimit
+    model_values[:, 1] = model.damping
+    head.rubs = friction.learning or friction.errors or model_values.any()
     head.friction_learning = friction.learning
     head.friction_errors = bool(friction.errors)
     head.friction_share = friction.share
@@ -241,13 +241,13 @@ def _pack_friction(settings: Settings, head: View) -> None:
     priors.noise[:] = _NOISE * limit
     priors.rounding[:] = _ROUNDING * limit
     rows.slip[:] = np.where(rows.slides != 0, SLIDING * SLIP, SLIP)
-    rows.theta[:] = known
-    scale = np.ones_like(known)
+    rows.theta[:] = model_values
+    scale = np.ones_like(model_values)
     scale[:, :4] = most[:, None]
-    priors.sure[:] = np.where(known.sum(axis=1) > priors.noise, 0.0, _SURELY)
-    priors.doubt[:] = 0.5 * known + scale * _DOUBT
+    priors.sure[:] = np.where(model_values.sum(axis=1) > priors.noise, 0.0, _SURELY)
+    priors.doubt[:] = 0.5 * model_values + scale * _DOUBT
     priors.spread[:] = scale * _SPREAD
-    priors.high[:] = np.maximum(scale * _BOUND, known)
+    priors.high[:] = np.maximum(scale * _BOUND, model_values)
     priors.low[:, 2] = -np.array(model.armature)  # rotor inertia ≥ 0 in total; F and D ≥ 0
     priors.low[:, 3:] = -priors.high[:, 3:]
 

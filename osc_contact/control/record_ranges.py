@@ -427,8 +427,8 @@ def _surface_shapes(model: View, pair: np.record) -> int:
     x, y = model.shapes.row[first, 13:15]
     if x == 0.0 and y == 0.0:
         return 2
-    whole = all(1.0 <= n <= MOST_ROWS and n == math.floor(n) for n in (x, y))
-    return 2 + int(x) * int(y) if whole else MOST_ROWS + 1
+    are_whole = all(1.0 <= n <= MOST_ROWS and n == math.floor(n) for n in (x, y))
+    return 2 + int(x) * int(y) if are_whole else MOST_ROWS + 1
 
 
 def broken_relations(name: str, record: View, model: View) -> Iterator[str]:
@@ -482,10 +482,10 @@ def number_ranges(name: str) -> Iterator[tuple[str, str, tuple[float, float]]]:
     kind = RECORDS[name]
     heads = {"": kind.dtype, **{table: dtype for table, (dtype, _) in kind.tables.items()}}
     for table, dtype in heads.items():
-        own = NUMBERS[name].get(table, {})
+        ranges = NUMBERS[name].get(table, {})
         for field in dtype.names or (table,):
             if (dtype[field] if dtype.names else dtype).base.kind == "f":
-                yield table, field, own.get(field, _FINITE)
+                yield table, field, ranges.get(field, _FINITE)
 
 
 def broken_ranges(raw: Bytes, program: Bytes) -> list[str]:

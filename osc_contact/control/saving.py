@@ -31,15 +31,15 @@ def controller_bytes(controller: ControllerState) -> bytes:
             "this controller has pairs, bodies or laws that only Python can evaluate, so it cannot "
             "run without: use the packaged ones"
         )
-    own = controller.records
-    if (own.model.pairs.kind == FUNCTION).any():
+    own_records = controller.records
+    if (own_records.model.pairs.kind == FUNCTION).any():
         raise InvalidInputError(
             "this controller calls a function of this process (CompiledPair), which a file cannot "
             "hold: use the packaged pairs"
         )
-    program = MotorLimits(controller.settings, own.model).program
-    require_ranges(own.rows.raw, program.raw)
-    parts = [own.rows.raw.tobytes(), program.raw.tobytes()]
+    program = MotorLimits(controller.settings, own_records.model).program
+    require_ranges(own_records.rows.raw, program.raw)
+    parts = [own_records.rows.raw.tobytes(), program.raw.tobytes()]
     head = _HEAD.pack(MAGIC, FORMAT, law_hash().encode(), *map(len, parts))
     content = b"".join((head, *parts))
     return content + zlib.crc32(content).to_bytes(4, "little")

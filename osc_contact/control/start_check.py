@@ -173,10 +173,10 @@ def judge_load(
             "others, the model lacks a payload, or there is no tare (Controller.f_tare)"
         )
     frames = ", ".join(f"frame '{arm.wrist_sensor}' of arm '{arm.name}'" for arm in chain.arms)
-    read = error + expected
+    reading = error + expected
     return (
         f"the wrist sensor ({frames}) reads another load than it carries, and no contact is made: "
-        f"in world axes at the object's origin {_show(read)}, expected {_show(expected)} of "
+        f"in world axes at the object's origin {_show(reading)}, expected {_show(expected)} of "
         f"{chain.outboard_mass:.3g} kg; the difference is {force:.3g} N and {torque:.3g} N m, "
         f"limit load_error = {most:g} N ({most * lever:.2g} N m). {cause}"
     )

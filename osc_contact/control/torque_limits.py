@@ -64,6 +64,7 @@ class MotorLimits:
         s = int(program.s)
         squeeze = rows.work.basis[:, :s] @ program.lost_squeeze[:s]
         motors = np.flatnonzero(program.at_limit)
+        # forces of the independent columns of N, distributed among all active columns
         R = rows.shares()
         lost = R.T @ np.linalg.solve(R @ R.T, program.lost_force[:r])
         return LimitLoss(

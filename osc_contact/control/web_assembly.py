@@ -115,8 +115,8 @@ def _run(command: Sequence[str], folder: Path, **variables: str) -> None:
     Raises:
         OscContactError: the command fails; with the end of its error output.
     """
-    here = str(Path(__file__).resolve().parents[2])
-    paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
+    root = str(Path(__file__).resolve().parents[2])
+    paths = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
     result = subprocess.run(
         command,
         cwd=folder,

@@ -474,13 +474,13 @@ def _name_in_c(word: str, name: str, table: str) -> str:
     """
     kind = RECORDS[name]
     dtype = kind.tables[table][0] if table else kind.dtype
-    own = "own" if table else "head"
+    pointer = "own" if table else "head"
     fields: Any = dtype.fields or {}
     model: Any = records.MODEL.dtype.fields
     if word == table:
-        return f"whole{'' if dtype.itemsize == 8 else 8 * dtype.itemsize}({own}, 0)"
+        return f"whole{'' if dtype.itemsize == 8 else 8 * dtype.itemsize}({pointer}, 0)"
     if word in fields:
-        return f"whole({own}, {fields[word][1]})"
+        return f"whole({pointer}, {fields[word][1]})"
     if word.startswith("size_"):
         return f"whole(head, {8 * kind.slot(word.removeprefix('size_'))})"
     if word in ("row", "motors_before"):

@@ -124,8 +124,8 @@ class FrankaRobot:
         for link in chain.outboard[0]:
             hangs = hangs + link.inertia
         if chain.payload is not None:
-            held = model.frames[self._tip].placement * chain.grasps[0].X_TO
-            load = held.act(chain.payload.inertia)
+            X_object = model.frames[self._tip].placement * chain.grasps[0].X_TO
+            load = X_object.act(chain.payload.inertia)
             model.inertias[last] += load
             hangs = hangs + load
         self._hangs = sensor.placement.actInv(hangs)

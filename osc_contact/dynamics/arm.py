@@ -220,7 +220,7 @@ class Arm:
             ModelError: unreadable or impossible URDF, unknown frame or joint, no moving joint.
         """
         positions = {} if locked is None else locked
-        whole, model, masters = _load(urdf, tip, positions, passive_joints, wrist_sensor)
+        robot, model, masters = _load(urdf, tip, positions, passive_joints, wrist_sensor)
         model = _with_factors(model, mass_factor, effort_factor)
         losses = {"armature": armature, "damping": damping, "friction": friction}
         model = with_joints(model, losses, friction_factor)
@@ -232,7 +232,7 @@ class Arm:
             base=pin.SE3.Identity() if base is None else base,
             passive_joints=tuple(passive_joints),
             wrist_sensor=wrist_sensor,
-            locked={j: positions.get(j, 0.0) for j in joint_names(whole) if j not in moving},
+            locked={j: positions.get(j, 0.0) for j in joint_names(robot) if j not in moving},
         )
         _warn_of_followers(arm, masters)
         return arm
@@ -318,16 +318,16 @@ def _load(
         ModelError: the file cannot be read, a name is unknown, no joint moves the tip, a joint that
             does follows another one, or a given model is not sound.
     """
-    whole, masters = _whole_robot(urdf, tip)
-    _require_joints(whole, (*passive_joints, *positions))
-    model = _path_to(whole, robots.frame_id(whole, tip), positions)
+    robot, masters = _whole_robot(urdf, tip)
+    _require_joints(robot, (*passive_joints, *positions))
+    model = _path_to(robot, robots.frame_id(robot, tip), positions)
     _require_uncoupled(model, masters)
     if isinstance(urdf, pin.Model):
         _require_sound(model)
     _require_joints(model, passive_joints)
     if wrist_sensor is not None:
         robots.frame_id(model, wrist_sensor)  # raises ModelError for an unknown frame
-    return whole, model, masters
+    return robot, model, masters
 
 
 def _whole_robot(urdf: str | Path | pin.Model, tip: str) -> tuple[pin.Model, Mapping[str, str]]:
@@ -475,13 +475,13 @@ def _own_inertia(model: pin.Model, joint: int) -> pin.Inertia:
     Args:
         model: model of the robot. joint: number of the joint.
     """
-    whole = model.inertias[joint]
+    total = model.inertias[joint]
     welded = pin.Inertia.Zero()
     for frame in model.frames:
         if frame.parentJoint == joint:
             welded = welded + frame.placement.act(frame.inertia)
-    massless = welded.mass > (1.0 - 1e-12) * whole.mass
-    return pin.Inertia.Zero() if massless else whole - welded
+    massless = welded.mass > (1.0 - 1e-12) * total.mass
+    return pin.Inertia.Zero() if massless else total - welded
 
 
 def with_distinct_frames(model: pin.Model) -> dict[str, str]:

@@ -104,8 +104,8 @@ class ClosedChain:
             payload: the held object, or its inertia in the object's frame (kg, m); None: no object,
                 the last link only.
             rank_tolerance: a direction of an arm counts as locked if the inertia of arm and object
-                in it is more than 1/tolerance² times the least one of all directions. Its purpose
-                is to tolerate rounding errors.
+                in it is more than 1/tolerance² times the least inertia of all directions. Its
+                purpose is to tolerate rounding errors.
             angle_tolerance: locked directions of two arms count as equal if they differ by less
                 than this angle (rad, in the object's energy metric), and so do wrenches of their
                 grasps. Its purpose is to tolerate errors of calibration of bases, joint axes and

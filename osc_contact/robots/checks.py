@@ -66,8 +66,8 @@ class JointLimits:
         Raises:
             InvalidInputError: a text of another form, or impossible limits.
         """
-        name, colon, rest = text.rpartition(":")
-        pairs = [part.partition("=") for part in rest.split(",")]
+        name, colon, assignments = text.rpartition(":")
+        pairs = [part.partition("=") for part in assignments.split(",")]
         values = {key.strip(): value for key, _, value in pairs}
         if not colon or not values.keys() <= set(LIMITS):
             raise InvalidInputError(
@@ -95,13 +95,13 @@ def matching_limits(
     Raises:
         InvalidInputError: a key that no moving joint matches.
     """
-    known = list(names)
+    moving_joints = list(names)
     by_joint: dict[str, dict[str, float]] = {}
     for key, joint_limits in reversed(list(limits.items())):  # earlier keys replace later ones
-        matches = [name for name in known if name == key or fnmatchcase(name, key)]
+        matches = [name for name in moving_joints if name == key or fnmatchcase(name, key)]
         if not matches:
             raise InvalidInputError(
-                f"limits: no moving joint matches {key!r}; {did_you_mean(key, known)}"
+                f"limits: no moving joint matches {key!r}; {did_you_mean(key, moving_joints)}"
             )
         numbers = asdict(joint_limits)
         values = {limit: value for limit, value in numbers.items() if value is not None}
@@ -393,9 +393,9 @@ def _places(mesh: Element, roots: Sequence[Path]) -> list[Path]:
         mesh: the <mesh>. roots: folders of the robot.
     """
     address = mesh.get("filename")
-    rest = address.removeprefix(_PACKAGE)
-    if rest != address:
-        return [root / rest.lstrip("/") for root in roots]
+    path = address.removeprefix(_PACKAGE)
+    if path != address:
+        return [root / path.lstrip("/") for root in roots]
     return [mesh.file.absolute().parent / address.removeprefix("file://")]
 
 

@@ -155,10 +155,10 @@ class Element:
         name = owner.get("name")
         owner_name = f"{owner.tag} {_short(name)}" if name else ""
         value = f" {key}={_short(self.get(key))}" if key in self.attributes else ""
-        own = f"<{self.tag}{value}>"
+        own_label = f"<{self.tag}{value}>"
         if owner is not self:
-            return f"{owner_name} {own}".lstrip()
-        return f"{owner_name}{value}" if owner_name else own
+            return f"{owner_name} {own_label}".lstrip()
+        return f"{owner_name}{value}" if owner_name else own_label
 
     def finding(self, check: str, reason: str, cure: str = "", key: str = "") -> ModelFinding:
         """Finding about the element, or about one of its attributes.
@@ -171,10 +171,12 @@ class Element:
         return ModelFinding(check, self.file, self.line, self.column, self.label(key), reason, cure)
 
     def note(self, check: str, reason: str, cure: str = "", key: str = "") -> None:
-        """Append a finding to `findings`.
+        """Append a finding about the element, or about one of its attributes, to `findings`.
 
         Args:
-            check, reason, cure, key: see `finding`.
+            check: name of the check that failed.
+            reason, cure: sentences on the error and its correction.
+            key: attribute; "": the element as a whole.
         """
         self.findings.append(self.finding(check, reason, cure, key))
 

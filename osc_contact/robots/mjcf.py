@@ -129,9 +129,9 @@ def bodies_of(mj: MjModel, tip: str | None) -> list[int]:
     sites = {mj.site(s).name: mj.site_bodyid[s] for s in range(mj.nsite)}
     places = sites | {mj.body(b).name: b for b in range(mj.nbody)}
     if tip not in places:
-        known = filter(None, places)
+        names = filter(None, places)
         raise ModelError(
-            f"the MuJoCo model has no body or site {tip!r}; {did_you_mean(tip, known)}"
+            f"the MuJoCo model has no body or site {tip!r}; {did_you_mean(tip, names)}"
         )
     if places[tip] == 0:
         raise ModelError(f"no joint moves {tip!r}: it is fixed to the world")

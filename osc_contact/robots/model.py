@@ -221,8 +221,8 @@ def frame_id(model: pin.Model, name: str) -> int:
     """
     matches = [i for i, frame in enumerate(model.frames) if frame.name == name]
     if not matches:
-        known = [frame.name for frame in model.frames]
-        raise ModelError(f"model {model.name!r} has no frame {name!r}; {did_you_mean(name, known)}")
+        names = [frame.name for frame in model.frames]
+        raise ModelError(f"model {model.name!r} has no frame {name!r}; {did_you_mean(name, names)}")
     for i in matches:
         if model.frames[i].type == pin.FrameType.BODY:
             return i

@@ -181,14 +181,14 @@ def _check_words(element: Element) -> None:
     Args:
         element: element whose children are checked, and those of known children.
     """
-    known = _CHILDREN.get(element.tag, ())
+    tags = _CHILDREN.get(element.tag, ())
     first_children: dict[str, Element] = {}  # first child with each tag
     for child in element.children:
         tag = child.tag
         first = first_children.setdefault(tag, child)
         if tag in _ONCE.get(element.tag, ()) and first is not child:
             child.note("xml", f"a second <{tag}>; the first is in line {first.line}", "delete one")
-        if tag not in known and (near := difflib.get_close_matches(tag.lower(), known, 1, 0.8)):
+        if tag not in tags and (near := difflib.get_close_matches(tag.lower(), tags, 1, 0.8)):
             child.note("xml", f"<{tag}> is no word of URDF", f"did you mean <{near[0]}>?")
         if element.tag in ("joint", "inertial") and (allowed := _ATTRIBUTES.get(tag)):
             cure = f"there is: {', '.join(allowed)}"
@@ -320,10 +320,10 @@ def _axis(element: Element, kind: str) -> Vector:
     axis = element.find("axis")
     if axis is None or kind == "fixed":
         return (1.0, 0.0, 0.0)
-    known = len(axis.findings)
+    count = len(axis.findings)
     numbers = axis.vector("xyz")
     length = math.hypot(*numbers)
-    if len(axis.findings) == known and not abs(length - 1.0) <= 1e-4:
+    if len(axis.findings) == count and not abs(length - 1.0) <= 1e-4:
         reason = f"the axis has length {length:.6g}; readers disagree on what that means"
         axis.note("joint", reason, "write a unit vector", "xyz")
     if length == 0.0:

@@ -288,7 +288,7 @@ class MonitorLimits(OrderedSpec):
 
     @model_validator(mode="after")
     def _has_hysteresis(self) -> Self:
-        """Refuse a force at which a contact opens that is not below the one at which it closes."""
+        """Refuse a threshold `force_off` that is not below `force_on`: contacts would flicker."""
         if not self.force_on > self.force_off:
             raise refuse(
                 f"force_on = {self.force_on:g} N, force_off = {self.force_off:g} N; give force_on "
