@@ -87,12 +87,6 @@ class Controller(ControllerState):
         joint_friction: settings for identification and compensation of joint friction; True:
             `JointFriction()`; False: no compensation.
 
-    Raises:
-        InvalidInputError: an argument of another class or unit, an unknown metric, contacts
-            that begin open without `life`, or contacts and an arm without a wrist sensor, so
-            that contact forces cannot be measured.
-        ModelError: an arm that the law does not support.
-
     Attributes:
         settings: all settings. laws: custom laws.
         chain, contacts, gains, dt, B, bodies, posture, friction, life, reading: single settings
@@ -138,7 +132,10 @@ class Controller(ControllerState):
         """Check the arguments, which the class's docstring describes, and zero all integrals.
 
         Raises:
-            InvalidInputError, ModelError: see the class.
+            InvalidInputError: an argument of another class or unit, an unknown metric, contacts
+                that begin open without `life`, or contacts and an arm without a wrist sensor, so
+                that contact forces cannot be measured.
+            ModelError: an arm that the law does not support.
         """
         settings = Settings(
             chain,
