@@ -341,11 +341,11 @@ FAULTS: dict[str, Fault] = {
     "no fault": Fault(None, 0.0, _ON),
     # encoders
     "encoder NaN once": Fault(_angles(_one, NAN), _TICK, _ON),
-    "encoder NaN for ever": Fault(_angles(_one, NAN), ends=_STOPS),
+    "encoder NaN for ever": Fault(_angles(_one, NAN), ends=_STOPS, unsound=_ENCODER),
     "encoders NaN, 15 ticks": Fault(_angles(gain=NAN), 0.014, _ON),
     "encoder spike of 1 rad, one tick": Fault(_angles(_motor, offset=1.0), _TICK, _ON),
-    "encoder jumps by 1 rad": Fault(_angles(_motor, offset=1.0), ends=_STOPS),
-    "encoder 1e200": Fault(_angles(_motor, 0.0, 1e200), ends=_STOPS),
+    "encoder jumps by 1 rad": Fault(_angles(_motor, offset=1.0), ends=_STOPS, unsound=_ENCODER),
+    "encoder 1e200": Fault(_angles(_motor, 0.0, 1e200), ends=_STOPS, unsound=_ENCODER),
     "encoder stuck": Fault(_angles(_motor, stuck=True), unsound=_ENCODER),
     "encoders stuck, speeds too": Fault(
         _packet(lambda t, m: replace(m, q=t.first("q", m.q), v=t.first("v", m.v))),
@@ -355,8 +355,8 @@ FAULTS: dict[str, Fault] = {
     "encoders stuck, speeds zero": Fault(
         _packet(lambda t, m: replace(m, q=t.first("q", m.q), v=0.0 * m.v)), unsound=_JOINTS
     ),
-    "encoder mirrored": Fault(_angles(_motor, -1.0)),
-    "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=0.2), drifts=True),
+    "encoder mirrored": Fault(_angles(_motor, -1.0), unsound=_ENCODER),
+    "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=0.2), unsound=_ENCODER, drifts=True),
     "encoder offset of 1 degree": Fault(_angles(_motor, offset=np.deg2rad(1.0))),
     "joints swapped": Fault(_packet(_swapped_joints), unsound=_JOINTS),
     "speeds swapped": Fault(_packet(_swapped_speeds), of_speeds=True),

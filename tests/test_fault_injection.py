@@ -187,6 +187,16 @@ def test_rest_is_judged_of_a_drifting_encoder_only_where_speeds_are_read():
         assert bool(verdict.wrong) != run.estimated, verdict.wrong
 
 
+def test_a_joint_whose_estimated_speed_ends_with_its_encoder_may_need_the_brakes():
+    """Not where its speed is read apart."""
+    run = Run(Case())
+    for name in ("encoder mirrored", "encoder NaN for ever", "encoder jumps by 1 rad"):
+        for run.estimated in (True, False):
+            verdict = Verdict(name, run.case, state=SAFE_STOP, unbraked=True)
+            run._judge_end(verdict, FAULTS[name], 100.0, False)
+            assert bool(verdict.wrong) != run.estimated, verdict.wrong
+
+
 def test_moments_are_drawn_from_the_whole_run_and_are_the_same_again():
     some = [case for name, case in runs(5) if name == "encoder stuck"]
     first_ones = [Run(case, "encoder stuck") for case in some[:12]]
