@@ -112,6 +112,15 @@ def test_a_motion_may_leave_contacts_that_are_not_active():
     assert "have it approached (control.life)" in closed
 
 
+def test_a_motion_into_a_contact_that_is_not_active_is_doubtful():
+    """Its force is controlled by nothing, though the same motion is harmless while it is active."""
+    span = "active.post_1=[[0 s, 0.4 s], [1.5 s, 99 s]]"
+    found = [one.text for one in osc.preflight(rig_of("three_arm_plate", span, "duration=2 s"))]
+    (doubt,) = [text for text in found if "nothing controls" in text]
+    assert "into what contact 'post_1' touches, which is not active then" in doubt
+    assert float(doubt.split("the object ")[1].split(" mm")[0]) > 2.0
+
+
 def test_each_set_of_contacts_is_tried_once_before_the_run():
     """Two contacts on one line of force but on two bodies cannot be controlled together."""
     data = rig_of().scenario.as_dict()

@@ -196,6 +196,28 @@ def far_off(task: Task) -> Values:
             yield gap, {"name": pair.name, "t": task.times[k], "cure": cure}
 
 
+@doubt(
+    "at t = {t:.3g} s the motion leads the object {mm:.1f} mm into what contact '{name}' touches, "
+    "which is not active then: it is pressed with a force that nothing controls; lead the object "
+    "off, or make the contact active",
+    0.001,
+)
+def uncontrolled(task: Task) -> Values:
+    """Overlap (m) of known contacts that push and are not active, at rest and in range.
+
+    Args:
+        task: task of which the motion is compared with the contacts.
+    """
+    for i, pair in enumerate(task.pairs if task.active is not None else ()):
+        assert task.active is not None
+        looks = np.flatnonzero(task.active[:, i] == 0.0)
+        looks = looks[:: max(1, len(looks) // 100)]
+        if task.rests[i] and pushes_only(pair) and len(looks):
+            gaps = [np.min(pair.gaps(pin.XYZQUATToSE3(X))) for X in task.poses[looks]]
+            k = np.argmin(gaps)
+            yield -gaps[k], {"name": pair.name, "t": task.times[looks[k]]}
+
+
 @rule(
     "X_WD moves by {share:.3g} times V_D × dt: references seem to be spaced {spacing:.3g} ms, and "
     "the controller's period is {dt:.3g} ms; space them by controller.dt, or give V_D in m/s and "

@@ -32,6 +32,7 @@ from osc_contact.loop.reference_rules import (
     spacing,
     speed_ceiling,
     together,
+    uncontrolled,
 )
 from osc_contact.loop.robot_task import task_of_robot
 from osc_contact.loop.rules import Finding, Task, findings
@@ -120,4 +121,4 @@ def judge_motion(task: Task) -> tuple[Finding, ...]:
 #: if `MOTION_RULES` have no findings.
 ROBOT_RULES = (first_tick, jump, weights, pulls, measured_range, spacing, contradiction)
 CEILINGS = (force_ceilings, speed_ceiling)
-MOTION_RULES = (stretched, postures, lifted, together, far_off, lag)
+MOTION_RULES = (stretched, postures, lifted, together, far_off, uncontrolled, lag)
