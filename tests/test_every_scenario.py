@@ -104,6 +104,7 @@ def test_limits_on_mujoco(runs, name):
     firsts = [step for step in verdict["steps"] if step["what"] == "first contact"]
     assert len(verdict["force"]) == len(firsts) == ROBOTS[name][1]
     assert_accurate(verdict)
+    assert verdict["status"]["hopping"] == 0
     assert np.ptp(runs[name]["pose"][:, :3], axis=0).max() > 0.01  # it does move
     for step in verdict["steps"]:
         assert step["overshoot_N"] <= 0.05 * abs(step["commanded_N"]), step
@@ -126,6 +127,7 @@ def test_verdicts_of_the_other_scenarios(name):
     word, gentle = WORDS[name]
     verdict = verdict_of(name, duration=3.3)
     assert verdict["task"]["word"] == word, verdict["task"]
+    assert verdict["status"]["hopping"] == 0
     for step in verdict["steps"] if gentle else ():
         assert step["overshoot_N"] <= 0.05 * max(abs(step["commanded_N"]), 1.0), step
 

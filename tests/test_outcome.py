@@ -101,6 +101,7 @@ held = changed("status", 1500, 1600, 2) | changed("motion_error", 1500, 1600, np
         ("OK", "", changed("closed", 2000, 2015, 0)),
         ("POOR!", "open in 2.0% of its judged time", changed("closed", 2000, 2040, 0)),
         ("OK", "", changed("closed", 500, 900, 0)),  # before it is judged
+        ("HOPPING", "hopped in 100 of 3000 ticks", changed("status", 2000, 2100, 4)),
         ("LOST!", "never made", changed("closed", 0, TICKS, 0)),
         ("POOR!", "open in 25.0%", open_late | changed("contact_phase", 2000, 2500, 1)),
         ("OK", "", open_late | resting),

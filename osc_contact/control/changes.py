@@ -9,6 +9,7 @@ import numpy as np
 
 from osc_contact.control.controller_settings import Settings
 from osc_contact.control.controller_state import ControllerState
+from osc_contact.control.reasons import hopping_contact
 from osc_contact.control.status import SafetyState
 from osc_contact.law import records as at
 
@@ -17,7 +18,16 @@ Event = tuple[str, dict[str, Any]]  #: kind of the event, and its values by name
 RISE = 1.1  #: times the ceiling that was noted last; smaller rises are no event
 _STATES = tuple(SafetyState)
 #: Fields of MEMORY whose change is an event, or may be a part of one.
-_WATCHED = ("state", "engaged", "unbraked", "f_tare", "f_bias", "largest_force", "largest_sum")
+_WATCHED = (
+    "state",
+    "engaged",
+    "unbraked",
+    "hopping",
+    "f_tare",
+    "f_bias",
+    "largest_force",
+    "largest_sum",
+)
 #: Kinds of force ceilings, and the field of MEMORY with the largest command of each.
 _CEILINGS = {"contact": "largest_force", "wrist": "largest_sum"}
 _COMMANDS = set(_CEILINGS.values())
@@ -117,6 +127,8 @@ class Changes:
             if joint is not None and joint != self._unbraked:
                 yield "brakes", {"joint": joint, "reason": controller.reason}
             self._unbraked = joint
+        if "hopping" in changed and _field(now, "hopping")[0]:
+            yield "hopping", {"reason": hopping_contact(controller.records, controller.settings)}
         yield from self._raised_ceilings(now)
 
     def _raised_ceilings(self, now: bytes) -> Iterator[Event]:

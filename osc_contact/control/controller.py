@@ -37,7 +37,7 @@ from osc_contact.errors import InvalidInputError, OscContactError, SolverError, 
 from osc_contact.files import write_whole
 from osc_contact.interface import Measurement, Reference
 from osc_contact.law.chain import OBJECT_UNKNOWN
-from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, OK, Bytes
+from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, HOPPING, OK, Bytes
 from osc_contact.settings.control import (
     Friction,
     Gains,
@@ -321,7 +321,7 @@ class Controller(ControllerState):
         if self.idle.waiting and self.idle.count(self.settings, reference.alpha_d):
             _log.warning("%s", self.idle.sentence(self.settings))
         code = int(self.records.memory.status)
-        if code in (OK, DEGRADED):  # the torques of the law are final
+        if code in (OK, DEGRADED, HOPPING):  # the torques of the law are final
             return self.last_torques()
         self.ended.note(measurement, reference, error)
         if code == Status.HELD:

@@ -9,7 +9,7 @@ from osc_contact.control.controller_settings import Settings
 from osc_contact.control.custom_laws import CustomParts
 from osc_contact.control.ending import TickEnd
 from osc_contact.control.inputs import Freshness
-from osc_contact.control.reasons import explain, unbraked_joint
+from osc_contact.control.reasons import explain, hopping_contact, unbraked_joint
 from osc_contact.control.records import TickRecords
 from osc_contact.control.signals import Signals, TickResult
 from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetyState, Status
@@ -77,6 +77,8 @@ class ControllerState:
         """
         if self.status is Status.HELD or self.state is SafetyState.SAFE_STOP:
             return explain(self.records, self.settings, self.ended)
+        if self.status is Status.HOPPING:
+            return hopping_contact(self.records, self.settings)
         losses = str(self.given_up or "; ".join(map(str, self.lost_directions)))
         if losses or not self.records.memory.ticked:
             return losses

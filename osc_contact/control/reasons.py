@@ -13,6 +13,7 @@ from osc_contact.interface import Measurement, Reference
 from osc_contact.law import records as at
 from osc_contact.law.columns import CONTRADICTION
 from osc_contact.law.command_filter import UNREACHABLE
+from osc_contact.law.hopping import CONTACT_HOPS
 from osc_contact.law.reasons import LASTING, SENTENCES
 from osc_contact.law.tick import BAD_INPUT, STOPPED
 
@@ -60,6 +61,10 @@ class _Facts(dict[str, Any]):
                 return self._contact(i)
             case "force":
                 return float(rows.memory.columns.alpha[i])
+            case "hopping":
+                return self._contact(int(rows.memory.hopping) - 1)
+            case "hop_percent":
+                return 100.0 * float(rows.memory.columns.hop_share[int(rows.memory.hopping) - 1])
             case "safety":
                 return self.settings.safety
             case "closure_mm":
@@ -151,6 +156,15 @@ def _describe_input(
         f"{len(records.work.columns)} columns of N; give one for each degree of constraint, "
         "contact after contact"
     )
+
+
+def hopping_contact(records: TickRecords, settings: Settings) -> str:
+    """Sentence on the contact that hops in a tick of status HOPPING.
+
+    Args:
+        records: records of the tick. settings: settings of the controller.
+    """
+    return SENTENCES[CONTACT_HOPS].format_map(_Facts(records, settings))
 
 
 def unbraked_joint(records: TickRecords, settings: Settings) -> str | None:

@@ -37,6 +37,7 @@ FORGOTTEN = (
     "tested",
     "above",
     "missed",
+    "hopping",
     "repeats",
     "fresh",
     "step_left",
@@ -51,7 +52,16 @@ FORGOTTEN = (
 FORGOTTEN_TABLES: dict[str, tuple[str, ...]] = {
     "joints": (),
     "arms": (),
-    "columns": ("underforce", "overforce", "time_since_loss", "has_desired", "integral"),
+    "columns": (
+        "underforce",
+        "overforce",
+        "time_since_loss",
+        "has_desired",
+        "integral",
+        "pressing",
+        "hop_share",
+        "hop_rate",
+    ),
 }
 
 

@@ -86,6 +86,7 @@ _MODEL = _record(
         "friction_learning",  # 1 if joint friction is identified
         "friction_errors",  # 1 if errors of the links' masses are compensated, too
         "phased",  # 1 with contact phases
+        "hop_stops",  # 1 if a hopping contact stops the arms
         "guarded",  # 1 if readings are checked: in a controller, not in a chain alone
         # see `safety`
         "repeats",  # largest number of ticks with repeated torques
@@ -138,6 +139,8 @@ _MODEL = _record(
         "stuck_speed",  # share of a speed limit
         "frozen_time",  # s
         "missed_share",  # share of the ticks of the last second
+        "hop_share",  # share of the last second, see `hopping`
+        "hop_rate",  # 1/s
         "speed_error",  # share of a speed limit
         "position_drift",  # rad or m
         "wrist_error",  # share of a torque limit
@@ -279,6 +282,7 @@ _MEMORY = _record(
         "repeats",  # ticks for which torques may be repeated
         "cause",  # reason of the present state
         "settled",  # state of a hold: 0 where it begins, BRAKED, SETTLED
+        "hopping",  # 1 plus the column of N that hops; 0: none
         "culprit",  # joint, arm or column of N concerned by the cause
         "unbraked",  # joint that is stopped without a sound reading, or −1
         "above",  # 1 if holds that test encoders are above the joints' rest positions
@@ -350,6 +354,7 @@ COLUMN_MEMORY = _record(
         "collision",  # 1 if a collision begins in this tick
         "known",  # 1 if the column was in N in the last computed tick
         "has_desired",  # 1 if a force was desired in the last tick
+        "pressing",  # see `hopping`
     ),
     number=(
         # see `phases.monitor`
@@ -364,6 +369,8 @@ COLUMN_MEMORY = _record(
         "net",  # N, `force` less the inertial force of free flight
         "underforce",  # s of too little force, see `safety`
         "overforce",  # s of too much force
+        "hop_share",  # share of the last second with too little force, see `hopping`
+        "hop_rate",  # 1/s, falls of the force
         # see `commands`
         "desired",  # N, last desired force
         "scale",  # N, its size
@@ -671,7 +678,7 @@ COLUMN_WORK = _record(
 BAR_WORK = _record(number=("goal", "scale"), to_come=3)  #: commanded force (N), size, step
 BODY_WORK = _record(answer=48, motion=28)  #: Φ_e, b_e, V_e; X_WE, V_E, A_E
 
-OK, SATURATED, HELD, DEGRADED = range(4)  #: status of a tick
+OK, SATURATED, HELD, DEGRADED, HOPPING = range(5)  #: status of a tick
 RUN, DEGRADED_STATE, HOLD, SAFE_STOP = range(4)  #: state of a controller, see `safety`
 
 # The records as one run of bytes each -----------------------------------------------------------

@@ -12,6 +12,7 @@ from osc_contact.law.reasons import LASTING, NO_REASON, declare_reason
 from osc_contact.law.records import (
     DEGRADED_STATE,
     HOLD,
+    HOPPING,
     JOINTS,
     OK,
     RUN,
@@ -244,7 +245,8 @@ def _note_computed(t, sensor_reason):
     if work.status != SATURATED:  # a saturated tick is counted when `limits` has finished it
         count_computed(t)
     memory.repeats = t.model.repeats if work.status != SATURATED else 0
-    is_ok = work.status == OK and memory.wrench_missing == 0
+    is_ok = work.status == OK or work.status == HOPPING
+    is_ok = is_ok and memory.wrench_missing == 0
     _enter(t, RUN if is_ok else DEGRADED_STATE)
     if sensor_reason != NO_REASON:
         memory.cause = sensor_reason

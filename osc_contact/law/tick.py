@@ -54,6 +54,7 @@ from osc_contact.law.commands import (
     shape_steps,
 )
 from osc_contact.law.contact import place_contacts
+from osc_contact.law.hopping import watch_hops
 from osc_contact.law.jit import entry, inner, leaf, local, prefetch
 from osc_contact.law.joint_friction import compensate_friction
 from osc_contact.law.normals import load_normal_estimates
@@ -77,6 +78,7 @@ from osc_contact.law.records import (
     END,
     HAND_OVER,
     HELD,
+    HOPPING,
     JOB,
     LEAST_SQUARES,
     LOOK,
@@ -467,6 +469,8 @@ def watch(t):
         reason = watch_contacts(t)
     if reason == NO_REASON and t.model.guarded:
         reason = watch_ceilings(t)
+    if reason == NO_REASON:
+        reason = watch_hops(t)
     return reason
 
 
@@ -507,6 +511,8 @@ def finish(t):
     if not excess:
         phases.limit_changes(t, t.memory.ticked != 0)
     remember(t)
+    if work.status == OK and t.memory.hopping > 0:  # the law computed it without a loss
+        work.status = HOPPING
     return NO_REASON
 
 

@@ -373,6 +373,14 @@ class SafetySettings(OrderedSpec):
     missed_share: Annotated[Limit, "–"] = 0.4
     """share of ticks not computed in about the last second (low-passed with 0.5 s) above which the
     arms are stopped: if every second tick fails within 1 s, if every third fails never"""
+    hop_share: Annotated[Limit, "–"] = 0.3
+    """share of about the last second (low-passed with 1 s) with less than a fifth of the command,
+    from which on a contact is called [hopping](reliability.md#hopping-contacts), if `hop_rate` is
+    reached, too"""
+    hop_rate: Annotated[Limit, "1/s"] = 4.0
+    """falls of a force below a fifth of its command per second, low-passed likewise"""
+    hop_stops: bool = False
+    """whether a hopping contact stops the arms; if not, ticks end `HOPPING`"""
     overspeed_time: TimeLimit = 0.02
     """time of a motorised joint above its speed limit that stops the arms; time below the limit is
     subtracted"""

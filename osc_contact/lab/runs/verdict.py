@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from osc_contact.control.status import Status
 from osc_contact.errors import InvalidInputError, RecordingError
 from osc_contact.files import Json
 from osc_contact.lab.runs.limit_cycles import worst_cycles
@@ -30,7 +31,8 @@ _READ = (
     "status",
     "tau",
 )
-_STATUS = ("ok", "saturated", "held", "degraded")  #: names of the values of channel `status`
+#: Names of the values of channel `status`.
+_STATUS = tuple(status.name.lower() for status in Status)
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,15 @@ RULES = (
         "held_share",
         0.0,
         "{held} of {ticks} ticks could not be computed ({held_share:.2%})",
+        fails=False,
+    ),
+    Rule(
+        "HOPPING",
+        "run",
+        "hopping",
+        0.0,
+        "a contact hopped in {hopping} of {ticks} ticks: its force fell below a fifth of its "
+        "command again and again",
         fails=False,
     ),
     Rule(

@@ -1,0 +1,96 @@
+"""Hopping contacts: forces that fall below a fifth of their commands again and again.
+
+Limits of time (`contact_loss_time`, `overforce_time`) begin anew with each hop, and a low-passed
+force may be right on average. The evidence is the share of time below a fifth of the command, and
+the number of falls per second, both low-passed with 1 s. A fall counts once the force has been
+above half of its command since the fall before, so that noise about a fifth is not counted.
+"""
+
+from __future__ import annotations
+
+from osc_contact.law.jit import inner
+from osc_contact.law.phases import APPROACHING
+from osc_contact.law.reasons import NO_REASON, declare_reason
+from osc_contact.law.records import contact_of
+
+HOPS = (
+    "contact '{hopping}' hops: {hop_percent:.0f} % of the last second below a fifth of its command"
+)
+CONTACT_HOPS = declare_reason("CONTACT_HOPS", 63, HOPS)
+
+_WINDOW = 1.0  #: s, time constant of share and rate
+_LOW = 0.2  #: share of its command below which a force counts as gone
+_FIRM = 0.5  #: share of its command above which a force counts as pressing again
+_LIGHT = 1.0  #: N, command below which hops cannot be distinguished from noise
+
+#: State of a column since its contact became active: no force yet, gone, pressing.
+_UNMET, _GONE, _PRESSING = range(3)
+
+
+@inner
+def watch_hops(t):
+    """Update share and rate of the hops of all columns; return a reason if hops stop the arms.
+
+    A contact that phases have lost counts as gone until it presses again. Updates `pressing`,
+    `hop_share` and `hop_rate` of the columns, and `hopping` of MEMORY: 1 plus the hopping column
+    with the largest share, 0 if none hops.
+
+    Args:
+        t: Tick, with `alpha_meas` and `alpha_d` of the kept columns in WORK.
+    """
+    model = t.model
+    memory = t.memory
+    work = t.work
+    memory.hopping = 0
+    for j in range(model.n_columns):
+        if contact_of(t, j).active == 0:
+            _forget(memory.columns[j])
+    most = 0.0
+    for a in range(work.rank):
+        j = work.kept[a]
+        row = memory.columns[j]
+        approached = model.phased != 0 and contact_of(t, j).phase == APPROACHING
+        _note_force(row, work.alpha_meas[a], work.alpha_d[a], approached, work.dt)
+        hops = row.hop_share >= model.hop_share and row.hop_rate >= model.hop_rate
+        if hops and row.hop_share > most:
+            most = row.hop_share
+            memory.hopping = 1 + j
+    if memory.hopping > 0 and model.hop_stops:
+        memory.culprit = memory.hopping - 1
+        return CONTACT_HOPS
+    return NO_REASON
+
+
+@inner
+def _forget(row):
+    """Begin anew with a column of a contact that is not active.
+
+    Args:
+        row: COLUMN_MEMORY, of which `pressing`, `hop_share` and `hop_rate` become zero.
+    """
+    row.pressing = _UNMET
+    row.hop_share = 0.0
+    row.hop_rate = 0.0
+
+
+@inner
+def _note_force(row, force, command, approached, dt):
+    """Take a measured force into the share and the rate of hops of a column.
+
+    Args:
+        row: COLUMN_MEMORY. force: α_meas (N). command: α_d (N). approached: whether the contact is
+            being approached, at first or after a loss. dt: time since the last tick (s).
+    """
+    size = abs(command)
+    along = force if command > 0.0 else -force
+    judged = size > _LIGHT or approached
+    gone = approached or along < _LOW * size
+    low = judged and gone and row.pressing != _UNMET
+    k = dt / (_WINDOW + dt)
+    row.hop_share += k * ((1.0 if low else 0.0) - row.hop_share)
+    row.hop_rate -= k * row.hop_rate
+    if low and row.pressing == _PRESSING:
+        row.pressing = _GONE
+        row.hop_rate += 1.0 / (_WINDOW + dt)
+    elif judged and not gone and along > _FIRM * size:
+        row.pressing = _PRESSING
