@@ -301,7 +301,7 @@ def set_goals(t):
         start = model.approach_damping * speed if pushes else goal[j]
         if approaching:
             gentle = _GENTLE * model.force_on * speed / model.approach_speed
-            moving = min(abs(row.filtered_speed), abs(row.speed))
+            moving = slowest_column(t, model.columns[j].contact)
             start = min(start, gentle + model.approach_damping * moving)
             if contact.since * model.approach_speed >= model.travel:
                 start = 0.0  # no face within `travel`: the approach ends
@@ -309,6 +309,24 @@ def set_goals(t):
         if pushes and contact.phase == CLOSED:
             risen = min(contact.since / model.rise, 1.0)
         goal[j] = start + risen * (goal[j] - start)
+
+
+@inner
+def slowest_column(t, contact):
+    """Smallest speed |NᵀV_rel| of the columns of a contact (m/s), low-passed or not.
+
+    All columns of a contact that is approached have the same goal by it: with goals that rise with
+    the own speed, columns that are faster would be pushed more, and the object would turn.
+
+    Args:
+        t: Tick. contact: index of the contact.
+    """
+    least = inf
+    for j in range(t.model.n_columns):
+        if t.model.columns[j].contact == contact:
+            row = t.memory.columns[j]
+            least = min(least, min(abs(row.filtered_speed), abs(row.speed)))
+    return least
 
 
 @inner

@@ -57,6 +57,7 @@ from osc_contact.law.contact import place_contacts
 from osc_contact.law.hopping import watch_hops
 from osc_contact.law.jit import entry, inner, leaf, local, prefetch
 from osc_contact.law.joint_friction import compensate_friction
+from osc_contact.law.levelling import level_approaches
 from osc_contact.law.normals import load_normal_estimates
 from osc_contact.law.plausibility import check_readings
 from osc_contact.law.reading import (
@@ -431,6 +432,8 @@ def command(t, flags):
             work.gain[a] = 0.0
     if not users_own:
         command_force(t)
+    if model.phased:
+        level_approaches(t)
     if memory.hand_over:
         memory.hand_over = 0
         transfer_integral(t)

@@ -256,7 +256,8 @@ class FaceOnFace(PointsOnPlanes):
     face_normal: BodyDirection
     """the outward normal of that face [x, y, z] in the body frame"""
     size: Extent = 0.1
-    """the distance from the middle of the face to the corners at which forces are commanded"""
+    """the distance from the middle of the face to the corners at which forces are commanded, which
+    [belong on what touches](contacts.md#the-size-of-a-face)"""
     name: str = "face_on_face"
     pushes = True
 

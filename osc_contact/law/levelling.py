@@ -1,0 +1,90 @@
+"""Push of an approached contact with several columns, distributed so that the object does not turn.
+
+In the air a force accelerates the object instead of pressing it. Equal forces in all columns of an
+edge or a face turn it, unless the centre of the apparent inertia of object and arms is in their
+middle: it would land on a corner. The columns accelerate alike under the forces
+
+    α = s D⁻¹(1, …, 1)ᵀ,   D = NᵀΛ⁻¹N,
+
+with Λ the inertia of object and arms at O. Their sum is that of the equal forces.
+"""
+
+from __future__ import annotations
+
+from osc_contact.law.algebra import cholesky, cholesky_solve, dot, lu_solve
+from osc_contact.law.jit import inner, local
+from osc_contact.law.phases import APPROACHING
+from osc_contact.law.records import contact_of
+from osc_contact.law.vectors import fill
+
+_TOUCHED = 0.5  #: share of `force_on` of net force at which a contact counts as touching
+
+
+@inner
+def level_approaches(t):
+    """Distribute the mean force command of each approached contact so that its columns go alike.
+
+    As a column begins to touch, the forces become equal again: then each has to press by itself.
+    Reads `N_t`, `Lambda`, and `net` of MEMORY. Changes `alpha_u` of contacts with two columns or
+    more, all of which are kept.
+
+    Args:
+        t: Tick.
+    """
+    work = t.work
+    m = work.locked
+    d = 6 - m
+    if work.rank != work.count or d == 0:
+        return
+    factor = local(6, 6)
+    factored = False
+    for a in range(work.rank):
+        j = work.kept[a]
+        contact = t.model.columns[j].contact
+        first = a == 0 or t.model.columns[work.kept[a - 1]].contact != contact
+        if not first or contact_of(t, j).phase != APPROACHING:
+            continue
+        end = a + 1
+        while end < work.rank and t.model.columns[work.kept[end]].contact == contact:
+            end += 1
+        if end - a < 2:
+            continue
+        if not factored:
+            factored = cholesky(work.Lambda, m, d, factor) > 0.0
+        if factored:
+            _level(t, factor, a, end)
+
+
+@inner
+def _level(t, factor, first, end):
+    """Distribute the mean of the force commands of the kept columns `first` to `end` − 1.
+
+    Args:
+        t: Tick. factor: (6, 6) Cholesky factor of Λ without the locked coordinates. first, end:
+            kept columns of one contact.
+    """
+    work = t.work
+    m = work.locked
+    d = 6 - m
+    n = end - first
+    D = local(6, 6)
+    share = local(1, 6)
+    answer = local(6)
+    mean = 0.0
+    touching = 0.0
+    for a in range(n):
+        share[0, a] = 1.0
+        mean += work.alpha_u[first + a] / n
+        touching = max(touching, t.memory.columns[work.kept[first + a]].net)
+        fill(answer, work.N_t[first + a])
+        cholesky_solve(factor, d, answer[m:])
+        for b in range(n):
+            D[a, b] = dot(answer[m:], work.N_t[first + b, m:], d)
+    free = 1.0 - touching / (_TOUCHED * t.model.force_on)
+    if free <= 0.0 or not lu_solve(D, n, share, 1):
+        return
+    total = 0.0
+    for a in range(n):
+        total += share[0, a]
+    for a in range(n):
+        work.alpha_u[first + a] += min(free, 1.0) * mean * (n * share[0, a] / total - 1.0)
