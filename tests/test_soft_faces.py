@@ -1,11 +1,12 @@
 """Faces on unknown elastic supports: the brake of docs/tuning.md#soft-faces, measured or not."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from rigs import refused, rig_of, vector
 from samples import parametrize
-from scenario_runs import verdict_of
+from scenario_runs import run_of, verdict_of
 
 import osc_contact as osc
 from osc_contact.dynamics.environment import Yielding
@@ -94,6 +95,63 @@ def test_the_loop_is_stable_on_every_spring_and_the_usual_one_above_a_bound():
         usual = poles(ratio, False).real.max()
         if abs(ratio / bound - 1.0) > 0.05:
             assert (usual < 0.0) == (ratio > bound)
+
+
+def damped_poles(brake, ratio, damping):
+    """Poles of a contact on a wall with a spring and a damper, both over the mass (1/s², 1/s)."""
+    return np.roots([1.0, brake + damping, ratio + K_I * damping, K_I * ratio])
+
+
+def test_the_loop_is_stable_on_every_wall_that_damps_where_kappa_exceeds_K_i():
+    for ratio in 10.0 ** np.linspace(1, 7, 20):
+        assert damped_poles(0.9 * K_I, ratio, 0.0).real.max() > 0.0
+        for damping in (0.0, *10.0 ** np.linspace(-1, 5, 20)):
+            assert damped_poles(KAPPA, ratio, damping).real.max() < 0.0
+            routh = (0.9 * K_I + damping) * (ratio + K_I * damping) > K_I * ratio
+            margin = abs((0.9 * K_I + damping) * (ratio + K_I * damping) / (K_I * ratio) - 1.0)
+            if margin > 1e-3:
+                assert (damped_poles(0.9 * K_I, ratio, damping).real.max() < 0.0) == routh
+
+
+SHARE = 0.03  #: d of MuJoCo's `solimp`: with a small one, spring and damper act as given
+
+
+@cache
+def landed_on(damping_ratio, hertz=60.0):
+    """Largest landing force (N) of the rod's ends, and rms errors of the forces held afterwards.
+
+    Stiffness and damping of the faces are given directly, both over the mass behind the contact:
+    ω² = 1/(d(1 − d)τ²ζ²), δ = 2/((1 − d)τ) of MuJoCo's solref (τ, ζ) and solimp d.
+    """
+    rate = 2.0 * np.pi * hertz
+    time = 1.0 / ((1.0 - SHARE) * damping_ratio * rate)
+    ratio = 1.0 / (rate * np.sqrt(SHARE * (1.0 - SHARE)) * time)
+    recording = run_of(
+        "approach_and_slide",
+        f"plant.solref=[{time}, {ratio}]",
+        f"plant.solimp=[{SHARE}, {SHARE}, 0.001]",
+        "gains={}",
+        "sensors={}",
+        "model_error={}",
+        "duration=2.6 s",
+    )
+    landing, errors = [], []
+    for true, command in zip(recording["alpha_true"].T, recording["alpha_cmd"].T, strict=True):
+        touch = np.flatnonzero(true > 0.02)[0]
+        landing.append(true[touch : touch + 15].max())
+        error = (true - command)[touch + 600 : 2500] / 10.0
+        errors.append(np.sqrt(np.mean(error**2)))
+        assert (true[touch + 600 : 2500] > 0.0).all()
+    return max(landing), max(errors)
+
+
+@parametrize("damping_ratio", [0.1, 2.0])
+def test_a_wall_that_damps_makes_no_force_oscillate(damping_ratio):
+    assert landed_on(damping_ratio)[1] < 0.005
+
+
+def test_landing_forces_grow_with_the_damping_of_the_wall_that_damps():
+    assert landed_on(2.0)[0] > 5.0 * landed_on(0.1)[0]
 
 
 def test_the_arm_in_contact_is_passive():
