@@ -61,6 +61,12 @@ for door in {doors!r}:
 """
 
 
+@fixture(scope="module", autouse=True)
+def library():
+    """The compiled law: where it is made first, numba is loaded, and YAML by numba."""
+    python("-m", "osc_contact.law.c_object")
+
+
 @fixture(scope="module")
 def loaded():
     """Names of the modules that each door loads."""
