@@ -37,7 +37,7 @@ from benchmarks.measuring import side_by_side
 from benchmarks.random_tasks import GROUPS, RandomTask, draw
 from osc_contact.lab.checks.preflight import preflight
 from osc_contact.lab.rig.rig import Rig
-from osc_contact.lab.sweeps.sweep import without_logged_doubts
+from osc_contact.lab.sweeps.rows import without_logged_doubts
 from osc_contact.recorder.judged import LANDING_S, judged_ticks
 from osc_contact.spatial import Array
 

@@ -14,7 +14,7 @@ from itertools import product
 import typer
 
 import osc_contact as osc
-from osc_contact.lab.sweeps.sweep import without_logged_doubts
+from osc_contact.lab.sweeps.rows import without_logged_doubts
 from paper.study import Data
 
 #: Changes of any scenario, beside those of `judge`.

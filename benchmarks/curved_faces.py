@@ -22,7 +22,7 @@ from scipy.optimize import root
 import osc_contact as osc
 from osc_contact.lab.plants.mujoco import MujocoPlant
 from osc_contact.lab.rig.rig import PLANTS
-from osc_contact.lab.sweeps.sweep import without_logged_doubts
+from osc_contact.lab.sweeps.rows import without_logged_doubts
 from osc_contact.spatial import Array
 from paper.study import Data
 

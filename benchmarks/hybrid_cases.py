@@ -14,8 +14,8 @@ import numpy as np
 from rich.console import Console
 
 import osc_contact as osc
+from osc_contact.lab.sweeps.rows import record_sample, without_logged_doubts
 from osc_contact.lab.sweeps.study import SweepStudy
-from osc_contact.lab.sweeps.sweep import record_sample, without_logged_doubts
 from osc_contact.spatial import Array
 from paper.study import PANDA, table_of
 

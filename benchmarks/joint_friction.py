@@ -28,7 +28,7 @@ from osc_contact.contacts.pairs.pair import triad
 from osc_contact.lab.plants.mujoco import MujocoPlant
 from osc_contact.lab.rig.rig import PLANTS, Rig
 from osc_contact.lab.runs import poses
-from osc_contact.lab.sweeps.sweep import without_logged_doubts
+from osc_contact.lab.sweeps.rows import without_logged_doubts
 
 MJCF = ("iiwa", "jaco", "kinova3", "panda", "sawyer", "spot_arm", "ur5e", "xarm7")  #: folders
 TIPS = {"ur10": "tool0", "xarm7": "link7", "panda": "panda_hand_tcp"}

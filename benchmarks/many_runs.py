@@ -7,8 +7,9 @@ what it spends on a row bounds how many workers have work.
 from collections.abc import Sequence
 from time import thread_time
 
+from osc_contact.lab.sweeps.rows import make_rows
 from osc_contact.lab.sweeps.study import SweepStudy
-from osc_contact.lab.sweeps.sweep import available_cores, make_rows
+from osc_contact.lab.sweeps.workers import available_cores
 from paper.study import Data
 
 MASSES = (

@@ -24,7 +24,7 @@ from rich.console import Console
 import osc_contact as osc
 from benchmarks.measuring import side_by_side, table_from
 from osc_contact.lab.scenarios.hardware import Push
-from osc_contact.lab.sweeps.sweep import without_logged_doubts
+from osc_contact.lab.sweeps.rows import without_logged_doubts
 from paper.study import Data
 
 FORCES = (5.0, 20.0, 60.0, 120.0, 200.0)  #: N

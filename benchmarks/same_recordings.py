@@ -22,7 +22,7 @@ import numpy as np
 import typer
 
 import osc_contact as osc
-from osc_contact.lab.sweeps.sweep import available_cores
+from osc_contact.lab.sweeps.workers import available_cores
 from osc_contact.spatial import Array
 
 SEED = 1

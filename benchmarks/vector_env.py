@@ -7,7 +7,7 @@ import numpy as np
 
 import osc_contact as osc
 from benchmarks.measuring import Rows
-from osc_contact.lab.sweeps.sweep import available_cores
+from osc_contact.lab.sweeps.workers import available_cores
 from paper.study import Data
 
 SCENARIO = "panda_edge"

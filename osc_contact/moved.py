@@ -87,6 +87,14 @@ MOVED_NAMES = {
         "scenario_of": "lab.runs.recovery",
         "shown_of": "lab.reports.viewing",
     },
+    "lab.sweeps.sweep": {
+        "RigBuilder": "lab.sweeps.rows",
+        "available_cores": "lab.sweeps.workers",
+        "end_with_parent": "lab.sweeps.workers",
+        "record_sample": "lab.sweeps.rows",
+        "robot_key": "lab.sweeps.rows",
+        "without_logged_doubts": "lab.sweeps.rows",
+    },
     "lab.visual.live": {"Shows": "loop.loop"},
     "loop.loop": {
         "latency": "loop.realtime",

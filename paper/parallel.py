@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from osc_contact.errors import OscContactError, missing
 from osc_contact.lab.cli.console import err
-from osc_contact.lab.sweeps.sweep import available_cores, end_with_parent
+from osc_contact.lab.sweeps.workers import available_cores, end_with_parent
 from osc_contact.law import compiled
 from paper.study import silent
 

@@ -8,8 +8,9 @@ import numpy as np
 from rich.table import Table
 
 import osc_contact as osc
+from osc_contact.lab.sweeps.rows import make_rows
 from osc_contact.lab.sweeps.study import SweepStudy
-from osc_contact.lab.sweeps.sweep import make_rows, run_rows
+from osc_contact.lab.sweeps.sweep import run_rows
 from osc_contact.spatial import Array
 from paper.selection_laws import BASELINES, Baseline, Instant, Law, Ours, SelectionLaw, best_frames
 from paper.study import Ask, Data, Study, table_of

@@ -27,7 +27,7 @@ from benchmarks.peers import constraint_dynamics, mujoco_state
 from benchmarks.textbook import TextbookLaw
 from benchmarks.tick import ALL_CASES
 from osc_contact.control.status import Phase
-from osc_contact.lab.sweeps.sweep import available_cores
+from osc_contact.lab.sweeps.workers import available_cores
 
 GROWS = """import mmap
 from benchmarks.soak import resident

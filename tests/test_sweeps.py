@@ -29,16 +29,9 @@ from osc_contact.contacts.detection import collision_shapes
 from osc_contact.lab.checks.preflight import judge_rig, require_ready
 from osc_contact.lab.runs.run import start
 from osc_contact.lab.sweeps.report import variances, write_report
+from osc_contact.lab.sweeps.rows import RigBuilder, make_rows, robot_key
 from osc_contact.lab.sweeps.study import SweepStudy, parse_distribution
-from osc_contact.lab.sweeps.sweep import (
-    ROWS,
-    TABLE,
-    RigBuilder,
-    RowFile,
-    make_rows,
-    robot_key,
-    run_study,
-)
+from osc_contact.lab.sweeps.sweep import ROWS, TABLE, RowFile, run_study
 
 U = np.linspace(0.01, 0.99, 7)
 SHORT = ("duration=1.02 s", "control.rate=250 Hz")
@@ -371,7 +364,7 @@ def test_rigs_that_share_chains_are_those_built_alone(monkeypatch):
     builder = RigBuilder()
     judged = []
     monkeypatch.setattr(
-        "osc_contact.lab.sweeps.sweep.judge_rig", lambda rig: judged.append(rig) or judge_rig(rig)
+        "osc_contact.lab.sweeps.rows.judge_rig", lambda rig: judged.append(rig) or judge_rig(rig)
     )
     scenarios = [
         osc.load_scenario(

@@ -49,7 +49,7 @@ from osc_contact.lab.reports.web_page import write_web_page
 from osc_contact.lab.rig.rig import build_rig
 from osc_contact.lab.runs.tape import build as build_library
 from osc_contact.lab.scenarios.loader import FILES, list_scenarios
-from osc_contact.lab.sweeps.sweep import available_cores
+from osc_contact.lab.sweeps.workers import available_cores
 from osc_contact.lab.visual.browser import find_browser, write_gif, write_mp4
 from osc_contact.lab.visual.run_figures import FigureProcess
 from osc_contact.law import compiled

@@ -11,16 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.lab.sweeps.rows import Row, make_rows, require_long_enough
 from osc_contact.lab.sweeps.study import SweepStudy, texts
-from osc_contact.lab.sweeps.sweep import (
-    Progress,
-    Row,
-    Workers,
-    make_all,
-    make_rows,
-    require_long_enough,
-    workers_of,
-)
+from osc_contact.lab.sweeps.sweep import Progress
+from osc_contact.lab.sweeps.workers import Workers, make_all, workers_of
 
 if TYPE_CHECKING:
     import distributed

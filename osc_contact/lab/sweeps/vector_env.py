@@ -22,8 +22,9 @@ from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.lab.sweeps.fleet import Fleet, Start
+from osc_contact.lab.sweeps.rows import RigBuilder, without_logged_doubts
 from osc_contact.lab.sweeps.study import SEED, SweepStudy
-from osc_contact.lab.sweeps.sweep import RigBuilder, available_cores, without_logged_doubts
+from osc_contact.lab.sweeps.workers import available_cores
 from osc_contact.settings.control import require_below_ceilings
 from osc_contact.spatial import Array, moved
 
