@@ -19,7 +19,8 @@ from osc_contact.dynamics.assembly import close, object_pose, reach
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.plants.rigid import RigidPlant
-from osc_contact.settings.control import Gains, PhaseSettings
+from osc_contact.settings.control import PhaseSettings
+from osc_contact.settings.gains import Gains
 from osc_contact.spatial import Array
 
 #: A Panda that slides a ball-nosed peg in a circle on a tilted face with 10 N, as a scenario.

@@ -90,15 +90,8 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.plan.stage import Stage, StageVerdict
     from osc_contact.recorder import Recording
     from osc_contact.response import ContactResponse, contact_response
-    from osc_contact.settings.control import (
-        ForceGains,
-        Friction,
-        Gains,
-        JointFriction,
-        MotionGains,
-        PhaseSettings,
-        SafetySettings,
-    )
+    from osc_contact.settings.control import Friction, JointFriction, PhaseSettings, SafetySettings
+    from osc_contact.settings.gains import ForceGains, Gains, MotionGains
 
 find_moved_modules()
 

@@ -99,6 +99,11 @@ MOVED_NAMES = {
     "loop.loop": {
         "latency": "loop.realtime",
     },
+    "settings.control": {
+        "ForceGains": "settings.gains",
+        "Gains": "settings.gains",
+        "MotionGains": "settings.gains",
+    },
 }
 
 

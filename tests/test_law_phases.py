@@ -12,7 +12,8 @@ from rigs import assert_near, vector
 from samples import aligned, first, parametrize
 
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN
-from osc_contact.settings.control import ForceGains, MonitorLimits, PhaseSettings
+from osc_contact.settings.control import MonitorLimits, PhaseSettings
+from osc_contact.settings.gains import ForceGains
 
 DT = 1e-3
 GAINS = ForceGains(30.0, 100.0)

@@ -19,7 +19,8 @@ from samples import aligned, first, parametrize
 from scipy.optimize import brentq
 
 import osc_contact as osc
-from osc_contact.settings.control import MotionGains, PostureTask
+from osc_contact.settings.control import PostureTask
+from osc_contact.settings.gains import MotionGains
 
 STRAIGHT = -np.arctan(0.0825 / 0.316) - np.arctan(0.0825 / 0.384)  # the Panda's elbow has offsets
 

@@ -40,12 +40,12 @@ from osc_contact.law.chain import OBJECT_UNKNOWN
 from osc_contact.law.records import DEGRADED, HAND_OVER, HISTORY, HOPPING, OK, Bytes
 from osc_contact.settings.control import (
     Friction,
-    Gains,
     JointFriction,
     PhaseSettings,
     PostureTask,
     SafetySettings,
 )
+from osc_contact.settings.gains import Gains
 from osc_contact.spatial import Array
 
 _log = logging.getLogger(__name__)

@@ -20,12 +20,12 @@ from osc_contact.projections import unit_diagonal
 from osc_contact.robots.model import position_limits
 from osc_contact.settings.control import (
     Friction,
-    Gains,
     JointFriction,
     PhaseSettings,
     PostureTask,
     SafetySettings,
 )
+from osc_contact.settings.gains import Gains
 from osc_contact.spatial import Array, as_array
 
 # Contact forces are computed from wrist readings by the filter of fig. 5 or by least squares. The

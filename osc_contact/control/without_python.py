@@ -36,7 +36,8 @@ from osc_contact.law.nested import Nested
 from osc_contact.law.reasons import CODES, SENTENCES
 from osc_contact.law.records import COUNTED
 from osc_contact.law.tick import BAD_INPUT, STOPPED
-from osc_contact.settings.control import Gains, PhaseSettings
+from osc_contact.settings.control import PhaseSettings
+from osc_contact.settings.gains import Gains
 from osc_contact.settings.quantities import Dimension, meaning
 
 #: Names and meanings of enum osc_error, in the order of its codes 0, −1, …

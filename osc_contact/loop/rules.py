@@ -15,7 +15,8 @@ from osc_contact.control.controller import Controller
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.interface import Measurement, Reference, Scene
-from osc_contact.settings.control import Gains, SafetySettings
+from osc_contact.settings.control import SafetySettings
+from osc_contact.settings.gains import Gains
 from osc_contact.spatial import Array
 
 #: Values of a rule's quantity, each with the words that its sentence is formatted with.

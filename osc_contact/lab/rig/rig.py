@@ -55,12 +55,12 @@ from osc_contact.loop.judge import NotedTruths, Plant, ReadsTruth
 from osc_contact.loop.recorder import subject_of
 from osc_contact.response import require_reachable
 from osc_contact.settings.control import (
-    Gains,
     JointFriction,
     ModelErrorSpec,
     PhaseSettings,
     SafetySettings,
 )
+from osc_contact.settings.gains import Gains
 from osc_contact.spatial import Array
 
 FAR_M = 0.02  #: m, gap from which on a contact is named in an error about the start

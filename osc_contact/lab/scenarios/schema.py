@@ -31,13 +31,8 @@ from osc_contact.lab.scenarios.signals import (
     LengthSignal,
     total,
 )
-from osc_contact.settings.control import (
-    ControlSpec,
-    Gains,
-    ModelErrorSpec,
-    TareSpec,
-    VerdictSpec,
-)
+from osc_contact.settings.control import ControlSpec, ModelErrorSpec, TareSpec, VerdictSpec
+from osc_contact.settings.gains import Gains
 from osc_contact.settings.quantities import (
     Acceleration,
     Force,

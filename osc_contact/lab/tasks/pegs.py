@@ -17,14 +17,8 @@ from osc_contact.plan.motions import along, to, turn_to
 from osc_contact.plan.plan import Outcome, Plan
 from osc_contact.plan.sensed import Sensed
 from osc_contact.plan.stage import Stage
-from osc_contact.settings.control import (
-    ForceGains,
-    Gains,
-    JointFriction,
-    MotionGains,
-    PhaseSettings,
-    SafetySettings,
-)
+from osc_contact.settings.control import JointFriction, PhaseSettings, SafetySettings
+from osc_contact.settings.gains import ForceGains, Gains, MotionGains
 
 LEAD = 3.5e-3  #: distance from the rims outward to the point where the corner touches the face (m)
 HEIGHT = 6e-3  #: height of the corner above the face at the start (m)
