@@ -57,6 +57,7 @@ JUDGES = {
     "law_parts": ("vectors", "algebra", "commands", "grasps", "contact"),
     "law_stages": (
         *("reading", "operational", "command_filter", "allocation", "vectors", "tick", "limits"),
+        "saturation",
     ),
     "law_kkt": (),
     "law_watch": ("safety", *SENSORS),
@@ -67,7 +68,7 @@ JUDGES = {
     "projections": (),
     "spans": (),
     "outcome": ("monitor",),
-    "law_limits": ("limits",),
+    "law_limits": ("limits", "refinement", "saturation"),
     "law_phases": ("phases",),
     "linkage": ("allocation",),
     "law_steps": ("commands",),

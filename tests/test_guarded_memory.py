@@ -18,7 +18,8 @@ from osc_contact.control.inputs import touched_rows
 from osc_contact.lab.runs.run import start
 from osc_contact.law import jit, records, tick
 from osc_contact.law.compiled import rows
-from osc_contact.law.limits import PROGRAM, TorqueLimits, fill_program, settle
+from osc_contact.law.limits import PROGRAM, TorqueLimits
+from osc_contact.law.saturation import fill_program, settle
 
 MOVING = "moving_face"  #: bodies that move
 MARGIN = 1 << 20  #: bytes on both sides that must not be touched

@@ -22,10 +22,11 @@ from test_law_parts import SEEDS, rng_of
 import osc_contact as osc
 from osc_contact.law import records as at
 from osc_contact.law.compiled import rows
-from osc_contact.law.limits import TorqueLimits, settle
+from osc_contact.law.limits import TorqueLimits
 from osc_contact.law.phases import APPROACHING, CLOSED
 from osc_contact.law.reasons import NO_REASON
 from osc_contact.law.records import Rows, new_model, views
+from osc_contact.law.saturation import settle
 from osc_contact.law.tick import BAD_INPUT, MOVING
 
 # --- forces ---------------------------------------------------------------------------------------

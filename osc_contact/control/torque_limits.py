@@ -6,8 +6,9 @@ from osc_contact.control.controller_settings import Settings
 from osc_contact.control.records import TickRecords
 from osc_contact.control.status import LimitLoss
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.law.limits import TorqueLimits, fill_program, settle
+from osc_contact.law.limits import TorqueLimits
 from osc_contact.law.nested import View
+from osc_contact.law.saturation import fill_program, settle
 
 
 def relieve(program: TorqueLimits, rows: TickRecords) -> None:

@@ -25,7 +25,7 @@ import numpy as np
 
 from osc_contact.errors import OscContactError
 from osc_contact.files import one_by_one
-from osc_contact.law import jit, library, limits, operational, records, tick
+from osc_contact.law import jit, library, limits, operational, records, saturation, tick
 from osc_contact.law.compiled import announced, report_to
 from osc_contact.law.jit import bytes_at, inner, numbers_at, words_at
 from osc_contact.law.limits import PROGRAM
@@ -43,8 +43,8 @@ _rows, _terms, _prepare, _finish, _fill, _settle = (
         operational.operational_space,
         limits.prepare,
         limits.finish,
-        limits.fill_program,
-        limits.settle,
+        saturation.fill_program,
+        saturation.settle,
     )
 )
 
@@ -96,7 +96,7 @@ def osc_law_terms(raw, q, v, out, sizes):
 
 
 def osc_law_fill(raw, at, i, program):
-    """Run `limits.fill_program`, which fills the program of a saturated tick, called from C.
+    """Run `saturation.fill_program`, which fills the program of a saturated tick, called from C.
 
     Args:
         raw: address of the bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated
@@ -135,7 +135,7 @@ def osc_law_finish(program, slack):
 
 
 def osc_law_settle(raw, at, i, program):
-    """Run `limits.settle`, which applies the torques of a solved program to a row, called from C.
+    """Run `saturation.settle`, which applies torques of a solved program to a row, called from C.
 
     Args:
         raw: address of the bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated

@@ -1,0 +1,157 @@
+"""Exchange between the records of a saturated tick and the program of the motor limits."""
+
+from __future__ import annotations
+
+from osc_contact.law.active_set import keep_integrals
+from osc_contact.law.algebra import backward, cholesky, cholesky_solve, dot
+from osc_contact.law.columns import square_shares
+from osc_contact.law.jit import entry, inner, local
+from osc_contact.law.limits import PROGRAM
+from osc_contact.law.operational import null_motions, weigh_joints
+from osc_contact.law.phases import limit_changes
+from osc_contact.law.records import MAX_JOINTS, body_of, row_of
+from osc_contact.law.safety import count_computed
+from osc_contact.law.vectors import ZERO, add, copy_rows, fill, turned
+
+_program = PROGRAM.at
+_FLOOR = 1.0  #: N, least force of contacts that must not pull, unless less is commanded
+
+
+@inner
+def _shares(t, alpha, share, floor):
+    """Express the forces that must not pull as least-squares combinations of α.
+
+    Args:
+        t: Tick. alpha: (r,) force commands of the kept columns (N). share: (k, 6), filled with the
+            coefficients. floor: (k,), filled with least values (N).
+
+    Returns:
+        Number of these forces.
+    """
+    work = t.work
+    r = work.rank
+    k = 0
+    RR = local(6, 6)
+    factor = local(6, 6)
+    square_shares(work, RR)
+    cholesky(RR, 0, r, factor)
+    for j in range(work.count):
+        if body_of(t, work.chosen[j]).pushes == 0 or k == len(floor):
+            continue
+        x = share[k]
+        fill(x, work.columns[work.chosen[j]].share)
+        cholesky_solve(factor, r, x)
+        floor[k] = min(_FLOOR, dot(x, alpha, r))
+        k += 1
+    return k
+
+
+@inner
+def _idle_motions(t, arm, own, idle, count):
+    """Append the joint motions ν = K⁻ᵀv of a redundant arm with N J ν = 0 and νᵀMν = 1.
+
+    Args:
+        t: Tick. arm: ARM row. own: its ARM_WORK. idle: (p, a), of which rows from `count` on are
+            filled. count: number of rows that are filled already.
+
+    Returns:
+        Number of filled rows.
+    """
+    work = t.work
+    lo = arm.first
+    n = arm.end - lo
+    K = local(MAX_JOINTS, MAX_JOINTS)
+    weighed = local(MAX_JOINTS, 6)
+    motions = local(MAX_JOINTS, MAX_JOINTS)
+    if n <= arm.m or not weigh_joints(work.joints, lo, n, K, weighed):
+        return count
+    null_motions(own, weighed, n, motions)
+    for c in range(own.n_kept, min(n, own.n_kept + len(idle) - count)):
+        backward(K, n, motions[c])
+        for i in range(n):
+            motor = t.model.joints[lo + i].motor
+            if motor >= 0:
+                idle[count, motor] = motions[c, i]
+        count += 1
+    return count
+
+
+@entry
+def fill_program(raw, at, i, program):
+    """Fill the operands of the program from the records of a saturated tick.
+
+    Copies torques and limits of the motors, J̄ (G), Λ, N, N_μ, Φ_μ and α_u in turned energy
+    coordinates; adds the rows of the squeeze with the squeeze that inertial forces cause (E M J̄ᵀ),
+    the joint motions of redundant arms, and the forces that must not pull.
+
+    Args:
+        raw: bytes of `records.Rows`. at: offset of the JOB. i: row whose tick has just ended
+            SATURATED. program: bytes of PROGRAM.
+    """
+    t = row_of(raw, at, i)
+    p = _program(program, 0)
+    model = t.model
+    work = t.work
+    joints = work.joints
+    rows = work.extra
+    for j in range(model.n_joints):
+        motor = model.joints[j].motor
+        if motor < 0:
+            continue
+        p.desired[motor] = joints[j].tau
+        p.tau_max[motor] = model.joints[j].tau_max
+        fill(p.G[motor], turned(work, joints[j].J_bar))
+        for e in range(work.n_internal):
+            p.E[e, motor] = rows[e, j]
+        for c in range(len(p.idle)):
+            p.idle[c, motor] = 0.0
+    copy_rows(work.Lambda, p.Lambda)
+    for a in range(work.rank):
+        p.alpha[a] = work.alpha_u[a]
+        fill(p.N[a], work.N_t[a])
+        fill(p.pushed[a], work.pushed_t[a])
+        fill(p.Phi_e[a], work.Phi_mu[a])
+    for e in range(work.n_internal):
+        carried = ZERO
+        for k in range(model.n_arms):
+            first = model.arms[k].first
+            end = model.arms[k].end
+            for j in range(first, end):
+                inertia = dot(rows[e, first:], joints[j].M, end - first)
+                carried = add(carried, inertia, joints[j].J_bar)
+        fill(p.carried[e], turned(work, carried))
+    count = 0
+    if len(p.idle) > 0:
+        for k in range(model.n_arms):
+            count = _idle_motions(t, model.arms[k], work.arms[k], p.idle, count)
+    p.d = 6 - work.locked
+    p.r = work.rank
+    p.s = work.n_internal
+    p.k = _shares(t, p.alpha, p.share, p.floor)
+
+
+@entry
+def settle(raw, at, i, program):
+    """Apply the solution of the program to the records: torques, force integrals, internal forces.
+
+    Torques are limited in their rate; the lost force is excluded from the integral of the force
+    law. Changes `tau` of WORK, `torques` and `force_sum` of MEMORY, and `bars`.
+
+    Args:
+        raw: bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated tick.
+        program: bytes of the solved PROGRAM.
+    """
+    t = row_of(raw, at, i)
+    p = _program(program, 0)
+    model = t.model
+    memory = t.memory
+    work = t.work
+    count_computed(t)
+    for j in range(model.n_motors):
+        work.tau[j] = p.tau[j]
+    limit_changes(t, memory.ticked > 1)
+    for a in range(work.rank):
+        memory.force_sum[a] = work.force_next[a] - work.gain[a] * work.dt * p.lost_force[a]
+    keep_integrals(t)
+    for bar in range(model.n_bars):
+        work.bars[bar] -= dot(work.basis[bar], p.lost_squeeze, work.n_internal)
