@@ -57,7 +57,7 @@ JUDGES = {
     "law_parts": ("vectors", "algebra", "commands", "grasps", "contact"),
     "law_stages": (
         *("reading", "operational", "command_filter", "allocation", "vectors", "tick", "limits"),
-        "saturation",
+        *("saturation", "rows"),
     ),
     "law_kkt": (),
     "law_watch": ("safety", *SENSORS),

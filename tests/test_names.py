@@ -91,7 +91,7 @@ def test_names_in_backticks_exist(file, words):
     [
         ("law.sensors", False),
         ("law.watch", True),
-        ("law.tick.rows", False),
+        ("law.rows.rows", False),
         ("law.tick.columns_that_nothing_has", True),
         ("control.safety.wrist_error", False),
         ("numpy.cross", False),

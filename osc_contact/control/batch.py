@@ -198,7 +198,7 @@ class BatchController:
         """Run the ticks of all rows, a part of them in each thread, the first part in this one.
 
         Args:
-            flags: switches of the job, see `law.tick.rows`. args: arrays of inputs of all rows.
+            flags: switches of the job, see `law.rows.rows`. args: arrays of inputs of all rows.
 
         Raises:
             Exception: raised in one of the threads, after all of them have ended.
@@ -220,7 +220,7 @@ class BatchController:
 
         Args:
             thread: number of the thread. first, end: first row, and the row after the last one.
-            flags: switches of the job, see `law.tick.rows`. args: arrays of inputs of all rows.
+            flags: switches of the job, see `law.rows.rows`. args: arrays of inputs of all rows.
         """
         job = self._jobs[thread]
         start = self._bytes.starts[thread]

@@ -151,7 +151,7 @@ def read_tick(
         records: records of the controller. measurement, reference: inputs of the tick.
 
     Returns:
-        Arrays q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active of `law.tick.rows`, and its
+        Arrays q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active of `law.rows.rows`, and its
         switches.
     """
     if measurement.estimated:

@@ -100,12 +100,12 @@ class TickRecords:
         """Run parts of a tick.
 
         Args:
-            inputs: q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active, see `law.tick.rows`.
+            inputs: q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active, see `law.rows.rows`.
             flags: switches of `law.tick`.
             begin, stop: first part, and the part before which to stop.
 
         Returns:
-            The result of `law.tick.rows`, which is 2 for one row that ended OK.
+            The result of `law.rows.rows`, which is 2 for one row that ended OK.
         """
         self._job[:3] = flags, begin, stop
         try:

@@ -25,7 +25,7 @@ import numpy as np
 
 from osc_contact.errors import OscContactError
 from osc_contact.files import one_by_one
-from osc_contact.law import jit, library, limits, operational, records, saturation, tick
+from osc_contact.law import jit, library, limits, operational, records, rows, saturation
 from osc_contact.law.compiled import announced, report_to
 from osc_contact.law.jit import bytes_at, inner, numbers_at, words_at
 from osc_contact.law.limits import PROGRAM
@@ -39,7 +39,7 @@ _program = PROGRAM.at
 _rows, _terms, _prepare, _finish, _fill, _settle = (
     inner(part.__wrapped__)
     for part in (
-        tick.rows,
+        rows.rows,
         operational.operational_space,
         limits.prepare,
         limits.finish,
@@ -50,16 +50,16 @@ _rows, _terms, _prepare, _finish, _fill, _settle = (
 
 
 def osc_law_rows(raw, at, arrays, sizes):
-    """Run `tick.rows`, the law over many rows of inputs, as a function called from C.
+    """Run `rows.rows`, the law over many rows of inputs, as a function called from C.
 
     Args:
         raw: address of the bytes of `records.Rows`. at: offset of the JOB in them (bytes).
         arrays: address of nine addresses, those of the float64 arrays of the argument `given` of
-            `tick.rows`, in its order. sizes: address of nine integers, the number of elements of
+            `rows.rows`, in its order. sizes: address of nine integers, the number of elements of
             each array, or the number of its rows if it has two axes.
 
     Returns:
-        The value returned by `tick.rows`.
+        The value returned by `rows.rows`.
     """
     addresses = words_at(arrays, 9)
     counts = words_at(sizes, 9)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from osc_contact.law import jit, operational
-from osc_contact.law import tick as law
+from osc_contact.law import rows as law
 from osc_contact.law.records import Rows, new_model
 
 _log = logging.getLogger(__name__)
@@ -32,7 +32,7 @@ _shown: list[Callable[[float], None]] = [_nowhere]
 
 @cache
 def rows() -> Any:
-    """Compiled `law.tick.rows`; arguments of other types raise a TypeError."""
+    """Compiled `law.rows.rows`; arguments of other types raise a TypeError."""
     no_numbers = np.zeros(0)
     no_rows = Rows(new_model(1, 1, 1))
     no_rows.job.last = 0

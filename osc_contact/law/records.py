@@ -765,7 +765,7 @@ INPUT = Nested(
     touched=("c", 28),  # X_WE by rows, V_E, A_E of the bodies
     active="c",  # 1: in the active set, 0: not
 )
-#: Job of a call of `tick.rows`: parts of the tick, rows, and offsets of their bytes.
+#: Job of a call of `rows.rows`: parts of the tick, rows, and offsets of their bytes.
 JOB = Nested(
     _record(
         whole=(
@@ -895,7 +895,7 @@ def new_model(
 
 
 class Rows:
-    """Records of controllers of the same structure in one array of bytes, for `tick.rows`.
+    """Records of controllers of the same structure in one array of bytes, for `rows.rows`.
 
     Attributes:
         numbers, raw: the whole array, as numbers and as bytes.
