@@ -37,6 +37,16 @@ ARMATURE = "arms.{}.armature={}"
 # What they are ------------------------------------------------------------------------------------
 
 
+def test_gains_of_holds_at_zero_force_follow_from_those_of_the_task():
+    """Brake at least 2 K_i, integral at most a twelfth of it; none without a brake."""
+    gains = osc.ForceGains()
+    assert (gains.hold_brake, gains.hold_integral) == (approx(2 * K), approx(K / 6))
+    given = osc.ForceGains(integral=4, damping=0, brake=60)
+    assert (given.hold_brake, given.hold_integral) == (60.0, 4.0)
+    plain = osc.ForceGains(integral=30, damping=5)
+    assert (plain.hold_brake, plain.hold_integral) == (0.0, 30.0)
+
+
 def test_gains_in_words_and_the_numbers_they_stand_for():
     motion = osc.MotionGains(frequency=2.0, damping_ratio=0.5, integral_time=0.25)
     assert motion.stiffness == approx((4 * np.pi) ** 2)

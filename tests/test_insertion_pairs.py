@@ -10,6 +10,7 @@ from pytest import fixture
 from samples import parametrize
 
 import osc_contact as osc
+from benchmarks.held_holes import insert, misses
 from osc_contact.contacts.insertion import CORNERS, SIDES
 
 PEG, HOLE, DEPTH = 0.01, 0.0101, 0.03  #: halves of the widths, and depth (m)
@@ -135,3 +136,10 @@ test_refusals = refusals(
         ),
     },
 )
+
+
+@parametrize("seed", [0, 11])
+def test_a_held_peg_follows_a_hole_whose_axis_is_believed_wrong(seed):
+    """By 2° and 1 mm, at zero force."""
+    row = insert(seed)
+    assert not misses(row) and row["largest force (N)"] < 10.0, row

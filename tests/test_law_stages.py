@@ -20,6 +20,7 @@ from test_law import inputs, motion_of
 from test_law_parts import SEEDS, rng_of
 
 import osc_contact as osc
+from osc_contact.law import commands
 from osc_contact.law import records as at
 from osc_contact.law.compiled import rows
 from osc_contact.law.limits import TorqueLimits
@@ -73,6 +74,7 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     names = ("gain", "damping", "least", "brake")
     t = records(contacts=4, columns=4)
     t.model.columns.contact = [1, 0, 2, 3]
+    t.model.bodies.pushes = 1
     t.work.chosen[:3] = [2, 0, 1]
     write(t.work, rank=2, count=3 if dependent else 2, kept=[0, 2], **dict.fromkeys(names, 7.0))
     write(t.memory.contacts, **dict(aligned(names, laws)))
@@ -80,6 +82,24 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     expected = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]] if dependent else laws[:, [1, 2]]
     for name, row in aligned(names, expected):
         assert_array_equal(getattr(t.work, name)[:3], [*row, 7.0])
+
+
+@parametrize("pushes, desired, holds", [(0, 0.0, True), (0, 2.0, False), (1, 0.0, False)])
+def test_a_contact_that_holds_without_a_desired_force_has_gains_of_its_own(pushes, desired, holds):
+    """And its whole speed is braked; another column of the contact decides, too."""
+    t = records(contacts=1, columns=2, hold_gain=0.5, hold_brake=60.0)
+    t.model.bodies.pushes = pushes
+    write(t.work, rank=1, count=2, kept=[0], chosen=[0, 1], speed=[0.25])
+    t.work.columns.alpha_d = [0.0, desired]
+    write(t.memory.contacts[0], gain=6.0, damping=1.0, brake=8.0)
+    t.memory.columns.drift = 0.125
+    t.work.rank = t.work.count = 1
+    reading.contact_laws(t)
+    assert (t.work.gain[0], t.work.damping[0], t.work.brake[0]) == (
+        (0.5, 1.0, 60.0) if holds else (6.0, 1.0, 8.0)
+    )
+    commands.brake_contacts(t)
+    assert t.work.brake[0] == (60.0 * 0.25 if holds else 8.0 * 0.125)
 
 
 def test_bodies_do_not_yield_while_their_motion_is_unknown():

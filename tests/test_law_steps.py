@@ -306,6 +306,7 @@ def test_the_brake_leaves_out_the_speed_that_lasts():
     forces.tick([20.0], speed=[5.0])
     assert forces.kept[0].drift == approx(drift), "the integral rests, and so does v̄"
     t = records(columns=3, contacts=1)
+    t.model.bodies.pushes = 1
     t.memory.columns.drift = [0.5, 0.0, drift]
     write(t.work, rank=2, kept=[0, 2], speed=[0.3, 0.7], brake=[20.0, 10.0])
     commands.brake_contacts(t)

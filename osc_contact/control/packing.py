@@ -151,6 +151,8 @@ def pack_gains(settings: Settings, head: View) -> None:
         brake="force_brake",
         rise="step_time",
     )
+    head.hold_gain = force.hold_integral
+    head.hold_brake = force.hold_brake
     drifts = force.brake > 0.0 or force.tilt > 0.0
     head.drift_share = -np.expm1(-force.drift * dt) if drifts else 0.0
     head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # of a chord

@@ -74,7 +74,7 @@ class TickResult:
 
     @property
     def mobility(self) -> Array:
-        """Mobility D (r, r) of the contacts (1/kg): normal acceleration by contact forces.
+        """Normal accelerations by contact forces, the mobility D (r, r) of the contacts in 1/kg.
 
         D = Nᵀ(Λ_out⁻¹ + Φ_e)N, with Λ_out the inertia beyond the wrist sensors.
         """

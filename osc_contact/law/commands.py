@@ -285,6 +285,25 @@ def _continue(to_come, left, stretch):
     return w, w_1 + 3.0 * w, 0.5 * w_2 + 3.0 * w_1 + 6.0 * w
 
 
+@leaf
+def holds_at_zero(t, j):
+    """Return whether column j is of a contact that holds and of which no force is desired.
+
+    Reads `pushes` of the bodies in MODEL, and `alpha_d` of all columns of the contact.
+
+    Args:
+        t: Tick.
+        j: index among all columns.
+    """
+    if body_of(t, j).pushes:
+        return False
+    contact = t.model.columns[j].contact
+    for k in range(t.model.n_columns):
+        if t.model.columns[k].contact == contact and t.work.columns[k].alpha_d != 0.0:
+            return False
+    return True
+
+
 @inner
 def brake_contacts(t):
     """Multiply `brake` κ (r,) by the speed to be braked: NᵀV_rel − v̄, or that of a yielding face.
@@ -292,7 +311,8 @@ def brake_contacts(t):
     The result is a deceleration, in m/s² for columns that are forces. On a yielding face it is
     b = κ(u + (K_i − w) p) − s α̈_s, with u and p from `_deflection`. Reads `speed`, and `drift`
     (v̄) of the columns in MEMORY. On a yielding face whose motion is not measured, the normal is
-    not turned in this tick (`slides`, `turned`).
+    not turned in this tick (`slides`, `turned`). Of contacts that hold without a desired force the
+    whole speed is braked.
 
     Args:
         t: Tick.
@@ -301,7 +321,8 @@ def brake_contacts(t):
     for a in range(work.rank):
         j = work.kept[a]
         if body_of(t, j).kind != YIELDING:
-            work.brake[a] *= work.speed[a] - t.memory.columns[j].drift
+            drift = 0.0 if holds_at_zero(t, j) else t.memory.columns[j].drift
+            work.brake[a] *= work.speed[a] - drift
             continue
         u, p, _, rate = _deflection(t, a, j)
         work.brake[a] *= u + (t.model.force_gain - _washout(t)) * p

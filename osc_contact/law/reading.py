@@ -18,6 +18,7 @@ from osc_contact.law.algebra import (
     transpose,
 )
 from osc_contact.law.arm_motion import place_point
+from osc_contact.law.commands import holds_at_zero
 from osc_contact.law.grasps import filter_reading
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.records import body_of, contact_of
@@ -345,20 +346,35 @@ def contact_laws(t):
     work = t.work
     dependent = work.rank < work.count
     for a in range(work.rank):
-        law = contact_of(t, work.kept[a])
-        gain = law.gain
-        damping = law.damping
-        brake = law.brake
+        gain, damping, brake = column_law(t, work.kept[a])
         if dependent:
             for j in range(work.count):
-                other = contact_of(t, work.chosen[j])
-                gain = min(gain, other.gain)
-                damping = max(damping, other.damping)
-                brake = max(brake, other.brake)
+                other_gain, other_damping, other_brake = column_law(t, work.chosen[j])
+                gain = min(gain, other_gain)
+                damping = max(damping, other_damping)
+                brake = max(brake, other_brake)
         work.gain[a] = gain
         work.damping[a] = damping
         work.brake[a] = brake
-        work.least[a] = -inf if dependent else law.least
+        work.least[a] = -inf if dependent else contact_of(t, work.kept[a]).least
+
+
+@leaf
+def column_law(t, j):
+    """Gain K_i (1/s), damping K_v (N s/m) and brake κ (1/s) of the force law of a column.
+
+    Of a contact that holds without a desired force they are `hold_gain`, the contact's damping and
+    `hold_brake`; its brake acts on the whole speed, see `commands.brake_contacts`. The loop of such
+    a contact with play is stable for every stiffness between 0 and that of its walls.
+
+    Args:
+        t: Tick.
+        j: index among all columns.
+    """
+    law = contact_of(t, j)
+    if holds_at_zero(t, j):
+        return t.model.hold_gain, law.damping, t.model.hold_brake
+    return law.gain, law.damping, law.brake
 
 
 # --- Contact forces by least squares, independent of friction and misplaced normals ---------------

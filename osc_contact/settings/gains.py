@@ -19,6 +19,7 @@ from osc_contact.settings.quantities import (
     refuse,
 )
 
+_HELD = 12.0  #: least ratio of brake and integral gain of contacts that hold at zero force
 _UNBRAKED = 6.0  #: a contact speed that lasts longer than this divided by K_i is not braked
 _DERIVED: Any = Field(default=None)  #: default of a gain that is derived from the others
 
@@ -192,6 +193,16 @@ class ForceGains(_GainsOfOneLoop):
     def drift(self) -> float:
         """Rate (1/s) below which normal velocities are attributed to a tilted face, not braked."""
         return self.integral / _UNBRAKED
+
+    @property
+    def hold_brake(self) -> float:
+        """Brake (1/s) of contacts that hold at zero desired force: κ ≥ 2 K_i; 0 without κ."""
+        return max(self.brake, 2.0 * self.integral) if self.brake > 0.0 else 0.0
+
+    @property
+    def hold_integral(self) -> float:
+        """Integral gain (1/s) of such contacts: K_i, at most a twelfth of their brake."""
+        return min(self.integral, self.hold_brake / _HELD) if self.brake > 0.0 else self.integral
 
     def _values(self, serves_every_mass: bool, values: dict[str, float]) -> dict[str, float]:
         """Derive K_i and κ from bandwidth and damping ratio, or the reverse.
