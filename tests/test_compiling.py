@@ -35,6 +35,17 @@ def ticks(name, count):
         tau = controller.tick(replace(m, q=q, wrench_valid=k != 5), case.reference)
         yield " ".join([name, controller.status.name, *(float(x).hex() for x in tau)])
 
+# A contact of 10 N whose reading is 0.7 N in every second tick, with limits that name it soon.
+def hops(count):
+    case = ALL_CASES["one_panda"]()
+    safety = osc.SafetySettings.motors_only(hop_share=1e-4, hop_rate=0.1, stop_after=count + 1)
+    made = dict(dt=1e-3, posture=case.posture, safety=safety)
+    controller = osc.Controller(case.chain, case.pairs, case.gains, **made)
+    for k in range(count):
+        wrenches = case.measurement.wrenches * (1.0 if k % 2 == 0 else -1.5)  # 9.9 N, 0.7 N
+        tau = controller.tick(replace(case.measurement, wrenches=wrenches), case.reference)
+        yield " ".join(["hops", controller.status.name, *(float(x).hex() for x in tau)])
+
 def recorded(name, duration):
     found = hashlib.sha256()
     recording = osc.run(osc.load_scenario(name), duration=duration)
@@ -46,6 +57,7 @@ CASES = "two_contact_rod one_panda near_singular saturated three_arms contact_ph
 def lines(duration):
     for name in CASES:
         yield from ticks(name, 8)
+    yield from hops(8)
     for name in osc.list_scenarios():
         yield recorded(name, duration)
 
