@@ -18,8 +18,7 @@ for each kind, how the runs ended and the largest contact force; the exit code i
 * a contact that was commanded and made was open for 0.3 s, and the controller took it as closed;
 * stopped arms whose motors are sound moved faster than 0.1 rad/s (m/s) later than 0.5 s after the
   stop, and 0.3 s after each push of the scenario, or 0.1 rad (m) further than braking took; not
-  judged of an arm whose motors cannot bear the object that hangs on it alone, and not where an
-  encoder drifts that speeds are estimated from;
+  judged of an arm whose motors cannot bear the object that hangs on it alone;
 * the mechanical brakes were requested although encoders or speeds were sound, and the motors;
   speeds that are estimated from positions are as sound as these, and a joint that the object has
   left, faster than its readings are believed, has no sound one;
@@ -330,8 +329,6 @@ class Run:
                 wrong.append(f"brakes requested with sound sensors: {verdict.reason[:60]}")
             return
         if "tau" in fault.unsound:  # without its torque, gravity or a spring moves the joint
-            return
-        if fault.drifts and self.estimated:  # stopped, too, the joint is moved against the drift
             return
         if verdict.rest_speed > REST_SPEED:
             wrong.append(f"{verdict.rest_speed:.2f} rad/s (m/s) later than {REST_AFTER:g} s")

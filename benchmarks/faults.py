@@ -47,7 +47,6 @@ class Fault(NamedTuple):
         mirrors: whether a contact force f reads as -f, which makes the force loop unstable.
         of_speeds: whether it changes speeds alone, which no sensor reads where they are estimated
             from positions.
-        drifts: whether a position changes with no motion, so that its estimated speed does.
     """
 
     change: Change | None = None
@@ -63,7 +62,6 @@ class Fault(NamedTuple):
     hangs: bool = False
     mirrors: bool = False
     of_speeds: bool = False
-    drifts: bool = False
 
 
 @dataclass
@@ -356,7 +354,7 @@ FAULTS: dict[str, Fault] = {
         _packet(lambda t, m: replace(m, q=t.first("q", m.q), v=0.0 * m.v)), unsound=_JOINTS
     ),
     "encoder mirrored": Fault(_angles(_motor, -1.0), unsound=_ENCODER),
-    "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=0.2), unsound=_ENCODER, drifts=True),
+    "encoder drifts by 0.2 rad/s": Fault(_angles(_motor, drift=0.2), unsound=_ENCODER),
     "encoder offset of 1 degree": Fault(_angles(_motor, offset=np.deg2rad(1.0))),
     "joints swapped": Fault(_packet(_swapped_joints), unsound=_JOINTS),
     "speeds swapped": Fault(_packet(_swapped_speeds), of_speeds=True),

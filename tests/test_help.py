@@ -17,7 +17,7 @@ import osc_contact as osc
 from osc_contact.settings.quantities import Frequency, OrderedSpec, Positive
 
 WIDTH = 100  #: columns of a screen
-SIGNATURE = 11 * WIDTH  #: characters; the longest, of SafetySettings, has a name for each limit
+SIGNATURE = 10 * WIDTH  #: characters
 SCREEN = 60  #: rows, of the signature, the description and the example
 
 #: All classes; that of `make_vector_env` has another name.

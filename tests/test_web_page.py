@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
 
 @module_fixture
 def address(folder):
-    """Of the folder that holds the pages; each is made when a test first needs it."""
+    """Address of the folder that holds the pages; each is made when a test first needs it."""
     with served(folder.parent) as found:
         yield found
 

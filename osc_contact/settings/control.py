@@ -20,6 +20,7 @@ from osc_contact.settings.quantities import (
     Acceleration,
     Angle,
     AngularAcceleration,
+    Count,
     Force,
     ForceLimit,
     Frequency,
@@ -43,6 +44,7 @@ from osc_contact.settings.quantities import (
 )
 
 LEAST_CEILING = 30.0  #: N, lowest ceiling that is derived from commands
+Ceiling = ForceLimit | None  #: None: derived from commands, see `HEADROOM`
 HEADROOM = 3.0  #: ceiling that is derived from commands, as a multiple of the largest one
 
 
@@ -143,7 +145,7 @@ class SafetySettings(OrderedSpec):
         50.0
     """
 
-    repeats: NotNegative[int] = 2
+    repeats: Count = 2
     """largest number of consecutive ticks not computed for which the last torques are repeated;
     further ones [hold the posture](reliability.md)"""
     stop_after: Positive[int] = 20
@@ -220,11 +222,11 @@ class SafetySettings(OrderedSpec):
     closure_error: LengthLimit = 0.02
     """distance between the places of the held object by the encoders of several arms that stops
     the arms"""
-    contact_ceiling: ForceLimit | None = None
+    contact_ceiling: Ceiling = None
     """measured force of a contact that stops the arms after `ceiling_time` for any command; a
     larger command is refused before the start; null: three times the largest command (of a contact
     or `squeeze`), at least 30 N ([ceilings](reliability.md#ceilings))"""
-    wrist_ceiling: ForceLimit | None = None
+    wrist_ceiling: Ceiling = None
     """force on a wrist, without weight and inertia, that stops the arms after `ceiling_time`; null:
     three times the largest sum of all commands, at least 30 N"""
     speed_ceiling: VelocityLimit = 0.5

@@ -408,6 +408,7 @@ NotNegative = Annotated[T, Field(ge=0)]
 NotEmpty = Annotated[tuple[T, ...], Field(min_length=1)]
 PositiveNumber = Positive[Number]
 NotNegativeNumber = NotNegative[Number]
+Count = NotNegative[int]
 
 # Limits, which may be infinite (.inf in a file): no limit, see `may_be_infinite`.
 Limit = Positive[Annotated[float, replace(_NUMBER, open=True)]]
