@@ -88,6 +88,8 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.loop.stepped import SteppedLoop
     from osc_contact.plan.plan import Plan
     from osc_contact.plan.stage import Stage, StageVerdict
+    from osc_contact.recognition.recogniser import Recogniser
+    from osc_contact.recognition.states import ContactStates, WrenchErrors
     from osc_contact.recorder import Recording
     from osc_contact.response import ContactResponse, contact_response
     from osc_contact.settings.control import Friction, JointFriction, PhaseSettings, SafetySettings
@@ -150,6 +152,9 @@ __all__ = [
     "Plan",
     "Stage",
     "StageVerdict",
+    "ContactStates",
+    "WrenchErrors",
+    "Recogniser",
     "ContactPair",
     "VertexOnFace",
     "FaceOnVertex",

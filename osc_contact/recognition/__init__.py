@@ -1,0 +1,1 @@
+"""Recognition of the contact state by the reciprocity of wrenches and contacts."""

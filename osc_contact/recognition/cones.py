@@ -1,0 +1,90 @@
+"""Nonnegative least squares for several cones of wrenches at once."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from osc_contact.spatial import Array
+
+RIDGE = 1e-9  #: added to Gram matrices of unit diagonal, so that dependent columns have a solution
+
+
+class Cones:
+    """Cones {Nα : α ≥ 0} of several candidates, each with some of the columns of one N.
+
+    The least squares of a candidate are solved for each subset of its columns; the best solution
+    without a negative magnitude is that of the constrained problem.
+
+    Args:
+        columns: numbers of the columns of N of each candidate.
+        pushes: (r,) whether a magnitude must not become negative, for each column of N.
+
+    Attributes:
+        index: (n, k) numbers of the columns of each candidate, 0 where it has fewer than k.
+        used: (n, k) 1 where it has a column, else 0.
+    """
+
+    def __init__(self, columns: list[list[int]], pushes: NDArray[np.bool_]) -> None:
+        """Enumerate the subsets of the columns of each candidate."""
+        most = max((len(one) for one in columns), default=0)
+        self.index = np.zeros((len(columns), most), dtype=np.intp)
+        self.used = np.zeros((len(columns), most))
+        owners: list[int] = []
+        masks: list[tuple[float, ...]] = []
+        for i, own in enumerate(columns):
+            self.index[i, : len(own)] = own
+            self.used[i, : len(own)] = 1.0
+            choices = [(0.0, 1.0) if pushes[column] else (1.0,) for column in own]
+            padding = [(0.0,)] * (most - len(own))
+            for mask in product(*choices, *padding):
+                owners.append(i)
+                masks.append(mask)
+        self._pushes = (self.used > 0.0) & pushes[self.index] if most else self.used > 0.0
+        self._owners = np.array(owners, dtype=np.intp)
+        self._masks = np.array(masks).reshape(len(owners), most)
+        self._first = np.searchsorted(self._owners, np.arange(len(columns)))
+
+    def gram(self, N: Array, S: Array) -> tuple[Array, Array]:
+        """Gram matrices G = NᵀS⁻¹N (n, k, k), and S⁻¹N (n, 6, k); zero for columns not used.
+
+        Args:
+            N: (6, r) columns of all candidates.
+            S: (6, 6) covariance of the wrench, or (n, 6, 6), one for each candidate.
+        """
+        own = np.moveaxis(N[:, self.index], 0, 1) * self.used[:, None]
+        weighted = np.linalg.solve(np.broadcast_to(S, (len(own), 6, 6)), own)
+        return own.transpose(0, 2, 1) @ weighted, weighted
+
+    def fit(self, N: Array, S: Array, wrench: Array) -> tuple[Array, Array, Array]:
+        """Fit a wrench f: the least (f − Nα)ᵀS⁻¹(f − Nα) of each candidate with α ≥ 0.
+
+        Args:
+            N: (6, r) columns of all candidates (N, N m per unit of α).
+            S: (6, 6) covariance of the wrench, or (n, 6, 6), one for each candidate.
+            wrench: (6,) wrench f (N, N m).
+
+        Returns:
+            Magnitudes α (n, k), the least squares (n,), and the Gram matrices (n, k, k).
+        """
+        G, weighted = self.gram(N, S)
+        whole = np.linalg.solve(np.broadcast_to(S, (len(G), 6, 6)), wrench)  # (n, 6)
+        most = self.index.shape[1]
+        if most == 0:
+            return np.zeros((len(G), 0)), whole @ wrench, G
+        sizes = np.sqrt(np.einsum("nkk->nk", G)) + (1.0 - self.used)
+        right = np.einsum("nak,a->nk", weighted, wrench) / sizes
+        scaled = G / (sizes[:, :, None] * sizes[:, None]) + RIDGE * np.eye(most)
+        mask = self._masks
+        system = scaled[self._owners] * mask[:, :, None] * mask[:, None]
+        system += np.einsum("mk,kl->mkl", 1.0 - mask, np.eye(most))
+        target = right[self._owners] * mask
+        alpha = np.linalg.solve(system, target[:, :, None])[:, :, 0]
+        explained = np.einsum("mk,mk->m", target, alpha)
+        negative = ((alpha < 0.0) & self._pushes[self._owners]).any(axis=1)
+        explained[negative] = -np.inf
+        best = np.lexsort((-explained, self._owners))[self._first]
+        squares = np.maximum(whole @ wrench - explained[best], 0.0)
+        return alpha[best] / sizes, squares, G

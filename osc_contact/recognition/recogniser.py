@@ -1,0 +1,138 @@
+"""Filter that follows the contact state over time: a hidden Markov model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import exp
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from osc_contact.errors import InvalidInputError, did_you_mean
+from osc_contact.recognition.states import ContactStates
+from osc_contact.spatial import Array, as_array
+
+
+class Recogniser:
+    """Probabilities of contact states from the wrenches of successive instants.
+
+    Each instant, the state may have changed; then the probabilities are multiplied by the
+    likelihoods of the wrench. Errors of poses and friction last longer than one instant, so the
+    log-likelihoods of the instants within `lasting` count as one.
+
+    Args:
+        states: candidates.
+        period: time between two instants (s).
+        changes: how often the state changes (1/s).
+        lasting: time for which errors last (s).
+        following: names of the states that may follow each state, other than itself; None, and for
+            states that it does not have: all.
+
+    Attributes:
+        states, period: as given.
+        probabilities: (n,) probability of each state; equal at first.
+
+    Raises:
+        InvalidInputError: a number that is not positive, or a state that does not exist.
+
+    Example:
+        >>> touch = {"table": osc.VertexOnFace([0, 0, 0], [0, 0, 0], [0, 0, 1])}
+        >>> states = osc.ContactStates({"free": [], "table": ["table"]}, touch)
+        >>> recogniser = osc.Recogniser(states)
+        >>> for _ in range(5):
+        ...     recogniser.update(pin.SE3.Identity(), np.array([0, 0, -3.0, 0, 0, 0]))
+        >>> print(recogniser.state, round(recogniser.probability("table"), 2))
+        table 1.0
+    """
+
+    def __init__(
+        self,
+        states: ContactStates,
+        period: float = 0.01,
+        *,
+        changes: float = 0.5,
+        lasting: float = 0.04,
+        following: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        """Make the probabilities of changes; all states are equally probable."""
+        for name, value in (("period", period), ("changes", changes), ("lasting", lasting)):
+            if not (value > 0.0 and np.isfinite(value)):
+                raise InvalidInputError(f"{name} = {value!r}; give a number > 0")
+        self.states = states
+        self.period = period
+        self._weight = min(1.0, period / lasting)
+        count = len(states.names)
+        self.probabilities: Array = np.full(count, 1.0 / count)
+        self._moves = self._changed(1.0 - exp(-changes * period), following or {})
+
+    def _changed(self, share: float, following: Mapping[str, Sequence[str]]) -> Array:
+        """Probability (n, n) that the state of a row is followed by that of a column.
+
+        Args:
+            share: probability that the state has changed.
+            following: states that may follow each state; all, if it is not among these.
+
+        Raises:
+            InvalidInputError: a state that does not exist.
+        """
+        names = self.states.names
+        for name in (*following, *(one for some in following.values() for one in some)):
+            if name not in names:
+                raise InvalidInputError(
+                    f"following: there is no state {name!r}; {did_you_mean(name, names)}"
+                )
+        moves = np.zeros((len(names), len(names)))
+        for i, name in enumerate(names):
+            others = [names.index(one) for one in following.get(name, names) if one != name]
+            moves[i, i] = 1.0 - share if others else 1.0
+            moves[i, others] = share / max(len(others), 1)
+        return moves
+
+    def update(self, X_WO: pin.SE3, wrench: ArrayLike, X_WE: pin.SE3 | None = None) -> None:
+        """Update the probabilities by the wrench of an instant, one period after the last one.
+
+        A wrench that is not finite changes nothing.
+
+        Args:
+            X_WO: pose of the object.
+            wrench: (6,) wrench of the object on its environment at O, world axes (N, N m).
+            X_WE: believed pose of the touched body; None: the world frame.
+        """
+        f = np.asarray(wrench, dtype=np.float64)
+        if f.shape != (6,):
+            as_array("wrench", wrench, (6,))
+        if not np.isfinite(f).all():
+            return
+        densities = self.states.log_likelihoods(X_WO, f, X_WE)
+        best = densities.max()
+        if not np.isfinite(best):  # no state exists in this pose
+            return
+        prior = self.probabilities @ self._moves
+        weights = prior * np.exp(self._weight * (densities - best))
+        total = weights.sum()
+        if total > 0.0:
+            self.probabilities = weights / total
+
+    @property
+    def state(self) -> str:
+        """Name of the most probable state."""
+        return self.states.names[int(self.probabilities.argmax())]
+
+    def probability(self, *names: str) -> float:
+        """Probability that the state is one of those named.
+
+        Raises:
+            InvalidInputError: a state that does not exist.
+        """
+        for name in names:
+            if name not in self.states.names:
+                raise InvalidInputError(
+                    f"there is no state {name!r}; {did_you_mean(name, self.states.names)}"
+                )
+        chosen = [name in names for name in self.states.names]
+        return float(self.probabilities[chosen].sum())
+
+    def reset(self) -> None:
+        """Make all states equally probable."""
+        self.probabilities = np.full(len(self.states.names), 1.0 / len(self.states.names))

@@ -1,0 +1,365 @@
+"""Contact states as candidates, and the likelihood of a wrench in each of them.
+
+The object presses with the wrench f = N α + e, α ≥ 0, if the pairs of a state with the columns N
+are closed. The error e has the covariance
+
+    S(α) = S_f + J(α) P J(α)ᵀ + Σ ½ (μ αⱼ)² Bⱼ Bⱼᵀ
+
+of the wrench reading (S_f), of the pose of the touched body relative to the object (P, with
+J(α) = Σ αⱼ ∂Nⱼ/∂δ) and of friction, which is unknown in size and direction up to μ αⱼ; Bⱼ (6, 2)
+are unit forces along the two tangents. Everything is weighted by these covariances, so that the
+result depends neither on frame and units nor on the basis of N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from osc_contact.contacts.feet import force_owners
+from osc_contact.contacts.pairs.law_pair import normals_over
+from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
+from osc_contact.errors import ContactError, InvalidInputError, did_you_mean
+from osc_contact.recognition.cones import RIDGE, Cones
+from osc_contact.spatial import Array, Poses, as_array, carry_wrench, rotations, skew
+
+MOST_COLUMNS = 6  #: largest number of columns of N of a state
+APART = 3.0  #: standard deviations of e by which wrenches of two states must differ
+_STEP = 1e-6  #: displacement of the touched body for derivatives of N (m, rad)
+
+
+@dataclass(frozen=True)
+class WrenchErrors:
+    """Standard deviations of what makes the wrench of a contact state uncertain.
+
+    Attributes:
+        force, torque: of the wrench reading at `sensor` (N, N m), with errors of masses and tare.
+        sensor: (3,) place of the wrist sensor in the object's frame (m).
+        position, angle: of the touched body's pose relative to the object, at the object's origin
+            (m, rad), along and about each axis.
+        friction: largest coefficient of friction.
+        expected: usual size of a contact force (N), by which a state with more forces has to
+            explain the wrench better.
+
+    Raises:
+        InvalidInputError: a number that is not positive (friction: negative).
+
+    Example:
+        >>> errors = osc.WrenchErrors(force=0.2, torque=0.01, sensor=[0, 0, -0.2], friction=0.3)
+        >>> print(errors.covariance(pin.SE3.Identity()).diagonal().round(5))
+        [0.04   0.04   0.04   0.0017 0.0017 0.0001]
+    """
+
+    force: float = 0.2
+    torque: float = 0.02
+    sensor: ArrayLike = (0.0, 0.0, 0.0)
+    position: float = 1e-3
+    angle: float = 0.02
+    friction: float = 0.3
+    expected: float = 6.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        as_array("sensor", self.sensor, (3,))
+        for name in ("force", "torque", "position", "angle", "expected", "friction"):
+            value = getattr(self, name)
+            if not (value > 0.0 or (name == "friction" and value == 0.0)) or not np.isfinite(value):
+                raise InvalidInputError(f"{name} = {value!r}; give a number > 0 in SI units")
+
+    def covariance(self, X_WO: pin.SE3) -> Array:
+        """Covariance S_f (6, 6) of the wrench reading at O in world axes (N², N² m, N² m²).
+
+        Args:
+            X_WO: pose of the object.
+        """
+        place = X_WO.rotation @ np.asarray(self.sensor, dtype=np.float64)
+        at_O = carry_wrench(np.eye(6), place, np.zeros(3))
+        return at_O @ np.diag(np.repeat([self.force, self.torque], 3) ** 2) @ at_O.T
+
+    def pose_covariance(self) -> Array:
+        """Covariance P (6, 6) of the displacement of the touched body at O (m², rad²)."""
+        return np.diag(np.repeat([self.position, self.angle], 3) ** 2)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of N of all pairs of the candidates, and what their errors depend on.
+
+    Attributes:
+        N: (6, r) columns at O in world axes.
+        J: (r, 6, 6) derivatives of each column by a displacement of the touched body at O.
+        F: (r, 6, 6) B Bᵀ of each column, for a force of size 1 along both tangents; zero where
+            friction is unknown.
+        exists: (r,) False for columns that do not exist in this pose, such as parallel edges.
+    """
+
+    N: Array
+    J: Array
+    F: Array
+    exists: Array
+
+
+class ContactStates:
+    """Contact states that are distinguished by the wrench of the object on its environment.
+
+    Args:
+        states: names of the pairs of each state by its name; a state without pairs is free.
+        pairs: the pairs by name, for example those of `pairs_between`.
+        errors: errors of readings, poses and friction.
+
+    Attributes:
+        names: names of the states. pairs: pairs that occur in them, by name.
+        members: names of the pairs of each state.
+
+    Raises:
+        InvalidInputError: no states, a pair that does not exist, two states with the same pairs, or
+            one with more than 6 columns of N.
+
+    Example:
+        >>> touch = {
+        ...     "left": osc.VertexOnFace([-0.1, 0, 0], [0, 0, 0], [0, 0, 1]),
+        ...     "right": osc.VertexOnFace([0.1, 0, 0], [0, 0, 0], [0, 0, 1]),
+        ... }
+        >>> states = osc.ContactStates(
+        ...     {"free": [], "left": ["left"], "right": ["right"], "both": ["left", "right"]},
+        ...     touch,
+        ...     osc.WrenchErrors(),
+        ... )
+        >>> f = np.array([0.3, 0, -8.0, 0, -0.8, 0])  # presses down, 0.1 m to the left
+        >>> print(states.names[int(states.log_likelihoods(pin.SE3.Identity(), f).argmax())])
+        left
+    """
+
+    def __init__(
+        self,
+        states: Mapping[str, Sequence[str]],
+        pairs: Mapping[str, ContactPair],
+        errors: WrenchErrors | None = None,
+    ) -> None:
+        """Check the candidates, and number the columns of N of their pairs."""
+        _require_states(states, pairs)
+        self.names = tuple(states)
+        self.members = tuple(frozenset(states[name]) for name in states)
+        self.errors = errors or WrenchErrors()
+        used = dict.fromkeys(name for own in states.values() for name in own)
+        self.pairs = {name: pairs[name] for name in used}
+        each = list(self.pairs.values())
+        owners = force_owners(each) if each else np.zeros(0, dtype=np.intp)
+        order = list(self.pairs)
+        columns = [
+            [k for k, owner in enumerate(owners.tolist()) if order[owner] in own]
+            for own in self.members
+        ]
+        for name, own in zip(self.names, columns, strict=True):
+            if len(own) > MOST_COLUMNS:
+                raise InvalidInputError(
+                    f"state {name!r} has {len(own)} columns of N; give at most {MOST_COLUMNS}"
+                )
+        self.sizes = np.array([len(own) for own in columns])
+        self._owners = owners
+        pushes = np.array([pushes_only(pair) for pair in each], dtype=bool)
+        self._pushes = pushes[owners]
+        self._cones = Cones(columns, self._pushes)
+        signs = [int(self._pushes[own].sum()) for own in columns]
+        self._one_sided = np.log(2.0) * np.array(signs)
+
+    def columns(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Columns:
+        """Columns of N of all pairs, their derivatives, and their tangents.
+
+        Args:
+            X_WO: pose of the object.
+            X_WE: believed pose of the touched body; None: the world frame.
+        """
+        near = _displaced(X_WE or pin.SE3.Identity(), X_WO.translation)
+        here = Poses(np.repeat(X_WO.rotation[:, :, None], 7, 2), X_WO.translation[:, None])
+        here = Poses(here.R, np.repeat(here.p, 7, 1))
+        r = len(self._owners)
+        N = np.zeros((6, r))
+        J = np.zeros((r, 6, 6))
+        F = np.zeros((r, 6, 6))
+        exists = np.zeros(r, dtype=bool)
+        for i, pair in enumerate(self.pairs.values()):
+            own = self._owners == i
+            try:
+                all_columns = normals_over(pair, here, near)  # (6, own, 7)
+            except ContactError:  # edges are parallel
+                N[2, own] = 1.0
+                continue
+            exists[own] = True
+            N[:, own] = all_columns[:, :, 0]
+            change = (all_columns[:, :, 1:] - all_columns[:, :, :1]) / _STEP
+            J[own] = change.transpose(1, 0, 2)
+            if knows_where_it_slides(pair):
+                points = pair.points_of_contact(X_WO, X_WE) - X_WO.translation[:, None]
+                F[own] = [
+                    _along_tangents(normal, point)
+                    for normal, point in zip(all_columns[:3, :, 0].T, points.T, strict=True)
+                ]
+        return Columns(N, J, F, exists)
+
+    def log_likelihoods(
+        self, X_WO: pin.SE3, wrench: ArrayLike, X_WE: pin.SE3 | None = None
+    ) -> Array:
+        """Logarithm of the probability density of a wrench in each state, up to a constant (n,).
+
+        It is −½ min (f − Nα)ᵀS⁻¹(f − Nα) − ½ log det S, less ½ log det(1 + ρ² G_f⁻¹ G) for the
+        freedom of α, with G = NᵀS⁻¹N, G_f = NᵀS_f⁻¹N and ρ the expected force over the standard
+        deviation of its reading.
+
+        Args:
+            X_WO: pose of the object.
+            wrench: (6,) wrench of the object on its environment at O, world axes (N, N m).
+            X_WE: believed pose of the touched body; None: the world frame.
+
+        Returns:
+            Values (n,); −∞ for a state with a pair that does not exist in this pose.
+        """
+        f = as_array("wrench", wrench, (6,))
+        return self.judge(self.columns(X_WO, X_WE), self.errors.covariance(X_WO), f)[0]
+
+    def judge(self, columns: Columns, S_f: Array, f: Array) -> tuple[Array, Array, Array]:
+        """Log-likelihoods (n,), least squares (n,) and magnitudes α (n, k) of a wrench.
+
+        Args:
+            columns: columns of N of all pairs. S_f: (6, 6) covariance of the wrench reading.
+            f: (6,) wrench at O, world axes.
+        """
+        cones = self._cones
+        first, _, G_f = cones.fit(columns.N, S_f, f)
+        S = self._covariances(columns, S_f, first)
+        alpha, squares, G = cones.fit(columns.N, S, f)
+        densities = -0.5 * squares - 0.5 * np.linalg.slogdet(S)[1]
+        densities += self._one_sided - self._freedom(G, G_f)
+        missing = (~columns.exists[cones.index] & (cones.used > 0.0)).any(axis=1)
+        densities[missing] = -np.inf
+        return densities, squares, alpha
+
+    def _covariances(self, columns: Columns, S_f: Array, alpha: Array) -> Array:
+        """Covariances S(α) (n, 6, 6) of the wrench in each state.
+
+        Args:
+            columns: columns of N and their derivatives. S_f: (6, 6) covariance of the reading.
+            alpha: (n, k) magnitudes.
+        """
+        cones = self._cones
+        J = np.einsum("nk,nkab->nab", alpha, columns.J[cones.index])
+        friction = 0.5 * (self.errors.friction * alpha) ** 2
+        S = S_f + J @ self.errors.pose_covariance() @ J.transpose(0, 2, 1)
+        return S + np.einsum("nk,nkab->nab", friction, columns.F[cones.index])
+
+    def _freedom(self, G: Array, G_f: Array) -> Array:
+        """½ log det(1 + ρ² G_f⁻¹ G) (n,): what a state loses by the freedom of its magnitudes.
+
+        Args:
+            G, G_f: (n, k, k) Gram matrices with all errors, and with those of the reading.
+        """
+        most = G.shape[1]
+        if most == 0:
+            return np.zeros(len(G))
+        ratio = (self.errors.expected / self.errors.force) ** 2
+        sizes = np.sqrt(np.einsum("nkk->nk", G_f)) + (1.0 - self._cones.used)
+        scale = sizes[:, :, None] * sizes[:, None]
+        padding = np.einsum("nk,kl->nkl", 1.0 - self._cones.used, np.eye(most))
+        reading = G_f / scale + padding + RIDGE * np.eye(most)
+        whole = G / scale + RIDGE * np.eye(most) * self._cones.used[:, None]
+        each = np.linalg.slogdet(reading + ratio * whole)[1] - np.linalg.slogdet(reading)[1]
+        return 0.5 * each
+
+    def distances(
+        self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None, force: float | None = None
+    ) -> Array:
+        """Distances D (n, n): how badly state j explains a usual wrench of state i.
+
+        D[i, j]² is the least (f − Nα)ᵀS⁻¹(f − Nα) of state j for f = Σ of the forces of state i.
+
+        Args:
+            X_WO: pose of the object. X_WE: pose of the touched body; None: the world frame.
+            force: force of each pair (N); None: that expected.
+        """
+        columns = self.columns(X_WO, X_WE)
+        S_f = self.errors.covariance(X_WO)
+        size = self.errors.expected if force is None else force
+        counts = np.bincount(self._owners, minlength=len(self.pairs)) if self.pairs else None
+        rows = []
+        for i in range(len(self.names)):
+            own = self._cones.index[i, : self.sizes[i]]
+            f = np.zeros(6)
+            if counts is not None and len(own):
+                f = columns.N[:, own] @ (size / counts[self._owners[own]])
+            rows.append(np.sqrt(self.judge(columns, S_f, f)[1]))
+        return np.array(rows)
+
+    def groups(
+        self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None, force: float | None = None
+    ) -> tuple[tuple[str, ...], ...]:
+        """Groups of states that sensors cannot distinguish in a pose, known before a run.
+
+        Two states are in one group if a usual wrench of the first is within three standard
+        deviations of the cone of the second, which has no more forces; and so are states that are
+        connected by others. So a wall that carries less than the friction of the bottom is not
+        distinguished from friction.
+
+        Args:
+            X_WO: pose of the object. X_WE: pose of the touched body; None: the world frame.
+            force: force of each pair (N); None: that expected.
+        """
+        D = self.distances(X_WO, X_WE, force)
+        near = (D < APART) & (self.sizes[:, None] >= self.sizes[None, :])
+        near |= near.T
+        number = list(range(len(self.names)))
+        for i, j in np.argwhere(near).tolist():
+            old = number[j]
+            number = [number[i] if one == old else one for one in number]
+        found: dict[int, list[str]] = {}
+        for one, name in zip(number, self.names, strict=True):
+            found.setdefault(one, []).append(name)
+        return tuple(tuple(names) for names in found.values())
+
+
+def _require_states(states: Mapping[str, Sequence[str]], pairs: Mapping[str, ContactPair]) -> None:
+    """Refuse candidates that do not make a set of different contact states.
+
+    Raises:
+        InvalidInputError: no states, an unknown pair, or two states with the same pairs.
+    """
+    if not states:
+        raise InvalidInputError("no contact states; give one at least, such as {'free': []}")
+    seen: dict[frozenset[str], str] = {}
+    for name, own in states.items():
+        if isinstance(own, str):
+            raise InvalidInputError(f"state {name!r}: {own!r}; give a list of names of pairs")
+        for one in own:
+            if one not in pairs:
+                raise InvalidInputError(
+                    f"state {name!r}: there is no contact {one!r}; {did_you_mean(one, pairs)}"
+                )
+        if (other := seen.setdefault(frozenset(own), name)) != name:
+            raise InvalidInputError(f"states {other!r} and {name!r} have the same pairs; drop one")
+
+
+def _displaced(X_WE: pin.SE3, O: Array) -> Poses:  # noqa: E741
+    """Seven poses of the touched body: the believed one, and with a step along and about each axis.
+
+    Args:
+        X_WE: believed pose. O: (3,) point at which displacements are stated (m).
+    """
+    steps = _STEP * np.hstack((np.zeros((6, 1)), np.eye(6)))
+    turns = rotations(steps[3:])
+    arm = X_WE.translation - O
+    positions = O[:, None] + np.einsum("ijk,j->ik", turns, arm) + steps[:3]
+    return Poses(np.einsum("ijk,jl->ilk", turns, X_WE.rotation), positions)
+
+
+def _along_tangents(normal: Array, point: Array) -> Array:
+    """B Bᵀ (6, 6) of unit forces along the tangents at a point.
+
+    Args:
+        normal: (3,) force of one unit of α. point: (3,) point of contact from O (m).
+    """
+    tangential = (normal @ normal) * np.eye(3) - np.outer(normal, normal)
+    B = np.vstack((np.eye(3), skew(point)))
+    return B @ tangential @ B.T
