@@ -117,6 +117,20 @@ def test_actions_move_the_set_point_and_set_the_force():
     assert_near(part(env, observation, "set point y")[:, 0], [0.04, -0.02])
 
 
+def test_contacts_are_active_when_the_scenario_says_so():
+    """The right contact is released at 0.1 s, although the action goes on commanding its force."""
+    released = ("active.right_end=[[0, 0.1]]", "duration=0.6 s")
+    env = make_vector_env("two_contact_rod", 2, overrides=released, threads=1)
+    env.reset(seed=0)
+    action = np.zeros((2, env.single_action_space.shape[0]))
+    for step in range(25):
+        observation = env.step(action)[0]
+        if step == 3:
+            assert (part(env, observation, "force 1") > 1.0).all()
+    assert_array_equal(part(env, observation, "force 1"), np.zeros((2, 1)))
+    assert (part(env, observation, "force 0") > 1.0).all()
+
+
 def test_following_the_scenario_is_rewarded_and_leaving_it_is_not():
     env = make_vector_env("panda_edge", 2, overrides=("duration=1.5 s",), threads=1)
     observation, _ = env.reset(seed=0)

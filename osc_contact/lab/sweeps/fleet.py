@@ -127,15 +127,27 @@ class Fleet:
         return self._plant.readings(*self._sensed)
 
     def tick(
-        self, X_WD: Array, V_D: Array, A_D: Array, alpha_d: Array, squeeze_d: Array | None = None
+        self,
+        X_WD: Array,
+        V_D: Array,
+        A_D: Array,
+        alpha_d: Array,
+        squeeze_d: Array | None = None,
+        active: Array | None = None,
     ) -> Array:
         """Advance all rows by one control period; return their torques (B, n_a).
 
         Args:
-            X_WD, V_D, A_D, alpha_d, squeeze_d: see `BatchController.tick`.
+            X_WD, V_D, A_D, alpha_d, squeeze_d, active: see `BatchController.tick`.
         """
         tau = self.control.tick(
-            *self.measure(), X_WD, V_D=V_D, A_D=A_D, alpha_d=alpha_d, squeeze_d=squeeze_d
+            *self.measure(),
+            X_WD,
+            V_D=V_D,
+            A_D=A_D,
+            alpha_d=alpha_d,
+            squeeze_d=squeeze_d,
+            active=active,
         )
         self._ctrl[:] = tau
         self._plants.step(nstep=self._steps)

@@ -40,6 +40,8 @@ class Episode:
         start: start of plant and controller.
         places: (steps + 1, 4, 4) desired poses of the scenario, at the ends of the steps.
         forces: (steps + 1, r) desired contact forces of the scenario, at the ends of the steps (N).
+        active: (steps + 1, contacts) 1 for contacts that are active from the end of a step on, else
+            0; None: the scenario names no active contacts.
         squeeze: desired internal force (N).
     """
 
@@ -47,6 +49,7 @@ class Episode:
     start: Start
     places: Array
     forces: Array
+    active: Array | None
     squeeze: float
 
 
@@ -71,7 +74,7 @@ def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
         # force ceilings that the scenario leaves out follow from the actions
         controller = start.controller.with_safety(rig.scenario.control.safety)
         start = replace(start, controller=controller)
-        return Episode(number, start, places, plan.alpha_d, plan.squeeze_d)
+        return Episode(number, start, places, plan.alpha_d, plan.active, plan.squeeze_d)
 
     return make
 
@@ -122,6 +125,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     Actions (6 + r,) from −1 to 1: increments of the set point's position and orientation in units
     of `move`, world axes at the object; then each contact force, from 0 (−1) to `most_force` (1).
+    Where the scenario names active contacts, the set at the beginning of an action is active during
+    this action; forces of the other contacts are 0.
 
     Observations, numbers in the order of `names`: q and v of the joints; wrench of each wrist;
     measured contact forces and normal speeds; displacement from the start (m, rad) of the set
@@ -300,8 +305,9 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         V = increment / (ticks * self.fleet.dt)
         alpha = self._forces + share * (forces - self._forces)
         squeeze = np.array([episode.squeeze for episode in self._now])
+        active = self._active_set()
         for k in range(ticks):
-            tau = self.fleet.tick(X[k], V, np.zeros_like(V), alpha[k], squeeze)
+            tau = self.fleet.tick(X[k], V, np.zeros_like(V), alpha[k], squeeze, active)
         self._target = X[-1].copy()
         self._forces = forces
         return tau
@@ -334,6 +340,16 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         places = np.array([episode.places[k] for episode, k in pairs])
         forces = np.array([episode.forces[k] for episode, k in pairs])
         return (places, forces)
+
+    def _active_set(self) -> Array | None:
+        """Active contacts (B, contacts) of the scenario in this step; None: it names none."""
+        steps = np.minimum(self._step, self._last)
+        sets = [
+            episode.active[k]
+            for episode, k in zip(self._now, steps, strict=True)
+            if episode.active is not None
+        ]
+        return np.array(sets) if sets else None
 
     @property
     def _last(self) -> Array:
