@@ -12,6 +12,8 @@ from samples import parametrize
 from scipy.optimize import nnls
 
 import osc_contact as osc
+from benchmarks.recognition import ERRORS as BELIEVED
+from benchmarks.recognition import Truth, square_peg_states, true_forces
 from osc_contact.recognition.states import Columns
 
 POSE = pin.SE3(pin.exp3(np.array([3.0, 0.2, -0.1])), np.array([0.5, 0.1, 0.3]))  #: of the hole
@@ -31,7 +33,8 @@ NAMES = {
         "edge +y on rim -x",
     ],
 }
-ERRORS = osc.WrenchErrors(0.2, 0.02, (0.01, 0.0, -0.16), 1.2e-3, 0.02, 0.3)
+LEAST = 0.4  #: N
+ERRORS = osc.WrenchErrors(0.2, 0.02, (0.01, 0.0, -0.16), 1.2e-3, 0.02, 0.3, 6.0, LEAST)
 
 
 @fixture(scope="module")
@@ -75,8 +78,8 @@ def oracle(names, f):
         root = np.linalg.cholesky(np.linalg.inv(S)).T
         if not names:
             return np.zeros(0), f @ np.linalg.solve(S, f)
-        alpha, misfit = nnls(root @ N, root @ f)
-        return alpha, misfit**2
+        alpha, misfit = nnls(root @ N, root @ (f - LEAST * N.sum(axis=1)))
+        return alpha + LEAST, misfit**2
 
     alpha, _ = fitted(S_f)
     S = S_f.copy()
@@ -129,9 +132,10 @@ def test_sizes_of_columns_do_not_matter(states):
     each = sizes[:, None, None]
     other = Columns(there.N * sizes, there.J * each, there.F * each**2, there.exists)
     S_f = ERRORS.covariance(X)
-    before, _, _ = states.judge(there, S_f, f)
-    # ½ (μ α)² B Bᵀ with α smaller and B larger by the size
-    after, _, _ = states.judge(other, S_f, f)
+    # ½ (μ α)² B Bᵀ with α smaller and B larger by the size; a least force has this size, too
+    without = osc.ContactStates(NAMES, TOUCH, replace(ERRORS, least=0.0))
+    before, _, _ = without.judge(there, S_f, f)
+    after, _, _ = without.judge(other, S_f, f)
     assert_allclose(after, before, atol=1e-5)
 
 
@@ -215,6 +219,7 @@ def test_a_change_is_recognised_within_some_instants(states):
     for _ in range(20):
         recogniser.update(X, wrench(corner=6.0))
     assert recogniser.state == "corner" and recogniser.probability("corner") > 0.95
+    assert recogniser.forces == {pairs["corner"]: approx(6.0, abs=0.7)}
     seen = []
     for _ in range(20):
         recogniser.update(X, wrench(edge=6.0))
@@ -260,6 +265,24 @@ def test_readings_that_are_no_numbers_change_nothing(states):
     assert recogniser.probabilities is before
 
 
+def test_truth_of_the_benchmark():
+    assert len(square_peg_states()) == 17
+    R = POSE.rotation
+    rows = np.full((4, 9), np.nan)
+    half = 0.5 * HOLE.width
+    places = {"edge -x": [-half, 4e-3, 0], "side +y": [2e-3, half, 0], "corner": [0.012, 0.013, 0]}
+    normals = {"edge -x": [-0.2, 0, 0.98], "side +y": [0, 0.98, 0.2], "corner": [0, 0, 1]}
+    for k, (name, place) in enumerate(places.items()):
+        normal = R @ normals[name]
+        rows[k] = [*POSE.act(np.array(place)), *normal, *((k + 1.0) * normal)]
+    forces = true_forces(rows, HOLE)
+    assert forces == approx({"edge -x": 1.0, "side +y": 2.0, "corner": 3.0}, rel=1e-3)
+    assert BELIEVED.friction == 0.3
+    assert Truth(forces).beyond(0.0) == {"side +y", "corner"}  # 1 N < 0.3 × 5 N
+    assert Truth(forces).beyond(1.0) == {"corner"}
+    assert Truth(forces).contacts == set(places)
+
+
 test_refusals = refusals(
     invalid_input,
     {
@@ -271,6 +294,7 @@ test_refusals = refusals(
             {"a": ["hole", "tip on face", "tip on bottom"]}, TOUCH
         ),
         "force = 0": lambda: osc.WrenchErrors(force=0.0),
+        "least = -1": lambda: osc.WrenchErrors(least=-1.0),
         "friction = -0.1": lambda: osc.WrenchErrors(friction=-0.1),
         "sensor": lambda: osc.WrenchErrors(sensor=(0.0, 1.0)),
         "period = 0": lambda: osc.Recogniser(osc.ContactStates({"a": []}, {}), 0.0),

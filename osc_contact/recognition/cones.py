@@ -64,18 +64,20 @@ class Cones:
         Args:
             N: (6, r) columns of all candidates (N, N m per unit of α).
             S: (6, 6) covariance of the wrench, or (n, 6, 6), one for each candidate.
-            wrench: (6,) wrench f (N, N m).
+            wrench: (6,) wrench f (N, N m), or (n, 6), one for each candidate.
 
         Returns:
             Magnitudes α (n, k), the least squares (n,), and the Gram matrices (n, k, k).
         """
         G, weighted = self.gram(N, S)
-        whole = np.linalg.solve(np.broadcast_to(S, (len(G), 6, 6)), wrench)  # (n, 6)
+        f = np.broadcast_to(wrench, (len(G), 6))
+        whole = np.linalg.solve(np.broadcast_to(S, (len(G), 6, 6)), f[:, :, None])[:, :, 0]
+        length = np.einsum("na,na->n", whole, f)
         most = self.index.shape[1]
         if most == 0:
-            return np.zeros((len(G), 0)), whole @ wrench, G
+            return np.zeros((len(G), 0)), length, G
         sizes = np.sqrt(np.einsum("nkk->nk", G)) + (1.0 - self.used)
-        right = np.einsum("nak,a->nk", weighted, wrench) / sizes
+        right = np.einsum("nak,na->nk", weighted, f) / sizes
         scaled = G / (sizes[:, :, None] * sizes[:, None]) + RIDGE * np.eye(most)
         mask = self._masks
         system = scaled[self._owners] * mask[:, :, None] * mask[:, None]
@@ -86,5 +88,5 @@ class Cones:
         negative = ((alpha < 0.0) & self._pushes[self._owners]).any(axis=1)
         explained[negative] = -np.inf
         best = np.lexsort((-explained, self._owners))[self._first]
-        squares = np.maximum(whole @ wrench - explained[best], 0.0)
+        squares = np.maximum(length - explained[best], 0.0)
         return alpha[best] / sizes, squares, G

@@ -52,7 +52,7 @@ class Recogniser:
         period: float = 0.01,
         *,
         changes: float = 0.5,
-        lasting: float = 0.04,
+        lasting: float = 0.02,
         following: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
         """Make the probabilities of changes; all states are equally probable."""
@@ -64,6 +64,7 @@ class Recogniser:
         self._weight = min(1.0, period / lasting)
         count = len(states.names)
         self.probabilities: Array = np.full(count, 1.0 / count)
+        self._alpha: Array = np.zeros((count, int(states.sizes.max())))
         self._moves = self._changed(1.0 - exp(-changes * period), following or {})
 
     def _changed(self, share: float, following: Mapping[str, Sequence[str]]) -> Array:
@@ -104,7 +105,9 @@ class Recogniser:
             as_array("wrench", wrench, (6,))
         if not np.isfinite(f).all():
             return
-        densities = self.states.log_likelihoods(X_WO, f, X_WE)
+        columns = self.states.columns(X_WO, X_WE)
+        S_f = self.states.errors.covariance(X_WO)
+        densities, _, self._alpha = self.states.judge(columns, S_f, f)
         best = densities.max()
         if not np.isfinite(best):  # no state exists in this pose
             return
@@ -118,6 +121,15 @@ class Recogniser:
     def state(self) -> str:
         """Name of the most probable state."""
         return self.states.names[int(self.probabilities.argmax())]
+
+    @property
+    def forces(self) -> dict[str, float]:
+        """Forces of the pairs of the most probable state by name, from the last wrench (N).
+
+        A force below the friction of the other ones, μ times their sum, is not certain: the state
+        may be the one without this pair. Before the first instant they are zero.
+        """
+        return self.states.forces(int(self.probabilities.argmax()), self._alpha)
 
     def probability(self, *names: str) -> float:
         """Probability that the state is one of those named.

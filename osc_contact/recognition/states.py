@@ -1,7 +1,8 @@
 """Contact states as candidates, and the likelihood of a wrench in each of them.
 
-The object presses with the wrench f = N α + e, α ≥ 0, if the pairs of a state with the columns N
-are closed. The error e has the covariance
+The object presses with the wrench f = N α + e, α ≥ α₀, if the pairs of a state with the columns N
+are closed; each pair carries a least force, so that a state with more pairs explains a wrench
+better only if they carry some. The error e has the covariance
 
     S(α) = S_f + J(α) P J(α)ᵀ + Σ ½ (μ αⱼ)² Bⱼ Bⱼᵀ
 
@@ -42,11 +43,12 @@ class WrenchErrors:
         position, angle: of the touched body's pose relative to the object, at the object's origin
             (m, rad), along and about each axis.
         friction: largest coefficient of friction.
-        expected: usual size of a contact force (N), by which a state with more forces has to
-            explain the wrench better.
+        expected: usual size of a contact force (N); the larger it is, the better a state with more
+            forces has to explain the wrench.
+        least: least force of a pair that pushes (N), distributed evenly over its columns of N.
 
     Raises:
-        InvalidInputError: a number that is not positive (friction: negative).
+        InvalidInputError: a number that is not positive (friction and least: negative).
 
     Example:
         >>> errors = osc.WrenchErrors(force=0.2, torque=0.01, sensor=[0, 0, -0.2], friction=0.3)
@@ -60,15 +62,18 @@ class WrenchErrors:
     position: float = 1e-3
     angle: float = 0.02
     friction: float = 0.3
-    expected: float = 6.0
+    expected: float = 4.0
+    least: float = 0.5
 
     def __post_init__(self) -> None:
         """Check the numbers."""
         as_array("sensor", self.sensor, (3,))
-        for name in ("force", "torque", "position", "angle", "expected", "friction"):
+        for name in ("force", "torque", "position", "angle", "expected", "friction", "least"):
             value = getattr(self, name)
-            if not (value > 0.0 or (name == "friction" and value == 0.0)) or not np.isfinite(value):
-                raise InvalidInputError(f"{name} = {value!r}; give a number > 0 in SI units")
+            may_be_zero = name in ("friction", "least")
+            if not (np.isfinite(value) and (value > 0.0 or (may_be_zero and value == 0.0))):
+                bound = "≥ 0" if may_be_zero else "> 0"
+                raise InvalidInputError(f"{name} = {value!r}; give a number {bound} in SI units")
 
     def covariance(self, X_WO: pin.SE3) -> Array:
         """Covariance S_f (6, 6) of the wrench reading at O in world axes (N², N² m, N² m²).
@@ -164,6 +169,11 @@ class ContactStates:
         pushes = np.array([pushes_only(pair) for pair in each], dtype=bool)
         self._pushes = pushes[owners]
         self._cones = Cones(columns, self._pushes)
+        counts = np.bincount(owners, minlength=len(each))
+        self._least = np.zeros((len(columns), len(owners)))
+        for i, own in enumerate(columns):
+            pressing = [k for k in own if self._pushes[k]]
+            self._least[i, pressing] = self.errors.least / counts[owners[pressing]]
         signs = [int(self._pushes[own].sum()) for own in columns]
         self._one_sided = np.log(2.0) * np.array(signs)
 
@@ -206,9 +216,9 @@ class ContactStates:
     ) -> Array:
         """Logarithm of the probability density of a wrench in each state, up to a constant (n,).
 
-        It is −½ min (f − Nα)ᵀS⁻¹(f − Nα) − ½ log det S, less ½ log det(1 + ρ² G_f⁻¹ G) for the
-        freedom of α, with G = NᵀS⁻¹N, G_f = NᵀS_f⁻¹N and ρ the expected force over the standard
-        deviation of its reading.
+        It is −½ min (f − Nα)ᵀS⁻¹(f − Nα) − ½ log det S with α ≥ α₀, less ½ log det(1 + ρ² G_f⁻¹ G)
+        for the freedom of α, with G = NᵀS⁻¹N, G_f = NᵀS_f⁻¹N and ρ the expected force over the
+        standard deviation of its reading.
 
         Args:
             X_WO: pose of the object.
@@ -229,14 +239,30 @@ class ContactStates:
             f: (6,) wrench at O, world axes.
         """
         cones = self._cones
-        first, _, G_f = cones.fit(columns.N, S_f, f)
-        S = self._covariances(columns, S_f, first)
-        alpha, squares, G = cones.fit(columns.N, S, f)
+        beyond = f - self._least @ columns.N.T
+        least = np.take_along_axis(self._least, cones.index, axis=1) * cones.used
+        first, _, G_f = cones.fit(columns.N, S_f, beyond)
+        S = self._covariances(columns, S_f, first + least)
+        alpha, squares, G = cones.fit(columns.N, S, beyond)
+        alpha = alpha + least
         densities = -0.5 * squares - 0.5 * np.linalg.slogdet(S)[1]
         densities += self._one_sided - self._freedom(G, G_f)
         missing = (~columns.exists[cones.index] & (cones.used > 0.0)).any(axis=1)
         densities[missing] = -np.inf
         return densities, squares, alpha
+
+    def forces(self, state: int, alpha: Array) -> dict[str, float]:
+        """Force of each pair of a state by its name: the sum over its columns of N (N).
+
+        Args:
+            state: number of the state. alpha: (n, k) magnitudes of `judge`.
+        """
+        order = list(self.pairs)
+        found = {name: 0.0 for name in order if name in self.members[state]}
+        own = self._cones.index[state, : self.sizes[state]]
+        for column, magnitude in zip(own.tolist(), alpha[state].tolist(), strict=False):
+            found[order[self._owners[column]]] += magnitude
+        return found
 
     def _covariances(self, columns: Columns, S_f: Array, alpha: Array) -> Array:
         """Covariances S(α) (n, 6, 6) of the wrench in each state.
