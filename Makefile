@@ -128,19 +128,24 @@ peers: .venv-peers/.installed
 		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
 	@touch $@
 
-# Tries the package in a simulation of others, robosuite, in an environment with it (1 GB): its tests
-# and a comparison of controllers on SEEDS tables; CPU only, some minutes. The tables of
-# docs/baselines.md: make worlds SEEDS=30.
+# Tries the package in simulations of others, in environments with them: robosuite (1 GB), its tests
+# and a comparison of controllers on SEEDS tables; Drake (0.4 GB), its tests and both judges side by
+# side. CPU only, some minutes. The tables of docs/baselines.md: make worlds SEEDS=30.
 SEEDS ?= 3
-worlds: .venv-robosuite/.installed
+WORKERS ?= 2
+worlds: .venv-robosuite/.installed .venv-drake/.installed
 	.venv-robosuite/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_robosuite.py
+	.venv-drake/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_drake.py
 	.venv-robosuite/bin/python -W ignore -m benchmarks.wiping --seeds $(SEEDS)
+	.venv-drake/bin/python -m benchmarks.two_judges --workers $(WORKERS)
 
-.venv-robosuite/.installed: pyproject.toml constraints-robosuite.txt
-	@test -x .venv-robosuite/bin/pip || $(PYTHON) -m venv .venv-robosuite
-	@echo "installing packages into .venv-robosuite, 1 GB: some minutes"
-	@set -o pipefail; .venv-robosuite/bin/pip install -q -c constraints-robosuite.txt \
-		-e '.[robosuite,scenarios,plot]' pytest pytest-timeout 2>&1 \
+.venv-robosuite/.installed: SIZE := 1 GB
+.venv-drake/.installed: SIZE := 0.4 GB
+.venv-robosuite/.installed .venv-drake/.installed: .venv-%/.installed: pyproject.toml constraints-%.txt
+	@test -x .venv-$*/bin/pip || $(PYTHON) -m venv .venv-$*
+	@echo "installing packages into .venv-$*, $(SIZE): some minutes"
+	@set -o pipefail; .venv-$*/bin/pip install -q -c constraints-$*.txt \
+		-e '.[$*,scenarios,plot]' pytest pytest-timeout psutil 2>&1 \
 		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
 	@touch $@
 

@@ -29,6 +29,7 @@ EXTRAS = {
     "optuna": "tune",
     "distributed": "cluster",
     "pylibfranka": "franka",
+    "pydrake": "drake",
 }
 
 

@@ -14,6 +14,7 @@ from scenario_runs import rig_of, run_of
 
 import osc_contact as osc
 from benchmarks.cases import CASES, repeatable
+from osc_contact.contacts.feet import feet
 from osc_contact.lab.checks.preflight import preflight
 from osc_contact.lab.runs.run import start
 from osc_contact.law.ceilings import (
@@ -309,3 +310,35 @@ def test_actions_that_could_be_above_a_given_ceiling_are_refused():
             overrides=["duration=0.1 s", "control.safety.contact_ceiling=100 N"],
             most_force=300.0,
         )
+
+
+def pressed_from_the_air(*changes):
+    """Recording of a bar that goes down at 15 mm/s where its model has no table.
+
+    The table is 30 mm higher than believed: the contact counts as open and no force is desired of
+    it, so that the motion, stiff and with an integral, presses on.
+    """
+    rig = rig_of("panda_edge")
+    down = feet(rig.pairs[0], rig.state.X_WO)[1][0]
+    moves = [
+        {
+            "kind": "linear",
+            "direction": direction.tolist(),
+            "signals": [{"type": "minimum_jerk", "value": way, "start": start, "duration": time}],
+        }
+        for direction, way, start, time in ((-down, 0.01, 0.05, 1.0), (down, 0.03, 1.3, 3.75))
+    ]
+    stiff = "gains.motion={frequency: 10 Hz, integral_time: 0.2 s}"
+    changed = osc.load_scenario("panda_edge", [stiff, "model_error.face_offset=-30 mm", *changes])
+    scenario = changed.replaced(
+        force={"edge": [{"type": "constant", "value": 0.0}]}, motion=moves, duration=5.5
+    )
+    return osc.run(scenario)
+
+
+def test_a_contact_that_is_believed_open_presses_with_60_N_at_most():
+    """It was 276 N in a world of others; without ceilings it is as much here."""
+    recording = pressed_from_the_air()
+    forces = recording["alpha_true"].sum(axis=1)
+    assert 30.0 < forces.max() < 60.0
+    assert forces[-1] < 1.0, "the stopped arm does not press on"

@@ -60,8 +60,9 @@ def table_rows(page, heading):
 
 
 def programs():
-    """All but those that need mjlab or robosuite, which have environments of their own."""
-    elsewhere = ("osc_contact.learn", "osc_contact.robosuite")  # `make peers`, `make worlds`
+    """All but those that need mjlab, robosuite or Drake, which have environments of their own."""
+    # `make peers`, `make worlds`
+    elsewhere = ("osc_contact.learn", "osc_contact.robosuite", "plant.type=drake")
     return [b for b in blocks("python") if not any(one in b.values[1] for one in elsewhere)]
 
 

@@ -30,7 +30,7 @@ def yaml_of(name):
 
 SETTINGS = tomllib.loads(text_of("pyproject.toml"))
 PROJECT = SETTINGS["project"]
-ELSEWHERE = ("mutation", "robosuite")  #: extras that no other environment has
+ELSEWHERE = ("mutation", "robosuite", "drake")  #: extras that no other environment has
 EXTRAS = [name for name in PROJECT["optional-dependencies"] if name not in ELSEWHERE]
 
 
@@ -195,7 +195,7 @@ def test_the_demo_shows_its_task_before_it_waits_for_anything():
 def test_what_takes_minutes_in_silence_is_announced_with_its_time():
     makefile = text_of("Makefile")
     installing = [block for block in makefile.split("\n\n") if "\t@touch $@" in block]
-    assert len(installing) == 3, "of demo and tests, of the peers, of robosuite"
+    assert len(installing) == 3, "of demo and tests, of the peers, of robosuite and Drake"
     for recipe in installing:
         words = recipe.index('@echo "installing')
         begins = re.search("/pip install|call install", recipe)

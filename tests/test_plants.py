@@ -157,5 +157,5 @@ def test_a_registered_plant_is_named_in_scenarios(own_plants):
     assert rig.scenario.plant.exact
     with scenario_error("the halved plant's are bilateral"):
         rig.plant()
-    with scenario_error("'mujoco', 'rigid' or 'halved'; got 'bullet'"):
+    with scenario_error("'mujoco', 'rigid', 'drake' or 'halved'; got 'bullet'"):
         osc.load_scenario("two_contact_rod", ["plant.type=bullet"])

@@ -130,7 +130,12 @@ BAD = {
         "it must be a whole number of them, e.g. a step of 0.333333333 ms",
     ),
     "step beyond period": ("0.25 ms", "3 ms", "plant.step", "e.g. a step of 1 ms"),
-    "plant type": ("mujoco", "bullet", "plant.type", "expected 'mujoco' or 'rigid'; got 'bul"),
+    "plant type": (
+        "mujoco",
+        "bullet",
+        "plant.type",
+        "expected 'mujoco', 'rigid' or 'drake'; got 'bul",
+    ),
     "solref length": ("0.25 ms}", "0.25 ms, solref: [1]}", "plant.solref", "item 1 is missing"),
     "solimp": ("0.25 ms}", "0.25 ms, solimp: [0.2, 1, 1]}", "plant.solimp.1", "must be < 1"),
     "model error": (

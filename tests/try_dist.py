@@ -72,7 +72,7 @@ def lowest():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     users = [*project["dependencies"]]
     for extra, listed in project["optional-dependencies"].items():
-        others = ("all", "docs", "test", "dev", "mutation", "robosuite")
+        others = ("all", "docs", "test", "dev", "mutation", "robosuite", "drake")
         users += listed if extra not in others else []
     # matplotlib 3.10 calls what later versions of pyparsing warn of
     return ["pyparsing<3.3", *(re.sub(r">=([^,]+),.*", r"==\1", one) for one in users)]

@@ -40,7 +40,7 @@ ScenarioArgument = Annotated[str, Argument(help="packaged name (see `list`) or a
 
 
 PlantOption = Annotated[
-    Literal["mujoco", "rigid"] | None, Option(help="instead of the scenario's own")
+    Literal["mujoco", "rigid", "drake"] | None, Option(help="instead of the scenario's own")
 ]
 DurationOption = Annotated[float | None, Option(help="seconds, instead of the scenario's own")]
 SeedOption = Annotated[int, Option(min=0, help="of everything random")]

@@ -26,7 +26,8 @@ from osc_contact.lab.plants.faces import Faces
 from osc_contact.lab.plants.joint_drives import SPRING, JointDrives, add_drives
 from osc_contact.lab.plants.mujoco_io import geoms_beyond
 from osc_contact.lab.plants.mujoco_scene import DRIVE_MASS, GRASP_JOINT, GUIDES, scene
-from osc_contact.lab.plants.mujoco_truth import OBJECT, MujocoTruth, guided_joints
+from osc_contact.lab.plants.mujoco_truth import OBJECT, MujocoTruth
+from osc_contact.lab.plants.noted_wrenches import guided_joints
 from osc_contact.lab.scenarios.hardware import PlantSpec, Push
 from osc_contact.loop.judge import Truth, require_duration
 from osc_contact.robots.mjcf import placed

@@ -24,10 +24,11 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import GRASPS, Grasp
 from osc_contact.errors import ModelError, ScenarioError
 from osc_contact.interface import Measurement, Robot
+from osc_contact.lab.plants.drake import DrakePlant
 from osc_contact.lab.plants.faces import Faces
 from osc_contact.lab.plants.joint_drives import FlexibleJoints
 from osc_contact.lab.plants.mujoco import MujocoPlant
-from osc_contact.lab.plants.mujoco_truth import MujocoNotes
+from osc_contact.lab.plants.noted_wrenches import NotedWrenches
 from osc_contact.lab.plants.rigid import RigidPlant
 from osc_contact.lab.plants.sensors import SensedPlant
 from osc_contact.lab.rig import hardware
@@ -46,6 +47,7 @@ from osc_contact.lab.rig.contacts import (
     urdf_of,
 )
 from osc_contact.lab.rig.references import References, force_names, least_motion, showing_twist
+from osc_contact.lab.rig.slip import slip_speeds
 from osc_contact.lab.scenarios.bodies import CartSpec, GraspSpec
 from osc_contact.lab.scenarios.hardware import PLANT_TYPES
 from osc_contact.lab.scenarios.named import as_scenario
@@ -406,8 +408,8 @@ def _rigid(rig: Rig, seed: int) -> Plant:
     return RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step, rails(rig.bodies), rig.on)
 
 
-def _noted_by_mujoco(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTruth:
-    """Make the reader of rows that the MuJoCo plant of a scenario recorded.
+def _noted_wrenches(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTruth:
+    """Make the reader of rows of wrenches that a plant of a scenario recorded.
 
     The reader needs the rails of the faces and the inertia of the object in its own frame.
 
@@ -418,10 +420,10 @@ def _noted_by_mujoco(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsT
     faces = Faces(rails(bodies), touched_bodies(bodies, len(pairs)), len(pairs))
     true_object = held_object(scenario, _true(scenario.model_error))
     inertia = true_object.terms(pin.SE3.Identity(), np.zeros(6), np.zeros(3)).Lambda
-    return MujocoNotes(pairs, faces, inertia)
+    return NotedWrenches(pairs, faces, inertia)
 
 
-@register_plant("mujoco", truths=_noted_by_mujoco)
+@register_plant("mujoco", truths=_noted_wrenches)
 def _mujoco(rig: Rig, seed: int) -> Plant:
     """Make the MuJoCo plant of a rig; the seed determines the errors of its motors."""
     scenario = rig.scenario
@@ -436,6 +438,63 @@ def _mujoco(rig: Rig, seed: int) -> Plant:
         on=rig.on,
         drives=hardware.drives(scenario, rig.chain, rig.springs, seed),
     )
+
+
+@register_plant("drake", truths=_noted_wrenches)
+def _drake(rig: Rig, seed: int) -> Plant:
+    """Make the Drake plant of a rig, which uses no random numbers.
+
+    Raises:
+        ScenarioError: a body of the environment moves, or the approximation `sap` would open a
+            contact by itself.
+    """
+    scenario = rig.scenario
+    for body in rig.bodies:
+        if body.motion is not None:
+            raise ScenarioError(
+                f"'{body.name}' has a motion, and the bodies of the drake plant are at rest; leave "
+                "it out, or take plant.type mujoco"
+            )
+    _require_closed_slip(rig)
+    return DrakePlant(
+        rig.chain,
+        [urdf_of(scenario, arm) for arm in scenario.arms],
+        urdf_of(scenario, scenario.object),
+        rig.pairs,
+        [(body.urdf[0], body.placement) for body in rig.bodies],
+        options=scenario.plant,
+        on=rig.on,
+    )
+
+
+def _require_closed_slip(rig: Rig) -> None:
+    """Refuse commands under which Drake's `sap` lifts a sliding object off a contact.
+
+    The condition is (τ₁ + τ₂ + δt) μ v < F/k at all times, see `DrakeSpec.lift`.
+
+    Args:
+        rig: rig of a scenario with the drake plant.
+
+    Raises:
+        ScenarioError: the lift exceeds the depth of a contact.
+    """
+    plant = rig.scenario.plant
+    speeds = slip_speeds(rig.pairs, rig.references)
+    commands = rig.references.overview[1].commands
+    for i, pair in enumerate(rig.pairs):
+        force = commands[:, rig.owners == i].sum(axis=1)
+        lift = np.array([plant.drake.lift(plant.friction, v, plant.step) for v in speeds[:, i]])
+        depth = force / plant.drake.stiffness
+        worst = int(np.argmax(lift - depth))
+        if lift[worst] > depth[worst]:
+            at_most = plant.friction * depth[worst] / lift[worst]
+            raise ScenarioError(
+                f"plant.drake.contact: sap lifts a sliding body by (2 relaxation + step) friction "
+                f"slip speed = {1e3 * lift[worst]:.3g} mm, and contact '{pair.name}' is only "
+                f"{1e3 * depth[worst]:.3g} mm deep ({force[worst]:.3g} N, {speeds[worst, i]:.3g} "
+                "m/s): it would open and bounce without any fault of the controller; choose "
+                f"lagged, a smaller relaxation, or a friction below {at_most:.2g}"
+            )
 
 
 def build_rig(scenario: str | Path | Scenario, chains: MakesChain | None = None) -> Rig:
@@ -594,8 +653,9 @@ def landings(rig: Rig) -> list[Landing]:
     """Expected landings of all forces that can only push; empty without contact phases.
 
     The peak is v √(k m), with √(k m) = m ω as the impedance of the contact: MuJoCo's contacts are
-    springs with the natural frequency ω of `solref` for any mass, k = m ω². A face of mass m_e on a
-    spring causes two peaks, by its mass and by its spring; the larger one counts.
+    springs with the natural frequency ω of `solref` for any mass, k = m ω²; Drake's k is given. A
+    face of mass m_e on a spring causes two peaks, by its mass and by its spring; the larger one
+    counts.
 
     Args:
         rig: rig of a scenario, at rest in contact.
@@ -604,7 +664,6 @@ def landings(rig: Rig) -> list[Landing]:
     if life is None or not rig.pairs:
         return []
     plant = rig.scenario.plant
-    omega = 1.0 / (plant.solref[0] * plant.solref[1] * sqrt(plant.solimp[1]))
     state = rig.state
     contact = rig.contact
     directions = np.vstack([feet(pair, state.X_WO)[1] for pair in rig.pairs])
@@ -615,7 +674,8 @@ def landings(rig: Rig) -> list[Landing]:
         if not pushes_only(rig.pairs[owner]):
             continue
         mass = 1.0 / (N @ state.Phi @ N)
-        stiffness = mass * omega**2
+        stiffness = plant.contact_stiffness(mass)
+        omega = sqrt(stiffness / mass)
         impedance = mass * omega
         motion = rig.bodies[rig.on[owner]].motion
         if isinstance(motion, CartSpec) and (share := (direction @ motion.direction) ** 2):

@@ -52,7 +52,7 @@ def run(
 
     Args:
         scenario: name or path as for `load_scenario`, or a scenario.
-        plant: "mujoco" or "rigid" in place of the scenario's plant.
+        plant: "mujoco", "rigid" or "drake" in place of the scenario's plant.
         duration: duration (s) in place of the scenario's.
         seed: seed of all random numbers of sensors and motors.
         progress: function that is called with the simulated time (s) every 100 ticks.

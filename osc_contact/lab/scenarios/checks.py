@@ -51,6 +51,8 @@ def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
     except ValidationError:
         return
     yield from _plant_problems(control, plant)
+    if plant.type == "drake":
+        yield from _drake_problems(plant, len(arms or ()))
 
 
 def _body_problems(bodies: list[str], touched: list[Any]) -> Iterator[Problem]:
@@ -162,6 +164,34 @@ def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]
                     "or take plant.type mujoco"
                 )
                 yield ("plant", drive), text
+
+
+def _drake_problems(plant: PlantSpec, arms: int) -> Iterator[Problem]:
+    """Yield keys of the plant that Drake's does not model.
+
+    Args:
+        plant: settings of the plant. arms: number of arms.
+    """
+    for key in ("flexible_joints", "motors", "joint_friction", "pushes"):
+        if getattr(plant, key):
+            text = (
+                "the drake plant has ideal drives and no pushes; leave it out, or take plant.type "
+                "mujoco"
+            )
+            yield ("plant", key), text
+    for key in ("solref", "solimp"):
+        if getattr(plant, key) != PlantSpec.model_fields[key].default:
+            text = (
+                "softness of MuJoCo's contacts, which the drake plant does not have; leave it out, "
+                "and give plant.drake.stiffness and dissipation"
+            )
+            yield ("plant", key), text
+    if plant.drake.contact == "tamsi" and arms > 1:
+        text = (
+            f"Drake's tamsi knows no constraints, and {arms} arms that hold one object are a loop; "
+            "choose lagged"
+        )
+        yield ("plant", "drake", "contact"), text
 
 
 def _is_whole(number: float) -> bool:

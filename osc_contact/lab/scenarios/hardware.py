@@ -1,7 +1,7 @@
 """Hardware of a rig: plant, flexible joints, imperfect motors, sensors and their errors."""
 
 import math
-from typing import Annotated, Generic, Self
+from typing import Annotated, Generic, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +30,7 @@ from osc_contact.settings.quantities import (
 
 #: Values of `plant.type`, each with whether the plant is exact: ideal joints, and contacts that
 #: cannot open and whose faces are unbounded. `lab.rig.rig.register_plant` adds values.
-PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True}
+PLANT_TYPES: dict[str, bool] = {"mujoco": False, "rigid": True, "drake": False}
 
 Fraction = Annotated[Number, Field(gt=0, lt=1)]
 Probability = Annotated[Number, Field(ge=0, lt=1)]
@@ -108,11 +108,39 @@ class Push(Spec):
         return np.array(self.force) * share
 
 
+class DrakeSpec(Spec):
+    """Contacts of the Drake plant."""
+
+    contact: Literal["lagged", "tamsi", "sap"] = "lagged"
+    """Drake's approximation of contacts; `tamsi` knows no loops and is for one arm; `sap` lifts a
+    body that slides, and is refused where this would open a contact"""
+    stiffness: Annotated[PositiveNumber, "N/m"] = 1e6
+    """of a contact point; of the whole area of a contact with several forces"""
+    dissipation: Annotated[NotNegativeNumber, "s/m"] = 10.0
+    """Hunt and Crossley's: at depth x the force is k x (1 + dissipation dx/dt); not of `sap`"""
+    relaxation: NotNegative[Time] = 0.1
+    """`sap`: relaxation time of each of the two materials"""
+
+    def lift(self, friction: float, slip_speed: float, step: float) -> float:
+        """Height (m) by which the contact of a sliding body is lifted by `sap`; 0 for the others.
+
+        (τ₁ + τ₂ + δt) μ v with the relaxation times τ, the step δt and the slip speed v (Drake's
+        documentation of its convex approximation; Castro et al., arXiv 2110.10107).
+
+        Args:
+            friction: Coulomb coefficient μ. slip_speed: v (m/s). step: δt (s).
+        """
+        if self.contact != "sap":
+            return 0.0
+        return (2.0 * self.relaxation + step) * friction * slip_speed
+
+
 class PlantSpec(Spec):
-    """The simulated workcell: step (s) and the contact parameters of the MuJoCo plant."""
+    """The simulated workcell: step (s) and the contact parameters of the plants."""
 
     type: Annotated[str, one_of(PLANT_TYPES)] = "mujoco"
-    """`mujoco` or `rigid`, or the name of a plant that a program has registered"""
+    """`mujoco`, `rigid` or [`drake`](drake.md), or the name of a plant that a program has
+    registered"""
     step: Positive[Time]
     """the simulation step, such as 0.25 ms; the control period is a whole multiple"""
     solref: Annotated[tuple[PositiveNumber, PositiveNumber], "s, –"] = (0.01, 1.0)
@@ -120,7 +148,7 @@ class PlantSpec(Spec):
     solimp: Annotated[tuple[Fraction, Fraction, PositiveNumber], "–, –, m"] = (0.2, 0.9, 0.0005)
     """MuJoCo: impedance at zero depth, at width, width"""
     friction: NotNegativeNumber = 0.0
-    """MuJoCo: Coulomb coefficient of the faces"""
+    """MuJoCo, Drake: Coulomb coefficient of the faces"""
     flexible_joints: FlexibleJointsSpec | None = None
     """MuJoCo: a spring between each motor and its link"""
     motors: MotorsSpec | None = None
@@ -130,11 +158,23 @@ class PlantSpec(Spec):
     of"""
     pushes: tuple[Push, ...] = ()
     """MuJoCo: half sines of force from outside on the wrists of arms"""
+    drake: DrakeSpec = DrakeSpec()
+    """Drake: contacts"""
 
     @property
     def exact(self) -> bool:
         """Whether joints are ideal and contacts bilateral, without ends: see `PLANT_TYPES`."""
         return PLANT_TYPES[self.type]
+
+    def contact_stiffness(self, mass: float) -> float:
+        """Stiffness (N/m) of a contact, which in MuJoCo is proportional to the mass behind it.
+
+        Args:
+            mass: mass behind the contact (kg).
+        """
+        if self.type == "drake":
+            return self.drake.stiffness
+        return mass / (self.solref[0] * self.solref[1]) ** 2 / self.solimp[1]
 
 
 class Clock(Spec):
