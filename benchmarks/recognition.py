@@ -37,7 +37,6 @@ SMOOTHING = 5e-3  #: time constant of the low-pass of the wrench (s)
 SETTLED = 0.05  #: time after a change from which on a state counts (s)
 NOTICED = 0.1  #: time within which a contact that a stage does not assume is to be noticed (s)
 FORCE = 3.5  #: force of contacts of the plan, for which groups are stated (N)
-SURE = 0.95  #: probability of an alarm
 LEAST = 0.3  #: force from which on a true contact counts (N)
 NEAR = 1e-3  #: distance from rims and mouth within which a contact is at a rim (m)
 FLAT = 0.7  #: least component along the hole's axis of the normal of the face and of its edges
@@ -291,8 +290,8 @@ class Watch:
             truth: true contacts. assumed: contacts of the stage. recogniser: filter.
         """
         period = 1e-3 * EVERY
-        names = [one for one in recogniser.states.names if not contacts_of(one) <= assumed]
-        alarm = recogniser.probability(*names) > SURE
+        pairs = {pair for name in assumed for pair in SEARCH[name]}
+        alarm = recogniser.unexpected(pairs) != ""
         if assumed != self.assumed:  # another stage: another question
             self.since, self.noticed, self.alarmed = None, False, alarm
             self.assumed = assumed

@@ -88,7 +88,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.loop.stepped import SteppedLoop
     from osc_contact.plan.plan import Plan
     from osc_contact.plan.stage import Stage, StageVerdict
-    from osc_contact.recognition.recogniser import Recogniser
+    from osc_contact.recognition.recogniser import Recogniser, over_recording
     from osc_contact.recognition.states import ContactStates, WrenchErrors
     from osc_contact.recorder import Recording
     from osc_contact.response import ContactResponse, contact_response
@@ -155,6 +155,7 @@ __all__ = [
     "ContactStates",
     "WrenchErrors",
     "Recogniser",
+    "over_recording",
     "ContactPair",
     "VertexOnFace",
     "FaceOnVertex",

@@ -594,3 +594,78 @@ def test_a_plan_runs_once(rig):
     run(rig, plan)
     with invalid_input("the plan is done"):
         run(rig, plan)
+
+
+# --- contact states -----------------------------------------------------------------------------
+
+
+def recogniser_of(rig):
+    """Recogniser of three corners of the block, of which it can touch with none, one or all."""
+    pairs = {pair.name: pair for pair in corners(rig)}
+    names = {"free": [], "on a corner": ["corner 0"], "flat": list(pairs)}
+    return osc.Recogniser(osc.ContactStates(names, pairs, osc.WrenchErrors(position=1e-3)))
+
+
+def test_a_stage_ends_when_a_state_is_recognised(rig):
+    stages = [
+        press(until=ends.recognised("flat").lasting(0.1)),
+        osc.Stage(
+            "lift", {}, motions.along(UP, 0.02, 8e-3), until=ends.recognised("free"), within=2.0
+        ),
+    ]
+    plan = osc.Plan(stages, recogniser=recogniser_of(rig))
+    recording = run(rig, plan)
+    assert plan.outcome is Outcome.DONE, plan.reason
+    assert plan.verdicts[0].ended_by == "flat recognised for 0.1 s"
+    assert plan.verdicts[0].unexpected == ""
+    times, names = osc.over_recording(recording, recogniser_of(rig))
+    pressed = plan.verdicts[0].duration
+    assert set(np.array(names)[(times > 0.1) & (times < pressed)]) == {"flat"}
+    assert names[-1] == "free"
+
+
+def test_a_contact_that_the_stage_does_not_assume_is_named(rig):
+    """The block is moved into the board without a contact being expected."""
+    stages = [
+        osc.Stage("rise", {}, motions.along(UP, 0.02, 3e-3), until=ends.finished(), within=2.0),
+        osc.Stage(
+            "down", {}, motions.along(-UP, 5e-3), until=ends.after(3.0), within=4.0,
+            unless=ends.unexpected(),
+        ),
+    ]  # fmt: skip
+    plan = osc.Plan(stages, recogniser=recogniser_of(rig))
+    recording = run(rig, plan)
+    assert plan.outcome is Outcome.FAILED and "unexpected contact" in plan.reason
+    down = plan.verdicts[1]
+    assert down.unexpected in ("on a corner", "flat")  # the board is tilted a little
+    (event,) = [one for one in recording.events if one["event"] == "unexpected"]
+    assert event["state"] == down.unexpected and event["stage"] == "down"
+    # noticed within 100 ms of a force of more than 1 N
+    force = np.linalg.norm(recording["wrench_meas"][:, :3], axis=1)
+    t = np.array(recording["t"])
+    began = t[(t > down.begin + 0.2) & (force > 1.0)][0]
+    assert 0.0 <= event["t"] - began < 0.1
+    # the same contact is permitted where the stage says so
+    stages[1] = osc.Stage(
+        "down", {}, motions.along(-UP, 5e-3), until=ends.pressed(3.0, -UP), within=4.0,
+        unless=ends.unexpected(), may_touch=["corner 0", "corner 1", "corner 2"],
+    )  # fmt: skip
+    plan = osc.Plan(stages, recogniser=recogniser_of(rig))
+    run(rig, plan)
+    assert plan.outcome is Outcome.DONE, plan.reason
+
+
+@parametrize(
+    "stage, words",
+    [
+        ({"until": ends.recognised("flat")}, "give the plan a recogniser"),
+        ({"until": ends.after(1.0) | ends.recognised("tilted")}, "no contact state 'tilted'"),
+        ({"until": ends.after(1.0), "unless": ends.unexpected()}, "give the plan a recogniser"),
+        ({"until": ends.after(1.0), "may_touch": ["rim"]}, "may_touch='rim'"),
+    ],
+)
+def test_conditions_on_contact_states_are_checked(rig, stage, words):
+    recogniser = None if "recogniser" in words else recogniser_of(rig)
+    plan = osc.Plan([osc.Stage("a", within=2.0, **stage)], recogniser=recogniser)
+    with invalid_input(words):
+        run(rig, plan)

@@ -17,6 +17,7 @@ from osc_contact.plan.ends import End
 from osc_contact.plan.motions import Demand, permitted_twist
 from osc_contact.plan.sensed import Sensed, forces_of
 from osc_contact.plan.stage import Stage
+from osc_contact.recognition.recogniser import Recogniser
 from osc_contact.spatial import Array
 
 BLOCKED = 0.99  #: share of a motion that contacts take away above which it is refused
@@ -71,6 +72,39 @@ def require_plan(
             raise InvalidInputError(f"stage {stage.name!r}: {error}") from error
         _require_forces(stage, alpha_d, min(stage.largest, largest), controller)
         _require_motion(stage, names, N, controller.dt, X)
+
+
+def require_states(stages: Sequence[Stage], recogniser: Recogniser | None) -> None:
+    """Refuse conditions on contact states that the plan's recogniser does not have.
+
+    Args:
+        stages: stages of the plan. recogniser: recogniser of the plan; None: it has none.
+
+    Raises:
+        InvalidInputError: such a state, a plan without recogniser, or an unknown pair.
+    """
+    for stage in stages:
+        ends = [one for one in (stage.until, stage.unless) if isinstance(one, End)]
+        needed = [one for one in ends if one.states is not None]
+        if (needed or stage.may_touch) and recogniser is None:
+            raise InvalidInputError(
+                f"stage {stage.name!r} depends on the contact state; give the plan a recogniser, "
+                "osc.Plan(…, recogniser=osc.Recogniser(…))"
+            )
+        if recogniser is None:
+            continue
+        for name in (name for one in needed for name in one.states or ()):
+            if name not in recogniser.states.names:
+                raise InvalidInputError(
+                    f"stage {stage.name!r}: there is no contact state {name!r}; "
+                    f"{did_you_mean(name, recogniser.states.names)}"
+                )
+        for name in stage.may_touch:
+            if name not in recogniser.states.pairs:
+                raise InvalidInputError(
+                    f"stage {stage.name!r}: may_touch={name!r} is in no contact state; "
+                    f"{did_you_mean(name, recogniser.states.pairs)}"
+                )
 
 
 def _require_contacts(stage: Stage, names: Sequence[str]) -> None:

@@ -1,4 +1,4 @@
-"""Conditions for the end of a stage: made, lost, moved, pressed, at rest, after, finished.
+"""Conditions for the end of a stage: made, lost, recognised, moved, pressed, at rest, finished.
 
 Conditions are joined by & and |, and `lasting` requires them for some time:
 `pressed(7.0, [0, 0, -1]) & at_rest()).lasting(0.5)`. A function of the tick's signals that returns
@@ -8,7 +8,7 @@ a truth value is a condition, too.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from osc_contact.control.status import Phase
 from osc_contact.errors import InvalidInputError
 from osc_contact.plan.sensed import Sensed
+from osc_contact.recognition.recogniser import SURE
 from osc_contact.spatial import Array, as_array, unit_vector
 
 #: Condition under way: whether it is met, by the signals of a tick and the control period (s).
@@ -33,11 +34,13 @@ class End:
             tick's signals and the control period (s) that is true when the condition is met.
         words: the condition in words, for verdicts.
         contacts: names of the contacts that the condition depends on.
+        states: names of the contact states that it depends on; None: it needs no recogniser.
     """
 
     begin: Callable[[Sensed], Watch]
     words: str
     contacts: tuple[str, ...] = ()
+    states: tuple[str, ...] | None = None
 
     def __and__(self, other: End) -> End:
         """Condition that this one and another are met in the same tick."""
@@ -67,7 +70,7 @@ class End:
 
             return met
 
-        return End(begin, f"{self.words} for {seconds:g} s", self.contacts)
+        return replace(self, begin=begin, words=f"{self.words} for {seconds:g} s")
 
 
 def _joined(left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], word: str) -> End:
@@ -92,7 +95,11 @@ def _joined(left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], wo
 
         return met
 
-    return End(begin, f"{left.words} {word} {right.words}", (*left.contacts, *right.contacts))
+    states = None
+    if left.states is not None or right.states is not None:
+        states = (*(left.states or ()), *(right.states or ()))
+    words = f"{left.words} {word} {right.words}"
+    return End(begin, words, (*left.contacts, *right.contacts), states)
 
 
 def when(test: Callable[[Sensed], bool], words: str = "") -> End:
@@ -170,6 +177,30 @@ def lost(*contacts: str, lasting: float = MADE_FOR) -> End:
         return met
 
     return End(begin, f"{' or '.join(contacts)} lost", contacts)
+
+
+def recognised(*states: str, probability: float = SURE) -> End:
+    """Condition that the contact state is one of those named, by the plan's recogniser.
+
+    Args:
+        states: names of states of the recogniser.
+        probability: least probability of these states together.
+    """
+
+    def is_recognised(now: Sensed) -> bool:
+        """Return whether the states are probable enough in a tick."""
+        return now.recogniser is not None and now.recogniser.probability(*states) >= probability
+
+    end = when(is_recognised, f"{' or '.join(states)} recognised")
+    return replace(end, states=states)
+
+
+def unexpected() -> End:
+    """Condition that a contact is closed that the stage does not assume, see `Plan`.
+
+    It is meant for `unless`; the verdict on the stage names the state.
+    """
+    return replace(when(lambda now: now.unexpected != "", "unexpected contact"), states=())
 
 
 def moved(

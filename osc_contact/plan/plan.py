@@ -16,7 +16,7 @@ from osc_contact.control.controller import Controller
 from osc_contact.control.status import SafetyState, Status
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference, Touched
-from osc_contact.plan.checks import require_plan, require_stages
+from osc_contact.plan.checks import require_plan, require_stages, require_states
 from osc_contact.plan.ends import End, Watch
 from osc_contact.plan.motions import (
     ANGULAR_ACCELERATION,
@@ -28,6 +28,7 @@ from osc_contact.plan.motions import (
 )
 from osc_contact.plan.sensed import Sensed, Senses, forces_of
 from osc_contact.plan.stage import Stage, StageVerdict
+from osc_contact.recognition.recogniser import Recogniser
 from osc_contact.spatial import Array, pose_error
 
 SETTLED = 0.1  #: time at the beginning of a stage that tares, whose readings are left out (s)
@@ -60,6 +61,10 @@ class Plan:
         stages: stages in their order.
         largest: measured force of the object on its environment above which a stage has failed (N).
         tries: number of failures that end the plan, also if a stage follows a failure.
+        recogniser: recogniser of the contact state, which follows the low-passed wrench at its own
+            period; the touched bodies are where their pairs have them. A state is unexpected
+            if its probability, together with other such states, is above 95 % and it has pairs
+            that are neither among the forces of the stage nor in its `may_touch`.
 
     Attributes:
         outcome: state of the plan. reason: why it failed, was aborted or stopped.
@@ -84,12 +89,20 @@ class Plan:
         done ['press', 'slide']
     """
 
-    def __init__(self, stages: Sequence[Stage], *, largest: float = inf, tries: int = 3) -> None:
+    def __init__(
+        self,
+        stages: Sequence[Stage],
+        *,
+        largest: float = inf,
+        tries: int = 3,
+        recogniser: Recogniser | None = None,
+    ) -> None:
         """Check that the stages make a plan; the plan has not begun."""
         require_stages(stages)
         self.stages = tuple(stages)
         self.largest = largest
         self.tries = tries
+        self.recogniser = recogniser
         self.outcome = Outcome.NEW
         self.reason = ""
         self.verdicts: list[StageVerdict] = []
@@ -126,12 +139,15 @@ class Plan:
         X = controller.settings.chain.state(np.asarray(measurement.q, dtype=float)).X_WO
         if self.outcome is Outcome.NEW:
             require_plan(self.stages, self.largest, controller, X)
+            require_states(self.stages, self.recogniser)
         contacts = controller.settings.contacts
         self._controller = controller
         self._names = [pair.name for pair in contacts]
         self._owners = force_owners(contacts)
         self._log = log
         self._senses = Senses(controller, X)
+        self._senses.now.recogniser = self.recogniser
+        self._ticks_to_instant = 0
         self._aim = X
         self._V = np.zeros(6)
         self.outcome = Outcome.RUNNING
@@ -148,6 +164,8 @@ class Plan:
         now.aim = self._aim
         now.V_D = self._V
         self._time += dt
+        if self.recogniser is not None:
+            self._recognise(now, self.recogniser)
         if self._controller.state is SafetyState.SAFE_STOP and self.outcome not in _OVER:
             self._stop(self._controller.reason)
         if self.outcome is Outcome.RUNNING:
@@ -254,6 +272,7 @@ class Plan:
         now = self._senses.now
         now.t = 0.0
         now.finished = False
+        now.unexpected = ""
         now.start = now.X
         now.aim = self._aim
         self._alpha_d, self._active = forces_of(stage.forces, self._names, self._owners)
@@ -272,6 +291,24 @@ class Plan:
         self._weighed = 0
         self._verdict = StageVerdict(stage.name, self._time)
         self._note("stage", name=stage.name, number=k)
+
+    def _recognise(self, now: Sensed, recogniser: Recogniser) -> None:
+        """Update the contact state once in its period, and note one that is unexpected.
+
+        Args:
+            now: signals after the last tick; `unexpected` is updated. recogniser: the plan's.
+        """
+        if self._ticks_to_instant == 0:
+            recogniser.update(now.X, now.wrench)
+            self._ticks_to_instant = max(1, round(recogniser.period / self._controller.dt))
+            assumed = {*self.stage.forces, *self.stage.may_touch}
+            before = now.unexpected
+            now.unexpected = recogniser.unexpected(assumed)
+            if now.unexpected and not before:
+                verdict = self._verdict
+                verdict.unexpected = verdict.unexpected or now.unexpected
+                self._note("unexpected", state=now.unexpected, stage=self.stage.name)
+        self._ticks_to_instant -= 1
 
     def _follow(self) -> None:
         """Move the aim to the object in the directions that contacts do not permit.

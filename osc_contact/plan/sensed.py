@@ -12,6 +12,7 @@ from osc_contact.contacts.feet import force_owners
 from osc_contact.control.controller import Controller
 from osc_contact.control.status import Phase
 from osc_contact.errors import InvalidInputError, did_you_mean
+from osc_contact.recognition.recogniser import Recogniser
 from osc_contact.spatial import Array
 
 SMOOTHING = 5e-3  #: s, time constant of the low-pass of measured forces
@@ -33,6 +34,8 @@ class Sensed:
         start: pose at which the stage began. passed: pose at which each former stage ended last.
         finished: whether the motion of the stage has reached its end.
         N: (6, r) independent directions of force of the active contacts.
+        recogniser: recogniser of the contact state of the plan, if it has one.
+        unexpected: name of the recognised state if it has contacts that the stage does not assume.
     """
 
     X: pin.SE3
@@ -47,6 +50,8 @@ class Sensed:
     t: float = 0.0
     finished: bool = False
     V_D: Array = field(default_factory=lambda: np.zeros(6))
+    recogniser: Recogniser | None = None
+    unexpected: str = ""
 
     def where_ended(self, stage: str | None) -> pin.SE3:
         """Pose at which a stage ended last; None: at which the present stage began.

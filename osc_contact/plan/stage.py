@@ -34,6 +34,8 @@ class Stage:
         places: from this stage on, poses of the touched bodies of some contacts, for example of a
             hole that was found. Pairs are made in the frame of their body, without a place in the
             world's.
+        may_touch: names of pairs that may be closed besides those with forces, for the recogniser
+            of a plan.
         tare: whether the wrist readings of the stage, which has no contacts, are zeroed at its end.
 
     Example:
@@ -57,6 +59,7 @@ class Stage:
         default_factory=dict, kw_only=True
     )
     tare: bool = field(default=False, kw_only=True)
+    may_touch: Sequence[str] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         """Make conditions of functions, and check the fields.
@@ -92,6 +95,8 @@ class StageVerdict:
         peak: largest measured force on what the object touches, low-passed with 5 ms (N).
         rms: rms error of the forces of its closed contacts (N).
         ended_by: condition that ended it, or why it failed.
+        unexpected: the first state that was recognised in it and that it does not assume; empty
+            without one.
         failed: whether it failed.
 
     Example:
@@ -107,6 +112,7 @@ class StageVerdict:
     rms: float = 0.0
     ended_by: str = ""
     failed: bool = False
+    unexpected: str = ""
 
     def __str__(self) -> str:
         """One line for a report."""

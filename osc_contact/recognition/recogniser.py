@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from math import exp
 
 import numpy as np
@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from osc_contact.errors import InvalidInputError, did_you_mean
 from osc_contact.recognition.states import ContactStates
 from osc_contact.spatial import Array, as_array
+
+SURE = 0.95  #: probability from which on contact states count as recognised
 
 
 class Recogniser:
@@ -145,6 +147,56 @@ class Recogniser:
         chosen = [name in names for name in self.states.names]
         return float(self.probabilities[chosen].sum())
 
+    def unexpected(self, assumed: Collection[str], probability: float = SURE) -> str:
+        """Name of the most probable state with pairs that are not assumed; empty if it is unlikely.
+
+        Args:
+            assumed: names of the pairs that may be closed.
+            probability: least probability of all states with other pairs together.
+        """
+        other = np.array([not own <= set(assumed) for own in self.states.members])
+        if self.probabilities[other].sum() < probability:
+            return ""
+        return self.states.names[int(np.where(other, self.probabilities, -1.0).argmax())]
+
     def reset(self) -> None:
         """Make all states equally probable."""
         self.probabilities = np.full(len(self.states.names), 1.0 / len(self.states.names))
+
+
+def over_recording(
+    recording: Mapping[str, Array], recogniser: Recogniser
+) -> tuple[Array, list[str]]:
+    """Recognise the contact states of a recording, from pose and wrench as measured.
+
+    Args:
+        recording: recording with the channels `t`, `pose` and `wrench_meas`.
+        recogniser: filter, which continues from its present probabilities.
+
+    Returns:
+        Times (k,) of the instants (s), one period apart, and the most probable state at each; the
+        wrench of an instant is the mean since the last one.
+
+    Example:
+        >>> rig = osc.build_rig("panda_edge")
+        >>> recorder = osc.Recorder(controller := rig.controller())
+        >>> hold = osc.Stage("hold", {"edge": 10.0}, until=ends.after(0.2), within=1.0)
+        >>> report = osc.run_loop(rig.plant(), controller, osc.Plan([hold]), recorder=recorder)
+        >>> pairs = {pair.name: pair for pair in rig.pairs}
+        >>> states = osc.ContactStates({"free": [], "on the edge": ["edge"]}, pairs)
+        >>> times, names = osc.over_recording(recorder.recording(), osc.Recogniser(states))
+        >>> print(names[-1])
+        on the edge
+    """
+    t = np.asarray(recording["t"])
+    poses = np.asarray(recording["pose"])
+    wrenches = np.asarray(recording["wrench_meas"])
+    dt = float(t[1] - t[0]) if len(t) > 1 else recogniser.period
+    step = max(1, round(recogniser.period / dt))
+    ends = range(step - 1, len(t), step)
+    names = []
+    for k in ends:
+        mean = wrenches[k - step + 1 : k + 1].mean(axis=0)
+        recogniser.update(pin.XYZQUATToSE3(poses[k]), mean)
+        names.append(recogniser.state)
+    return t[list(ends)], names

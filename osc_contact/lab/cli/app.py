@@ -349,6 +349,7 @@ PAGES = (
     "come_and_go.md",
     "plans.md",
     "insert_a_peg.md",
+    "which_contact.md",
     "friction.md",
     "own_loop.md",
     "others_loops.md",
