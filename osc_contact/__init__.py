@@ -88,6 +88,7 @@ if TYPE_CHECKING:  # each is imported on first access, see __getattr__
     from osc_contact.loop.stepped import SteppedLoop
     from osc_contact.plan.plan import Plan
     from osc_contact.plan.stage import Stage, StageVerdict
+    from osc_contact.recognition.place import LearnedPlace
     from osc_contact.recognition.recogniser import Recogniser, over_recording
     from osc_contact.recognition.states import ContactStates, WrenchErrors
     from osc_contact.recorder import Recording
@@ -156,6 +157,7 @@ __all__ = [
     "WrenchErrors",
     "Recogniser",
     "over_recording",
+    "LearnedPlace",
     "ContactPair",
     "VertexOnFace",
     "FaceOnVertex",
