@@ -137,7 +137,7 @@ worlds: .venv-robosuite/.installed .venv-drake/.installed
 	.venv-robosuite/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_robosuite.py
 	.venv-drake/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_drake.py
 	.venv-robosuite/bin/python -W ignore -m benchmarks.wiping --seeds $(SEEDS)
-	.venv-drake/bin/python -m benchmarks.two_judges --workers $(WORKERS)
+	.venv-drake/bin/python -m benchmarks.two_judges --duration 4 --workers $(WORKERS)
 
 .venv-robosuite/.installed: SIZE := 1 GB
 .venv-drake/.installed: SIZE := 0.4 GB

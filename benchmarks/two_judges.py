@@ -109,14 +109,14 @@ def judged(name: str, friction: float, judge: str, duration: float | None = None
     )
 
 
-def cases(only: str = "") -> list[tuple[str, float, str]]:
-    """Scenario, friction and judge of all runs whose scenario's name has a text.
+def cases(only: str = "", duration: float | None = None) -> list[tuple[Any, ...]]:
+    """Arguments of `judged` for all runs whose scenario's name has a text.
 
     Args:
-        only: text.
+        only: text. duration: duration (s); None: the scenario's.
     """
     return [
-        (name, friction, judge)
+        (name, friction, judge, duration)
         for name in SCENARIOS
         if only in name
         for friction in FRICTION
@@ -125,13 +125,14 @@ def cases(only: str = "") -> list[tuple[str, float, str]]:
     ]
 
 
-def main(only: str = "", workers: int = 2) -> None:
+def main(only: str = "", duration: float = 0.0, workers: int = 2) -> None:
     """Print the table, the missed limits, and where the judges differ.
 
     Args:
-        only: text that scenarios' names have. workers: number of processes.
+        only: text that scenarios' names have. duration: duration of each run (s); 0: the
+            scenario's. workers: number of processes.
     """
-    verdicts = list(side_by_side(judged, cases(only), workers))
+    verdicts = list(side_by_side(judged, cases(only, duration or None), workers))
     console = Console(width=150)
     console.print(table_from("Two judges", [row(one) for one in verdicts]))
     by_task: dict[tuple[str, float], dict[str, Verdict]] = {}

@@ -51,10 +51,10 @@ def test_a_moving_face_is_refused_by_the_drake_plant():
 
 
 def test_sap_is_refused_where_it_lifts_a_sliding_body_off_its_contact(monkeypatch):
-    """(τ₁ + τ₂ + δt) μ v against F/k: 0.157 m/s and μ 0.2 lift by 6 mm, 10 N press 0.01 mm."""
+    """(τ₁ + τ₂ + δt) μ v against F/k: 0.157 m/s and μ 0.2 lift by 6 mm, 10 N press 0.1 mm."""
     monkeypatch.setitem(sys.modules, "pydrake", None)  # the rule is checked before Drake is needed
     sap = ("plant.drake.contact=sap", "plant.friction=0.2")
-    with scenario_error(r"sap lifts a sliding body .* = 6\.\d+ mm, .* is only 0\.01 mm deep"):
+    with scenario_error(r"sap lifts a sliding body .* = 6\.\d+ mm, .* is only 0\.1 mm deep"):
         osc.build_rig(drake_of(*sap)).plant()
     for change in ("plant.friction=0", "plant.drake.contact=lagged"):
         with plant_error("not installed"):

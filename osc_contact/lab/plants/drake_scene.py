@@ -85,6 +85,7 @@ def scene(
         time_step=options.step,
         discrete_contact_approximation=options.drake.contact,
         contact_model="hydroelastic_with_fallback" if has_areas else "point",
+        stiction_tolerance=options.drake.stiction,
         use_sampled_output_ports=False,  # readings under the present torques
     )
     plant, geometry = AddMultibodyPlant(config, builder)
@@ -372,7 +373,7 @@ def _set_material(
 
     Two shapes of equal stiffness 2k make a contact of stiffness k. A hydroelastic contact of the
     object's box, soft on a rigid face, has the pressure E x/h at depth x, where h is half the box's
-    thickness: with E = k h/A the area A has the stiffness k, too.
+    thickness: with E = k h/A the area A has the stiffness k.
 
     Args:
         plant: Drake's plant. geometry: Drake's scene graph, changed. body: Drake's body.
@@ -404,7 +405,7 @@ def _set_material(
                     "the object in the drake plant; use plant.type mujoco"
                 )
             thickness, *sides = sorted(shape.size())
-            modulus = spec.stiffness * 0.5 * thickness / (sides[0] * sides[1])
+            modulus = spec.area_stiffness * 0.5 * thickness / (sides[0] * sides[1])
             AddCompliantHydroelasticProperties(_RESOLUTION, modulus, properties)
         elif is_soft:
             AddRigidHydroelasticProperties(_RESOLUTION, properties)

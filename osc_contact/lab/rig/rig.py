@@ -15,7 +15,7 @@ import pinocchio as pin
 from osc_contact import robots
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.feet import contact_at, feet, force_owners
-from osc_contact.contacts.pairs.pair import ContactPair, pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, count_forces, pushes_only
 from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import close, object_pose, outside_limits, reach
@@ -484,7 +484,7 @@ def _require_closed_slip(rig: Rig) -> None:
     for i, pair in enumerate(rig.pairs):
         force = commands[:, rig.owners == i].sum(axis=1)
         lift = np.array([plant.drake.lift(plant.friction, v, plant.step) for v in speeds[:, i]])
-        depth = force / plant.drake.stiffness
+        depth = force / plant.drake.stiffness_of(count_forces(pair))
         worst = int(np.argmax(lift - depth))
         if lift[worst] > depth[worst]:
             at_most = plant.friction * depth[worst] / lift[worst]
@@ -674,7 +674,7 @@ def landings(rig: Rig) -> list[Landing]:
         if not pushes_only(rig.pairs[owner]):
             continue
         mass = 1.0 / (N @ state.Phi @ N)
-        stiffness = plant.contact_stiffness(mass)
+        stiffness = plant.contact_stiffness(mass, count_forces(rig.pairs[owner]))
         omega = sqrt(stiffness / mass)
         impedance = mass * omega
         motion = rig.bodies[rig.on[owner]].motion

@@ -24,6 +24,7 @@ from osc_contact.settings.quantities import (
     Spec,
     Time,
     Torque,
+    Velocity,
     one_of,
     refuse,
 )
@@ -114,12 +115,20 @@ class DrakeSpec(Spec):
     contact: Literal["lagged", "tamsi", "sap"] = "lagged"
     """Drake's approximation of contacts; `tamsi` knows no loops and is for one arm; `sap` lifts a
     body that slides, and is refused where this would open a contact"""
-    stiffness: Annotated[PositiveNumber, "N/m"] = 1e6
-    """of a contact point; of the whole area of a contact with several forces"""
+    stiffness: Annotated[PositiveNumber, "N/m"] = 1e5
+    """of a contact point; of rigs like the packaged ones Drake itself makes about as much"""
+    area_stiffness: Annotated[PositiveNumber, "N/m"] = 1e6
+    """of the whole area of a contact with several forces"""
     dissipation: Annotated[NotNegativeNumber, "s/m"] = 10.0
     """Hunt and Crossley's: at depth x the force is k x (1 + dissipation dx/dt); not of `sap`"""
+    stiction: Positive[Velocity] = 1e-4
+    """slip speed up to which contacts stick"""
     relaxation: NotNegative[Time] = 0.1
     """`sap`: relaxation time of each of the two materials"""
+
+    def stiffness_of(self, forces: int) -> float:
+        """Stiffness (N/m) of a contact with a number of forces: of a point, or of an area."""
+        return self.stiffness if forces == 1 else self.area_stiffness
 
     def lift(self, friction: float, slip_speed: float, step: float) -> float:
         """Height (m) by which the contact of a sliding body is lifted by `sap`; 0 for the others.
@@ -166,14 +175,14 @@ class PlantSpec(Spec):
         """Whether joints are ideal and contacts bilateral, without ends: see `PLANT_TYPES`."""
         return PLANT_TYPES[self.type]
 
-    def contact_stiffness(self, mass: float) -> float:
-        """Stiffness (N/m) of a contact, which in MuJoCo is proportional to the mass behind it.
+    def contact_stiffness(self, mass: float, forces: int) -> float:
+        """Stiffness (N/m) behind a force, which in MuJoCo is proportional to the mass behind it.
 
         Args:
-            mass: mass behind the contact (kg).
+            mass: mass behind the force (kg). forces: number of forces of the contact.
         """
         if self.type == "drake":
-            return self.drake.stiffness
+            return self.drake.stiffness_of(forces) / forces
         return mass / (self.solref[0] * self.solref[1]) ** 2 / self.solimp[1]
 
 
