@@ -23,6 +23,7 @@ case = CASES["two_contact_rod"]()
 case.controller().tick(*case.given)
 """
 COMPILE = ("-m", "osc_contact.law.c_object")
+LAWS = {"": "", "quick": ", quick"}  #: values of OSC_CONTACT_LAW, and what they add to a row's name
 PARTS = {"inner", "leaf"}  #: decorators of the functions that are translated by themselves
 
 
@@ -34,8 +35,9 @@ def measure(count: int) -> dict[str, Rows]:
     """{"compilation": rows}: seconds on the clock and of the processor.
 
     The law is compiled in a copy of the package: with an empty cache, likewise on a single core,
-    and after each of some edits until the end of the first tick. An edit multiplies a product of
-    a function by 1.5; functions are drawn at random by a fixed seed.
+    and after each of some edits until the end of the first tick, in the usual way and with
+    OSC_CONTACT_LAW=quick. An edit multiplies a product of a function by 1.5; functions are drawn at
+    random by a fixed seed.
 
     Args:
         count: edits, each of another function.
@@ -44,6 +46,7 @@ def measure(count: int) -> dict[str, Rows]:
         OscContactError: the law was not compiled.
     """
     rows = []
+    times: dict[str, Rows] = {law: [] for law in LAWS}
     with TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"
         for package in ("osc_contact", "benchmarks", "paper", "urdf"):
@@ -55,31 +58,38 @@ def measure(count: int) -> dict[str, Rows]:
             {"what": "on one core", **timed_python(COMPILE, copy, f"{folder}/one", one_core)}
         )
         tick = ("-c", FIRST_TICK)
-        timed_python(tick, copy, f"{folder}/whole")
-        times: Rows = []
+        for law in LAWS:
+            shutil.copytree(f"{folder}/whole", f"{folder}/whole-{law}")
+            timed_python(tick, copy, f"{folder}/whole-{law}", law=law)
         for file, name, edited in edits(copy / "osc_contact/law"):
-            if len(times) == count:
+            if len(times[""]) == count:
                 break
             usual = file.read_text()
             file.write_text(edited)
             with suppress(NotCompiledError):  # products of whole numbers have to stay whole
-                times.append(
-                    {"what": f"edit of {name}", **timed_python(tick, copy, f"{folder}/whole")}
-                )
+                for law in LAWS:  # each with a cache of its own
+                    seconds = timed_python(tick, copy, f"{folder}/whole-{law}", law=law)
+                    times[law].append({"what": f"edit of {name}{LAWS[law]}", **seconds})
             file.write_text(usual)
-    times.sort(key=lambda row: float(row["clock (s)"]))
-    middle = {**times[len(times) // 2], "what": f"median of {len(times)} edits"}
-    return {"compilation": [*rows, middle, *times]}
+    for law, found in times.items():
+        found.sort(key=lambda row: float(row["clock (s)"]))
+        middle = {**found[len(found) // 2], "what": f"median of {len(found)} edits{LAWS[law]}"}
+        rows += [middle, *found]
+    return {"compilation": rows}
 
 
 def timed_python(
-    words: tuple[str, ...], copy: Path, cache: str, cores: set[int] | None = None
+    words: tuple[str, ...],
+    copy: Path,
+    cache: str,
+    cores: set[int] | None = None,
+    law: str = "",
 ) -> dict[str, float]:
     """Seconds that Python takes in a copy of the package, with all processes that it starts.
 
     Args:
         words: after the interpreter. copy: folder of the package. cache: folder of what is kept.
-        cores: that it may use; None: all.
+        cores: that it may use; None: all. law: value of OSC_CONTACT_LAW.
 
     Raises:
         NotCompiledError: it failed.
@@ -90,7 +100,7 @@ def timed_python(
         [sys.executable, *words],
         cwd=copy,
         env={**os.environ, "PYTHONPATH": str(copy), "OSC_CONTACT_CACHE": cache}
-        | {"OSC_CONTACT_LAW": "", "PYTHONDONTWRITEBYTECODE": ""},
+        | {"OSC_CONTACT_LAW": law, "PYTHONDONTWRITEBYTECODE": ""},
         preexec_fn=lambda: os.sched_setaffinity(0, cores or os.sched_getaffinity(0)),
         capture_output=True,
         text=True,

@@ -26,12 +26,12 @@ import osc_contact
 PROGRAM = """
 import json, sys
 from hashlib import sha256
-from osc_contact.law import c_object, jit
+from osc_contact.law import c_object, jit, machine_code, platforms
 kept = []
 jit.UNITS.watchers[:] = [lambda share, found: kept.append(found)]
 entries = {entry.__name__: entry for entry in c_object.ENTRIES}
 roots = {name: c_object._translated(entries[name]) for name in sys.argv[1:] or entries}
-made = jit.UNITS.emit(roots, jit.UNITS.target_of())
+made = machine_code.emit(roots, platforms.target_of())
 units = [unit.name for unit in jit.UNITS.all_units() if unit.known]
 print(json.dumps([sha256(made).hexdigest(), units, kept.count(False)]))
 """

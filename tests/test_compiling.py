@@ -91,16 +91,21 @@ def test_no_field_of_a_record_is_named_like_an_attribute(name):
     [
         ({"NUMBA_DISABLE_JIT": "1"}, 0.003),
         param({"NUMBA_DISABLE_JIT": "1"}, 0.25, marks=mark.slow),
-        param({"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "jit"}, 0.25, marks=mark.slow),
+        param(
+            {"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "jit", "NUMBA_OPT": "1"},
+            0.25,
+            marks=mark.slow,
+        ),
+        param({"NUMBA_DISABLE_JIT": "0", "OSC_CONTACT_LAW": "quick"}, 0.25),
     ],
-    ids=["plain", "plain for longer", "jit"],
+    ids=["plain", "plain for longer", "jit", "quick"],
 )
 def test_torques_are_equal_to_the_bit_however_the_law_is_compiled(tmp_path, other, duration):
-    """As plain Python, and by numba in its usual way in another process: some minutes.
+    """As plain Python, by numba in its usual way (some minutes), and function by function.
 
     LLVM does not reorder sums at any level; the lower one compiles in two thirds of the time.
     """
-    environment = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1", **other}
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path), **other}
     done = python("-c", WAYS, duration, **environment)
     space = {"__name__": "ways"}
     exec(WAYS, space)

@@ -128,14 +128,13 @@ def test_a_damaged_file_is_refused_in_words(module, tmp_path, at, words):
 
 LINK = """
 from osc_contact.errors import OscContactError
-from osc_contact.law import c_object, jit
-units = jit.UNITS
+from osc_contact.law import c_object, machine_code, platforms
 roots = {"prepare": c_object._translated(c_object.osc_law_prepare)}
-target = units.target_of("wasm32-unknown-wasi")
-print(len(units.emit(roots, target)) > 1000)
-units.link(roots, units.target_of("aarch64-linux-gnu"), plain=False)
+target = platforms.target_of("wasm32-unknown-wasi")
+print(len(machine_code.emit(roots, target)) > 1000)
+machine_code.link(roots, platforms.target_of("aarch64-linux-gnu"), plain=False)
 try:
-    units.link(roots, target, plain=False)
+    machine_code.link(roots, target, plain=False)
 except OscContactError as error:
     print(error)
 """

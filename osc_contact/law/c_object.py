@@ -179,7 +179,7 @@ def make() -> Any:
             "no library of the law is made here: that takes a C compiler, Python.h and a numba "
             "within the bounds of pyproject.toml, and neither NUMBA_DISABLE_JIT nor OSC_CONTACT_LAW"
         )
-    folder = library.kept()
+    folder = library.kept(library.QUICK if library.is_quick() else library.LAW)
     try:
         with one_by_one(folder.parent):
             return library.found_in(folder) or _make(folder)
@@ -208,7 +208,8 @@ def _make(folder: Path) -> Any:
         (new / library.CHECKSUM).write_text(library.checksum(new))
         shutil.rmtree(folder, ignore_errors=True)  # a damaged folder of the same sources
         new.rename(folder)
-    others = sorted(folder.parent.glob("law-*"), key=lambda path: path.stat().st_mtime)
+    kind = folder.name.partition("-")[0]
+    others = sorted(folder.parent.glob(f"{kind}-*"), key=lambda path: path.stat().st_mtime)
     for old in others[:-KEPT]:
         shutil.rmtree(old, ignore_errors=True)
     module = library.load(folder / library.LIBRARY)
@@ -224,13 +225,16 @@ def _object(show: Callable[[float], None], triple: str = "") -> bytes:
         show: called with the completed share of the work. triple: LLVM's name of another platform;
             empty: this platform.
     """
+    from osc_contact.law import machine_code, platforms
+
     units = jit.UNITS
-    target = units.target_of(triple)
+    target = platforms.target_of(triple)
     progress = Progress(show)
     with TemporaryFile() as errors, _Assistant(errors) as assistant:
         units.watchers[:] = [progress.part_is_ready, assistant.start_if_needed]
         roots = {entry.__name__: _translated(entry) for entry in ENTRIES}
-    return bytes(units.emit(roots, target, progress.stage_is_over))
+    emit = machine_code.emit_separately if library.is_quick() else machine_code.emit
+    return emit(roots, target, progress.stage_is_over)
 
 
 class Progress:

@@ -7,7 +7,9 @@ under the hash of the sources, so that an edited law has another library.
 
 Environment variables:
     OSC_CONTACT_LAW: path of another library; "compile": existing libraries are ignored, so that
-        law.o of another platform can be made; "jit": no library, numba compiles in its usual way.
+        law.o of another platform can be made; "quick": a library whose functions are compiled one
+        by one, made in seconds after an edit, with slower ticks (`machine_code`); "jit": no
+        library, numba compiles in its usual way.
     OSC_CONTACT_CACHE: folder of compiled files; default osc_contact in XDG_CACHE_HOME or ~/.cache.
 """
 
@@ -29,6 +31,7 @@ from osc_contact.files import require_private
 
 LIBRARY = "osc_law.abi3.so"
 OBJECT = "law.o"
+LAW, QUICK = "law", "quick"  #: kinds of libraries, see `kept`
 CHECKSUM = "sha256"  #: file with the checksum of both files
 COMPILER = os.environ.get("CC", "cc")
 _log = logging.getLogger(__name__)
@@ -60,14 +63,20 @@ def cache_folder() -> Path:
     return Path(os.environ.get("OSC_CONTACT_CACHE") or Path(user_folder) / "osc_contact")
 
 
-def kept(kind: str = "law") -> Path:
+def is_quick() -> bool:
+    """Whether the user requests the library whose functions are compiled one by one."""
+    return os.environ.get("OSC_CONTACT_LAW") == QUICK
+
+
+def kept(kind: str = LAW) -> Path:
     """Folder of the files that are made from the present sources.
 
     Its name contains the platform and the hash of the sources, so that an edited law has another
     folder.
 
     Args:
-        kind: "law" for the library and its object file, "numba" for numba's own cache.
+        kind: LAW for the library and its object file, QUICK for the one whose functions are
+            compiled one by one, "numba" for numba's own cache.
     """
     return cache_folder() / f"{kind}-{sysconfig.get_platform()}-{law_hash()[:16]}"
 
@@ -84,6 +93,8 @@ def found() -> Any:
         OscContactError: OSC_CONTACT_LAW names a file that is not a library of these sources.
     """
     where = os.environ.get("OSC_CONTACT_LAW", "")
+    if is_quick():
+        return found_in(kept(QUICK))
     if where:
         return None if where in ("jit", "compile") else named(Path(where))
     return load(Path(__file__).with_name(LIBRARY)) or found_in(kept())
