@@ -1,6 +1,6 @@
-"""A square peg into a hole beside the modelled one: successes, times and peak forces.
+"""A peg into a hole beside the modelled one: successes, times and peak forces.
 
-    python -m benchmarks.assembly [--count 10] [--seed 1000]
+    python -m benchmarks.assembly [--count 10] [--seed 1000] [--peg round]
 
 A Panda inserts a peg of 20 mm into a hole, 30 mm deep, that is displaced by up to `offset` along
 each axis and by up to `tilt` about each axis, unknown to the plan; its clearance is known within
@@ -44,15 +44,17 @@ def main(
     clearance: float = 0.2,
     offset: float = 2.0,
     tilt: float = 2.0,
+    peg: str = "square",
 ) -> None:
     """Print the table; clearance and offset in mm, tilt in degrees."""
+    if peg not in ("square", "round"):
+        raise typer.BadParameter(f"{peg!r}; give square or round", param_hint="--peg")
     logging.disable(logging.WARNING)
     console = Console(width=140, highlight=False)
     results = []
     for k in range(seed, seed + count):
-        task = Insertion(
-            Peg("square", WIDTH), 1e-3 * clearance, k, 1e-3 * offset, float(np.radians(tilt))
-        )
+        shape = Peg(peg, WIDTH)  # type: ignore[arg-type]  # one of the two, as checked
+        task = Insertion(shape, 1e-3 * clearance, k, 1e-3 * offset, float(np.radians(tilt)))
         one = insert(task)
         results.append(one)
         words = "in" if one.success else f"not in: {one.reason[:60] or 'not seated'}"

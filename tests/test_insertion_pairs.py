@@ -28,7 +28,7 @@ PAIRS = {shape: pairs_of(shape) for shape in ("square", "round")}
 POINTS = {**CORNERS, **SIDES}
 
 
-def distance(name):
+def distance(shape, name):
     """Gap of a pair as a function of the pose of the peg in the frame of the hole."""
     if name.startswith("tip"):
         depth = DEPTH if name.endswith("bottom") else 0.0
@@ -40,7 +40,11 @@ def distance(name):
         return lambda X: HOLE - SIDES[rest[0]] @ X.act(PEG * POINTS[side])
     if what == "side":
         along = np.cross(INTO, SIDES[side])
-        away = {"a": 0.7, "b": -0.7}.get(rest[-1], 0.0) * HOLE * along
+        end = {"a": 1.0, "b": -1.0}.get(rest[-1], 0.0)
+        if shape == "round" and end:  # 45° beside the side, on the round rim
+            out = (SIDES[side] + end * along) / np.sqrt(2)
+            return lambda X: out @ X.actInv(HOLE * out) - PEG
+        away = 0.7 * end * HOLE * along
         return lambda X: SIDES[side] @ X.actInv(HOLE * SIDES[side] + away) - PEG
     if what == "edge":
         point, direction, out = PEG * SIDES[side], np.cross(INTO, SIDES[side]), -INTO
@@ -70,7 +74,7 @@ def path():
 @parametrize("shape, name", EVERY)
 def test_gaps_and_their_derivatives(shape, name, path):
     pair = PAIRS[shape][name]
-    gap = distance(name)
+    gap = distance(shape, name)
     X = POSE * path(0.0)
     assert_allclose(pair.gaps(X), gap(path(0.0)), atol=1e-12)
     times = STEP * np.arange(-2, 3)

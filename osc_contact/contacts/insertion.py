@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import product
+from math import sqrt
 from typing import Literal
 
 import numpy as np
@@ -35,6 +36,9 @@ CORNERS: dict[str, Array] = {
 }
 _OUT = np.array([0.0, 0.0, -1.0])  #: direction out of the hole
 _INTO = -_OUT  #: direction into the hole
+#: Distance of the two points of a round peg's axis at which it is held (m). The couple that
+#: overcomes stiction of the joints, some 0.5 N m, is then a few newtons at both, not some tens.
+_LEVER = 0.1
 _APART = 0.7  #: distance of the two points of a side along a rim, as a share of the rim's length
 
 
@@ -130,7 +134,7 @@ def pairs_between(peg: Peg, hole: Hole) -> dict[str, ContactPair]:
     | `point +x on face` | point of the round tip's edge, face | 1 |
     | `point +x on wall +x` | point of the round tip's edge, wall of the round hole | 1 |
     | `side +x on rim +x` | side of the peg at any depth, middle of the rim | 1 |
-    | `side +x on rim +x, a` and `b` | side of the peg, point of a square rim off its middle | 1 |
+    | `side +x on rim +x, a` and `b` | side of the peg, point of the rim beside its middle | 1 |
     | `tip on face`, `tip on bottom` | middle of the tip, plane of the mouth, of the bottom | 1 |
     | `hole` | peg in the hole, free along its axis; a round peg is free to turn about it | 5, 4 |
 
@@ -199,18 +203,25 @@ class _Pairs:
         yield Prismatic([0, 0, 0], [0, 0, 1], self._pose, name="hole")
 
     def round(self) -> Iterator[ContactPair]:
-        """Yield the pairs of a round peg, at its four sides."""
+        """Yield the pairs of a round peg, at its four sides, and 45° beside each of them.
+
+        A tilted cylinder that is pressed into the rim touches it on both sides of its lowest line;
+        equal forces there keep it in the middle.
+        """
         for name, side in SIDES.items():
             tip = self._peg * side
             yield self._on_plane(f"point {name} on face", tip, np.zeros(3), _OUT)
             yield self._on_wall(f"point {name} on wall {name}", tip, name)
             yield self._side_on_rim(f"side {name} on rim {name}", side, np.zeros(3))
+            along = np.cross(_INTO, side)
+            for end, sign in (("a", 1.0), ("b", -1.0)):
+                beside = (side + sign * along) / sqrt(2.0)
+                yield self._side_on_rim(f"side {name} on rim {name}, {end}", beside, np.zeros(3))
         yield from self._tip()
-        length = 0.5 * self._depth
-        middle = np.array([0.0, 0.0, -0.5 * length])
+        middle = np.array([0.0, 0.0, -0.5 * self._depth])
         on_axis = self._place(np.zeros(3))
         axis = self._rotate(_INTO)
-        yield CylinderInHole(middle, _INTO, on_axis, axis, length=length, name="hole")
+        yield CylinderInHole(middle, _INTO, on_axis, axis, length=_LEVER, name="hole")
 
     def _tip(self) -> Iterator[ContactPair]:
         """Yield the pairs of the middle of the tip, with the face and with the bottom."""

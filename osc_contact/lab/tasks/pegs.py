@@ -1,4 +1,11 @@
-"""Plans that insert a peg into a hole that is some millimetres and degrees elsewhere."""
+"""Plan that inserts a peg into a hole that is some millimetres and degrees elsewhere.
+
+The lowest point of the tilted tip is put down on the face and slides inward until it drops; the
+edges of a square tip rest on two rims; two sides of the peg are pressed against the rims over which
+the point dropped, which finds the hole; the peg rotates there until it is upright, and goes in.
+After a failure it is drawn back, and the search begins again. A square peg is tilted about a
+diagonal, so that its lowest point is a corner; a round peg about y.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +15,7 @@ from math import acos, atan2, hypot, radians, sqrt
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.contacts.insertion import CORNERS, Hole, Peg, pairs_between
+from osc_contact.contacts.insertion import CORNERS, SIDES, Hole, Peg, pairs_between
 from osc_contact.control.controller import Controller
 from osc_contact.lab.tasks.insertion import Insertion, InsertionRobot
 from osc_contact.loop.loop import run_loop
@@ -19,9 +26,10 @@ from osc_contact.plan.sensed import Sensed
 from osc_contact.plan.stage import Stage
 from osc_contact.settings.control import JointFriction, PhaseSettings, SafetySettings
 from osc_contact.settings.gains import ForceGains, Gains, MotionGains
+from osc_contact.spatial import Array
 
-LEAD = 3.5e-3  #: distance from the rims outward to the point where the corner touches the face (m)
-HEIGHT = 6e-3  #: height of the corner above the face at the start (m)
+LEAD = 3.5e-3  #: distance from the rims outward to the point where the tip touches the face (m)
+HEIGHT = 6e-3  #: height of the tip above the face at the start (m)
 LARGEST = 100.0  #: ceiling of the contact forces (N)
 SEATED = 2e-3  #: largest distance of a seated peg from the bottom (m)
 RESTING = 1e-3  #: speed below which a peg rests (m/s)
@@ -59,9 +67,9 @@ class Inserted:
 
 
 def insert(task: Insertion) -> Inserted:
-    """Insert a square peg by `square_peg`, from the pose of `square_peg_start`."""
-    plan = square_peg(task.peg, task.hole)
-    robot = task.robot(square_peg_start(task.peg, task.hole))
+    """Insert a peg by `peg_plan`, from the pose of `peg_start`."""
+    plan = peg_plan(task.peg, task.hole)
+    robot = task.robot(peg_start(task.peg, task.hole))
     run_loop(robot, controller_of(task, plan, robot), plan)
     return judged(task, robot, plan)
 
@@ -99,7 +107,8 @@ def judged(task: Insertion, robot: InsertionRobot, plan: Plan) -> Inserted:
     X = robot.in_hole()
     depth = float(X.translation[2])
     tilt = atan2(hypot(X.rotation[0, 2], X.rotation[1, 2]), X.rotation[2, 2])
-    permitted = sqrt(2.0) * task.clearance / (task.hole.depth - SEATED)
+    across = task.clearance * float(np.linalg.norm(_way(task.peg).lowest))  # corners: the diagonal
+    permitted = across / (task.hole.depth - SEATED)
     seated = abs(task.hole.depth - depth) < SEATED and tilt <= permitted
     resting = robot.speed() < RESTING
     return Inserted(
@@ -114,34 +123,89 @@ def judged(task: Insertion, robot: InsertionRobot, plan: Plan) -> Inserted:
     )
 
 
-def square_peg_start(peg: Peg, hole: Hole) -> pin.SE3:
-    """Pose of a square peg above the face, tilted so that one corner of its tip is lowest.
+@dataclass(frozen=True)
+class _Way:
+    """Contacts by which a peg of some shape enters its hole.
 
-    Args:
-        peg: peg, whose frame is that of the object. hole: hole at its believed pose.
+    Attributes:
+        lowest: (3,) lowest point of the tilted tip, as a multiple of half the width.
+        point: contact of this point with the face.
+        edges: contacts of the tip's edges with the opposite rims, after the drop; none if round.
+        sides: both contacts of the sides with the rims over which the point dropped, and the
+            direction (3,) of each.
+        upright: contacts with their forces (N) while the peg rotates.
+        placed: whether the hole is placed where face and rims were touched, before it is entered.
     """
-    rotation = pin.exp3(tilt_of(peg, hole) * np.array([1.0, -1.0, 0.0]) / sqrt(2.0))
-    corner = 0.5 * peg.width * CORNERS["+x+y"]
-    outward = 0.5 * hole.width + LEAD
-    place = np.array([outward, outward, -HEIGHT]) - rotation @ corner
-    return hole.pose * pin.SE3(rotation, place)
+
+    lowest: Array
+    point: str
+    edges: tuple[str, ...]
+    sides: dict[str, Array]
+    upright: dict[str, float]
+    placed: bool
+
+
+_SQUARE = _Way(
+    lowest=CORNERS["+x+y"],
+    point="corner +x+y on face",
+    edges=("edge +y on rim -x", "edge +x on rim -y"),
+    sides={"side +x on rim +x": SIDES["+x"], "side +y on rim +y": SIDES["+y"]},
+    upright={
+        "side +x on rim +x, a": 2.0,
+        "side +x on rim +x, b": 2.0,
+        "side +y on rim +y": 4.0,
+    },
+    placed=False,
+)
+_BESIDE = {
+    "a": (SIDES["+x"] + SIDES["+y"]) / sqrt(2.0),
+    "b": (SIDES["+x"] - SIDES["+y"]) / sqrt(2.0),
+}
+_ROUND = _Way(
+    lowest=SIDES["+x"],
+    point="point +x on face",
+    edges=(),
+    sides={f"side +x on rim +x, {end}": side for end, side in _BESIDE.items()},
+    upright={f"side +x on rim +x, {end}": 3.0 for end in _BESIDE},
+    placed=True,
+)
+
+
+def _way(peg: Peg) -> _Way:
+    """Contacts by which a peg enters its hole."""
+    return _SQUARE if peg.shape == "square" else _ROUND
+
+
+def lowest_point(peg: Peg) -> Array:
+    """Lowest point (3,) of the tilted tip, in the peg's frame (m)."""
+    return 0.5 * peg.width * _way(peg).lowest
 
 
 def tilt_of(peg: Peg, hole: Hole) -> float:
-    """Tilt about a diagonal (rad), about 2° more than that at which a square peg would fall in.
+    """Tilt (rad), about 2° more in each plane than that at which the peg would fall in.
 
     Args:
         peg: peg with its width. hole: hole with its width.
     """
-    return sqrt(2.0) * (acos(peg.width / hole.width) + radians(2.0))
+    planes = float(np.linalg.norm(_way(peg).lowest))  # √2 about a diagonal
+    return planes * (acos(peg.width / hole.width) + radians(2.0))
 
 
-def square_peg(peg: Peg, hole: Hole) -> Plan:
-    """Plan of a square peg, from `square_peg_start`.
+def peg_start(peg: Peg, hole: Hole) -> pin.SE3:
+    """Pose of a peg above the face, tilted so that the lowest point of its tip is beside the hole.
 
-    A corner is put down on the face and slides inward until it drops, two edges of the tip rest on
-    two rims, two sides are pressed into the corner of the other rims, the peg rotates there until
-    it is upright, and goes in. After a failure the peg is drawn back, and the search begins again.
+    Args:
+        peg: peg, whose frame is that of the object. hole: hole at its believed pose.
+    """
+    lowest = _way(peg).lowest
+    axis = np.cross(lowest, [0.0, 0.0, 1.0]) / np.linalg.norm(lowest)
+    rotation = pin.exp3(tilt_of(peg, hole) * axis)
+    place = (0.5 * hole.width + LEAD) * lowest - HEIGHT * np.array([0.0, 0.0, 1.0])
+    return hole.pose * pin.SE3(rotation, place - rotation @ lowest_point(peg))
+
+
+def peg_plan(peg: Peg, hole: Hole) -> Plan:
+    """Plan of a square or round peg, from `peg_start`.
 
     Args:
         peg: peg, whose frame is that of the object.
@@ -151,87 +215,114 @@ def square_peg(peg: Peg, hole: Hole) -> Plan:
     return Plan(stages, largest=60.0, tries=3)
 
 
-_CORNER = "+x+y"  #: corner of the tip that is lowest at the start
-_LOWEST = f"corner {_CORNER} on face"  #: contact of this corner with the face
-
-
 def _search_stages(peg: Peg, hole: Hole) -> list[Stage]:
-    """Stages until a corner of the tip has dropped into the hole.
+    """Stages until the lowest point of the tip has dropped into the hole.
 
     Args:
         peg: peg with its width. hole: hole at its believed pose.
     """
-    corner = 0.5 * peg.width * CORNERS[_CORNER]
-    R = hole.pose.rotation
-    into = R[:, 2]
-    inward = -R @ CORNERS[_CORNER]
+    way = _way(peg)
+    into = hole.pose.rotation[:, 2]
+    inward = -hole.pose.rotation @ way.lowest
+    push = {way.point: 6.0}
+    dropped = moved(0.7e-3, into, point=lowest_point(peg))
+    landed = made(way.point, lasting=0.15) & after(0.3)
     return [
         Stage("weigh", until=after(0.4), within=1.0, tare=True),
-        Stage("find", {_LOWEST: 6.0}, until=made(_LOWEST, lasting=0.15), within=4.0, fails="back"),
-        Stage(
-            "slide",
-            {_LOWEST: 6.0},
-            along(inward, 6e-3),
-            until=moved(0.7e-3, into, point=corner),
-            within=4.0,
-            fails="back",
-        ),
-        Stage(
-            "drop",
-            {_LOWEST: 6.0},
-            until=made(_LOWEST, lasting=0.15) & after(0.3),
-            within=2.0,
-            fails="back",
-        ),
+        Stage("find", push, until=made(way.point, lasting=0.15), within=4.0, fails="back"),
+        Stage("slide", push, along(inward, 6e-3), until=dropped, within=4.0, fails="back"),
+        Stage("drop", push, until=landed, within=2.0, fails="back"),
     ]
 
 
+def _found(now: Sensed, peg: Peg, hole: Hole, *, aside: bool) -> pin.SE3:
+    """Pose of the hole's body, from the poses in which the peg touched the face and the rims.
+
+    The hole keeps its believed axes.
+
+    Args:
+        now: signals after the stage "find". peg: peg. hole: hole at its believed pose.
+        aside: whether both sides touch their rims now; if not, the hole is only found along its
+            axis.
+    """
+    way = _way(peg)
+    pose = hole.pose
+    into = pose.rotation[:, 2]
+    touched = now.passed["find"].act(lowest_point(peg))
+    shift = (into @ (touched - pose.translation)) * into
+    if aside:
+        normals, gaps = [into], [0.0]
+        for side in way.sides.values():
+            normal = now.X.rotation @ side
+            apart = now.X.act(0.5 * peg.width * side) - pose.act(0.5 * hole.width * side) - shift
+            normals.append(normal)
+            gaps.append(float(normal @ apart))
+        shift = shift + np.linalg.solve(np.array(normals), np.array(gaps))
+    return hole.found_at(pin.SE3(pose.rotation, pose.translation + shift))
+
+
 def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
-    """Stages from a dropped corner to the bottom of the hole.
+    """Stages from a dropped tip to the bottom of the hole.
 
     Args:
         peg: peg with its width. hole: hole at its believed pose.
     """
-    corner = 0.5 * peg.width * CORNERS[_CORNER]
+    way = _way(peg)
     into = hole.pose.rotation[:, 2]
 
     def depth(now: Sensed) -> float:
-        """Depth of the tip's origin below the point where the corner touched the face (m)."""
-        return float(into @ (now.X.translation - now.passed["find"].act(corner)))
+        """Depth of the tip's origin below the point that touched the face (m)."""
+        touched = now.passed["find"].act(lowest_point(peg))
+        return float(into @ (now.X.translation - touched))
 
-    rims = ("side +x on rim +x", "side +y on rim +y")
-    upright = {"side +x on rim +x, a": 2.0, "side +x on rim +x, b": 2.0, rims[1]: 4.0}
+    def face_found(now: Sensed) -> pin.SE3:
+        """Hole as high as the face that was touched."""
+        return _found(now, peg, hole, aside=False)
+
+    def rims_found(now: Sensed) -> pin.SE3:
+        """Hole as high as the face, where the sides touch its rims."""
+        return _found(now, peg, hole, aside=True)
+
+    edges = []
+    if way.edges:
+        push = dict.fromkeys(way.edges, 3.5)
+        edges = [
+            Stage(
+                "two points",
+                push,
+                until=after(0.4),
+                within=2.0,
+                fails="back",
+            )
+        ]
+    cornered = {**dict.fromkeys(way.sides, 4.0), "tip on face": 4.0}
     seated = when(lambda now: depth(now) > hole.depth - 4e-3, "at the bottom")
     is_upright = (
         when(lambda now: depth(now) > 12e-3, "12 mm deep")
         | when(lambda now: now.t > 2.5 and depth(now) > 3e-3, "upright")
-        | (lost(*upright, lasting=0.5) & when(lambda now: depth(now) > 2.5e-3, "in the mouth"))
+        | (lost(*way.upright, lasting=0.5) & when(lambda now: depth(now) > 2.5e-3, "in the mouth"))
         | after(6.0)
     )
     return [
-        Stage(
-            "two points",
-            {"edge +y on rim -x": 3.5, "edge +x on rim -y": 3.5},
-            until=after(0.4),
-            within=2.0,
-            fails="back",
-        ),
+        *edges,
         Stage(
             "corner",
-            {rims[0]: 4.0, rims[1]: 4.0, "tip on face": 4.0},
-            until=made(*rims, lasting=0.3) | (at_rest().lasting(0.5) & after(1.0)),
+            cornered,
+            until=made(*way.sides, lasting=0.3) | (at_rest().lasting(0.5) & after(1.0)),
             within=4.0,
             unless=lost("tip on face", lasting=0.8) & after(1.5),
             fails="back",
+            places=dict.fromkeys(cornered, face_found) if way.placed else {},
         ),
         Stage(
             "upright",
-            upright,
+            way.upright,
             turn_to([0, 0, 1], into, 0.5 * tilt_of(peg, hole)) & along(into, 5e-3, yields=6.0),
             until=is_upright,
             within=8.0,
-            unless=lost(*upright, lasting=0.8),
+            unless=lost(*way.upright, lasting=0.8),
             fails="back",
+            places=dict.fromkeys(way.upright, rims_found) if way.placed else {},
         ),
         Stage(
             "insert",
@@ -253,9 +344,13 @@ def _last_stages(peg: Peg, hole: Hole) -> list[Stage]:
         peg: peg with its width. hole: hole at its believed pose.
     """
     into = hole.pose.rotation[:, 2]
-    start = square_peg_start(peg, hole)
+    start = peg_start(peg, hole)
     return [
         Stage("back", {}, along(-into, 20e-3, 30e-3), until=finished(), within=4.0, then="return"),
         Stage("return", {}, to(start, 30e-3, 0.5), until=finished(), within=8.0, then="find"),
         Stage("done", {"hole": 0.0}, until=after(0.1), within=1.0),
     ]
+
+
+square_peg = peg_plan  #: the same plan, by its name of a square peg
+square_peg_start = peg_start  #: the same pose, by its name of a square peg
