@@ -11,10 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from osc_contact.contacts.pairs.pair import AT_REST, ContactPair
 from osc_contact.errors import ContactError, InvalidInputError
-from osc_contact.spatial import Array, carry_twist
+from osc_contact.spatial import Array, as_array, carry_twist
 
 PARAMETERS = ("x", "y", "z", "rx", "ry", "rz")  #: names of the components of a displacement
 LEARNED = 0.5  #: share of its first standard deviation below which a parameter counts as learned
@@ -53,14 +54,14 @@ class LearnedPlace:
     """
 
     def __init__(
-        self, at: Array, *, position: float, angle: float, gap: float, lasting: float = 1.0
+        self, at: ArrayLike, *, position: float, angle: float, gap: float, lasting: float = 1.0
     ) -> None:
         """Begin with the believed pose."""
         numbers = {"position": position, "angle": angle, "gap": gap, "lasting": lasting}
         for name, value in numbers.items():
             if not (value > 0.0 and np.isfinite(value)):
                 raise InvalidInputError(f"{name} = {value!r}; give a number > 0 in SI units")
-        self._at = np.array(at, dtype=np.float64)
+        self._at = as_array("at", at, (3,))
         self._first = np.repeat([position, angle], 3)
         self._noise = lasting * gap**2
         self.X_WE = pin.SE3.Identity()
