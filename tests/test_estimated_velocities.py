@@ -16,9 +16,9 @@ import osc_contact as osc
 from benchmarks.random_tasks import Errors, RandomTask, draw, spring_wall
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.control.accelerations import expected_acceleration
-from osc_contact.lab.checks.preflight import encoders
+from osc_contact.lab.checks.preflight import encoders, late_brake
 from osc_contact.sensing.dead_encoders import DeadEncoders
-from osc_contact.sensing.velocity_estimate import VelocityEstimate
+from osc_contact.sensing.velocity_estimate import VelocityEstimate, smallest_bandwidth
 
 DT = 1e-3
 GAINS = osc.Gains().force
@@ -183,7 +183,7 @@ def test_rotors_that_the_model_lacks_do_not_make_a_contact_on_a_spring_oscillate
 # --- MuJoCo ---------------------------------------------------------------------------------------
 
 
-def coarse(number, stiffness):
+def coarse(number, stiffness, *more):
     """10 N on a wall, a circle of 20 mm at 0.5 Hz, in the posture of a random task.
 
     Encoders have 16 bits, wrists are 3 ms late, and nothing else is wrong.
@@ -200,8 +200,7 @@ def coarse(number, stiffness):
         f"sensors={{encoder: {{rate: 1 kHz, angle: {{resolution: {step}, noise: {0.5 * step}}}}},"
         f" wrist: {{rate: 1 kHz, delay: 3 ms}}}}"
     )
-    estimate = "control.estimate.measured_forces=true"
-    changes = [*task.changes, "control.rate=1000", estimate, sensors, "duration=4 s", "tare=null"]
+    changes = [*task.changes, "control.rate=1000", sensors, "duration=4 s", "tare=null", *more]
     changes += [f"motion=[{moves}]", "force.ball=[{type: constant, value: 10 N}]"]
     task = RandomTask(7, number, task.name, task.scenario, changes, {}, Errors())
     if stiffness:
@@ -222,6 +221,54 @@ def test_encoders_of_16_bits_on_springy_walls(number, stiffness):
     command = recording["alpha_cmd"][judged, 0]
     error = recording["alpha_true"][judged, 0] - command
     assert np.sqrt(np.mean(error**2)) < 0.05 * np.mean(command)
+
+
+# --- What is chosen -------------------------------------------------------------------------------
+
+
+@parametrize("mode", [0.0, 60.0, 200.0, 600.0])
+@parametrize("damping_ratio", [0.6, 0.7, 1.5])
+def test_the_smallest_bandwidth_lets_the_brake_balance_the_integral(mode, damping_ratio):
+    brake, integral = 2.0 * damping_ratio * GAINS.integral, GAINS.integral
+    w = smallest_bandwidth(brake, integral, mode)
+    lag = np.sqrt(2.0) * w
+    s = 1j * mode
+    answer = w**2 / (s**2 + (lag + brake) * s + w**2 + lag * brake)
+    assert brake * answer.real == approx(integral)
+    if mode == 0.0:
+        assert w == approx(np.sqrt(2.0) * brake / (brake / integral - 1.0))
+    assert smallest_bandwidth(integral, integral, mode) == np.inf
+
+
+def chosen(bits, *changes):
+    """Whether measured forces are in the estimate of `panda_edge` with encoders of so many bits."""
+    step = 2.0 * np.pi / 2**bits
+    angle = f"{{angle: {{resolution: {step}, noise: {0.5 * step}}}, rate: 4 kHz}}"
+    return rig_of("panda_edge", f"sensors.encoder={angle}", *changes).measured_forces
+
+
+def test_measured_forces_are_chosen_by_encoder_brake_and_wall_and_ones_own_setting_wins():
+    default = "gains={}"
+    admitted = "control.estimate.stiffest_wall=100000"
+    assert chosen(16, default)
+    assert not chosen(18, default)
+    assert chosen(18, default, admitted)
+    assert not chosen(26, default, admitted, "control.rate=4000")
+    assert not chosen(16)  # gains of one mass have no brake
+    assert not chosen(16, default, "control.estimate.measured_forces=false")
+    assert chosen(26, default, "control.estimate.measured_forces=true")
+
+
+def test_ideal_sensors_need_no_measured_forces():
+    assert not rig_of("panda_edge", "gains={}").measured_forces
+
+
+def test_declared_springs_are_doubted_where_measured_forces_are_switched_off():
+    assert not list(late_brake.findings(osc.build_rig(coarse(NUMBERS[0], 3e4))))
+    off = osc.build_rig(coarse(NUMBERS[0], 3e4, "control.estimate.measured_forces=false"))
+    (finding,) = late_brake.findings(off)
+    enough = float(re.search(r"damp them; ([\d.e+-]+) rad", finding.text)[1])
+    assert noise_of(26) < enough < noise_of(16)
 
 
 @parametrize("noise", [1e-5, 2e-5, 1e-4])

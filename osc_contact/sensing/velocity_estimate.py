@@ -41,6 +41,40 @@ _MOST = 1.5  #: largest share c, of a joint whose links or rotors are modelled t
 _EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
 
 
+def smallest_bandwidth(brake: float, integral: float, mode: float) -> float:
+    """Compute the bandwidth ω_e (rad/s) with which the brake still balances the force integral.
+
+    A contact that oscillates at ω grows at ½[K_i − κ Re H(jω)] where the filter of `optimal` knows
+    the commanded acceleration alone, H = ω_e²/(s² + (√2 ω_e + κ)s + ω_e² + √2 ω_e κ). With
+    ρ = κ/K_i > 1, κ Re H ≥ K_i is
+
+        (ρ − 1)ω_e⁴ + √2 κ(ρ − 2)ω_e³ − (ρω² + 2κ²)ω_e² − ω²(ω² + κ²) ≥ 0,
+
+    whose coefficients change sign once, so that it has one positive root (Descartes); for ω → 0 it
+    is √2 κ/(ρ − 1).
+
+    Args:
+        brake: κ (1/s). integral: K_i (1/s). mode: ω (rad/s).
+
+    Returns:
+        ω_e (rad/s); infinite where κ ≤ K_i, with which no bandwidth suffices.
+    """
+    if brake <= integral:
+        return np.inf
+    ratio = brake / integral
+    squared = mode**2
+    roots = np.roots(
+        [
+            ratio - 1.0,
+            np.sqrt(2.0) * brake * (ratio - 2.0),
+            -(ratio * squared + 2.0 * brake**2),
+            0.0,
+            -squared * (squared + brake**2),
+        ]
+    )
+    return float(roots[np.abs(roots.imag) <= 1e-6 * np.abs(roots)].real.max())
+
+
 @dataclass
 class VelocityEstimate:
     """Positions and velocities of several channels from sampled positions.

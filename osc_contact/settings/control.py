@@ -380,9 +380,13 @@ class EstimateSpec(Spec):
     """unmodelled angular acceleration of tracked bodies"""
     body_linear: Positive[Acceleration] = 0.05
     """unmodelled acceleration of tracked bodies"""
-    measured_forces: bool = False
+    measured_forces: bool | None = None
     """whether accelerations of the joints by measured contact forces are included, for coarse
-    encoders and elastic walls; velocities are estimated less accurately if the object is struck"""
+    encoders and elastic walls; velocities are estimated less accurately if the object is struck;
+    null: where the brake needs it ([estimated velocities](tuning.md#estimated-velocities))"""
+    stiffest_wall: Annotated[NotNegativeNumber, "N/m"] = 0.0
+    """largest stiffness of elastic walls, beside declared carts, for which `measured_forces` is
+    chosen; 0: only encoders that are too coarse for every wall count"""
 
 
 class Dither(Spec):

@@ -472,7 +472,7 @@ def encoders(rig: Rig) -> Values:
     brake = getattr(rig.gains.force, "brake", 0.0)
     if rig.scenario.sensors.encoder is None or not rig.pairs or not brake:
         return
-    estimate, error = hardware.joint_estimate(rig.scenario, rig.chain)
+    estimate, error = hardware.joint_estimate(rig.scenario, rig.chain, rig.measured_forces)
     N = rig.contact.N
     if N.shape[1] != len(rig.force_names):  # dependent contacts share their forces
         return
@@ -499,8 +499,46 @@ def encoders(rig: Rig) -> Values:
         yield value, words
 
 
+@doubt(
+    "contacts on the declared springs oscillate at up to {hertz:.3g} Hz, and velocities estimated "
+    "from encoders of {step:.2g} rad rms alone follow too late for the brake to damp them; "
+    "{enough:.2g} rad, read at {rate:.0f} Hz or more, would do, or leave "
+    "control.estimate.measured_forces out",
+    1.0,
+)
+def late_brake(rig: Rig) -> Values:
+    """Bandwidth that the brake needs on declared springs, over that of the encoders alone.
+
+    It matters only where `control.estimate.measured_forces` is switched off.
+    """
+    if rig.measured_forces or rig.scenario.sensors.encoder is None or not rig.gains.force.brake:
+        return
+    carts = [body.motion for body in rig.bodies if isinstance(body.motion, CartSpec)]
+    if not any(cart.stiffness > 0.0 for cart in carts):
+        return
+    error, unknown = hardware.encoder_errors(rig.scenario, rig.chain)
+    needed = rig.needed_bandwidth
+    words = {
+        "hertz": rig.fastest_mode / (2.0 * np.pi),
+        "step": error.max(),
+        "enough": (unknown / needed**2).min(),
+        "rate": needed,
+    }
+    yield needed / hardware.encoder_bandwidth(rig.scenario, rig.chain), words
+
+
 PLACE_RULES = (normals, inverted, inside, start, beside)  #: rules on the places of contacts
 #: All rules on a scenario; a new rule is added to this list. The rules on every task and on a robot
 #: are listed in `osc_contact.loop.start_rules`.
-RIG_RULES = (sensors, springs, swinging, *PLACE_RULES, friction, encoders, carts, landing)
+RIG_RULES = (
+    sensors,
+    springs,
+    swinging,
+    *PLACE_RULES,
+    friction,
+    encoders,
+    late_brake,
+    carts,
+    landing,
+)
 MODEL_RULES = (tare,)  #: rules on a scenario that depend on the errors of the controller's model

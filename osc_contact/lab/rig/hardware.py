@@ -186,15 +186,15 @@ def torque_loop(
     return JointTorqueLoop(joints.stiffness, joints.motor_inertia, chain.tau_max, spec)
 
 
-def joint_estimate(scenario: Scenario, chain: ClosedChain) -> tuple[VelocityEstimate, Array]:
-    """Make the estimator of joint velocities of a scenario.
+def encoder_errors(scenario: Scenario, chain: ClosedChain) -> tuple[Array, Array]:
+    """Rms errors of the encoders and unmodelled accelerations of the joints of a scenario.
 
     Args:
         scenario: scenario with encoders. chain: model of the arms.
 
     Returns:
-        Estimator, and rms error (n,) of the encoders' readings: noise, and resolution as a uniform
-        distribution (rad, m).
+        Rms error (n,) of a reading: noise, and resolution as a uniform distribution (rad, m); rms
+        unmodelled acceleration (n,) (rad/s², m/s²).
     """
     spec = scenario.sensors.encoder
     assert spec is not None
@@ -202,12 +202,43 @@ def joint_estimate(scenario: Scenario, chain: ClosedChain) -> tuple[VelocityEsti
     noise = _joint_errors(chain, spec, attrgetter("noise"))
     resolution = _joint_errors(chain, spec, attrgetter("resolution"))
     error = np.maximum(np.hypot(noise, resolution / np.sqrt(12.0)), 1e-9)
-    unknown_acceleration = np.where(
-        sliding(chain.model), estimate.joint_linear, estimate.joint_angular
-    )
+    unknown = np.where(sliding(chain.model), estimate.joint_linear, estimate.joint_angular)
+    return error, unknown
+
+
+def encoder_bandwidth(scenario: Scenario, chain: ClosedChain) -> float:
+    """Smallest bandwidth (rad/s) of velocities that are estimated from encoders alone.
+
+    It is √(σ_a/σ_n) of the coarsest joint, and at most the rate at which encoders are sampled.
+
+    Args:
+        scenario: scenario with encoders. chain: model of the arms.
+    """
+    spec = scenario.sensors.encoder
+    assert spec is not None
+    error, unknown = encoder_errors(scenario, chain)
+    rate = min(spec.rate, scenario.control.rate)
+    return float(min(np.sqrt(unknown / error).min(), rate))
+
+
+def joint_estimate(
+    scenario: Scenario, chain: ClosedChain, measured_forces: bool
+) -> tuple[VelocityEstimate, Array]:
+    """Make the estimator of joint velocities of a scenario.
+
+    Args:
+        scenario: scenario with encoders. chain: model of the arms.
+        measured_forces: whether the known accelerations include those by measured contact forces.
+
+    Returns:
+        Estimator, and rms error (n,) of the encoders' readings (rad, m).
+    """
+    spec = scenario.sensors.encoder
+    assert spec is not None
+    error, unknown = encoder_errors(scenario, chain)
     dt = 1.0 / scenario.control.rate
-    make = VelocityEstimate.learning if estimate.measured_forces else VelocityEstimate.optimal
-    return make(error, unknown_acceleration, dt, 1.0 / spec.rate), error
+    make = VelocityEstimate.learning if measured_forces else VelocityEstimate.optimal
+    return make(error, unknown, dt, 1.0 / spec.rate), error
 
 
 class TorqueLoopRobot:
@@ -261,12 +292,15 @@ class ObservedRobot:
         controller: Controller,
         scenario: Scenario,
         markers: Array,
+        measured_forces: bool,
     ) -> None:
         """Make the estimators from the sensor errors of the scenario.
 
         Args:
             robot: robot that measures. controller: its controller. scenario: scenario with the
                 sensors. markers: (contacts, 4, 4) frames of the bodies that cameras track, in E.
+            measured_forces: whether estimated velocities of the joints include what measured
+                contact forces accelerate.
         """
         self.robot = robot
         self.controller = controller
@@ -279,7 +313,7 @@ class ObservedRobot:
         self._ticks = 0
         spec = scenario.sensors
         estimate = scenario.control.estimate
-        self._measured_forces = estimate.measured_forces
+        self._measured_forces = measured_forces
         self._joints: VelocityEstimate | None = None
         if spec.encoder is not None:
             limit = chain.model.velocityLimit
@@ -290,7 +324,7 @@ class ObservedRobot:
             self._delay = spec.encoder.delay
             self._accepted = np.full(chain.nq, np.nan)
             self._missed = np.zeros(chain.nq)
-            self._joints, _ = joint_estimate(scenario, chain)
+            self._joints, _ = joint_estimate(scenario, chain, measured_forces)
             noise = _joint_errors(chain, spec.encoder, attrgetter("noise"))
             resolution = _joint_errors(chain, spec.encoder, attrgetter("resolution"))
             self._dead = DeadEncoders(noise, resolution)

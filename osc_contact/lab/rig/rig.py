@@ -56,6 +56,7 @@ from osc_contact.loop.channels import Subject
 from osc_contact.loop.judge import NotedTruths, Plant, ReadsTruth
 from osc_contact.loop.recorder import subject_of
 from osc_contact.response import require_reachable
+from osc_contact.sensing.velocity_estimate import smallest_bandwidth
 from osc_contact.settings.control import (
     JointFriction,
     ModelErrorSpec,
@@ -248,8 +249,52 @@ class Rig:
         if loop is not None:
             robot = hardware.TorqueLoopRobot(plant, loop)
         if not self.scenario.sensors.ideal:
-            robot = hardware.ObservedRobot(robot, controller, self.scenario, self.placements)
+            robot = hardware.ObservedRobot(
+                robot, controller, self.scenario, self.placements, self.measured_forces
+            )
         return robot
+
+    @cached_property
+    def fastest_mode(self) -> float:
+        """Largest frequency √(k/m) (rad/s) of a contact that pushes on an elastic wall; 0: none.
+
+        k is `control.estimate.stiffest_wall`, or the stiffness of the contact's cart if that is
+        larger; 1/m = NᵀΦN is the mobility of the object along one line of force, at the start.
+        """
+        fastest = 0.0
+        X_WO = self.state.X_WO
+        for pair, body in zip(self.pairs, self.on, strict=True):
+            if not pushes_only(pair):
+                continue
+            stiffness = self.scenario.control.estimate.stiffest_wall
+            cart = self.bodies[body].motion
+            if isinstance(cart, CartSpec):
+                stiffness = max(stiffness, cart.stiffness)
+            for point, line in zip(*feet(pair, X_WO), strict=True):
+                N = np.concatenate([line, np.cross(point - X_WO.translation, line)])
+                fastest = max(fastest, float(np.sqrt(stiffness * (N @ self.state.Phi @ N))))
+        return fastest
+
+    @property
+    def needed_bandwidth(self) -> float:
+        """Bandwidth (rad/s) with which encoders alone let the brake damp the `fastest_mode`."""
+        force = self.gains.force
+        return smallest_bandwidth(force.brake, force.integral, self.fastest_mode)
+
+    @cached_property
+    def measured_forces(self) -> bool:
+        """Whether velocities are estimated with the accelerations by measured contact forces.
+
+        By default they are where the encoders alone are too coarse, or too slow, for the brake to
+        damp the `fastest_mode`.
+        """
+        own_setting = self.scenario.control.estimate.measured_forces
+        if own_setting is not None:
+            return own_setting
+        brakes = self.gains.force.brake > 0.0 and any(map(pushes_only, self.pairs))
+        if self.scenario.sensors.encoder is None or not brakes:
+            return False
+        return hardware.encoder_bandwidth(self.scenario, self.chain) < self.needed_bandwidth
 
     @cached_property
     def springs(self) -> FlexibleJoints | None:
