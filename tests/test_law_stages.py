@@ -10,7 +10,7 @@ from math import inf
 from types import SimpleNamespace as Record
 
 import numpy as np
-from law_calls import allocation, operational, phases, reading, records, tick, write
+from law_calls import allocation, force_law, operational, phases, reading, records, tick, write
 from law_calls import command_filter as command
 from numpy.linalg import cholesky, inv, norm, qr, solve
 from numpy.testing import assert_array_equal
@@ -41,7 +41,7 @@ def command_force(alpha_d, felt, speed, integral, least=-inf):
         write(t.work, **{name: [1.0, value, 2.0]})
     write(t.memory, force_sum=[1.0, integral, 2.0], force_rank=2)
     write(t.work, rank=2, dt=1e-3)
-    reading.command_force(t)
+    force_law.command_force(t)
     assert t.work.force_next[2] == t.work.alpha_u[2] == 0.0 and t.work.force_next[0] == 1.0
     return (t.work.alpha_u[1], t.work.force_next[1])
 
@@ -78,7 +78,7 @@ def test_laws_of_contacts_are_those_of_their_columns(dependent):
     t.work.chosen[:3] = [2, 0, 1]
     write(t.work, rank=2, count=3 if dependent else 2, kept=[0, 2], **dict.fromkeys(names, 7.0))
     write(t.memory.contacts, **dict(aligned(names, laws)))
-    reading.contact_laws(t)
+    force_law.contact_laws(t)
     expected = [[1.0, 1.0], [9.0, 9.0], [-inf, -inf], [0.8, 0.8]] if dependent else laws[:, [1, 2]]
     for name, row in aligned(names, expected):
         assert_array_equal(getattr(t.work, name)[:3], [*row, 7.0])
@@ -94,7 +94,7 @@ def test_a_contact_that_holds_without_a_desired_force_has_gains_of_its_own(pushe
     write(t.memory.contacts[0], gain=6.0, damping=1.0, brake=8.0)
     t.memory.columns.drift = 0.125
     t.work.rank = t.work.count = 1
-    reading.contact_laws(t)
+    force_law.contact_laws(t)
     assert (t.work.gain[0], t.work.damping[0], t.work.brake[0]) == (
         (0.5, 1.0, 60.0) if holds else (6.0, 1.0, 8.0)
     )

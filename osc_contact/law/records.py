@@ -121,12 +121,12 @@ _MODEL = _record(
         "contact_loss_time",  # s of too little force until a contact is lost
         "regain_time",  # s in which a lost contact must be regained
         "overforce_time",  # s of too much force until the arms are stopped
-        # see `reading.command_force` and `commands`
+        # see `force_law.command_force` and `commands`
         "integral_force",  # N, largest contribution of a force integral to small commands
         "integral_motion",  # m/s², rad/s², largest contribution of the motion integral
         "force_brake",  # κ (1/s)
         "hold_gain",  # 1/s, of contacts that hold without a desired force
-        "hold_brake",  # κ (1/s) of such contacts, see `reading.column_law`
+        "hold_brake",  # κ (1/s) of such contacts, see `force_law.column_law`
         "drift_share",  # share of one tick in the low-pass of v̄ and in the estimate of normals
         "step_time",  # s, rise time of a step of a desired force
         "tilt",  # rad, largest error of a declared normal, see `normals`

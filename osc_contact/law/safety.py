@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from osc_contact.law.agreement import UNBALANCED
+from osc_contact.law.force_law import integral_room
 from osc_contact.law.holding import hold_posture
 from osc_contact.law.isolation import estimate_joints, isolate_packet
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import collect
-from osc_contact.law.reading import integral_room
 from osc_contact.law.reasons import LASTING, NO_REASON, declare_reason
 from osc_contact.law.records import (
     DEGRADED_STATE,

@@ -52,6 +52,7 @@ from osc_contact.law.commands import (
     shape_steps,
 )
 from osc_contact.law.contact import place_contacts
+from osc_contact.law.force_law import command_force, contact_laws, last_integral
 from osc_contact.law.hopping import watch_hops
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.joint_friction import compensate_friction
@@ -60,9 +61,6 @@ from osc_contact.law.normals import load_normal_estimates
 from osc_contact.law.plausibility import check_readings
 from osc_contact.law.reading import (
     add_friction,
-    command_force,
-    contact_laws,
-    last_integral,
     learn_friction,
     measure_magnitudes,
     oppose_friction,
