@@ -129,43 +129,51 @@ def _balance_arm(t, k, dt):
         t: Tick. k: index of the arm. dt: time since the last computed tick with wrenches (s).
     """
     arm = t.model.arms[k]
-    own = t.memory.arms[k]
+    arm_memory = t.memory.arms[k]
     contradicts = False
     is_doubtful = False
-    observe_arm(t, arm, t.work.arms[k], own.doubtful == 0.0 or own.doubtful > _DOUBTED, dt)
+    observe_arm(
+        t, arm, t.work.arms[k], arm_memory.doubtful == 0.0 or arm_memory.doubtful > _DOUBTED, dt
+    )
     first_share = 1.0 / t.memory.balanced  # low-passes begin as plain means
     fast_share = max(dt / (_BALANCE + dt), first_share)
     slow_share = max(dt / (_USUAL + dt), first_share)
     for j in range(arm.first, arm.sensor_joint + 1):
-        known = t.memory.joints[j]
+        joint_memory = t.memory.joints[j]
         joint = t.model.joints[j]
         if joint.motor < 0:
             continue
         bound = t.model.wrist_error * joint.tau_max
         theta = joint.theta
-        speed = abs(known.means[SPEED])
+        speed = abs(joint_memory.means[SPEED])
         bound += _RUBS * (theta[0] + theta[1] * speed)  # error of the modelled friction
         if t.memory.friction_known[j]:
             theta = t.memory.friction[j].theta
         for i in range(3):  # slow, so that a sudden wrist fault is not attributed to friction
-            known.trusted[i] += slow_share * (abs(theta[i]) - known.trusted[i])
-        friction = known.trusted[0] + known.trusted[1] * speed + known.trusted[2] * abs(known.rate)
+            joint_memory.trusted[i] += slow_share * (abs(theta[i]) - joint_memory.trusted[i])
+        friction = (
+            joint_memory.trusted[0]
+            + joint_memory.trusted[1] * speed
+            + joint_memory.trusted[2] * abs(joint_memory.rate)
+        )
         doubtful_bound = _DOUBTFUL * bound
-        if known.means[V] * known.unexplained > _RUBBING * abs(known.unexplained):
+        if joint_memory.means[V] * joint_memory.unexplained > _RUBBING * abs(
+            joint_memory.unexplained
+        ):
             bound *= 2.0  # the torque opposes the motion, like friction not identified yet
-        if abs(known.past_v) > _RUBBING:
-            known.rubbed += fast_share * (abs(known.residual) - known.rubbed)
-            known.slid += dt
-        unexplained = known.residual - clamped(known.residual, friction)
+        if abs(joint_memory.past_v) > _RUBBING:
+            joint_memory.rubbed += fast_share * (abs(joint_memory.residual) - joint_memory.rubbed)
+            joint_memory.slid += dt
+        unexplained = joint_memory.residual - clamped(joint_memory.residual, friction)
         unexplained = clamped(unexplained, _OUTLIER * bound)
-        known.unexplained += fast_share * (unexplained - known.unexplained)
-        known.usual += slow_share * (known.unexplained - known.usual)
-        deviation = abs(known.unexplained - known.usual)
+        joint_memory.unexplained += fast_share * (unexplained - joint_memory.unexplained)
+        joint_memory.usual += slow_share * (joint_memory.unexplained - joint_memory.usual)
+        deviation = abs(joint_memory.unexplained - joint_memory.usual)
         is_doubtful = is_doubtful or deviation > doubtful_bound
-        exceeds = deviation > bound or abs(known.unexplained) > 2.0 * bound
-        known.unbalanced = collect(known.unbalanced, dt, exceeds)
-        contradicts = contradicts or known.unbalanced > UNBALANCED_TIME
-    own.doubtful = collect(own.doubtful, dt, is_doubtful)
+        exceeds = deviation > bound or abs(joint_memory.unexplained) > 2.0 * bound
+        joint_memory.unbalanced = collect(joint_memory.unbalanced, dt, exceeds)
+        contradicts = contradicts or joint_memory.unbalanced > UNBALANCED_TIME
+    arm_memory.doubtful = collect(arm_memory.doubtful, dt, is_doubtful)
     return contradicts
 
 
@@ -183,13 +191,13 @@ def _find_apart(t):
     """
     model = t.model
     X = t.work.X_WO
-    found = -1
+    deviating_arm = -1
     if model.n_arms == 1:
-        return found
+        return deviating_arm
     for k in range(model.n_arms):
         arm = model.arms[k]
         tip = place_point(t.work.joints[arm.tip_joint], arm.tip[9:])
         gap = transformed(minus3(origin(X), tip), X, arm.point)
         if arm.kind != OTHER and sqrt(dot3(gap, gap)) > model.closure_error:
-            found = k
-    return found
+            deviating_arm = k
+    return deviating_arm

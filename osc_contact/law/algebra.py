@@ -80,7 +80,7 @@ def cholesky(A, first, n, L):
         The smallest ratio of a pivot to its diagonal element of A; ≤ 0 if A is not positive
         definite.
     """
-    least = 1.0
+    least_ratio = 1.0
     for i in range(n):
         for j in range(i + 1):
             s = A[first + i, first + j]
@@ -90,11 +90,11 @@ def cholesky(A, first, n, L):
                 diagonal = A[first + i, first + i]
                 if not s > 0.0:  # also if NaN
                     return 0.0
-                least = min(least, s / diagonal)
+                least_ratio = min(least_ratio, s / diagonal)
                 L[i, i] = 1.0 / sqrt(s)
             else:
                 L[i, j] = s * L[j, j]
-    return least
+    return least_ratio
 
 
 @leaf
@@ -259,14 +259,14 @@ def qr_rows(X, rows, length, diagonal, beta):
     """
     for k in range(rows):
         v = X[k, k:]
-        rest = length - k
-        square = dot(v, v, rest)
+        n_remaining = length - k
+        square = dot(v, v, n_remaining)
         if not square > 0.0:  # also if NaN
             return False
         diagonal[k], beta[k] = reflector(square, v[0])
         v[0] -= diagonal[k]
         for j in range(k + 1, rows):
-            reflect(v, beta[k], rest, X[j, k:])
+            reflect(v, beta[k], n_remaining, X[j, k:])
     return True
 
 
@@ -324,7 +324,7 @@ def one_sided_jacobi(X, count, length, carried):
             become orthogonal. carried: number of further elements.
     """
     for _ in range(30):
-        turned = False
+        has_rotated = False
         for p in range(count - 1):
             a = dot(X[p], X[p], length)
             for q in range(p + 1, count):
@@ -339,7 +339,7 @@ def one_sided_jacobi(X, count, length, carried):
                 if h < _NOTHING:  # two zero rows, whose squares have lost digits
                     continue
                 h = sqrt(h)
-                turned = True
+                has_rotated = True
                 t = 2.0 * c / (d + h if d >= 0.0 else d - h)
                 cosine = sqrt(0.5 + 0.5 * abs(d) / h)
                 sine = cosine * t
@@ -349,7 +349,7 @@ def one_sided_jacobi(X, count, length, carried):
                     y = X[q, i]
                     X[p, i] = cosine * x - sine * y
                     X[q, i] = sine * x + cosine * y
-        if not turned:
+        if not has_rotated:
             return
 
 
@@ -367,7 +367,7 @@ def orthonormalise(X, r, m, Q, L):
     Returns:
         The smallest |L_aa| relative to the norm of row a of X; 0 if a row is zero.
     """
-    least = 1.0
+    least_ratio = 1.0
     for a in range(r):
         fill(Q[a], X[a])
         for i in range(m):
@@ -386,8 +386,8 @@ def orthonormalise(X, r, m, Q, L):
             return 0.0
         L[a, a] = 1.0 / sqrt(square)
         fill(Q[a], scaled(L[a, a], x))
-        least = min(least, sqrt(square / total))
-    return least
+        least_ratio = min(least_ratio, sqrt(square / total))
+    return least_ratio
 
 
 @inner

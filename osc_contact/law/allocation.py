@@ -134,22 +134,22 @@ def _refine_pivot(t, e):
     n = t.model.n_joints
     m = work.locked
     size = 6 - m + e
-    rest = work.rest
+    remainder = work.rest
     x = work.multipliers
     for i in range(size):  # multipliers of the rows before it, which the remainder leaves out
         x[i] = Z[size, i]
     backward(Z, size, x)
     y = _embed_free(work, x)
     for j in range(n):
-        rest[j] = work.extra[e, j] - dot6(work.joints[j].J_bar, y)
+        remainder[j] = work.extra[e, j] - dot6(work.joints[j].J_bar, y)
     for c in range(e):
-        add_scaled(-x[6 - m + c], work.extra[c], n, rest)
+        add_scaled(-x[6 - m + c], work.extra[c], n, remainder)
     # the part of the remainder that rounding left in the span of these rows
-    _weigh(t, rest, work.rest_weighed)
+    _weigh(t, remainder, work.rest_weighed)
     _multiply_constraints(t, work.rest_weighed, e, x)
     forward(Z, size, x)
     add_scaled(1.0, x, size, Z[size])
-    return dot(work.rest_weighed, rest, n) - dot(x, x, size)
+    return dot(work.rest_weighed, remainder, n) - dot(x, x, size)
 
 
 @leaf
@@ -176,17 +176,17 @@ def _weigh(t, row, out):
     """
     joints = t.work.joints
     for k in range(t.model.n_arms):
-        own = t.work.arms[k]
+        arm_work = t.work.arms[k]
         lo = t.model.arms[k].first
         hi = t.model.arms[k].end
-        if own.wide == 0:
+        if arm_work.wide == 0:
             for j in range(lo, hi):
                 out[j] = t.model.joints[j].effort * row[j]
             continue
         x = ZERO
         for j in range(lo, hi):
             x = add(x, row[j], joints[j].J)
-        x = times6(own.effort, x)
+        x = times6(arm_work.effort, x)
         for j in range(lo, hi):
             out[j] = dot6(joints[j].J, x)
 
@@ -330,7 +330,7 @@ def push_from_limits(joint, q):
 
 
 @leaf
-def _hold_posture(t, arm, own):
+def _hold_posture(t, arm, arm_work):
     """Compute the posture torques (1 − JᵀJ̄ᵀ)τ₀ of an arm with redundant joints.
 
     τ₀ = h + M(k_p(q₀ − q) − k_d q̇) + diag(M) a_l, where a_l repels joints from their limits
@@ -338,7 +338,7 @@ def _hold_posture(t, arm, own):
     torques and `tau` with τ₀ (N m, N).
 
     Args:
-        t: Tick. arm: ARM row. own: its ARM_WORK.
+        t: Tick. arm: ARM row. arm_work: its ARM_WORK.
     """
     model = t.model
     joints = t.work.joints
@@ -354,32 +354,32 @@ def _hold_posture(t, arm, own):
         wrench = add(wrench, torque, joints[j].J_bar)
     for j in range(lo, arm.end):
         joints[j].rest -= dot6(joints[j].J, wrench)
-    if own.n_lost > 0:
-        _retreat_from_lost(t, arm, own)
+    if arm_work.n_lost > 0:
+        _retreat_from_lost(t, arm, arm_work)
 
 
 @inner
-def _retreat_from_lost(t, arm, own):
+def _retreat_from_lost(t, arm, arm_work):
     """Add to `rest` the posture law along joint motions that the task loses in a singular posture.
 
     Reads `mode`, `gone` and `share` of the arm; h, M and `tau` (τ₀ of `_hold_posture`) of its
     joints.
 
     Args:
-        t: Tick. arm: ARM row. own: its ARM_WORK.
+        t: Tick. arm: ARM row. arm_work: its ARM_WORK.
     """
     joints = t.work.joints
     lo = arm.first
     hi = arm.end
-    for e in range(own.n_lost):
-        mode = own.mode[e]
+    for e in range(arm_work.n_lost):
+        mode = arm_work.mode[e]
         component = 0.0
         for j in range(lo, hi):
             posture_torque = joints[j].h + retreat(t, arm, j, t.model.retreat_damping)
-            if own.gone[e] != 0.0:
+            if arm_work.gone[e] != 0.0:
                 component += mode[j - lo] * (posture_torque - joints[j].tau)
             else:
-                component += mode[j - lo] * (1.0 - own.share[e]) * posture_torque
+                component += mode[j - lo] * (1.0 - arm_work.share[e]) * posture_torque
         for j in range(lo, hi):
             for k in range(lo, hi):
                 joints[j].rest += component * joints[j].M[k - lo] * mode[k - lo]
@@ -436,18 +436,19 @@ def _own_motions(t, d, first):
 
 
 @leaf
-def _add_torques(t, arm, own, y):
+def _add_torques(t, arm, arm_work, y):
     """Fill `tau` of an arm's joints with τ_0 + R⁻¹J̄ y, the torques for the force on the object.
 
     Args:
-        t: Tick. arm: ARM row. own: its ARM_WORK. y: six multipliers of f_S in energy coordinates.
+        t: Tick. arm: ARM row. arm_work: its ARM_WORK. y: six multipliers of f_S in energy
+            coordinates.
     """
     joints = t.work.joints
-    if own.wide == 0:
+    if arm_work.wide == 0:
         for j in range(arm.first, arm.end):
             joints[j].tau = joints[j].rest + t.model.joints[j].effort * dot6(joints[j].J_bar, y)
         return
-    x = times6(own.effort, y)
+    x = times6(arm_work.effort, y)
     for j in range(arm.first, arm.end):
         joints[j].tau = joints[j].rest + dot6(joints[j].J, x)
 

@@ -54,14 +54,15 @@ def place_frame(joint, X, R, p):
 
 
 @leaf
-def turn_axes(R, own, out):
+def turn_axes(R, rotation, out):
     """Multiply two rotations, the second given by rows, and write the product to `out`.
 
     Args:
-        R: rotation matrix or pose, at least 3×3. own: rotation by rows in its first nine elements.
+        R: rotation matrix or pose, at least 3×3. rotation: rotation by rows in its first nine
+            elements.
         out: at least 3×3, filled.
     """
-    turn = join(six(own), linear(own[6:]))
+    turn = join(six(rotation), linear(rotation[6:]))
     for i in range(3):
         fill3(out[i], rotated9_back(turn, (R[i, 0], R[i, 1], R[i, 2])))
 
@@ -161,7 +162,7 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
     joints = t.model.joints
     gravity = t.model.gravity
     work = t.work.joints
-    outer = local(13)
+    outer_body = local(13)
     fill(V, ZERO)
     fill(gamma, ZERO)
     for j in range(arm.first, arm.end):
@@ -176,8 +177,8 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
         _place_body(w, C, joints[j].link, w.body)
         fill(w.force, _force_on(w.body, V, gamma, gravity))
         if j == arm.outer_joint:
-            _place_body(w, C, arm.outer, outer)
-            fill(bias_out, plus(bias_out, _force_on(outer, V, gamma, gravity)))
+            _place_body(w, C, arm.outer, outer_body)
+            fill(bias_out, plus(bias_out, _force_on(outer_body, V, gamma, gravity)))
     for j in range(arm.end - 1, arm.first - 1, -1):  # from the tip: sums over the bodies beyond j
         w = work[j]
         if j < arm.end - 1:
@@ -185,7 +186,7 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
             if j == arm.outer_joint:
                 fill(bias_out, plus(bias_out, next_joint.force))
                 for i in range(13):
-                    outer[i] += next_joint.body[i]
+                    outer_body[i] += next_joint.body[i]
             fill(w.force, plus(w.force, next_joint.force))
             for i in range(13):
                 w.body[i] += next_joint.body[i]
@@ -197,7 +198,7 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
             work[k].M[j - arm.first] = m
         w.M[j - arm.first] += joints[j].armature + t.memory.joints[j].rotor
         if j <= arm.outer_joint:
-            momentum = _times(outer, w.column)
+            momentum = _times(outer_body, w.column)
         fill(w.outboard, momentum)
 
 

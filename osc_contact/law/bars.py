@@ -137,19 +137,19 @@ def _find_internal_torques(t, count, n_locked):
     n = t.model.n_joints
     effects = work.bar_effects
     loading = work.bar_torques
-    moving = work.moving_torques
+    moving_torques = work.moving_torques
     for j in range(n):
         effort = sqrt(t.model.joints[j].effort)
         driven = turned(work, work.joints[j].J_bar)
         for row in range(6):
-            moving[row, j] = driven[row] * effort if row >= work.locked else 0.0
+            moving_torques[row, j] = driven[row] * effort if row >= work.locked else 0.0
         for row in range(count):
             effects[row, n_locked + j] *= effort
             loading[row, j] = effects[row, n_locked + j]
-    n_moving = _orthonormalise(moving, 6, n, _DEPENDENT)
+    n_moving = _orthonormalise(moving_torques, 6, n, _DEPENDENT)
     n_loading = _orthonormalise(loading, count, n, _DEPENDENT)
     for row in range(n_loading):
-        _take_out(moving, n_moving, n, loading[row])
+        _take_out(moving_torques, n_moving, n, loading[row])
     one_sided_jacobi(loading, n_loading, n, 0)
     tolerance = t.model.angle_tolerance
     return _keep(loading, n_loading, n, n, tolerance * tolerance, inf)
@@ -223,12 +223,12 @@ def _invert(X, count, length, carried, tolerance):
     largest = 0.0
     for row in range(count):
         largest = max(largest, dot(X[row], X[row], length))
-    kept = _keep(X, count, length, length + carried, tolerance * tolerance * largest, inf)
-    for row in range(kept):
+    n_kept = _keep(X, count, length, length + carried, tolerance * tolerance * largest, inf)
+    for row in range(n_kept):
         inverse = 1.0 / dot(X[row], X[row], length)
         for i in range(length):
             X[row, i] *= inverse
-    return kept
+    return n_kept
 
 
 @inner
@@ -268,23 +268,23 @@ def _make_forces(s, count, bars, n, Z, Y, X):
 
 
 @inner
-def _keep(X, count, length, width, above, most):
+def _keep(X, count, length, width, low, high):
     """Move the rows of X to the front whose leading part y has above < |y|² ≤ most.
 
     Args:
         X: matrix, whose rows are overwritten. count: number of rows. length: number of elements of
-            y. width: number of elements of a row that are moved. above, most: bounds of |y|².
+            y. width: number of elements of a row that are moved. low, high: bounds of |y|².
 
     Returns:
         Number of these rows.
     """
-    kept = 0
+    n_kept = 0
     for row in range(count):
-        if above < dot(X[row], X[row], length) <= most:
+        if low < dot(X[row], X[row], length) <= high:
             for i in range(width):
-                X[kept, i] = X[row, i]
-            kept += 1
-    return kept
+                X[n_kept, i] = X[row, i]
+            n_kept += 1
+    return n_kept
 
 
 @inner

@@ -152,25 +152,27 @@ def _follow_centre(t):
     velocity = linear(t.work.V_C)
     dt = t.model.period * (1 + memory.gap)
     k = 0.0 if memory.balanced <= 1 else dt / (LAG + dt)
-    now = scaled3(1.0 / dt, minus3(velocity, memory.centre_speed))
-    rate = add3(memory.centre_rate, k, minus3(now, memory.centre_rate))
+    acceleration = scaled3(1.0 / dt, minus3(velocity, memory.centre_speed))
+    rate = add3(memory.centre_rate, k, minus3(acceleration, memory.centre_rate))
     fill3(memory.centre_rate, rate)
     fill3(memory.centre_speed, velocity)
     return rate
 
 
 @leaf
-def _largest_load(t, rate):
+def _largest_load(t, acceleration):
     """Arm whose wrist bears the largest force less weight and inertia, and this force (N).
 
     Each arm is assumed to bear an equal share of the object's weight and inertia, and of the tare.
 
     Args:
-        t: Tick. rate: (3,) acceleration of the object's centre of mass (m/s²).
+        t: Tick. acceleration: (3,) acceleration of the object's centre of mass (m/s²).
     """
     model = t.model
     mass = model.principal[0] / model.n_arms if model.held else 0.0
-    carried = add3(scaled3(mass, minus3(rate, model.gravity)), 1.0 / model.n_arms, t.memory.f_tare)
+    carried = add3(
+        scaled3(mass, minus3(acceleration, model.gravity)), 1.0 / model.n_arms, t.memory.f_tare
+    )
     arm = 0
     largest = 0.0
     for k in range(model.n_arms):

@@ -85,9 +85,9 @@ def solve_chain(t):
     if not _place_object(t):
         return OBJECT_UNKNOWN
     for k in range(model.n_arms):
-        own = work.arms[k]
-        fill(own.bias, ZERO)
-        move_arm(t, model.arms[k], t.input.v, work.p_C, own.V, own.drift, own.bias)
+        arm_work = work.arms[k]
+        fill(arm_work.bias, ZERO)
+        move_arm(t, model.arms[k], t.input.v, work.p_C, arm_work.V, arm_work.drift, arm_work.bias)
     twist_is_input = memory.given >= GIVEN_TWIST
     if not _move_object(t, twist_is_input):
         return OBJECT_UNKNOWN
@@ -100,10 +100,10 @@ def solve_chain(t):
     count = 0
     work.n_lost = 0
     for k in range(model.n_arms):
-        reason, found = _add_arm(t, model.arms[k], work.arms[k], count)
+        reason, n_rows = _add_arm(t, model.arms[k], work.arms[k], count)
         if reason != NO_REASON:
             return reason
-        count += found
+        count += n_rows
     if model.n_arms > 1 and model.slipping == 0 and not twist_is_input:
         _combine_twists(t)
     _add_object(t)
@@ -238,7 +238,7 @@ def _add_covariance(t, k, G):
 
 
 @inner
-def _add_arm(t, arm, own, row):
+def _add_arm(t, arm, arm_work, row):
     """Compute the terms of one arm and add them to the sums over all arms.
 
     Reads `axes` and `V_C`. Fills ARM_WORK, J, J̄, `offset` and `h` of its joints, and
@@ -246,7 +246,7 @@ def _add_arm(t, arm, own, row):
     sensor to `out_T`, `bias_e` and `bias_links`.
 
     Args:
-        t: Tick. arm: ARM row. own: its ARM_WORK. row: first free row of `locked_rows`.
+        t: Tick. arm: ARM row. arm_work: its ARM_WORK. row: first free row of `locked_rows`.
 
     Returns:
         A reason, and the number of wrenches that the arm locks.
@@ -258,60 +258,62 @@ def _add_arm(t, arm, own, row):
     n = arm.end - lo
     m = arm.m
     if m < 6:  # N is carried by the tip while the object slips
-        add_slip(own.V, work.V_C, own.drift)
+        add_slip(arm_work.V, work.V_C, arm_work.drift)
     for j in range(lo, arm.end):
         fill(joints[j].J, energy_motion(work.axes, joints[j].column))
-    fill(own.gamma, energy_motion(work.axes, own.drift))
-    own.wide = n > m
-    own.n_lost = 0
-    count = arm_terms(t, lo, n, m, own, row)
+    fill(arm_work.gamma, energy_motion(work.axes, arm_work.drift))
+    arm_work.wide = n > m
+    arm_work.n_lost = 0
+    count = arm_terms(t, lo, n, m, arm_work, row)
     if count < 0:
         return BAD_INERTIA, 0
-    if may_be_singular(t, arm, own):
-        find_lost(t, arm, own)
-    shared = model.n_arms > 1 or own.wide == 0 or own.n_lost > 0  # else the torques are unique
-    if model.n_motors > 0 and shared and not effort_metric(t, lo, n, m, own, own.effort):
+    if may_be_singular(t, arm, arm_work):
+        find_lost(t, arm, arm_work)
+    shared = (
+        model.n_arms > 1 or arm_work.wide == 0 or arm_work.n_lost > 0
+    )  # else the torques are unique
+    if model.n_motors > 0 and shared and not effort_metric(t, lo, n, m, arm_work, arm_work.effort):
         return UNACTUATED, 0
     for k in range(count):
         locked = work.locked_rows[row + k]
-        locked[6] = dot6(locked, own.gamma)
-        fill(own.resisted[k], locked)
+        locked[6] = dot6(locked, arm_work.gamma)
+        fill(arm_work.resisted[k], locked)
     bias = six(work.chain_bias)
     for j in range(lo, arm.end):
         if model.rubs != 0 and model.joints[j].motor < 0:  # passive: other motors compensate it
             joints[j].h += believed_friction(t, j)
-        joints[j].offset = -dot6(joints[j].J_bar, own.gamma)
+        joints[j].offset = -dot6(joints[j].J_bar, arm_work.gamma)
         bias = add(bias, joints[j].h, joints[j].J_bar)
     for i in range(6):
-        bias = add(bias, -own.gamma[i], own.Lambda[i])
-        fill(work.Lambda[i], plus(work.Lambda[i], own.Lambda[i]))
-        fill(work.effort[i], plus(work.effort[i], own.effort[i]))
+        bias = add(bias, -arm_work.gamma[i], arm_work.Lambda[i])
+        fill(work.Lambda[i], plus(work.Lambda[i], arm_work.Lambda[i]))
+        fill(work.effort[i], plus(work.effort[i], arm_work.effort[i]))
     fill(work.chain_bias, bias)
     if arm.sensor_joint >= 0 and arm.outer_joint >= 0:
         if arm.filtered:
-            filter_outboard(t, arm, own, own.bias)
+            filter_outboard(t, arm, arm_work, arm_work.bias)
         else:
-            _add_outboard(t, arm, own)
+            _add_outboard(t, arm, arm_work)
     return NO_REASON, count
 
 
 @leaf
-def _add_outboard(t, arm, own):
+def _add_outboard(t, arm, arm_work):
     """Add the bodies beyond the wrist sensor of an arm to Λ_out (I J J̄) and the bias (−I J J̄ γ).
 
     Reads `bias` and `gamma` of the arm, J̄ and `outboard` (I J) of its joints; I J is converted to
     energy coordinates in place. Adds to `out_T` (Λ_out transposed), `bias_links` and `bias_e`.
 
     Args:
-        t: Tick. arm: ARM row. own: its ARM_WORK.
+        t: Tick. arm: ARM row. arm_work: its ARM_WORK.
     """
     work = t.work
-    fill(work.bias_links, plus(work.bias_links, own.bias))
+    fill(work.bias_links, plus(work.bias_links, arm_work.bias))
     for j in range(arm.first, arm.end):
         P = work.joints[j].outboard
         bar = work.joints[j].J_bar
         fill(P, energy_wrench(work.axes, P))
-        accumulate(work.bias_e, -dot6(bar, own.gamma), P)
+        accumulate(work.bias_e, -dot6(bar, arm_work.gamma), P)
         for b in range(6):
             accumulate(work.out_T[b], bar[b], P)
 

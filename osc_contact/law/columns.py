@@ -104,8 +104,8 @@ def keep_columns(t):
     work.rank = count
     dependent = count > 6
     if 1 < count <= 6:
-        least = orthonormalise(work.N_e, count, 0, work.N_basis, work.N_factor)
-        dependent = not least > 10.0 * DEPENDENT  # also if NaN
+        least_ratio = orthonormalise(work.N_e, count, 0, work.N_basis, work.N_factor)
+        dependent = not least_ratio > 10.0 * DEPENDENT  # also if NaN
     if dependent:
         reason = _reduce(t)
         if reason != NO_REASON:
@@ -139,14 +139,14 @@ def _reduce(t):
     while rank < work.count:
         longest = 0.0
         for j in range(work.count):
-            rest = columns[work.chosen[j]].rest
-            longest = max(longest, dot6(rest, rest))
+            remainder = columns[work.chosen[j]].rest
+            longest = max(longest, dot6(remainder, remainder))
         if sqrt(longest) <= DEPENDENT or rank == 6:
             break
         first = work.chosen[0]
         for j in range(work.count - 1, -1, -1):
-            rest = columns[work.chosen[j]].rest
-            if dot6(rest, rest) >= _PIVOT * _PIVOT * longest:
+            remainder = columns[work.chosen[j]].rest
+            if dot6(remainder, remainder) >= _PIVOT * _PIVOT * longest:
                 first = work.chosen[j]
         place = rank
         while place > 0 and work.kept[place - 1] > first:

@@ -99,7 +99,7 @@ def require_reachable(t):
     m = work.locked
     if r == 0:
         return NO_REASON
-    least = orthonormalise(work.N_t, r, m, work.N_basis_t, work.N_factor_t)
+    least_ratio = orthonormalise(work.N_t, r, m, work.N_basis_t, work.N_factor_t)
     trace = 0.0
     for i in range(m, 6):
         trace += work.Lambda[i, i]
@@ -107,7 +107,7 @@ def require_reachable(t):
     for a in range(r):
         N = work.N_t[a]
         reach = min(reach, dot(N[m:], N[m:], 6 - m) / dot6(N, N))
-    if t.model.held and reach > 2.0 * _REACH * trace and least > 2.0 * _APART * sqrt(trace):
+    if t.model.held and reach > 2.0 * _REACH * trace and least_ratio > 2.0 * _APART * sqrt(trace):
         return NO_REASON
     return _judge_reach(t)
 
@@ -232,8 +232,8 @@ def reduce_motion(t):
 
         min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − t)²/|u|²,   NᵀΔ = 0,   t = χ vᵀKᵀq̈_posture − uᵀ(a − γ)
 
-    Reads the lost directions of the arms (`mode`, `chi`, `lost`, `share`, `gone`), their `gamma`,
-    and `N_t`. Updates `acceleration_t` (a).
+    Reads the lost directions of the arms (`mode`, `chi`, `lost`, `share`, `gone`), their
+    `gamma`, and `N_t`. Updates `acceleration_t` (a).
 
     Args:
         t: Tick.
@@ -249,20 +249,22 @@ def reduce_motion(t):
     set_identity(H)
     a = turned_back(work, work.acceleration_t)
     for k in range(t.model.n_arms):
-        lost = work.arms[k]
+        arm_work = work.arms[k]
         arm = t.model.arms[k]
-        for e in range(lost.n_lost):
+        for e in range(arm_work.n_lost):
             target = 0.0
             for i in range(arm.first, arm.end):
-                target += lost.mode[e, i - arm.first] * retreat(t, arm, i, t.model.retreat_damping)
-            target *= lost.chi[e]
+                target += arm_work.mode[e, i - arm.first] * retreat(
+                    t, arm, i, t.model.retreat_damping
+                )
+            target *= arm_work.chi[e]
             for i in range(6):
-                target -= lost.lost[e, i] * (a[i] - lost.gamma[i])
-            fill_free(row, work, lost.lost[e])
+                target -= arm_work.lost[e, i] * (a[i] - arm_work.gamma[i])
+            fill_free(row, work, arm_work.lost[e])
             size = dot(row, row, 6)
-            if lost.gone[e] != 0.0 or size < _GONE:  # locked in the chain
+            if arm_work.gone[e] != 0.0 or size < _GONE:  # locked in the chain
                 continue
-            weight = (1.0 - lost.share[e]) / (max(lost.share[e], _HARD) * size)
+            weight = (1.0 - arm_work.share[e]) / (max(arm_work.share[e], _HARD) * size)
             accumulate(step, weight * target, row)
             add_square(weight, row, H)
     fill(zero, ZERO)

@@ -133,21 +133,21 @@ _SOFTEST = 20.0  #: largest estimate of s, as a multiple of s_0
 
 
 @inner
-def shape_steps(t, own):
+def shape_steps(t, is_custom):
     """Fill `goal` of the active columns with shaped forces α_s = α_d − w (N).
 
     Fills also `scale`, `shaped` and `to_come` of these columns, and `integral_scale` (0 … 1), the
     factor of the integral gain, which is 0 while a large part of a step remains.
 
     Args:
-        t: Tick. own: whether the force law is the user's own, for which steps are not shaped.
+        t: Tick. is_custom: whether the force law is the user's own, for which steps are not shaped.
     """
     memory = t.memory
     work = t.work
     dt = work.dt
     last_time = memory.step_time
-    rise_time = 0.0 if own else t.model.step_time
-    remaining = 0.0 if own else memory.step_left  # share 1 − x of the rise time
+    rise_time = 0.0 if is_custom else t.model.step_time
+    remaining = 0.0 if is_custom else memory.step_left  # share 1 − x of the rise time
     if remaining > 0.0:
         remaining = max(remaining - dt / last_time, 0.0)
     smooth = remaining > 0.0 or rise_time > 0.0
@@ -160,7 +160,7 @@ def shape_steps(t, own):
         row.goal = goal
         row.scale = max(abs(goal), last.scale * (1.0 - _FADES * dt)) if smooth else 0.0
         approached = smooth and contact_of(t, j).phase == APPROACHING
-        row.shaped = 0 if own or approached else 1
+        row.shaped = 0 if is_custom or approached else 1
         start = work.alpha[j] if memory.ticked else 0.0  # force from which the step begins
         if last.has_desired:
             start = last.desired
@@ -239,48 +239,52 @@ def shape_squeeze(t):
 
 
 @leaf
-def _still_to_come(to_come, left):
+def _still_to_come(to_come, remaining):
     """Remainder w (N) of a step.
 
     Args:
-        to_come: a, b, c of the quintic (N). left: remaining share 1 − x of the rise time.
+        to_come: a, b, c of the quintic (N). remaining: remaining share 1 − x of the rise time.
     """
     a, b, c = to_come
-    x = 1.0 - left
-    return left * left * left * (a + x * (b + x * c))
+    x = 1.0 - remaining
+    return remaining * remaining * remaining * (a + x * (b + x * c))
 
 
 @inner
-def _add_step(to_come, step, left, stretch):
+def _add_step(to_come, step, remaining, stretch):
     """Coefficients a, b, c (N) of the quintic for the remainder of a former step and a new step.
 
     Args:
         to_come: a, b, c of the former step (N). step: size of the new step (N).
-        left: remaining share of the former step's rise time.
+        remaining: remaining share of the former step's rise time.
         stretch: ratio of the new rise time to the former one.
     """
-    return add3(_continue(to_come, left, stretch), step, (1.0, 3.0, 6.0))
+    return add3(_continue(to_come, remaining, stretch), step, (1.0, 3.0, 6.0))
 
 
 @inner
-def _continue(to_come, left, stretch):
+def _continue(to_come, remaining, stretch):
     """Coefficients a, b, c (N) of a quintic that continues another one with a new rise time.
 
     Value, slope and curvature of w are continuous.
 
     Args:
-        to_come: a, b, c of the former quintic (N). left: its remaining share 1 − x.
+        to_come: a, b, c of the former quintic (N). remaining: its remaining share 1 − x.
         stretch: ratio of the new rise time to the former one.
     """
     a, b, c = to_come
-    x = 1.0 - left
+    x = 1.0 - remaining
     P = a + x * (b + x * c)  # w = (1 − x)³ P(x)
     slope = b + 2.0 * x * c
     bend = 2.0 * c
     # w and its derivatives by the new x, whose unit is longer by the factor `stretch`
-    w = left * left * left * P
-    w_1 = stretch * (left * left) * (left * slope - 3.0 * P)
-    w_2 = (stretch * stretch) * left * (6.0 * P - 6.0 * left * slope + left * left * bend)
+    w = remaining * remaining * remaining * P
+    w_1 = stretch * (remaining * remaining) * (remaining * slope - 3.0 * P)
+    w_2 = (
+        (stretch * stretch)
+        * remaining
+        * (6.0 * P - 6.0 * remaining * slope + remaining * remaining * bend)
+    )
     # at x = 0 the new quintic has the value a, the slope b − 3a, the curvature 2c − 6b + 6a
     return w, w_1 + 3.0 * w, 0.5 * w_2 + 3.0 * w_1 + 6.0 * w
 
@@ -447,10 +451,10 @@ def _keep_squeeze(t):
     memory.squeeze_time = work.squeeze_time
     for bar in range(t.model.n_bars):
         row = memory.internal[bar]
-        now = work.internal[bar]
+        bar_work = work.internal[bar]
         row.desired = memory.squeeze[bar]
-        row.scale = now.scale
-        fill3(row.to_come, now.to_come)
+        row.scale = bar_work.scale
+        fill3(row.to_come, bar_work.to_come)
 
 
 @inner
@@ -471,7 +475,7 @@ def keep_steps(t):
     _keep_squeeze(t)
     for j in range(t.model.n_columns):
         row = t.memory.columns[j]
-        own = work.columns[j]
+        column_work = work.columns[j]
         if work.here[j] == 0.0:  # not in N: the next contact begins without a past
             row.has_desired = 0
             row.desired = row.scale = row.predicted = 0.0
@@ -484,15 +488,19 @@ def keep_steps(t):
             row.turn[:] = 0.0
             row.covariance[:] = 0.0
             continue
-        predict_force(t, row, own.goal, work.status == SATURATED, work.dt)
-        row.has_desired = own.shaped
+        predict_force(t, row, column_work.goal, work.status == SATURATED, work.dt)
+        row.has_desired = column_work.shaped
         row.desired = work.goal[j]
-        row.scale = own.scale
-        presses = own.shaped != 0 and work.alpha[j] > _PRESSES * work.goal[j] > 0.0
+        row.scale = column_work.scale
+        presses = column_work.shaped != 0 and work.alpha[j] > _PRESSES * work.goal[j] > 0.0
         # an approach shows no tilt of the face, so its whole speed counts as lasting
-        lasting = work.speeds[j] * (1.0 - own.slides if presses else 1.0)
+        lasting = work.speeds[j] * (1.0 - column_work.slides if presses else 1.0)
         row.drift += work.integral_scale * t.model.drift_share * (lasting - row.drift)
-        learn_normal(work.integral_scale * t.model.drift_share if presses else 0.0, row, own)
-        fill3(row.to_come, own.to_come)
+        learn_normal(
+            work.integral_scale * t.model.drift_share if presses else 0.0, row, column_work
+        )
+        fill3(row.to_come, column_work.to_come)
         if presses:
-            fill3(row.turn, add3(row.turn, work.integral_scale, minus3(own.turned, row.turn)))
+            fill3(
+                row.turn, add3(row.turn, work.integral_scale, minus3(column_work.turned, row.turn))
+            )

@@ -104,12 +104,12 @@ def _predict_friction(t, pair, X_WE, V_rel):
     work = t.work
     columns = work.columns
     V = local(6)
-    known = pair.has_friction != 0
-    if not known and model.reading == LEAST_SQUARES:
+    has_points = pair.has_friction != 0
+    if not has_points and model.reading == LEAST_SQUARES:
         for j in range(pair.count):
             fill3(columns[pair.first + j].slip, ZERO_3)
             fill(columns[pair.first + j].friction_wrench, ZERO)
-    if known and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
+    if has_points and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
         fill(V, add(V_rel, AHEAD * model.period, work.A_D))
         for j in range(pair.count):
             column = columns[pair.first + j]

@@ -13,16 +13,16 @@ _LEAST = 0.1  #: largest floor of a force command, as a share of the desired for
 
 
 @leaf
-def integral_room(most, desired):
-    """Bound of a force integral: `_WINDUP` times the desired force, at least `most`.
+def integral_room(setting, desired):
+    """Bound of a force integral: `_WINDUP` times the desired force, at least `setting`.
 
     Args:
-        most: setting `integral_force` (N). desired: desired force (N).
+        setting: setting `integral_force` (N). desired: desired force (N).
 
     Returns:
         Bound (N).
     """
-    return max(_WINDUP * abs(desired), most)
+    return max(_WINDUP * abs(desired), setting)
 
 
 @leaf

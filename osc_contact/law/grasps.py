@@ -77,7 +77,7 @@ def grasp_rows(arm, work, C, axes, out):
 
 
 @inner
-def find_twist(t, given):
+def find_twist(t, is_given):
     """Compute orthonormal N and T of every grasp, and the twist of the object at C.
 
     With a leader (an arm that holds rigidly) the object moves with its tip. Without one, the twist
@@ -86,7 +86,7 @@ def find_twist(t, given):
     `V_C` unless it is given.
 
     Args:
-        t: Tick. given: whether the twist is given in `V_C`.
+        t: Tick. is_given: whether the twist is given in `V_C`.
 
     Returns:
         False if the grasps do not determine the twist.
@@ -110,11 +110,11 @@ def find_twist(t, given):
             return False
         if not orthonormalise(motions, 6 - arm.m, 0, motions, factor) > 0.0:  # also if NaN
             return False
-        if model.leader < 0 and not given:
+        if model.leader < 0 and not is_given:
             twist = energy_motion(work.axes, row.V)
             for a in range(arm.m):
                 _add_condition(row.passed[a], dot6(row.passed[a], twist), A, x)
-    if given:
+    if is_given:
         return True
     if model.leader >= 0:
         fill(work.V_C, work.arms[model.leader].V)
@@ -154,7 +154,7 @@ def add_slip(V, V_C, gamma):
 
 
 @inner
-def filter_outboard(t, arm, own, bias):
+def filter_outboard(t, arm, arm_work, bias):
     """Add the inertia Λ_out (transposed) and the bias of a gripper that can move by itself.
 
     P has the wrenches of the outboard bodies per joint acceleration. A motion of the joints that
@@ -164,12 +164,12 @@ def filter_outboard(t, arm, own, bias):
     to `out_T` and `bias_e`.
 
     Args:
-        t: Tick. arm: ARM row. own: its ARM_WORK. bias: (6,) wrench of the outboard bodies at
+        t: Tick. arm: ARM row. arm_work: its ARM_WORK. bias: (6,) wrench of the outboard bodies at
             q̈ = 0, at C, overwritten.
     """
     work = t.work
-    F = own.filter
-    T = own.passed[arm.m :]
+    F = arm_work.filter
+    T = arm_work.passed[arm.m :]
     n = arm.end - arm.first
     count = 6 - arm.m
     H = local(6, 6)  # P J̄
@@ -181,7 +181,7 @@ def filter_outboard(t, arm, own, bias):
         P = work.joints[j].outboard
         bar = work.joints[j].J_bar
         fill(P, energy_wrench(work.axes, P))
-        accumulate(bias, -dot6(bar, own.gamma), P)
+        accumulate(bias, -dot6(bar, arm_work.gamma), P)
         for a in range(6):
             accumulate(H[a], P[a], bar)
     largest = 0.0
@@ -396,8 +396,8 @@ def find_object(t, X):
     x = local(6)
     r = local(6)
     for k in range(t.model.n_arms):
-        own = work.arms[k]
-        place_frame(work.joints[arms[k].tip_joint], arms[k].tip, own.tip, own.tip[3])
+        arm_work = work.arms[k]
+        place_frame(work.joints[arms[k].tip_joint], arms[k].tip, arm_work.tip, arm_work.tip[3])
     _square_up(X)
     size = 1.0
     for _ in range(50):
@@ -406,17 +406,19 @@ def find_object(t, X):
         A[:] = 0.0
         for k in range(t.model.n_arms):
             arm = arms[k]
-            own = work.arms[k]
+            arm_work = work.arms[k]
             if arm.kind == BALL or arm.kind == HINGE:
-                _miss(arm, own.tip, X, r)
+                _miss(arm, arm_work.tip, X, r)
             else:
-                _miss_of_group(arm, own.tip, X, r)
-            grasp_rows(arm, own, work.p_C, work.axes, own.passed)
-            if not orthonormalise(own.passed, arm.m, 0, own.passed, factor) > 0.0:  # also if NaN
+                _miss_of_group(arm, arm_work.tip, X, r)
+            grasp_rows(arm, arm_work, work.p_C, work.axes, arm_work.passed)
+            if (
+                not orthonormalise(arm_work.passed, arm.m, 0, arm_work.passed, factor) > 0.0
+            ):  # also if NaN
                 return False
             forward(factor, arm.m, r)
             for a in range(arm.m):
-                _add_condition(own.passed[a], -r[a], A, x)
+                _add_condition(arm_work.passed[a], -r[a], A, x)
         if not cholesky(A, 0, 6, factor) > KNOWN:  # also if NaN
             return False
         cholesky_solve(factor, 6, x)

@@ -217,22 +217,22 @@ def _weigh(t, k, world, outboard):
     """
     model = t.model
     arm = model.arms[k]
-    own = t.memory.arms[k]
+    arm_memory = t.memory.arms[k]
     if arm.sensor_joint < 0 or t.memory.state != SAFE_STOP:
         return
     joint = t.work.joints[arm.sensor_joint]
     wrench = read_wrist(t.memory.wrenches[k], joint, arm.sensor, world)
-    share = model.period / (_SHAKES + model.period) if own.weighed else 1.0
-    if own.weighed == 0:
-        own.let_go = own.holds = 0
-        own.light = 0.0
-    own.weighed = 1
-    load = add3(own.load, share, minus3(minus3(wrench, outboard), own.load))
-    fill3(own.load, load)
-    is_light = own.holds == 0 and sqrt(dot3(load, load)) < _LIGHT * _weight_share(t)
-    own.light = own.light + model.period if is_light else 0.0
-    if own.light > LET_GO_TIME:
-        own.let_go = 1
+    share = model.period / (_SHAKES + model.period) if arm_memory.weighed else 1.0
+    if arm_memory.weighed == 0:
+        arm_memory.let_go = arm_memory.holds = 0
+        arm_memory.light = 0.0
+    arm_memory.weighed = 1
+    load = add3(arm_memory.load, share, minus3(minus3(wrench, outboard), arm_memory.load))
+    fill3(arm_memory.load, load)
+    is_light = arm_memory.holds == 0 and sqrt(dot3(load, load)) < _LIGHT * _weight_share(t)
+    arm_memory.light = arm_memory.light + model.period if is_light else 0.0
+    if arm_memory.light > LET_GO_TIME:
+        arm_memory.let_go = 1
 
 
 @inner
@@ -282,18 +282,18 @@ def _split_torques(t, arm, part, R, centre, weight):
 
 
 @leaf
-def _clip_brake(joint, most):
+def _clip_brake(joint, limit):
     """Limit the braking torque of a joint so that its sum with the carrying torque is within ±most.
 
     Args:
         joint: JOINT_WORK, of which `rest` (braking) and `tau` (carrying) are read (N m, N).
-        most: torque limit of the motor (N m, N).
+        limit: torque limit of the motor (N m, N).
 
     Returns:
         The limited braking torque (N m, N).
     """
-    low = min(-most - joint.tau, 0.0)
-    high = max(most - joint.tau, 0.0)
+    low = min(-limit - joint.tau, 0.0)
+    high = max(limit - joint.tau, 0.0)
     return min(max(joint.rest, low), high)
 
 
@@ -339,16 +339,16 @@ def _carry_weight(t, R, centre, weight):
     """
     model = t.model
     memory = t.memory
-    own = model.X_LP
+    axes_frame = model.X_LP
     fill(weight, ZERO)
     if model.held == 0 or (model.leader < 0 and memory.located == 0):
         return False
     if model.leader >= 0:
         tip = t.work.joints[model.arms[model.leader].tip_joint]
-        place_frame(tip, own, R, centre)
+        place_frame(tip, axes_frame, R, centre)
     else:
-        fill3(centre, transformed(origin(memory.X_WO), memory.X_WO, own[9:]))
-        turn_axes(memory.X_WO, own, R)
+        fill3(centre, transformed(origin(memory.X_WO), memory.X_WO, axes_frame[9:]))
+        turn_axes(memory.X_WO, axes_frame, R)
     force = scaled3(-model.principal[0], model.gravity)
     fill(weight, join(force, cross(centre, force)))
     return True

@@ -45,15 +45,15 @@ def watch_hops(t):
     for j in range(model.n_columns):
         if contact_of(t, j).active == 0:
             _forget(memory.columns[j])
-    most = 0.0
+    largest_share = 0.0
     for a in range(work.rank):
         j = work.kept[a]
         row = memory.columns[j]
         approached = model.phased != 0 and contact_of(t, j).phase == APPROACHING
         _note_force(row, work.alpha_meas[a], work.alpha_d[a], approached, work.dt)
         hops = row.hop_share >= model.hop_share and row.hop_rate >= model.hop_rate
-        if hops and row.hop_share > most:
-            most = row.hop_share
+        if hops and row.hop_share > largest_share:
+            largest_share = row.hop_share
             memory.hopping = 1 + j
     if memory.hopping > 0 and model.hop_stops:
         memory.culprit = memory.hopping - 1
@@ -82,15 +82,15 @@ def _note_force(row, force, command, approached, dt):
             being approached, at first or after a loss. dt: time since the last tick (s).
     """
     size = abs(command)
-    along = force if command > 0.0 else -force
+    pressing = force if command > 0.0 else -force
     judged = size > _LIGHT or approached
-    gone = approached or along < _LOW * size
-    low = judged and gone and row.pressing != _UNMET
+    is_gone = approached or pressing < _LOW * size
+    low = judged and is_gone and row.pressing != _UNMET
     k = dt / (_WINDOW + dt)
     row.hop_share += k * ((1.0 if low else 0.0) - row.hop_share)
     row.hop_rate -= k * row.hop_rate
     if low and row.pressing == _PRESSING:
         row.pressing = _GONE
         row.hop_rate += 1.0 / (_WINDOW + dt)
-    elif judged and not gone and along > _FIRM * size:
+    elif judged and not is_gone and pressing > _FIRM * size:
         row.pressing = _PRESSING

@@ -63,7 +63,7 @@ def values_read(function: FunctionType) -> dict[str, Any]:
     Args:
         function: a Python function. Names of Python's builtins are left out.
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, *members in _paths(function.__code__):
         if name not in function.__globals__:
             continue  # a name of Python's builtins
@@ -74,8 +74,8 @@ def values_read(function: FunctionType) -> dict[str, Any]:
                 break
             value = getattr(value, member)
             path = f"{path}.{member}"
-        found[path] = value
-    return found
+        values[path] = value
+    return values
 
 
 @cache
@@ -87,18 +87,20 @@ def _paths(code: CodeType) -> tuple[tuple[str, ...], ...]:
     Args:
         code: code object of the function.
     """
-    found: list[tuple[str, ...]] = []
+    paths_here: list[tuple[str, ...]] = []
     follows = False
     for step in dis.get_instructions(code):
         if step.opname == "LOAD_GLOBAL":
-            found.append((str(step.argval),))
+            paths_here.append((str(step.argval),))
             follows = True
         elif step.opname in ("LOAD_ATTR", "LOAD_METHOD") and follows:
-            found[-1] += (str(step.argval),)
+            paths_here[-1] += (str(step.argval),)
         elif step.opname not in ("CACHE", "EXTENDED_ARG", "PUSH_NULL"):
             follows = False
-    inner = [_paths(constant) for constant in code.co_consts if isinstance(constant, CodeType)]
-    return (*found, *(path for paths in inner for path in paths))
+    inner_paths = [
+        _paths(constant) for constant in code.co_consts if isinstance(constant, CodeType)
+    ]
+    return (*paths_here, *(path for paths in inner_paths for path in paths))
 
 
 @cache

@@ -267,7 +267,7 @@ else:
         kind = types.NestedArray(types.float64, shape)
 
         def generate(
-            context: CPUContext, builder: Builder, signature: Signature, given: Values
+            context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
             """Generate code that reserves the memory, once for each call of the function."""
             with builder.goto_entry_block():
@@ -357,11 +357,11 @@ else:
         """
 
         def generate(
-            context: CPUContext, builder: Builder, signature: Signature, given: Values
+            context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
             """Generate the call."""
             kind = ir.FunctionType(ir.VoidType(), [ir.IntType(64)] * 6)
-            builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
+            builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])
             return context.get_dummy_value()
 
         return types.void(*[types.uintp] * 7), generate

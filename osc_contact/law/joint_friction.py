@@ -109,7 +109,7 @@ _ACCELERATION = FRICTION  #: element of `smooth`, which has the acceleration in 
 
 
 @inner
-def observe_arm(t, arm, own, sound, dt):
+def observe_arm(t, arm, arm_work, sound, dt):
     """Update `residual` (N m, N) of the motors from the base to the wrist sensor of an arm.
 
     All terms pass the same low-pass. Loads are averaged over this tick and the last one, because
@@ -118,30 +118,30 @@ def observe_arm(t, arm, own, sound, dt):
     estimate of friction if it is enabled.
 
     Args:
-        t: Tick. arm: ARM. own: its ARM_WORK. sound: whether no fault of its wrist sensor has been
-            detected. dt: time since the last computed tick (s).
+        t: Tick. arm: ARM. arm_work: its ARM_WORK. sound: whether no fault of its wrist sensor has
+            been detected. dt: time since the last computed tick (s).
     """
     work = t.work
     joints = work.joints
-    known = t.memory.joints
+    memory_rows = t.memory.joints
     begins = t.memory.balanced <= 1  # without a last tick
     k = 0.0 if begins else max(dt / (LAG + dt), 1.0 / (t.memory.balanced - 1))  # first plain means
     # wrenches that carry (at q̈ = 0) and accelerate the bodies beyond the wrist, the first negative
-    bias = scaled(-1.0, own.bias)
+    bias = scaled(-1.0, arm_work.bias)
     inertia_force = ZERO
     for j in range(arm.first, arm.end):
         v = joints[j].v
-        known[j].rate += k * ((v - known[j].past_v) / dt - known[j].rate)
-        known[j].past_v = v
+        memory_rows[j].rate += k * ((v - memory_rows[j].past_v) / dt - memory_rows[j].rate)
+        memory_rows[j].past_v = v
         if arm.outer_joint >= 0:  # in energy coordinates
-            inertia_force = add(inertia_force, known[j].rate, joints[j].outboard)
+            inertia_force = add(inertia_force, memory_rows[j].rate, joints[j].outboard)
             if arm.filtered:
                 bias = add(bias, joints[j].offset, joints[j].outboard)
     inertia_force = world_wrench(work.axes, inertia_force)
     if arm.outer_joint >= 0 and arm.filtered:
         bias = world_wrench(work.axes, bias)
-    wrench = read_wrist(own.reading, joints[arm.sensor_joint], arm.sensor, work.p_C)
-    fill(own.net, minus(plus(wrench, bias), inertia_force))
+    wrench = read_wrist(arm_work.reading, joints[arm.sensor_joint], arm.sensor, work.p_C)
+    fill(arm_work.net, minus(plus(wrench, bias), inertia_force))
     for j in range(arm.first, arm.sensor_joint + 1):
         if t.model.joints[j].motor < 0:
             continue
@@ -168,42 +168,51 @@ def _observe_joint(t, arm, j, wrench, bias, inertia_force, k, dt):
         Acceleration of the joint (rad/s², m/s²) and torque M q̈ − Jᵀ w_out (N m, N), of the instant
         of the wrench.
     """
-    known = t.memory.joints
-    row = known[j]
-    own = t.work.joints[j]
+    memory_rows = t.memory.joints
+    row = memory_rows[j]
+    joint_work = t.work.joints[j]
     joint = t.model.joints[j]
-    inertial = -dot6(own.column, inertia_force)
+    inertial = -dot6(joint_work.column, inertia_force)
     for i in range(arm.first, arm.end):
-        inertial += own.M[i - arm.first] * known[i].rate
-    weight = own.h + dot6(own.column, bias)
+        inertial += joint_work.M[i - arm.first] * memory_rows[i].rate
+    weight = joint_work.h + dot6(joint_work.column, bias)
     if t.memory.balanced <= 1:  # without a last tick
         row.past_weight = weight
     mean_weight = 0.5 * (weight + row.past_weight)
     row.past_weight = weight
     torque = t.memory.torques[joint.motor] - mean_weight
     # in the order of the constants TORQUE … INERTIAL
-    now = (torque, row.sign, row.speed, row.past_v, row.friction, mean_weight, row.rate, inertial)
+    signals = (
+        torque,
+        row.sign,
+        row.speed,
+        row.past_v,
+        row.friction,
+        mean_weight,
+        row.rate,
+        inertial,
+    )
     if t.memory.stamped:
-        now = _align(t, t.memory.past[j], now, int(dt / t.model.period + 0.5))
-    torque = now[TORQUE]
+        signals = _align(t, t.memory.past[j], signals, int(dt / t.model.period + 0.5))
+    torque = signals[TORQUE]
     bound = _OUTLIER * joint.tau_max
-    load = min(max(dot6(own.column, wrench), torque - bound), torque + bound)
+    load = min(max(dot6(joint_work.column, wrench), torque - bound), torque + bound)
     row.means[TORQUE] += k * (torque - 0.5 * (load + row.load) - row.means[TORQUE])
     row.load = load
     for i in range(SIGN, RATE):
-        row.means[i] += k * (now[i] - row.means[i])
-    row.residual = row.means[TORQUE] - now[INERTIAL]
-    return now[RATE], now[INERTIAL]
+        row.means[i] += k * (signals[i] - row.means[i])
+    row.residual = row.means[TORQUE] - signals[INERTIAL]
+    return signals[RATE], signals[INERTIAL]
 
 
 @leaf
-def _align(t, row, now, ticks):
+def _align(t, row, signals, ticks):
     """Store the signals of this tick; return those of the instant at which the wrench was measured.
 
     Args:
         t: Tick.
         row: PAST of the joint, changed: the signals are stored for lost ticks, too.
-        now: eight signals of this tick, from TORQUE to INERTIAL.
+        signals: eight signals of this tick, from TORQUE to INERTIAL.
         ticks: ticks since the signals were last stored.
 
     Returns:
@@ -212,10 +221,10 @@ def _align(t, row, now, ticks):
     memory = t.memory
     for i in range(min(ticks, HISTORY)):
         at = (memory.instant - i) % HISTORY
-        for kind in range(len(now)):
-            row.history[at, kind] = now[kind]
-    kept = min(memory.balanced - 1, memory.instant - memory.stamped, HISTORY - 1)
-    x = row.history[(memory.instant - min(memory.late, kept)) % HISTORY]
+        for kind in range(len(signals)):
+            row.history[at, kind] = signals[kind]
+    oldest = min(memory.balanced - 1, memory.instant - memory.stamped, HISTORY - 1)
+    x = row.history[(memory.instant - min(memory.late, oldest)) % HISTORY]
     return join(six(x), (x[RATE], x[INERTIAL]))
 
 
@@ -316,9 +325,9 @@ def _smooth_regressors(row, learned, rate, inertial, k):
     rotor = row.rotor * rate
     torque = row.residual + rotor
     load = means[WEIGHT] + inertial - rotor
-    now = (torque, means[SIGN], means[SPEED], means[V], rate, load)
-    for i in range(len(now)):
-        smooth[i] += k * (now[i] - smooth[i])
+    signals = (torque, means[SIGN], means[SPEED], means[V], rate, load)
+    for i in range(len(signals)):
+        smooth[i] += k * (signals[i] - smooth[i])
 
 
 @leaf
@@ -374,10 +383,10 @@ def _all_closed(t):
     Args:
         t: Tick, of which `phase` of the contacts in MEMORY is read.
     """
-    closed = True
+    all_closed = True
     for c in range(t.model.n_contacts):
-        closed = closed and t.memory.contacts[c].phase != APPROACHING
-    return closed
+        all_closed = all_closed and t.memory.contacts[c].phase != APPROACHING
+    return all_closed
 
 
 @leaf
@@ -394,7 +403,7 @@ def _estimate(t, j, moves, k, dt):
     """
     prior = t.model.priors[j]
     learned = t.memory.friction[j]
-    known = t.memory.friction_known
+    states = t.memory.friction_known
     smooth = learned.smooth
     a = smooth[_ACCELERATION]
     estimate = learned.estimate  # F, D, A, bias, μ
@@ -413,10 +422,10 @@ def _estimate(t, j, moves, k, dt):
         _regress(prior, learned, phi, smooth[TORQUE], k, dt)
     C = local(_SIZE, _SIZE)
     _keep_bounds(prior, learned, C)
-    if known[j] == SUSPECTED and (
+    if states[j] == SUSPECTED and (
         sticks or holds or _test_and_reset_friction(prior, t.model.joints[j].theta, learned, phi, C)
     ):
-        known[j] = LEARNED
+        states[j] = LEARNED
         _keep_bounds(prior, learned, C)
 
 
@@ -485,7 +494,7 @@ def _keep_bounds(prior, learned, C):
 
 
 @leaf
-def _test_and_reset_friction(prior, known, learned, phi, C):
+def _test_and_reset_friction(prior, model_theta, learned, phi, C):
     """Test F, D and A against the model by χ², and reset them to the model's values.
 
     χ² = Σ (θ_i − known_i)²/C_ii over i = F, D, A, where each term is conditioned on those before
@@ -493,7 +502,8 @@ def _test_and_reset_friction(prior, known, learned, phi, C):
     them; the caller restores `theta` where the test shows friction.
 
     Args:
-        prior: PRIOR of a joint. known: (5,) θ of its model. learned: its FRICTION; `theta` changed.
+        prior: PRIOR of a joint. model_theta: (5,) θ of its model. learned: its FRICTION; `theta`
+            changed.
         phi: (5,) regressor. C: (5, 5) covariance of `theta`, overwritten.
 
     Returns:
@@ -503,13 +513,13 @@ def _test_and_reset_friction(prior, known, learned, phi, C):
     torque = 0.0
     distance = 0.0
     for i in range(3):
-        torque += phi[i] * (theta[i] - known[i])
+        torque += phi[i] * (theta[i] - model_theta[i])
     for i in range(3):
         if C[i, i] > 0.0:
-            difference = theta[i] - known[i]
+            difference = theta[i] - model_theta[i]
             distance += difference * difference / C[i, i]
-            _condition(theta, C, i, known[i])
-        theta[i] = known[i]
+            _condition(theta, C, i, model_theta[i])
+        theta[i] = model_theta[i]
     return distance > prior.sure * prior.sure and abs(torque) > _LEAST * prior.noise
 
 
@@ -585,10 +595,10 @@ def compensate_friction(t):
     """
     permit_speeds(t)
     for j in range(t.model.n_joints):
-        own = t.work.joints[j]
+        joint_work = t.work.joints[j]
         if t.model.joints[j].motor >= 0:
-            own.friction = _compensation(t, j)
-            own.tau += own.friction
+            joint_work.friction = _compensation(t, j)
+            joint_work.tau += joint_work.friction
 
 
 @leaf
@@ -631,11 +641,11 @@ def _theta(t, j):
     Returns:
         F (N m, N), D (N m s/rad, N s/m) and A (kg m², kg).
     """
-    known = t.model.joints[j].theta
-    theta = linear(known)
+    model_theta = t.model.joints[j].theta
+    theta = linear(model_theta)
     if t.memory.friction_known[j] == LEARNED:
         learned = t.memory.friction[j]
-        theta = add3(theta, learned.applied, minus3(learned.theta, known))
+        theta = add3(theta, learned.applied, minus3(learned.theta, model_theta))
     return theta[0], theta[1], theta[2] - t.memory.joints[j].rotor
 
 

@@ -21,9 +21,9 @@ def layout_word(builder: Builder, record: Value, slot: int) -> Value:
             word.
     """
     words = builder.bitcast(record, WORD.as_pointer())
-    found = builder.load(builder.gep(words, [WORD(slot)]))
-    found.set_metadata("invariant.load", builder.module.add_metadata([]))
-    return found
+    word = builder.load(builder.gep(words, [WORD(slot)]))
+    word.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return word
 
 
 def table_address(builder: Builder, record: Value, slot: int) -> Value:

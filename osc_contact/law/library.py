@@ -41,11 +41,11 @@ HEADERS = sysconfig.get_paths()["include"]
 @cache
 def law_hash() -> str:
     """Hash (SHA-256) of all sources of the law."""
-    here = Path(__file__).parent
-    found = sha256()
-    for source in (*sorted(here.glob("*.py")), here / "extension.c"):
-        found.update(source.read_bytes())
-    return found.hexdigest()
+    folder = Path(__file__).parent
+    hash_sum = sha256()
+    for source in (*sorted(folder.glob("*.py")), folder / "extension.c"):
+        hash_sum.update(source.read_bytes())
+    return hash_sum.hexdigest()
 
 
 def obstacle() -> str:
@@ -139,10 +139,10 @@ def found_in(folder: Path) -> Any:
     if not (may_keep(folder.parent) and may_keep(folder)):
         return None
     try:
-        whole = (folder / CHECKSUM).read_text("ascii", "replace") == checksum(folder)
+        is_complete = (folder / CHECKSUM).read_text("ascii", "replace") == checksum(folder)
     except OSError:
         return None
-    return load(folder / LIBRARY) if whole else None
+    return load(folder / LIBRARY) if is_complete else None
 
 
 def load(path: Path) -> Any:

@@ -173,16 +173,18 @@ class View:
         Raises:
             AttributeError: the record has no such table or field.
         """
-        own = self.__dict__
+        attributes = self.__dict__
         try:
-            if name in own["kind"].tables:
-                found = own["kind"].table(own["raw"], own["head"]["layout"], name)
+            if name in attributes["kind"].tables:
+                value = attributes["kind"].table(
+                    attributes["raw"], attributes["head"]["layout"], name
+                )
             else:
-                found = own["head"][name]
+                value = attributes["head"][name]
         except (KeyError, ValueError) as error:
             raise AttributeError(name) from error
-        own[name] = found
-        return found
+        attributes[name] = value
+        return value
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set a field of the head.

@@ -131,10 +131,10 @@ def pointer_to(kind: Layout) -> Any:
         """
 
         def generate(
-            context: CPUContext, builder: Builder, signature: Signature, given: Values
+            context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
             """Generate the conversion of the integer to a pointer."""
-            return builder.inttoptr(given[0], context.get_value_type(record))
+            return builder.inttoptr(values[0], context.get_value_type(record))
 
         return record(types.uintp), generate
 
@@ -195,10 +195,10 @@ def _start(slot: int) -> Any:
         """
 
         def generate(
-            context: CPUContext, builder: Builder, signature: Signature, given: Values
+            context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
             """Generate code for the address."""
-            return table_address(builder, given[0], slot)
+            return table_address(builder, values[0], slot)
 
         return types.voidptr(record), generate
 
@@ -221,10 +221,10 @@ def _count(slot: int) -> Any:
         """
 
         def generate(
-            context: CPUContext, builder: Builder, signature: Signature, given: Values
+            context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
             """Generate code that loads the size."""
-            return layout_word(builder, given[0], slot)
+            return layout_word(builder, values[0], slot)
 
         return types.intp(record), generate
 

@@ -42,7 +42,7 @@ _DEFINITE = 1e-12  #: least relative pivot of an effort metric
 
 
 @inner
-def arm_terms(t, lo, n, m, arm, row):
+def arm_terms(t, first_joint, n, m, arm, row):
     """Compute J̄, Λ and the locked wrenches of one arm in energy coordinates.
 
     Reads J and M of its joints, and `passed` of the arm unless m = 6. Fills J̄ of the joints and,
@@ -54,8 +54,8 @@ def arm_terms(t, lo, n, m, arm, row):
     QR of `_decompose` is used if the bound 1/trace(Λ) of the least σ² is above this threshold.
 
     Args:
-        t: Tick. lo: first joint of the arm. n: number of its joints. m: number of independent
-            wrenches that its grasp transmits. arm: ARM_WORK row.
+        t: Tick. first_joint: first joint of the arm. n: number of its joints. m: number of
+            independent wrenches that its grasp transmits. arm: ARM_WORK row.
         row: first row of `locked_rows` for the locked wrenches of this arm.
 
     Returns:
@@ -63,13 +63,13 @@ def arm_terms(t, lo, n, m, arm, row):
     """
     if m == 6:  # all wrenches: the axes themselves are orthonormal
         set_identity(arm.passed)
-        if _decompose(t, lo, n, arm, row):
+        if _decompose(t, first_joint, n, arm, row):
             trace = 0.0
             for i in range(6):
                 trace += arm.Lambda[i, i]
             if trace * t.model.rank_tolerance * t.model.rank_tolerance < 1.0:
                 return arm.n_locked
-    return arm.n_locked if _separate(t, lo, n, m, arm, row) else -1
+    return arm.n_locked if _separate(t, first_joint, n, m, arm, row) else -1
 
 
 @leaf
@@ -306,20 +306,20 @@ def multiply_rows(rows, count, Y, n, out):
 
 
 @inner
-def null_motions(own, Y, n, motions):
+def null_motions(arm_work, Y, n, motions):
     """Compute an orthonormal basis of joint motions v; from row `n_kept` on U Yᵀv = 0.
 
     Args:
-        own: ARM_WORK, of which `kept` is read, U, the wrenches that the joints resist.
+        arm_work: ARM_WORK, of which `kept` is read, U, the wrenches that the joints resist.
         Y: (n, 6), for example Jᵀ or K⁻¹Jᵀ. n: number of joints of the arm.
         motions: (n, n), filled with one motion in each row.
     """
     X = local(6, JOINTS_AND_SIX)
     diagonal = local(MAX_JOINTS)
     beta = local(MAX_JOINTS)
-    multiply_rows(own.kept, own.n_kept, Y, n, X)
-    qr_rows(X, own.n_kept, n, diagonal, beta)
-    form_q(X, own.n_kept, n, beta, n, motions)
+    multiply_rows(arm_work.kept, arm_work.n_kept, Y, n, X)
+    qr_rows(X, arm_work.n_kept, n, diagonal, beta)
+    form_q(X, arm_work.n_kept, n, beta, n, motions)
 
 
 @leaf
@@ -380,27 +380,27 @@ _SMALL = 1e-9  #: χ below which a direction does not determine a motion of the 
 
 
 @leaf
-def may_be_singular(t, arm, own):
+def may_be_singular(t, arm, arm_work):
     """Whether a χ of an arm may be below FULL, by a conservative bound.
 
     ΣΣ Λ_ij²/(Λ_ii Λ_jj)_ref ≥ 1/χ⁴ for every χ, in energy coordinates.
 
     Args:
-        t: Tick. arm: ARM row. own: its ARM_WORK.
+        t: Tick. arm: ARM row. arm_work: its ARM_WORK.
     """
-    if own.n_kept < arm.full_rank:
+    if arm_work.n_kept < arm.full_rank:
         return True
     s = 0.0
     for i in range(6):
         row = 0.0
         for j in range(6):
-            row += own.Lambda[i, j] * own.Lambda[i, j] * t.model.lightness[j]
+            row += arm_work.Lambda[i, j] * arm_work.Lambda[i, j] * t.model.lightness[j]
         s += row * t.model.lightness[i]
     return s * FULL * FULL * FULL * FULL >= 1.0
 
 
 @inner
-def find_lost(t, arm, own):
+def find_lost(t, arm, arm_work):
     """Find all directions of an arm whose χ is below FULL.
 
     Reads `passed`, `n_kept`, and J and M of the joints. Fills `n_lost` of the arm and, for each
@@ -409,14 +409,14 @@ def find_lost(t, arm, own):
     to `n_lost` of WORK.
 
     Args:
-        t: Tick. arm: ARM row. own: its ARM_WORK.
+        t: Tick. arm: ARM row. arm_work: its ARM_WORK.
     """
     work = t.work
     n = arm.end - arm.first
     m = arm.m
     K = local(MAX_JOINTS, MAX_JOINTS)
     weighed = local(MAX_JOINTS, 6)
-    passed = local(6, 6)  # wrenches that the grasp transmits, weighted by Λ_ref
+    wrenches = local(6, 6)  # wrenches that the grasp transmits, weighted by Λ_ref
     factor = local(6, 6)
     root = local(6)
     X = local(6, JOINTS_AND_SIX)
@@ -425,11 +425,11 @@ def find_lost(t, arm, own):
     for i in range(6):
         root[i] = sqrt(t.model.reference[i])
         for a in range(m):
-            passed[a, i] = own.passed[a, i] / root[i]
+            wrenches[a, i] = arm_work.passed[a, i] / root[i]
         for j in range(n):
             weighed[j, i] *= root[i]
-    orthonormalise(passed, m, 0, passed, factor)
-    multiply_rows(passed, m, weighed, n, X)
+    orthonormalise(wrenches, m, 0, wrenches, factor)
+    multiply_rows(wrenches, m, weighed, n, X)
     one_sided_jacobi(X, m, n, 6)
     _sort_rows(X, m, n)
     for k in range(arm.full_rank):
@@ -437,17 +437,17 @@ def find_lost(t, arm, own):
         _unit_row(X, k, n, chi)
         if chi >= FULL:
             continue
-        at = own.n_lost
-        own.chi[at] = chi
+        at = arm_work.n_lost
+        arm_work.chi[at] = chi
         s = max((chi - NONE_LEFT) / (FULL - NONE_LEFT), 0.0)
-        own.share[at] = s * s * (3.0 - 2.0 * s)  # 0 at χ ≤ NONE_LEFT, 1 at FULL
-        own.gone[at] = k >= own.n_kept
+        arm_work.share[at] = s * s * (3.0 - 2.0 * s)  # 0 at χ ≤ NONE_LEFT, 1 at FULL
+        arm_work.gone[at] = k >= arm_work.n_kept
         for i in range(6):
-            own.lost[at, i] = root[i] * X[k, n + i]
+            arm_work.lost[at, i] = root[i] * X[k, n + i]
         for j in range(n):
-            own.mode[at, j] = X[k, j]
-        backward(K, n, own.mode[at])
-        own.n_lost += 1
+            arm_work.mode[at, j] = X[k, j]
+        backward(K, n, arm_work.mode[at])
+        arm_work.n_lost += 1
         work.n_lost += 1
 
 
@@ -460,16 +460,16 @@ def _sort_rows(X, m, n):
             length counts; n + 6 elements of each row are moved.
     """
     for a in range(m):
-        best = a
+        selected = a
         longest = -1.0
         for b in range(a, m):
             square = dot(X[b], X[b], n)
             if square > longest:
-                best = b
+                selected = b
                 longest = square
-        if best != a:
+        if selected != a:
             for j in range(n + 6):
-                X[a, j], X[best, j] = X[best, j], X[a, j]
+                X[a, j], X[selected, j] = X[selected, j], X[a, j]
 
 
 @inner
@@ -570,8 +570,8 @@ def _arm_at_tip(t, n, q, v, out):
     work = t.work
     joints = work.joints
     arm = model.arms[0]
-    own = work.arms[0]
-    drift = own.drift
+    arm_work = work.arms[0]
+    drift = arm_work.drift
     root = local(6)
     K = local(MAX_JOINTS, MAX_JOINTS)
     weighed = local(MAX_JOINTS, 6)
@@ -580,14 +580,16 @@ def _arm_at_tip(t, n, q, v, out):
     p = ZERO
     place_arm(t, arm, q)
     fill3(work.p_C, place_point(joints[arm.tip_joint], arm.tip[9:]))
-    move_arm(t, arm, v, work.p_C, own.V, drift, own.bias)
-    fill3(drift, plus3(drift, cross(own.V[3:], own.V)))  # from spatial acceleration to rate of J q̇
+    move_arm(t, arm, v, work.p_C, arm_work.V, drift, arm_work.bias)
+    fill3(
+        drift, plus3(drift, cross(arm_work.V[3:], arm_work.V))
+    )  # from spatial acceleration to rate of J q̇
     for i in range(6):
         root[i] = model.roots[max(i - 2, 0)]
     for j in range(n):
         for i in range(6):
             joints[j].J[i] = root[i] * joints[j].column[i]
-    if arm_terms(t, 0, n, 6, own, 0) < 0:
+    if arm_terms(t, 0, n, 6, arm_work, 0) < 0:
         return False
     weigh_joints(joints, 0, n, K, weighed)
     Phi[:] = 0.0
@@ -601,7 +603,7 @@ def _arm_at_tip(t, n, q, v, out):
         mu = add(mu, joints[j].h - g, bar)
     for a in range(6):
         for b in range(6):
-            own.Lambda[a, b] *= root[a] * root[b]
+            arm_work.Lambda[a, b] *= root[a] * root[b]
             Phi[a, b] /= root[a] * root[b]
     _write_terms(t, n, Phi, mu, p, out)
     return True
@@ -615,19 +617,19 @@ def _write_terms(t, n, Phi, mu, p, out):
         t: Tick, with Λ, J̇v and the rank of its arm 0, and J, J̄ and h of the joints.
         n: number of joints. Phi: (6, 6). mu: (6,), without Λ J̇v yet. p: (6,). out: row, filled.
     """
-    own = t.work.arms[0]
+    arm_work = t.work.arms[0]
     joints = t.work.joints
     at = 12 * n + 72  # behind all matrices
     for a in range(6):
         for b in range(6):
-            out[6 * a + b] = own.Lambda[a, b]
+            out[6 * a + b] = arm_work.Lambda[a, b]
             out[36 + 6 * a + b] = Phi[a, b]
         for j in range(n):
             out[72 + a * n + j] = joints[j].column[a]
             out[72 + 6 * (n + j) + a] = joints[j].J_bar[a]
-        out[at + a] = mu[a] - dot6(own.Lambda[a], own.drift)
+        out[at + a] = mu[a] - dot6(arm_work.Lambda[a], arm_work.drift)
         out[at + 6 + a] = p[a]
-        out[at + 12 + a] = own.drift[a]
+        out[at + 12 + a] = arm_work.drift[a]
     for j in range(n):
         out[at + 18 + j] = joints[j].h
-    out[at + 18 + n] = own.n_kept
+    out[at + 18 + n] = arm_work.n_kept

@@ -261,8 +261,8 @@ def crossing(row, X_WO, X_WE, f):
     m = cross(e, f)
     q = rotated(X_WO, row)
     p = plus3(origin(X_WE), rotated(X_WE, row[6:]))
-    apart = minus3(minus3(p, origin(X_WO)), q)
-    return add3(q, _along_first(apart, f, m, dot3(m, m)), e), apart
+    distance_vector = minus3(minus3(p, origin(X_WO)), q)
+    return add3(q, _along_first(distance_vector, f, m, dot3(m, m)), e), distance_vector
 
 
 @inner
@@ -288,8 +288,8 @@ def _edges(row, motion, column):
     if side == 0.0:
         side = -dot3(rotated(X_WE, row[13:]), m)
     n = scaled3(copysign(1.0 / sine, side), m)
-    p, apart = crossing(row, X_WO, X_WE, f)
-    gap = dot3(n, apart)
+    p, distance_vector = crossing(row, X_WO, X_WE, f)
+    gap = dot3(n, distance_vector)
     m_dot = plus3(cross(cross(V_O[3:], e), f), cross(e, cross(V_E[3:], f)))
     n_dot = divided3(add3(m_dot, -dot3(n, m_dot), n), dot3(n, m))
     v_A = velocity_at(V_O, p)

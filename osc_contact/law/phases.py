@@ -117,7 +117,7 @@ def predict_force(t, row, commanded, limited, dt):
 
 
 @inner
-def monitor(limits, row, force, speed, dt, dwell, more):
+def monitor(limits, row, force, speed, dt, dwell, margin):
     """Detect contact, its loss and collisions from projected force and power (figs. 6, 7).
 
     While a contact holds, the power of the projected force is zero: α_k (NᵀV_rel)_k = 0. A
@@ -127,7 +127,7 @@ def monitor(limits, row, force, speed, dt, dwell, more):
 
     Args:
         limits: MODEL, of which are read `force_on` and `force_off` (N): contact is made above the
-            first and lost below the second plus `more`; `power` (W): a larger magnitude is a
+            first and lost below the second plus `margin`; `power` (W): a larger magnitude is a
             collision; `window` (s): time after contact is made in which collisions are detected;
             `patience` (s): time of low force until contact is lost; `leaving` (m/s): a contact
             that separates faster is lost at any force.
@@ -136,22 +136,22 @@ def monitor(limits, row, force, speed, dt, dwell, more):
             of `window`; `closed`; `collision`: whether one begins in this tick.
         force: N. speed: NᵀV_rel (m/s). dt: time since the last tick (s).
         dwell: time of high force until contact is made (s).
-        more: N, added to `force_off`.
+        margin: N, added to `force_off`.
     """
     separates = speed < -limits.leaving
-    is_low = separates or force < limits.force_off + more
+    is_low = separates or force < limits.force_off + margin
     is_high = force > limits.force_on and not separates
     row.low_for = row.low_for + dt if is_low else 0.0
     row.high_for = row.high_for + dt if is_high else 0.0
     was_closed = row.closed != 0
     is_lost = was_closed and row.low_for > limits.patience
-    closed = (was_closed or row.high_for > dwell) and not is_lost
+    is_closed = (was_closed or row.high_for > dwell) and not is_lost
     row.armed_for = max(row.armed_for - dt, 0.0) if was_closed else limits.window
-    row.burst = max(row.burst, abs(force * speed)) if closed or row.high_for > 0.0 else 0.0
-    collision = closed and row.armed_for > 0.0 and row.burst > limits.power
+    row.burst = max(row.burst, abs(force * speed)) if is_closed or row.high_for > 0.0 else 0.0
+    collision = is_closed and row.armed_for > 0.0 and row.burst > limits.power
     if collision:
         row.armed_for = 0.0
-    row.closed = closed
+    row.closed = is_closed
     row.collision = collision
 
 
@@ -301,8 +301,8 @@ def set_goals(t):
         start = model.approach_damping * speed if pushes else goal[j]
         if approaching:
             gentle = _GENTLE * model.force_on * speed / model.approach_speed
-            moving = slowest_column(t, model.columns[j].contact)
-            start = min(start, gentle + model.approach_damping * moving)
+            slowest = slowest_column(t, model.columns[j].contact)
+            start = min(start, gentle + model.approach_damping * slowest)
             if contact.since * model.approach_speed >= model.travel:
                 start = 0.0  # no face within `travel`: the approach ends
         risen = 0.0
@@ -321,12 +321,12 @@ def slowest_column(t, contact):
     Args:
         t: Tick. contact: index of the contact.
     """
-    least = inf
+    least_speed = inf
     for j in range(t.model.n_columns):
         if t.model.columns[j].contact == contact:
             row = t.memory.columns[j]
-            least = min(least, min(abs(row.filtered_speed), abs(row.speed)))
-    return least
+            least_speed = min(least_speed, min(abs(row.filtered_speed), abs(row.speed)))
+    return least_speed
 
 
 @inner
@@ -367,12 +367,12 @@ def torque_rate(t, share):
 
 
 @inner
-def limit_changes(t, begun):
+def limit_changes(t, has_last):
     """Limit the change of `tau` since the last tick to the torque rate; store it as the last one.
 
     Args:
         t: Tick.
-        begun: whether torques of a last tick exist; without them `tau` is stored unchanged.
+        has_last: whether torques of a last tick exist; without them `tau` is stored unchanged.
     """
     work = t.work
     model = t.model
@@ -381,11 +381,11 @@ def limit_changes(t, begun):
         motor = model.joints[j].motor
         if motor >= 0:
             work.step[motor] = rate * model.period * model.joints[j].tau_max
-    slew(work.tau, t.memory.torques, work.step, begun)
+    slew(work.tau, t.memory.torques, work.step, has_last)
 
 
 @inner
-def slew(tau, last, step, begun):
+def slew(tau, last, step, has_last):
     """Move from `last` straight towards `tau` until a motor has changed by its `step`.
 
     Both `tau` and `last` become the result.
@@ -393,10 +393,10 @@ def slew(tau, last, step, begun):
     Args:
         tau: (a,) desired torques (N m, N). last: (a,) torques of the last tick (N m, N).
         step: (a,) largest changes (N m, N), > 0.
-        begun: whether torques of a last tick exist; without them `tau` is not limited.
+        has_last: whether torques of a last tick exist; without them `tau` is not limited.
     """
     share = 0.0
-    if begun:
+    if has_last:
         for i in range(len(tau)):
             share = max(share, abs(tau[i] - last[i]) / step[i])
     for i in range(len(tau)):

@@ -129,10 +129,10 @@ def find_jumps(t):
         if not isfinite(position):
             continue
         n_read += 1
-        known = memory.joints[j]
-        if known.barred != NOT_BARRED or abs(position - known.q) > _NOISE:
-            known.barred = _jump(t, j, position)
-            if known.barred != NOT_BARRED:
+        joint_memory = memory.joints[j]
+        if joint_memory.barred != NOT_BARRED or abs(position - joint_memory.q) > _NOISE:
+            joint_memory.barred = _jump(t, j, position)
+            if joint_memory.barred != NOT_BARRED:
                 work.jumps += 1
                 work.jumped = j
         if _changes_speed(t, j):
@@ -167,39 +167,39 @@ def _expected(t, j):
 
 
 @leaf
-def _jump(t, j, now):
+def _jump(t, j, position):
     """Detect whether joint j has moved faster than possible since its position was last read.
 
     After a jump, readings are compared with the predicted position, so that they do not become
     plausible with time.
 
     Args:
-        t: Tick. j: joint. now: position read in this tick (m, rad).
+        t: Tick. j: joint. position: position read in this tick (m, rad).
 
     Returns:
         NOT_BARRED, JUMP or EXCHANGED.
     """
-    known = t.memory.joints[j]
+    joint_memory = t.memory.joints[j]
     room = _NOISE + t.model.plausible_speed * t.model.joints[j].rated * t.model.period
-    displacement = abs(now - known.q)
-    if known.barred == EXCHANGED:
-        return EXCHANGED if abs(now - _expected(t, j)) > 0.5 * _EXCHANGED else NOT_BARRED
-    if known.barred == JUMP:
-        displacement = abs(now - t.memory.q[j])
+    displacement = abs(position - joint_memory.q)
+    if joint_memory.barred == EXCHANGED:
+        return EXCHANGED if abs(position - _expected(t, j)) > 0.5 * _EXCHANGED else NOT_BARRED
+    if joint_memory.barred == JUMP:
+        displacement = abs(position - t.memory.q[j])
     else:
-        room += (room - _NOISE) * known.unread_q
+        room += (room - _NOISE) * joint_memory.unread_q
     return JUMP if displacement > room else NOT_BARRED
 
 
 @inner
-def _find_exchange(t, off):
+def _find_exchange(t, n_deviating):
     """Detect pairs of joints whose readings are exchanged.
 
     Joints with nearly the same position may be exchanged without a jump of either. Very noisy
     encoders may look exchanged by chance; then further joints deviate, and no exchange is reported.
 
     Args:
-        t: Tick. off: number of joints whose positions deviate from their predictions.
+        t: Tick. n_deviating: number of joints whose positions deviate from their predictions.
     """
     n = t.model.n_joints
     n_crossed = 0
@@ -207,7 +207,7 @@ def _find_exchange(t, off):
         for j in range(i):
             if _cross(t, i, j):
                 n_crossed += 2
-    if n_crossed != off:
+    if n_crossed != n_deviating:
         return
     for i in range(n):
         for j in range(i):
@@ -245,11 +245,11 @@ def _is_near_other(x, y, expected_x, expected_y):
 
 
 @inner
-def _find_exchanged_speeds(t, off):
+def _find_exchanged_speeds(t, n_deviating):
     """Detect pairs of joints whose speeds are exchanged, as `_find_exchange` does of positions.
 
     Args:
-        t: Tick. off: number of joints whose speeds deviate from their predictions.
+        t: Tick. n_deviating: number of joints whose speeds deviate from their predictions.
     """
     n_crossed = 0
     last_found = 0
@@ -261,7 +261,7 @@ def _find_exchanged_speeds(t, off):
             if both_change and _is_near_other(x, y, _expected_speed(t, i), _expected_speed(t, j)):
                 n_crossed += 2
                 last_found = j
-    if n_crossed == off:
+    if n_crossed == n_deviating:
         t.work.speed_jumps = 2
         t.work.speed_jumped = last_found
 

@@ -156,19 +156,19 @@ def measure_magnitudes(t):
     if not t.model.held:
         return _measure_at_tip(t)
     out_T = local(6, 6)
-    answer = local(6, 6)
+    response = local(6, 6)
     copy_rows(work.out_T, out_T)
     for a in range(r):
-        fill(answer[a], work.N_basis[a])
-    if not lu_solve(out_T, 6, answer, r):
+        fill(response[a], work.N_basis[a])
+    if not lu_solve(out_T, 6, response, r):
         return False
-    known = local(6)
-    known[:] = 0.0
-    return _solve_magnitudes(t, answer, six(work.reading_e), known, 1.0)
+    bias_acceleration = local(6)
+    bias_acceleration[:] = 0.0
+    return _solve_magnitudes(t, response, six(work.reading_e), bias_acceleration, 1.0)
 
 
 @inner
-def _solve_magnitudes(t, answer, f, known, inertial):
+def _solve_magnitudes(t, response, f, bias_acceleration, inertial):
     """Solve for α along an orthonormal basis Q of the contact forces, N = Q L.
 
     With Q, nearly dependent columns do not reduce the accuracy of the force N α:
@@ -179,8 +179,8 @@ def _solve_magnitudes(t, answer, f, known, inertial):
     Reads `N_factor`, `pushed`, `Phi_mu`, `n_gamma` and `b_N`; fills `alpha_meas` and `mobility`.
 
     Args:
-        t: Tick. answer: (r, 6) rows of QᵀΛ_out⁻¹. f: wrench, six numbers. known: (r,) Qᵀσ, the
-            acceleration along Q that does not depend on f. All are in energy coordinates.
+        t: Tick. response: (r, 6) rows of QᵀΛ_out⁻¹. f: wrench, six numbers. bias_acceleration: (r,)
+            Qᵀσ, the acceleration along Q that does not depend on f. All are in energy coordinates.
         inertial: 1, or 0 if no inertia is between sensors and contacts, so that N α = f.
 
     Returns:
@@ -199,13 +199,13 @@ def _solve_magnitudes(t, answer, f, known, inertial):
             yielding[b, a] = inertial * work.Phi_mu[a, b]
     forward(L, r, required)
     forward_each(L, r, yielding, r)
-    gram(answer, r, work.pushed, r, D)
+    gram(response, r, work.pushed, r, D)
     for a in range(r):
         for b in range(r):
             D[a, b] += yielding[b, a]
     factor_times(L, r, D, r, work.mobility)
     for a in range(r):
-        alpha[0, a] = dot6(answer[a], f) + known[a] - required[a]
+        alpha[0, a] = dot6(response[a], f) + bias_acceleration[a] - required[a]
     forward_each(L, r, D, r)
     if not lu_solve(D, r, alpha, 1):
         return False
@@ -232,20 +232,20 @@ def _measure_at_tip(t):
     work = t.work
     r = work.rank
     d = 6 - work.locked
-    answer = local(6, 6)
-    known = local(6)
+    response = local(6, 6)
+    bias_acceleration = local(6)
     trace = 0.0
     for i in range(6):
         trace += abs(work.out_T[i, i])
     if trace < _NOTHING:
         work.weightless = 1
         for a in range(r):
-            known[a] = 0.0
-            fill(answer[a], work.N_basis[a])
-        return _solve_magnitudes(t, answer, six(work.reading_e), known, 0.0)
+            bias_acceleration[a] = 0.0
+            fill(response[a], work.N_basis[a])
+        return _solve_magnitudes(t, response, six(work.reading_e), bias_acceleration, 0.0)
     S = local(6, 6)
     inertia = local(6, 6)
-    along = local(6, 6)
+    response_S = local(6, 6)
     axis = local(6)
     sigma = turned_back(work, work.sigma)
     f = minus(work.reading_e, outboard_times(work, sigma))
@@ -254,16 +254,16 @@ def _measure_at_tip(t):
         axis[work.locked + i] = 1.0
         fill(S[i], turned_back(work, axis))
     for i in range(d):
-        moved = outboard_times(work, S[i])
+        inertial_force = outboard_times(work, S[i])
         for j in range(d):
-            inertia[i, j] = dot6(moved, S[j])
-    gram(work.N_basis, r, S, d, along)
-    if not lu_solve(inertia, d, along, r):
+            inertia[i, j] = dot6(inertial_force, S[j])
+    gram(work.N_basis, r, S, d, response_S)
+    if not lu_solve(inertia, d, response_S, r):
         return False
     for a in range(r):
-        known[a] = dot6(work.N_basis[a], sigma)
-        fill(answer[a], combined(along[a], S, d))
-    return _solve_magnitudes(t, answer, f, known, 1.0)
+        bias_acceleration[a] = dot6(work.N_basis[a], sigma)
+        fill(response[a], combined(response_S[a], S, d))
+    return _solve_magnitudes(t, response, f, bias_acceleration, 1.0)
 
 
 # --- Contact forces by least squares, independent of friction and misplaced normals ---------------
@@ -320,8 +320,8 @@ def weigh_magnitudes(t):
     normal = local(6, 6)
     alpha = local(1, 6)
     yields = local(6)
-    rest = local(6)
-    fill(rest, minus(work.reading_e, desired_inertia_force(t)))
+    remainder = local(6)
+    fill(remainder, minus(work.reading_e, desired_inertia_force(t)))
     largest = _likely_errors(t, R)
     for a in range(r):
         h = six(work.pushed[a])
@@ -336,7 +336,7 @@ def weigh_magnitudes(t):
     for a in range(r):  # HᵀR⁻¹
         fill(weighed[a], H[a])
         cholesky_solve(R_factor, 6, weighed[a])
-        alpha[0, a] = dot6(weighed[a], rest)
+        alpha[0, a] = dot6(weighed[a], remainder)
     gram(weighed, r, H, r, normal)
     work.weightless = 0
     if t.model.phased:
@@ -345,9 +345,9 @@ def weigh_magnitudes(t):
         return False
     for a in range(r):
         work.alpha_meas[a] = alpha[0, a]
-        accumulate(rest, -alpha[0, a], H[a])
-    cholesky_solve(R_factor, 6, rest)
-    fill(work.reading_rest, rest)
+        accumulate(remainder, -alpha[0, a], H[a])
+    cholesky_solve(R_factor, 6, remainder)
+    fill(work.reading_rest, remainder)
     return True
 
 
@@ -367,11 +367,11 @@ def _find_mobility(t, weighed, normal):
     r = work.rank
     A = local(6, 6)
     columns = local(6, 6)
-    along = local(6)
+    unit = local(6)
     for b in range(r):
         for a in range(r):
-            along[a] = 1.0 if a == b else 0.0
-        reading = add_yield(work, ZERO, along)
+            unit[a] = 1.0 if a == b else 0.0
+        reading = add_yield(work, ZERO, unit)
         for a in range(r):
             A[a, b] = dot6(weighed[a], reading)
             columns[b, a] = normal[b, a]
@@ -404,15 +404,15 @@ def learn_friction(t):
     dependent = work.rank < work.count
     friction = sliding = square = normal_variance = 0.0
     for j in range(work.count):
-        chosen = work.chosen[j]
-        if not has_point(t, chosen):
+        index = work.chosen[j]
+        if not has_point(t, index):
             continue
-        column = work.columns[chosen]
+        column = work.columns[index]
         s = column.slip
-        w = _likely_force(work, chosen)
+        w = _likely_force(work, index)
         slip_square = dot3(s, s)
         share = (_ALONG**2 - _ACROSS**2) * slip_square + _ACROSS**2
-        multiplier = dot6(reading_of_force(t, linear(s), chosen), work.reading_rest)  # sᵀTᵀR⁻¹(…)
+        multiplier = dot6(reading_of_force(t, linear(s), index), work.reading_rest)  # sᵀTᵀR⁻¹(…)
         friction += w * w * w * share * multiplier
         pressing = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
         sliding += w * pressing * slip_square
@@ -429,16 +429,16 @@ def learn_friction(t):
 
 
 @leaf
-def _likely_force(work, chosen):
+def _likely_force(work, index):
     """Typical size w_j (N) of the force of a column of N: its desired force, at least 1 N.
 
     It is the unit in which friction forces of the contact are weighted in least squares.
 
     Args:
-        work: WORK, of which `goal` is read. chosen: index of the column among all columns of the
+        work: WORK, of which `goal` is read. index: index of the column among all columns of the
             model.
     """
-    return max(abs(work.goal[chosen]), _LEAST_FORCE)
+    return max(abs(work.goal[index]), _LEAST_FORCE)
 
 
 @inner
@@ -469,19 +469,19 @@ def oppose_friction(t):
     for j in range(t.model.n_columns):
         fill3(work.columns[j].tangential, ZERO_3)
     for j in range(work.count):
-        chosen = work.chosen[j]
-        if not has_point(t, chosen):
+        index = work.chosen[j]
+        if not has_point(t, index):
             continue
-        column = work.columns[chosen]
-        past = t.memory.columns[chosen].tangential
-        resting = scaled3(1.0 - dot3(column.slip, column.slip), past)
+        column = work.columns[index]
+        last_force = t.memory.columns[index].tangential
+        resting = scaled3(1.0 - dot3(column.slip, column.slip), last_force)
         f = join(resting, cross(column.point, resting))
         wrench = plus(wrench, turned(work, wrench_to_energy(work, f)))
         if work.moving:
             for a in range(r):
-                if body_of(t, work.kept[a]).same == body_of(t, chosen).same:
+                if body_of(t, work.kept[a]).same == body_of(t, index).same:
                     x[0, a] += dot6(work.yields[a], f)
-        _find_tangential(t, column, chosen, past)
+        _find_tangential(t, column, index, last_force)
     fill(tangential_wrench, wrench)
     factor = local(6, 6)
     D = local(6, 6)
@@ -501,25 +501,25 @@ def oppose_friction(t):
 
 
 @inner
-def _find_tangential(t, column, chosen, past):
+def _find_tangential(t, column, index, last_force):
     """Low-pass the tangential force β_j of a contact.
 
     Reads `reading_rest`; fills `tangential` of the column (N, world axes).
 
     Args:
-        t: Tick. column: COLUMN_WORK. chosen: index of the column. past: (3,) `tangential` of the
-            last tick (N).
+        t: Tick. column: COLUMN_WORK. index: index of the column. last_force: (3,) `tangential` of
+            the last tick (N).
     """
     work = t.work
     multiplier = local(3)
     for k in range(3):
-        multiplier[k] = dot6(reading_of_force(t, across(column.N, k), chosen), work.reading_rest)
-    w = _likely_force(work, chosen)
+        multiplier[k] = dot6(reading_of_force(t, across(column.N, k), index), work.reading_rest)
+    w = _likely_force(work, index)
     along_slip = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, multiplier)
     k = work.dt / (_LAG + work.dt)
     for i in range(3):
         force = w * w * (_ACROSS**2 * multiplier[i] + along_slip * column.slip[i])
-        column.tangential[i] = past[i] + k * (force - past[i])
+        column.tangential[i] = last_force[i] + k * (force - last_force[i])
 
 
 @inner
@@ -567,29 +567,29 @@ def _likely_errors(t, R):
     for a in range(work.rank):
         add_square(-share, outboard_times(work, work.N_basis[a]), R)
     for j in range(work.count):
-        chosen = work.chosen[j]
-        column = work.columns[chosen]
-        w = _likely_force(work, chosen)
+        index = work.chosen[j]
+        column = work.columns[index]
+        w = _likely_force(work, index)
         largest = max(largest, w)
-        if not has_point(t, chosen):
-            _add_hold(t, chosen, w, R)
+        if not has_point(t, index):
+            _add_hold(t, index, w, R)
             continue
         for k in range(3):
             sideways = scaled3(w * _ACROSS, across(column.N, k))
-            add_square(1.0, reading_of_force(t, sideways, chosen), R)
-        along = scaled3(w * sqrt(_ALONG**2 - _ACROSS**2), column.slip)
-        add_square(1.0, reading_of_force(t, along, chosen), R)
+            add_square(1.0, reading_of_force(t, sideways, index), R)
+        along_slip = scaled3(w * sqrt(_ALONG**2 - _ACROSS**2), column.slip)
+        add_square(1.0, reading_of_force(t, along_slip, index), R)
     return largest
 
 
 @inner
-def _add_hold(t, chosen, w, R):
+def _add_hold(t, index, w, R):
     """Add to R the likely friction along the freedoms of a pair without known points of contact.
 
     Args:
-        t: Tick. chosen: index of a column of N of the pair. w: typical size of its force (N).
+        t: Tick. index: index of a column of N of the pair. w: typical size of its force (N).
         R: (6, 6) covariance of wrist readings in energy coordinates, changed.
     """
-    c = t.model.columns[chosen].contact
+    c = t.model.columns[index].contact
     for k in range(t.model.pairs[c].freedoms):
         add_square(1.0, rub_along(t, w * _ALONG, k, c), R)

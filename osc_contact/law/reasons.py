@@ -24,7 +24,7 @@ def declare_reason(name: str, code: int, sentence: str) -> int:
         ValueError: another reason has this name or this code.
     """
     if name in CODES or code in SENTENCES:
-        owner = next((other for other, used in CODES.items() if used == code), name)
+        owner = next((other for other, used_code in CODES.items() if used_code == code), name)
         raise ValueError(
             f"reason {name}, code {code}: {owner} has code {CODES[owner]}; give another name or "
             f"code, below {LASTING} for a reason that ends with its tick"

@@ -10,7 +10,7 @@ The functions of a tick take all four records together, and often rows of one ar
 | argument | record |
 |---|---|
 | `t` | `Tick`: t.model.stiffness, t.work.arms[k].V |
-| `arm`, `own` | ARM row, and its ARM_WORK |
+| `arm`, `arm_work` | ARM row, and its ARM_WORK |
 """
 
 from __future__ import annotations

@@ -31,14 +31,14 @@ def _copy(x, start, fits, out):
 
 
 @inner
-def _sizes_fit(head, given, count, flags):
+def _sizes_fit(head, arrays, count, flags):
     """Determine whether the input arrays have the sizes of the model, except for alpha_d.
 
     Args:
-        head: MODEL of any row. given: input arrays of `rows`. count: number of rows. flags: with
+        head: MODEL of any row. arrays: input arrays of `rows`. count: number of rows. flags: with
             MOVING, the array of the touched bodies is checked, too.
     """
-    q, v, wrenches, X_WD, V_D, A_D, _, touched, active = given
+    q, v, wrenches, X_WD, V_D, A_D, _, touched, active = arrays
     fits = q.size == count * head.n_joints and v.size == count * head.n_joints
     fits = fits and wrenches.shape == (count * head.n_arms, 6) and X_WD.shape == (4 * count, 4)
     fits = fits and V_D.size == 6 * count and A_D.size == 6 * count
@@ -50,7 +50,7 @@ def _sizes_fit(head, given, count, flags):
 
 
 @inner
-def _load_input(t, given, count, i, flags):
+def _load_input(t, arrays, count, i, flags):
     """Copy the values of one row from the input arrays to INPUT.
 
     Positions, speeds and wrenches of a wrong size are replaced by NaN; the other arrays are not
@@ -58,10 +58,10 @@ def _load_input(t, given, count, i, flags):
     and `chosen_set`, too.
 
     Args:
-        t: Tick. given: input arrays of `rows`. count: number of rows. i: index of the row.
+        t: Tick. arrays: input arrays of `rows`. count: number of rows. i: index of the row.
         flags: MOVING, MISFIT and NO_FORCES are read.
     """
-    q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active = given
+    q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active = arrays
     row = t.input
     n = t.model.n_joints
     k = t.model.n_arms
@@ -88,7 +88,7 @@ def _load_input(t, given, count, i, flags):
 
 
 @entry
-def rows(raw, at, given):
+def rows(raw, at, arrays):
     """Run controllers `first` to `last` − 1 of a job, each from part `begin` until part `stop`.
 
     Stops after a tick that ends SATURATED, because the quadratic program of the motor limits needs
@@ -98,7 +98,7 @@ def rows(raw, at, given):
         raw: bytes of `records.Rows`.
         at: offset of the JOB, of which `first`, `last`, `begin`, `stop` and `switches` (MOVING,
             COMMANDED, OWN_FORCE, OWN_MOTION, PARTIAL) are read.
-        given: q, v, wrenches (rows · arms, 6), X_WD (rows · 4, 4), V_D, A_D, alpha_d, touched
+        arrays: q, v, wrenches (rows · arms, 6), X_WD (rows · 4, 4), V_D, A_D, alpha_d, touched
             (rows · contacts, 28; read with MOVING), active (rows · contacts; empty unless the user
             names active contacts, see `active_set`). Each array has the values of all rows in
             sequence.
@@ -111,26 +111,26 @@ def rows(raw, at, given):
     count = job.count
     head = _model(raw, job.model)
     size = head.memory_bytes
-    used = head.layout[_PRIORS] if job.model_step else 0  # bytes of a row that are usually read
+    n_bytes = head.layout[_PRIORS] if job.model_step else 0  # bytes of a row that are usually read
     layout = _memory(raw, job.memory).layout
     unused = layout[_FRICTION]
     columns = layout[_COLUMNS]
-    alpha_d = given[6]
+    alpha_d = arrays[6]
     flags = job.switches
-    if not _sizes_fit(head, given, count, flags):
+    if not _sizes_fit(head, arrays, count, flags):
         flags |= MISFIT
     elif alpha_d.size != count * head.n_columns:
         flags |= NO_FORCES
     violated = 0
     for i in range(job.first, job.last):
         if i + 1 < job.last:
-            prefetch(raw, job.model + (i + 1) * job.model_step, used)
+            prefetch(raw, job.model + (i + 1) * job.model_step, n_bytes)
             following = job.memory + (i + 1) * size
             prefetch(raw, following, unused)
             prefetch(raw, following + columns, size - columns)
         t = row_of(raw, at, i)
         if job.begin == LOOK:
-            _load_input(t, given, count, i, flags)
+            _load_input(t, arrays, count, i, flags)
         status = run_parts(t, flags, job.begin, job.stop)
         if job.begin != HAND_OVER:
             t.memory.status = status

@@ -289,10 +289,10 @@ def _note_accelerations(t):
     for k in range(t.model.n_arms):
         arm = t.model.arms[k]
         for j in range(arm.first, arm.end):
-            known = t.memory.joints[j]
-            known.acceleration = t.work.joints[j].acceleration
-            must_move = known.rested > 0.0 and (is_dead or exceeds_dry_friction(t, j))
-            known.driven = 1 if must_move else 0
+            joint_memory = t.memory.joints[j]
+            joint_memory.acceleration = t.work.joints[j].acceleration
+            must_move = joint_memory.rested > 0.0 and (is_dead or exceeds_dry_friction(t, j))
+            joint_memory.driven = 1 if must_move else 0
 
 
 @leaf

@@ -47,12 +47,12 @@ def _shares(t, alpha, share, floor):
 
 
 @inner
-def _idle_motions(t, arm, own, idle, count):
+def _idle_motions(t, arm, arm_work, idle, count):
     """Append the joint motions ν = K⁻ᵀv of a redundant arm with N J ν = 0 and νᵀMν = 1.
 
     Args:
-        t: Tick. arm: ARM row. own: its ARM_WORK. idle: (p, a), of which rows from `count` on are
-            filled. count: number of rows that are filled already.
+        t: Tick. arm: ARM row. arm_work: its ARM_WORK. idle: (p, a), of which rows from `count` on
+            are filled. count: number of rows that are filled already.
 
     Returns:
         Number of filled rows.
@@ -65,8 +65,8 @@ def _idle_motions(t, arm, own, idle, count):
     motions = local(MAX_JOINTS, MAX_JOINTS)
     if n <= arm.m or not weigh_joints(work.joints, lo, n, K, weighed):
         return count
-    null_motions(own, weighed, n, motions)
-    for c in range(own.n_kept, min(n, own.n_kept + len(idle) - count)):
+    null_motions(arm_work, weighed, n, motions)
+    for c in range(arm_work.n_kept, min(n, arm_work.n_kept + len(idle) - count)):
         backward(K, n, motions[c])
         for i in range(n):
             motor = t.model.joints[lo + i].motor

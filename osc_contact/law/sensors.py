@@ -189,34 +189,36 @@ def _check_joints(t, is_new, speeds_jump, same_wrenches):
     shares = _shares(elapsed)
     changed = 0
     for j in range(model.n_joints):
-        known = memory.joints[j]
+        joint_memory = memory.joints[j]
         joint = model.joints[j]
-        known.pending += known.acceleration * model.period
-        is_read = is_new and isfinite(q[j]) and known.barred == NOT_BARRED
+        joint_memory.pending += joint_memory.acceleration * model.period
+        is_read = is_new and isfinite(q[j]) and joint_memory.barred == NOT_BARRED
         is_credible = is_new and abs(v[j]) <= model.plausible_speed * joint.rated
         is_credible = is_credible and not speeds_jump
         is_complete = is_complete and is_read
         if is_read:
-            step = q[j] - known.q
-            if elapsed != model.period * (1 + known.unread_q):
-                elapsed = model.period * (1 + known.unread_q)
+            step = q[j] - joint_memory.q
+            if elapsed != model.period * (1 + joint_memory.unread_q):
+                elapsed = model.period * (1 + joint_memory.unread_q)
                 shares = _shares(elapsed)
             changed += 1 if step != 0.0 else 0
-            all_same = all_same and step == 0.0 and is_credible and v[j] == known.v
+            all_same = all_same and step == 0.0 and is_credible and v[j] == joint_memory.v
             if compared and is_credible:
-                joint_reason = _check_joint(t, known, joint.speed_max, step, v[j], elapsed, shares)
+                joint_reason = _check_joint(
+                    t, joint_memory, joint.speed_max, step, v[j], elapsed, shares
+                )
                 if joint_reason != NO_REASON:
                     reason = joint_reason
                     faulty_joint = j
                     isolate_joint(t, j)
-            known.q = q[j]
-            known.pending = 0.0
+            joint_memory.q = q[j]
+            joint_memory.pending = 0.0
         if is_credible:
-            known.v = v[j]
+            joint_memory.v = v[j]
             if not compared:
-                known.model_v = known.model_q = v[j]
-        known.unread_q = 0 if is_read else known.unread_q + 1
-        known.unread_v = 0 if is_credible else known.unread_v + 1
+                joint_memory.model_v = joint_memory.model_q = v[j]
+        joint_memory.unread_q = 0 if is_read else joint_memory.unread_q + 1
+        joint_memory.unread_v = 0 if is_credible else joint_memory.unread_v + 1
     if is_complete:
         _note_packet(t, all_same, same_wrenches, changed, elapsed)
     return reason, faulty_joint, is_complete
@@ -275,13 +277,14 @@ def _check_packet(t):
 
 
 @leaf
-def _check_joint(t, known, limit, step, v, dt, shares):
+def _check_joint(t, joint_memory, limit, step, v, dt, shares):
     """Update the evidence of faults of a joint by a new reading of its position and speed.
 
     Args:
-        t: Tick. known: JOINT_MEMORY, changed. limit: speed limit (rad/s, m/s). step: change of the
-            position since it was last read (rad, m). v: speed read (rad/s, m/s). dt: time since the
-            position was last read (s). shares: shares of dt in the low-passes, from `_shares`.
+        t: Tick. joint_memory: JOINT_MEMORY, changed. limit: speed limit (rad/s, m/s). step: change
+            of the position since it was last read (rad, m). v: speed read (rad/s, m/s). dt: time
+            since the position was last read (s). shares: shares of dt in the low-passes, from
+            `_shares`.
 
     Returns:
         `STUCK` if the joint does not follow commands, `DISAGREE` if position and speed contradict
@@ -289,23 +292,23 @@ def _check_joint(t, known, limit, step, v, dt, shares):
     """
     model = t.model
     slope = step / dt
-    _note_changes(t, known, limit, step, v, dt, shares[2])
+    _note_changes(t, joint_memory, limit, step, v, dt, shares[2])
     error = clamped(v - slope, 2.0 * limit)
-    known.error += shares[1] * (error - known.error)
+    joint_memory.error += shares[1] * (error - joint_memory.error)
     forgetting = 1.0 - min(dt / _FORGET, 1.0)
-    drift = (known.drift + error * dt) * forgetting
+    drift = (joint_memory.drift + error * dt) * forgetting
     explained = _SCALE * dt * abs(v)  # by a small error of the speed's scale
     drift = max(drift - explained, 0.0) if drift > 0.0 else min(drift + explained, 0.0)
-    known.drift = drift
-    _compare_with_predictions(known, slope, v, dt, shares, forgetting)
-    known.stuck = known.gained > model.stuck_speed * limit
-    if known.stuck:
+    joint_memory.drift = drift
+    _compare_with_predictions(joint_memory, slope, v, dt, shares, forgetting)
+    joint_memory.stuck = joint_memory.gained > model.stuck_speed * limit
+    if joint_memory.stuck:
         return STUCK
-    constant = min(known.rested, known.same_speed)
+    constant = min(joint_memory.rested, joint_memory.same_speed)
     if t.memory.state == SAFE_STOP and constant > _SAME and abs(v) * constant > _RESOLUTION:
-        known.stuck = 1
+        joint_memory.stuck = 1
         return DISAGREE
-    if abs(known.error) > model.speed_error * limit:
+    if abs(joint_memory.error) > model.speed_error * limit:
         return DISAGREE
     if t.memory.derived == 0 and abs(drift) > model.position_drift + _LATE * abs(v):
         return DISAGREE
@@ -313,41 +316,41 @@ def _check_joint(t, known, limit, step, v, dt, shares):
 
 
 @leaf
-def _note_changes(t, known, limit, step, v, dt, share):
+def _note_changes(t, joint_memory, limit, step, v, dt, share):
     """Update the evidence of a constant position or speed of a joint.
 
     Fills `same_speed`, `moved`, `due`, `rested`, `gained`, `changes`, `halted`, `turning` and
     `step` of the joint.
 
     Args:
-        t: Tick. known: JOINT_MEMORY with the last reading `v`, changed. limit: speed limit (rad/s,
-            m/s). step: change of the position since it was last read (rad, m). v: speed read
-            (rad/s, m/s). dt: time since the position was last read (s). share: share of dt in the
-            low-pass of reversals.
+        t: Tick. joint_memory: JOINT_MEMORY with the last reading `v`, changed. limit: speed limit
+            (rad/s, m/s). step: change of the position since it was last read (rad, m). v: speed
+            read (rad/s, m/s). dt: time since the position was last read (s). share: share of dt in
+            the low-pass of reversals.
     """
-    same_v = v == known.v
-    known.same_speed = known.same_speed + dt if same_v else 0.0
-    known.moved = known.moved + step if same_v else 0.0
-    known.due = known.due + v * dt if step == 0.0 else 0.0
-    known.rested = known.rested + dt if step == 0.0 else 0.0
-    gained = min(abs(known.pending), _GAIN * t.model.stuck_speed * limit)
+    same_v = v == joint_memory.v
+    joint_memory.same_speed = joint_memory.same_speed + dt if same_v else 0.0
+    joint_memory.moved = joint_memory.moved + step if same_v else 0.0
+    joint_memory.due = joint_memory.due + v * dt if step == 0.0 else 0.0
+    joint_memory.rested = joint_memory.rested + dt if step == 0.0 else 0.0
+    gained = min(abs(joint_memory.pending), _GAIN * t.model.stuck_speed * limit)
     if step != 0.0:
-        known.gained = 0.0
-        known.changes += 1
-    elif known.driven:
-        known.gained += gained
+        joint_memory.gained = 0.0
+        joint_memory.changes += 1
+    elif joint_memory.driven:
+        joint_memory.gained += gained
     if v != 0.0 or (same_v and step != 0.0):
-        known.halted = 0.0
+        joint_memory.halted = 0.0
     elif not same_v:
-        known.halted = abs(known.v) / dt
+        joint_memory.halted = abs(joint_memory.v) / dt
     if abs(step) > _FINE:
-        reversal = 1.0 if step * known.step < 0.0 else 0.0
-        known.turning += share * (reversal - known.turning)
-        known.step = step
+        reversal = 1.0 if step * joint_memory.step < 0.0 else 0.0
+        joint_memory.turning += share * (reversal - joint_memory.turning)
+        joint_memory.step = step
 
 
 @leaf
-def _compare_with_predictions(known, slope, v, dt, shares, forgetting):
+def _compare_with_predictions(joint_memory, slope, v, dt, shares, forgetting):
     """Compare the changes of a joint's readings with those that the commands predict.
 
     Both speeds are predicted from commanded accelerations, and follow the readings slowly. `blame`
@@ -355,18 +358,18 @@ def _compare_with_predictions(known, slope, v, dt, shares, forgetting):
     the position. Fills `model_v`, `model_q`, `surprise_v`, `surprise_q` and `blame` of the joint.
 
     Args:
-        known: JOINT_MEMORY, changed. slope: speed from positions (rad/s, m/s). v: speed read
+        joint_memory: JOINT_MEMORY, changed. slope: speed from positions (rad/s, m/s). v: speed read
             (rad/s, m/s). dt: time since the position was last read (s). shares: shares of dt in the
             low-passes, from `_shares`. forgetting: factor of `blame` in this step, ≤ 1.
     """
-    known.model_v += known.pending
-    known.model_q += known.pending
-    known.surprise_v += shares[1] * (v - known.model_v - known.surprise_v)
-    known.surprise_q += shares[1] * (slope - known.model_q - known.surprise_q)
-    difference = abs(known.surprise_v) - abs(known.surprise_q)
-    known.blame = (known.blame + difference * dt) * forgetting
-    known.model_v += shares[0] * (v - known.model_v)
-    known.model_q += shares[0] * (slope - known.model_q)
+    joint_memory.model_v += joint_memory.pending
+    joint_memory.model_q += joint_memory.pending
+    joint_memory.surprise_v += shares[1] * (v - joint_memory.model_v - joint_memory.surprise_v)
+    joint_memory.surprise_q += shares[1] * (slope - joint_memory.model_q - joint_memory.surprise_q)
+    difference = abs(joint_memory.surprise_v) - abs(joint_memory.surprise_q)
+    joint_memory.blame = (joint_memory.blame + difference * dt) * forgetting
+    joint_memory.model_v += shares[0] * (v - joint_memory.model_v)
+    joint_memory.model_q += shares[0] * (slope - joint_memory.model_q)
 
 
 @inner
@@ -390,20 +393,22 @@ def _check_wrists(t):
     dead_arm = -1
     is_new = memory.repeated & WRISTS == 0 and memory.wrench_missing == 0
     for k in range(model.n_arms):
-        known = memory.arms[k]
+        arm_memory = memory.arms[k]
         if not (is_new and is_measurable(t, k)):
-            known.unread += 1
+            arm_memory.unread += 1
             all_same = all_same and not (is_new and _exceeds(t, k))
             continue
-        same = memory.has_wrench != 0
+        is_same = memory.has_wrench != 0
         for i in range(6):
-            same = same and last_wrenches[k, i] == wrenches[k, i]
+            is_same = is_same and last_wrenches[k, i] == wrenches[k, i]
             last_wrenches[k, i] = wrenches[k, i]
-        known.same = known.same + model.period * (1 + known.unread) if same else 0.0
-        known.unread = 0
-        all_same = all_same and same
+        arm_memory.same = (
+            arm_memory.same + model.period * (1 + arm_memory.unread) if is_same else 0.0
+        )
+        arm_memory.unread = 0
+        all_same = all_same and is_same
         pressed = model.arms[k].sensor_joint >= 0 and memory.engaged != 0 and memory.force_rank > 0
-        if pressed and known.same > model.frozen_time:
+        if pressed and arm_memory.same > model.frozen_time:
             dead_arm = k
     return dead_arm, all_same
 
@@ -457,18 +462,18 @@ def _test_encoders(t, dt):
         return
     memory.above = 1 - memory.above
     for j in range(t.model.n_joints):
-        known = memory.joints[j]
-        displacement = known.q - known.begun
-        if known.changes == 0 and known.followed >= _FOLLOWED:
-            known.faulty |= FAULTY_POSITION
-            if memory.derived or known.same_speed >= memory.tested:
-                known.faulty |= FAULTY_SPEED
-        follows = known.changes >= _CHANGES and displacement * known.went < 0.0
-        known.followed = min(known.followed + 1, _FOLLOWED) if follows else 0
-        known.went = displacement
-        known.begun = known.q
-        known.changes = 0
-        known.hold += _MOVED if memory.above else -_MOVED
+        joint_memory = memory.joints[j]
+        displacement = joint_memory.q - joint_memory.begun
+        if joint_memory.changes == 0 and joint_memory.followed >= _FOLLOWED:
+            joint_memory.faulty |= FAULTY_POSITION
+            if memory.derived or joint_memory.same_speed >= memory.tested:
+                joint_memory.faulty |= FAULTY_SPEED
+        follows = joint_memory.changes >= _CHANGES and displacement * joint_memory.went < 0.0
+        joint_memory.followed = min(joint_memory.followed + 1, _FOLLOWED) if follows else 0
+        joint_memory.went = displacement
+        joint_memory.begun = joint_memory.q
+        joint_memory.changes = 0
+        joint_memory.hold += _MOVED if memory.above else -_MOVED
     memory.tested = 0.0
 
 
@@ -527,12 +532,12 @@ def exceeds_dry_friction(t, j):
         True if the joint has to move under the command, whatever its dry friction.
     """
     joint = t.model.joints[j]
-    own = t.work.joints[j]
-    known = t.memory.joints[j]
+    joint_work = t.work.joints[j]
+    joint_memory = t.memory.joints[j]
     bound = _dry_friction_bound(t, j)
     if joint.motor >= 0:
         unknown = _HELD * joint.tau_max
-        if t.memory.still > DEAD and known.slid > _SLID:
-            unknown = min(unknown, 2.0 * known.rubbed + _LITTLE * joint.tau_max)
+        if t.memory.still > DEAD and joint_memory.slid > _SLID:
+            unknown = min(unknown, 2.0 * joint_memory.rubbed + _LITTLE * joint.tau_max)
         bound += unknown
-    return abs(own.inertial - own.h) > bound
+    return abs(joint_work.inertial - joint_work.h) > bound

@@ -83,13 +83,13 @@ class Store:
         require_private(self.folder.parent)
         require_private(self.folder)
 
-    def remove_old(self, most: int) -> None:
+    def remove_old(self, limit: int) -> None:
         """Remove the least recently used results.
 
         Args:
-            most: number of results that remain.
+            limit: number of results that remain.
         """
         with suppress(OSError):
             by_use = sorted(self.folder.iterdir(), key=lambda path: path.stat().st_mtime)
-            for path in by_use[: max(0, len(by_use) - most)]:
+            for path in by_use[: max(0, len(by_use) - limit)]:
                 path.unlink(missing_ok=True)

@@ -63,28 +63,28 @@ def across(N, k):
 
 
 @inner
-def reading_of_force(t, force, chosen):
+def reading_of_force(t, force, index):
     """Reading of the wrist sensors that a force at one contact causes.
 
     Args:
-        t: Tick. force: (3,) force at the point of contact, in world axes (N). chosen: index of a
+        t: Tick. force: (3,) force at the point of contact, in world axes (N). index: index of a
             column of N of the contact.
 
     Returns:
         Six numbers: the wrench at C in energy coordinates.
     """
-    return reading_of_wrench(t, join(force, cross(t.work.columns[chosen].point, force)), chosen)
+    return reading_of_wrench(t, join(force, cross(t.work.columns[index].point, force)), index)
 
 
 @inner
-def reading_of_wrench(t, f, chosen):
+def reading_of_wrench(t, f, index):
     """Reading of the wrist sensors that a wrench on one touched body causes.
 
     It is the wrench; on a movable body the inertial force is added that the object exerts when it
     moves with the body.
 
     Args:
-        t: Tick. f: wrench (six numbers) at O, in world axes (N, N m). chosen: index of a column of
+        t: Tick. f: wrench (six numbers) at O, in world axes (N, N m). index: index of a column of
             N of a contact on the body.
 
     Returns:
@@ -94,12 +94,12 @@ def reading_of_wrench(t, f, chosen):
     reading = wrench_to_energy(work, f)
     if not work.moving:
         return reading
-    along = local(6)
-    body = body_of(t, chosen).same
+    yield_acceleration = local(6)
+    body = body_of(t, index).same
     for a in range(work.rank):  # NᵀΦ_e f
         on_body = body_of(t, work.kept[a]).same == body
-        along[a] = dot6(work.yields[a], f) if on_body else 0.0
-    return add_yield(work, reading, along)
+        yield_acceleration[a] = dot6(work.yields[a], f) if on_body else 0.0
+    return add_yield(work, reading, yield_acceleration)
 
 
 @inner
@@ -142,17 +142,17 @@ def outboard_times(work, x):
 
 
 @inner
-def add_yield(work, f, along):
+def add_yield(work, f, acceleration):
     """Add to f the inertial force of an object that moves with a yielding body: f + Λ_out N⁺ s.
 
     N⁺s is the acceleration of least kinetic energy with Nᵀa = s; with N = L Q (rows) it is QᵀL⁻¹s.
 
     Args:
         work: WORK, of which `N_factor` L, `N_basis` Q and `out_T` are read. f: wrench (six numbers,
-            energy coordinates). along: (r,) s (m/s²), overwritten.
+            energy coordinates). acceleration: (r,) s (m/s²), overwritten.
 
     Returns:
         Wrench (six numbers, energy coordinates).
     """
-    forward(work.N_factor, work.rank, along)
-    return plus(f, outboard_times(work, combined(along, work.N_basis, work.rank)))
+    forward(work.N_factor, work.rank, acceleration)
+    return plus(f, outboard_times(work, combined(acceleration, work.N_basis, work.rank)))

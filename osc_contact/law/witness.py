@@ -242,8 +242,8 @@ def _may_rub(t, column):
         t: Tick. column: index of a column of N of the contact.
     """
     phase = contact_of(t, column).phase
-    lost = t.memory.columns[column].time_since_loss > 0.0
-    return phase == CLOSED or (phase == APPROACHING and lost)
+    is_lost = t.memory.columns[column].time_since_loss > 0.0
+    return phase == CLOSED or (phase == APPROACHING and is_lost)
 
 
 @inner
@@ -262,17 +262,17 @@ def _ways(t, column):
 
 
 @inner
-def _friction(t, column, k, most):
+def _friction(t, column, k, size):
     """Reading (six numbers, energy coordinates) of a friction force at a contact.
 
     Args:
         t: Tick. column: column of N of the contact. k: axis of the world, along whose projection
             on the face the force acts; of a pair without points of contact, number of its freedom.
-        most: magnitude of the force before projection (N).
+        size: magnitude of the force before projection (N).
     """
     if has_point(t, column):
-        return reading_of_force(t, scaled3(most, across(t.work.columns[column].N, k)), column)
-    return rub_along(t, most, k, t.model.columns[column].contact)
+        return reading_of_force(t, scaled3(size, across(t.work.columns[column].N, k)), column)
+    return rub_along(t, size, k, t.model.columns[column].contact)
 
 
 @inner
