@@ -56,9 +56,9 @@ def did_you_mean(word: str, known: Iterable[str], most: int = SHOWN) -> str:
         most: largest number of known words to list; 0: a guess only, or "".
     """
     names = list(known)
-    near = get_close_matches(word, names, n=2, cutoff=0.6)
-    hint = f"did you mean {' or '.join(map(repr, near))}?" if near else ""
-    if most == 0 or (near and len(names) > MANY):
+    similar = get_close_matches(word, names, n=2, cutoff=0.6)
+    hint = f"did you mean {' or '.join(map(repr, similar))}?" if similar else ""
+    if most == 0 or (similar and len(names) > MANY):
         return hint
     ellipsis = f", … ({len(names)} in all)" if len(names) > most else ""
     listed = ", ".join(names[:most]) or "none"

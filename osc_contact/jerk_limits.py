@@ -201,9 +201,11 @@ class _StopAndGo:
         line = np.nan_to_num(goal - self._corner)
         length = float(np.abs(line).max())
         self._along = line / length if length > 0.0 else line
-        moved = np.abs(self._along) > _NO_SHARE
-        along_line = (limits[:, moved] / np.abs(self._along[moved])).min(axis=1, initial=np.inf)
-        v_max, a_max, j_max = along_line.tolist() if moved.any() else (1.0, 1.0, 1.0)
+        is_moved = np.abs(self._along) > _NO_SHARE
+        along_line = (limits[:, is_moved] / np.abs(self._along[is_moved])).min(
+            axis=1, initial=np.inf
+        )
+        v_max, a_max, j_max = along_line.tolist() if is_moved.any() else (1.0, 1.0, 1.0)
         self._line = from_rest_to_rest(length, v_max, a_max, j_max)
         self.duration = self._stopped + _duration(self._line)
 

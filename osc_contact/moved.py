@@ -116,12 +116,12 @@ def new_name(name: str) -> str | None:
     if not name.startswith(PACKAGE):
         return None
     package = name.removeprefix(PACKAGE)
-    rest = ""  # the part of the name below the package that moved
+    remainder = ""  # the part of the name below the package that moved
     while package:
         if package in MOVED:
-            return f"{PACKAGE}{MOVED[package]}{rest}"
+            return f"{PACKAGE}{MOVED[package]}{remainder}"
         package, _, last = package.rpartition(".")
-        rest = f".{last}{rest}"
+        remainder = f".{last}{remainder}"
     return None
 
 

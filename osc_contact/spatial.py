@@ -293,9 +293,9 @@ def rotations(w: Array) -> Array:
     a = np.sinc(angle / np.pi)
     b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
     unit = np.eye(3)[:, :, None]
-    once = cross(w[:, None], unit)
-    twice = cross(w[:, None], once)
-    return unit + a * once + b * twice
+    first_cross = cross(w[:, None], unit)
+    second_cross = cross(w[:, None], first_cross)
+    return unit + a * first_cross + b * second_cross
 
 
 def moved(X: Array, d: Array) -> Array:

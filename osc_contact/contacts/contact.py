@@ -152,8 +152,8 @@ class Contact:
             N = N[:, keep]
             n_gamma = n_gamma[keep]
         if not all(c.split_is_unique for c in contacts):
-            inner = block_diagonal([c.R for c in contacts])
-            R = inner if R is None else R @ inner
+            R_of_contacts = block_diagonal([c.R for c in contacts])
+            R = R_of_contacts if R is None else R @ R_of_contacts
         return cls.judged(N, n_gamma, R)  # independence was decided above, with Phi_ref
 
     @classmethod
@@ -204,9 +204,9 @@ class Contact:
         Args:
             alpha: (r,) magnitudes of the columns of N (N, N m).
         """
-        split = as_array("alpha", alpha, (self.r,))
+        given_alpha = as_array("alpha", alpha, (self.r,))
         # pseudo-inverse of R, which has full row rank; the squares of magnitudes may be summed
-        return self.R.T @ np.linalg.solve(self.R @ self.R.T, split)
+        return self.R.T @ np.linalg.solve(self.R @ self.R.T, given_alpha)
 
     def as_raibert_craig(
         self, size: float = 1.0, tolerance: float = 1e-9, centre: npt.ArrayLike | None = None
@@ -320,17 +320,19 @@ def require_consistent(
     independent = n_gamma[keep]
     violation = np.abs(n_gamma - independent @ R)
     summands = (np.abs(n_gamma) + np.abs(independent) @ np.abs(R)) / size
-    worst = int((violation / size).argmax())
-    if violation[worst] <= max(_STILL, _CONSISTENT * size[worst] * float(summands.max())):
+    worst_column = int((violation / size).argmax())
+    if violation[worst_column] <= max(
+        _STILL, _CONSISTENT * size[worst_column] * float(summands.max())
+    ):
         return
-    share = np.abs(R[:, worst]) * size[keep]  # of each independent column in the worst one
+    share = np.abs(R[:, worst_column]) * size[keep]  # of each independent column in the worst one
     partners = [keep[i] for i in np.flatnonzero(share > 1e-3 * share.max())]
-    names = ", ".join(dict.fromkeys(owners[i] for i in sorted([worst, *partners])))
+    names = ", ".join(dict.fromkeys(owners[i] for i in sorted([worst_column, *partners])))
     raise ContactError(
         f"{names}: singular at this instant. Their forces are dependent, but the accelerations "
-        f"that keep them are not: column {worst} needs n_γ = {n_gamma[worst]:.6g}, the others "
-        f"imply {independent @ R[:, worst]:.6g}. Drop one of these contacts, or move through this "
-        "pose slower or with the others released"
+        f"that keep them are not: column {worst_column} needs n_γ = {n_gamma[worst_column]:.6g}, "
+        f"the others imply {independent @ R[:, worst_column]:.6g}. Drop one of these contacts, or "
+        "move through this pose slower or with the others released"
     )
 
 

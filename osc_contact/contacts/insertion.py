@@ -197,8 +197,8 @@ class _Pairs:
             along = np.cross(_INTO, direction)
             yield self._side_on_rim(f"side {name} on rim {name}", direction, np.zeros(3))
             for end, half in (("a", 0.5), ("b", -0.5)):
-                away = half * _APART * 2.0 * self._hole * along
-                yield self._side_on_rim(f"side {name} on rim {name}, {end}", direction, away)
+                offset = half * _APART * 2.0 * self._hole * along
+                yield self._side_on_rim(f"side {name} on rim {name}, {end}", direction, offset)
         yield from self._tip()
         yield Prismatic([0, 0, 0], [0, 0, 1], self._pose, name="hole")
 
@@ -261,16 +261,16 @@ class _Pairs:
                 the rim, such as "+x". outward: direction out of the material at the rim.
         """
         side = SIDES[rim]
-        along = self._rotate(np.cross(_INTO, side))
+        edge = self._rotate(np.cross(_INTO, side))
         on_rim = self._place(self._hole * side)
-        return EdgeOnEdge(point, direction, on_rim, along, self._rotate(outward), name=name)
+        return EdgeOnEdge(point, direction, on_rim, edge, self._rotate(outward), name=name)
 
-    def _side_on_rim(self, name: str, side: Array, away: Array) -> ContactPair:
+    def _side_on_rim(self, name: str, side: Array, offset: Array) -> ContactPair:
         """Pair of a side of the peg and a point of the rim.
 
         Args:
-            name: name of the pair. side: direction of the side. away: offset of the point from the
-                middle of the rim (m).
+            name: name of the pair. side: direction of the side. offset: offset of the point from
+                the middle of the rim (m).
         """
-        point = self._place(self._hole * side + away)
+        point = self._place(self._hole * side + offset)
         return FaceOnVertex(self._peg * side, side, point, name=name)

@@ -118,25 +118,25 @@ def as_raibert_craig(
     if not 0.0 < tolerance < 1.0:
         raise InvalidInputError(f"tolerance = {tolerance}; give a sine between 0 and 1")
     middle = np.zeros(3) if centre is None else as_array("centre", centre, (3,))
-    Q, rest = _orthonormal(columns, middle, size)
+    Q, complement = _orthonormal(columns, middle, size)
 
-    triads, points, chosen = explicit(Q)
-    sine = sines(triads, points, chosen, rest)
+    triads, points, flags = explicit(Q)
+    sine = sines(triads, points, flags, complement)
     if sine.min() > tolerance:
-        refined_triads, refined_points = refined(triads, points, chosen, rest)
+        refined_triads, refined_points = refined(triads, points, flags, complement)
         triads = np.concatenate((triads, refined_triads))
         points = np.concatenate((points, refined_points))
-        chosen = np.concatenate((chosen, chosen))
-        sine = sines(triads, points, chosen, rest)
-    best = sine.argmin()
+        flags = np.concatenate((flags, flags))
+        sine = sines(triads, points, flags, complement)
+    i_best = sine.argmin()
 
     # order and signs of the axes: the largest trace of E P, nearest to the world's axes
-    P = _RELABEL[np.einsum("ij,pji->p", triads[best], _RELABEL).argmax()]
-    selected = (chosen[best].reshape(2, 3) @ np.abs(P)) > 0.5
+    P = _RELABEL[np.einsum("ij,pji->p", triads[i_best], _RELABEL).argmax()]
+    selected = (flags[i_best].reshape(2, 3) @ np.abs(P)) > 0.5
     forces, couples = ((bool(x), bool(y), bool(z)) for x, y, z in selected)
-    reason = "" if sine[best] <= tolerance else _why(Q, size, tolerance, sum(forces))
-    frame = SE3(triads[best] @ P, middle + size * points[best])
-    return RaibertCraig(frame, forces, couples, float(sine[best]), reason)
+    reason = "" if sine[i_best] <= tolerance else _why(Q, size, tolerance, sum(forces))
+    frame = SE3(triads[i_best] @ P, middle + size * points[i_best])
+    return RaibertCraig(frame, forces, couples, float(sine[i_best]), reason)
 
 
 def _flags(name: str, flags: Sequence[bool]) -> Array:
@@ -244,12 +244,12 @@ def _miss_in_words(F: Array, moments: Array, couples: int, miss: float, size: fl
     if F.shape[1] == 2 and couples == 0:
         # the principal pitches low < 0 < high of the two-system of screws; the lines without pitch
         # are 2 √(−low·high) apart
-        along = F.T @ moments
-        low, high = np.linalg.eigvalsh(0.5 * (along + along.T))
-        apart = 2.0 * float(np.sqrt(max(0.0, -low * high)))
-        if apart > _VISIBLE:
+        moments_along = F.T @ moments
+        low, high = np.linalg.eigvalsh(0.5 * (moments_along + moments_along.T))
+        offset = 2.0 * float(np.sqrt(max(0.0, -low * high)))
+        if offset > _VISIBLE:
             return (
-                f"(ii) the lines of force pass {1e3 * size * apart:.4g} mm apart; "
+                f"(ii) the lines of force pass {1e3 * size * offset:.4g} mm apart; "
                 "no one point lies on both"
             )
     return (
@@ -308,10 +308,10 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
     moment = E_T @ W[:, 3:]
     system = -np.einsum("lij,blk->bkij", _SKEW, force)  # p × f = −[f]× p
     system = np.where(chosen[:, None, 3:, None], 0.0, system).reshape(-1, 9, 3)
-    right = moment.transpose(0, 2, 1).reshape(-1, 9, 1)
+    right_side = moment.transpose(0, 2, 1).reshape(-1, 9, 1)
     # the limit is absolute, since a force that is a rounding error does not determine p
     reach = np.maximum(np.linalg.norm(system, axis=(1, 2)), POINT)
-    p = E @ np.linalg.pinv(system, rcond=POINT / reach) @ right
+    p = E @ np.linalg.pinv(system, rcond=POINT / reach) @ right_side
     return (E, p[:, :, 0], chosen)
 
 
@@ -382,20 +382,20 @@ def _space(E: Array, p: Array, chosen: Array) -> Array:
     return np.linalg.qr(np.take_along_axis(full, columns, axis=2))[0]
 
 
-def sines(E: Array, p: Array, chosen: Array, rest: Array) -> Array:
+def sines(E: Array, p: Array, chosen: Array, complement: Array) -> Array:
     """Compute the sine (B,) of the largest principal angle between N and each frame's force space.
 
     Args:
         E: (B, 3, 3) triads.
         p: (B, 3) origins from the centre, divided by the object's size.
         chosen: (B, 6) selected forces, then selected couples.
-        rest: (6, 6−r) orthonormal basis of the complement of N.
+        complement: (6, 6−r) orthonormal basis of the complement of N.
     """
-    across = rest.T @ _space(E, p, chosen)
-    return np.linalg.svd(across, compute_uv=False).max(axis=1, initial=0.0)
+    residual = complement.T @ _space(E, p, chosen)
+    return np.linalg.svd(residual, compute_uv=False).max(axis=1, initial=0.0)
 
 
-def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Array]:
+def refined(E: Array, p: Array, chosen: Array, complement: Array) -> tuple[Array, Array]:
     """Improve frames by damped Gauss–Newton steps on ‖restᵀ S‖², S an orthonormal basis (6, r).
 
     A step is a twist with the generator G, by which S changes as dS = G S. Only the part orthogonal
@@ -405,7 +405,7 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
         E: (B, 3, 3) triads.
         p: (B, 3) origins from the centre, divided by the object's size.
         chosen: (B, 6) selected forces, then selected couples, whose wrenches span S.
-        rest: (6, 6−r) orthonormal basis of the complement of N, which S is to approximate.
+        complement: (6, 6−r) orthonormal basis of the complement of N, which S is to approximate.
 
     Returns:
         Triads (B, 3, 3) and origins (B, 3) after the steps.
@@ -414,13 +414,13 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
     E = E.copy()
     p = p.copy()
     S = _space(E, p, chosen)
-    across = rest.T @ S  # (B, 6−r, r) residual, zero if S is N
+    residual = complement.T @ S  # (B, 6−r, r) residual, zero if S is N
     for _ in range(_REFINEMENTS):
         # Jacobian (B, 6, (6−r) r): change of the residual by each unit twist
         GS = _GENERATORS @ S[:, None]
-        rates = rest.T @ GS - across[:, None] @ (S.transpose(0, 2, 1)[:, None] @ GS)
+        rates = complement.T @ GS - residual[:, None] @ (S.transpose(0, 2, 1)[:, None] @ GS)
         J = rates.reshape(len(E), 6, -1)
-        gradient = J @ across.reshape(len(E), -1, 1)
+        gradient = J @ residual.reshape(len(E), -1, 1)
         normal = J @ J.transpose(0, 2, 1) + damping[:, None, None] * np.eye(6)
         step = -np.linalg.solve(normal, gradient)[:, :, 0]
         half = 0.5 * np.einsum("bl,lij->bij", step[:, 3:], _SKEW)
@@ -429,11 +429,11 @@ def refined(E: Array, p: Array, chosen: Array, rest: Array) -> tuple[Array, Arra
         new_E = turn @ E
         new_p = (turn @ p[:, :, None])[:, :, 0] + step[:, :3]
         new_S = _space(new_E, new_p, chosen)
-        new_across = rest.T @ new_S
-        better = (new_across**2).sum(axis=(1, 2)) < (across**2).sum(axis=(1, 2))
+        new_across = complement.T @ new_S
+        better = (new_across**2).sum(axis=(1, 2)) < (residual**2).sum(axis=(1, 2))
         E[better] = new_E[better]
         p[better] = new_p[better]
         S[better] = new_S[better]
-        across[better] = new_across[better]
+        residual[better] = new_across[better]
         damping = np.where(better, 0.2 * damping, 10.0 * damping)
     return (E, p)

@@ -184,8 +184,8 @@ class Surface:
         triangles = triangles_of(mesh.tri_indices, mesh.num_tris)
         a, b, c = corners[triangles].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
-        up = normals[:, 2] > _UPWARD * np.linalg.norm(normals, axis=1)
-        return cls.fitted(np.unique(corners[np.unique(triangles[up])], axis=0), cells)
+        faces_up = normals[:, 2] > _UPWARD * np.linalg.norm(normals, axis=1)
+        return cls.fitted(np.unique(corners[np.unique(triangles[faces_up])], axis=0), cells)
 
     def rows(self, ball: Array, radius: float, X_ES: pin.SE3) -> tuple[Array, ...]:
         """Make the SHAPE rows (16,) that the law reads for a ball of the object on this surface.
@@ -223,11 +223,11 @@ def distance_and_normal(shapes: Shapes, p: Array) -> tuple[Array, Array]:
             result = _nearest_to_one(shapes, 0, tuple(p.ravel().tolist()))
     if result is None:
         result = _nearest(shapes, 0, tuple(p))
-    along, gradient, _, _ = result
+    distance, gradient, _, _ = result
     # + 0 · along makes arrays of components that are constant
-    g = np.array([component + 0.0 * along for component in gradient]).reshape(p.shape)
+    g = np.array([component + 0.0 * distance for component in gradient]).reshape(p.shape)
     size = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-    return (np.reshape(along, p.shape[1:]) * size, g / size)
+    return (np.reshape(distance, p.shape[1:]) * size, g / size)
 
 
 def triangles_of(read: Callable[[int], Any], count: int) -> Array:

@@ -276,11 +276,11 @@ class BatchController:
         Raises:
             InvalidInputError: the mask has another shape.
         """
-        chosen = np.ones(self.rows, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
-        if chosen.shape != (self.rows,):
-            raise InvalidInputError(f"mask: expected ({self.rows},), got {chosen.shape}")
-        self._bytes.memory[chosen] = self._start[chosen]
-        self._codes[chosen] = Status.OK
+        is_reset = np.ones(self.rows, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+        if is_reset.shape != (self.rows,):
+            raise InvalidInputError(f"mask: expected ({self.rows},), got {is_reset.shape}")
+        self._bytes.memory[is_reset] = self._start[is_reset]
+        self._codes[is_reset] = Status.OK
 
     def replace(self, row: int, controller: Controller) -> None:
         """Replace the controller of a row by another one, which continues with its own memory.

@@ -93,32 +93,32 @@ class Changes:
         if self._controller.records is not self._records:
             self._take_records()
             return ()
-        now = self._read()
+        after = self._read()
         before = self._before
-        if now == before:
+        if after == before:
             return ()
-        self._before = now
-        changed = {name for name, part in _PARTS.items() if now[part] != before[part]}
+        self._before = after
+        changed = {name for name, part in _PARTS.items() if after[part] != before[part]}
         if changed <= _COMMANDS:  # the frequent case: a command that grows in every tick
-            return tuple(self._raised_ceilings(now))
-        return tuple(self._events(changed, before, now))
+            return tuple(self._raised_ceilings(after))
+        return tuple(self._events(changed, before, after))
 
-    def _events(self, changed: set[str], before: bytes, now: bytes) -> Iterator[Event]:
+    def _events(self, changed: set[str], before: bytes, after: bytes) -> Iterator[Event]:
         """Yield the events that follow from changed fields.
 
         Args:
             changed: names of the changed fields.
-            before, now: bytes of all watched fields, at the last look and at this one.
+            before, after: bytes of all watched fields, at the last look and at this one.
         """
         controller = self._controller
         if "engaged" in changed:
-            yield "setting", {"name": "engaged", "value": bool(_field(now, "engaged")[0])}
+            yield "setting", {"name": "engaged", "value": bool(_field(after, "engaged")[0])}
         for name in ("f_tare", "f_bias"):
             if name in changed:
-                yield "setting", {"name": name, "value": _field(now, name).tolist()}
+                yield "setting", {"name": name, "value": _field(after, name).tolist()}
         if "state" in changed:
             old = _STATES[int(_field(before, "state")[0])]
-            new = _STATES[int(_field(now, "state")[0])]
+            new = _STATES[int(_field(after, "state")[0])]
             kind = "reset" if old is SafetyState.SAFE_STOP else "state"
             reason = controller.reason if new is not SafetyState.RUN else ""
             yield kind, {"from": old.name, "to": new.name, "reason": reason}
@@ -127,30 +127,30 @@ class Changes:
             if joint is not None and joint != self._unbraked:
                 yield "brakes", {"joint": joint, "reason": controller.reason}
             self._unbraked = joint
-        if "hopping" in changed and _field(now, "hopping")[0]:
+        if "hopping" in changed and _field(after, "hopping")[0]:
             yield "hopping", {"reason": hopping_contact(controller.records, controller.settings)}
-        yield from self._raised_ceilings(now)
+        yield from self._raised_ceilings(after)
 
-    def _raised_ceilings(self, now: bytes) -> Iterator[Event]:
+    def _raised_ceilings(self, after: bytes) -> Iterator[Event]:
         """Yield an event for each force ceiling (N) that has risen by the factor `RISE`.
 
         Ceilings that are not set by the user follow the largest command: headroom × command.
 
         Args:
-            now: bytes of all watched fields.
+            after: bytes of all watched fields.
         """
         for key, command in _CEILINGS.items():
-            ceiling = self._headroom[key] * float(_field(now, command)[0])
+            ceiling = self._headroom[key] * float(_field(after, command)[0])
             if ceiling > max(RISE * self._ceilings.get(key, 0.0), self._least[key]):
                 self._ceilings[key] = ceiling
                 yield "ceiling", {"name": f"{key}_ceiling", "value": ceiling}
 
 
-def changed_settings(before: Settings, now: Settings) -> dict[str, list[Any]]:
+def changed_settings(before: Settings, after: Settings) -> dict[str, list[Any]]:
     """List the settings that differ between two controllers.
 
     Args:
-        before, now: settings of the earlier and of the later controller.
+        before, after: settings of the earlier and of the later controller.
 
     Returns:
         For each differing key [earlier value, later value], such as
@@ -159,7 +159,7 @@ def changed_settings(before: Settings, now: Settings) -> dict[str, list[Any]]:
     differences: dict[str, list[Any]] = {}
     for group in ("gains", "safety", "friction", "life", "posture_task", "joint_friction"):
         old = _flatten(group, getattr(before, group))
-        new = _flatten(group, getattr(now, group))
+        new = _flatten(group, getattr(after, group))
         for key in {**old, **new}:
             if old.get(key) != new.get(key):
                 differences[key] = [old.get(key), new.get(key)]

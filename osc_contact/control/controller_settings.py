@@ -176,8 +176,8 @@ class Settings:
         posture = as_array("posture", self.posture, (chain.nq,))
         lower, upper = position_limits(chain.model)
         with np.errstate(over="ignore"):  # limits of ±1.8e308 mean no limit
-            beyond = GOAL_BEYOND * (upper - lower)
-        require_in_range("posture", chain, posture, beyond)
+            tolerance = GOAL_BEYOND * (upper - lower)
+        require_in_range("posture", chain, posture, tolerance)
         return posture
 
     def _require_motors(self) -> None:

@@ -301,6 +301,6 @@ class ControllerState:
         memory.force_sum[: len(value)] = value
         memory.force_rank = len(value)
         memory.by_column = 0
-        kept = self.records.kept()
+        columns = self.records.kept()
         memory.columns.integral[:] = 0.0
-        memory.columns.integral[kept] = value if len(value) == len(kept) else 0.0
+        memory.columns.integral[columns] = value if len(value) == len(columns) else 0.0

@@ -117,18 +117,18 @@ class TickParts:
     inputs: tuple[Array, ...]
     switches: int
 
-    def run(self, begin: int, stop: int, more: int = 0) -> bool:
+    def run(self, begin: int, stop: int, flags: int = 0) -> bool:
         """Run consecutive parts of the tick.
 
         Args:
             begin: number of the first part.
             stop: number of the part after the last one.
-            more: switches in addition to those of the tick.
+            flags: switches in addition to those of the tick.
 
         Returns:
             Whether they were computed; else the tick has ended HELD.
         """
-        self.records.run(self.inputs, self.switches | more, begin, stop)
+        self.records.run(self.inputs, self.switches | flags, begin, stop)
         return bool(self.records.memory.status != at.HELD)
 
 
@@ -338,17 +338,22 @@ class CustomParts:
     def _repack(self, old: TickRecords, changed: dict[int, int]) -> TickRecords:
         """Make records with other numbers of columns of N; copy the states that do not depend on N.
 
-        These are the fields of MEMORY between its layout and the table of the columns.
+        MEMORY begins with its layout, which depends on the number of columns, and ends with the
+        table of the columns. The bytes between the two are copied; the columns begin anew, as
+        closed where their contact is closed.
 
         Args:
             old: records of the controller. changed: new numbers of columns by the index of the
                 pair.
+
+        Returns:
+            The new records.
         """
         columns = {**self.columns(old.model), **changed}
         new = TickRecords(pack_model(self.settings, columns))
         begin = at.MEMORY.dtype.fields["layout"][0].itemsize
-        same = int(new.memory.layout[at.MEMORY.start("columns")])
-        new.memory_bytes[begin:same] = old.memory_bytes[begin:same]
+        columns_at = int(new.memory.layout[at.MEMORY.start("columns")])
+        new.memory_bytes[begin:columns_at] = old.memory_bytes[begin:columns_at]
         phase = new.memory.contacts.phase[new.model.columns.contact]
         new.memory.columns.closed[:] = phase == Phase.CLOSED
         return new

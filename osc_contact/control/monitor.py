@@ -73,14 +73,14 @@ def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[A
     Returns:
         Flags (k, r) each: contact is made; it was made with a collision.
     """
-    closed = np.ones(alpha.shape, dtype=bool)
+    is_closed = np.ones(alpha.shape, dtype=bool)
     collision = np.zeros(alpha.shape, dtype=bool)
     low_ticks = np.flatnonzero((alpha < monitor.limits.force_off).any(axis=1))
     low_ticks = np.append(low_ticks, len(alpha))
     k = 0
     while k < len(alpha):
-        closed[k], collision[k] = monitor.update(alpha[k], speed[k])
+        is_closed[k], collision[k] = monitor.update(alpha[k], speed[k])
         k += 1
         if monitor.calm:  # to the next tick with a low force, or to the end
             k = int(low_ticks[np.searchsorted(low_ticks, k)])
-    return closed, collision
+    return is_closed, collision

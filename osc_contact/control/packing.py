@@ -161,8 +161,8 @@ def pack_gains(settings: Settings, head: View) -> None:
     _pack_friction(settings, head)
     head.reading = at.LEAST_SQUARES if settings.reading == "least_squares" else at.FILTER
     B = settings.B
-    kinds = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
-    head.metric = kinds[B] if isinstance(B, str) else at.BY_MATRIX
+    codes = {"object": at.BY_OBJECT, "chain": at.BY_CHAIN}
+    head.metric = codes[B] if isinstance(B, str) else at.BY_MATRIX
     head.B_inv[:] = np.eye(6) if isinstance(B, str) else np.linalg.inv(B)
     head.phased = settings.life is not None
     # the limited torque rate after a change of the active set is needed without phases, too
@@ -238,14 +238,14 @@ def _pack_friction(settings: Settings, head: View) -> None:
     head.friction_share = friction.share
     head.friction_smoothing = friction.smoothing
     limit = np.minimum(rows.tau_max, _UNLIMITED)
-    most = friction.most * limit
+    largest = friction.most * limit
     priors = head.priors
     priors.noise[:] = _NOISE * limit
     priors.rounding[:] = _ROUNDING * limit
     rows.slip[:] = np.where(rows.slides != 0, SLIDING * SLIP, SLIP)
     rows.theta[:] = model_values
     scale = np.ones_like(model_values)
-    scale[:, :4] = most[:, None]
+    scale[:, :4] = largest[:, None]
     priors.sure[:] = np.where(model_values.sum(axis=1) > priors.noise, 0.0, _SURELY)
     priors.doubt[:] = 0.5 * model_values + scale * _DOUBT
     priors.spread[:] = scale * _SPREAD

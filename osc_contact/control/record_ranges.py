@@ -345,7 +345,9 @@ def _holds(text: str, value: Callable[[str], int]) -> bool:
             for products in sums
         ]
         neighbours = zip(pairwise(numbers), signs, strict=True)
-        if all(compare[sign](left, right) for (left, right), sign in neighbours):
+        if all(
+            compare[sign](left_value, right_value) for (left_value, right_value), sign in neighbours
+        ):
             return True
     return False
 

@@ -246,11 +246,13 @@ def rotation_of(w: Array, w_dot: Array, w_ddot: Array) -> tuple[Array, Array, Ar
     """
     square = float(w @ w)
     a, b, c, a1, b1, c1 = _functions_of_angle(square)
-    along = float(w @ w_dot)
-    across = cross(w, w_dot)
-    omega = a * w_dot + b * across + (c * along) * w
-    rate = a1 * along * w_dot + b1 * along * across + (c1 * along**2) * w  # ȧ = a₁ wᵀẇ, …
-    turning = c * (along * w_dot + float(w_dot @ w_dot) * w)
+    projection = float(w @ w_dot)
+    normal = cross(w, w_dot)
+    omega = a * w_dot + b * normal + (c * projection) * w
+    rate = (
+        a1 * projection * w_dot + b1 * projection * normal + (c1 * projection**2) * w
+    )  # ȧ = a₁ wᵀẇ, …
+    turning = c * (projection * w_dot + float(w_dot @ w_dot) * w)
     omega_dot = a * w_ddot + b * cross(w, w_ddot) + (c * float(w @ w_ddot)) * w + rate + turning
     W = skew(w)
     return np.eye(3) + a * W + b * (W @ W), omega, omega_dot

@@ -153,7 +153,7 @@ class Signals(TickResult):
 
     @cached_property
     def contact(self) -> Contact:
-        """All active contacts as one: N (6, r) of the independent columns, n_γ (r,), shares R."""
+        """Union of all active contacts: N (6, r), independent columns; n_γ (r,); shares R."""
         N = self.columns.N[self.records.kept()].T.copy()
         n_gamma = self.n_gamma[: self.rank]
         R = None if self.rank == self.count else self.records.shares()
@@ -169,8 +169,8 @@ class Signals(TickResult):
         for body in set(touched):
             Phi_e, b_e, V_e = np.split(self.bodies.answer[body], (36, 42))
             answers[body] = Environment(Phi_e.reshape(6, 6), b_e, V_e)
-        each = [answers[body] for body in touched]
-        return Environment.combine(self.parts, each, self.state.metric)
+        answers_by_contact = [answers[body] for body in touched]
+        return Environment.combine(self.parts, answers_by_contact, self.state.metric)
 
     @cached_property
     def f_ccomm(self) -> Array:

@@ -135,13 +135,13 @@ def is_clear(settings: Settings, rows: TickRecords) -> bool:
 
 
 def judge_load(
-    chain: ClosedChain, most: float, error: Array, expected: Array, stepped: bool = False
+    chain: ClosedChain, limit: float, error: Array, expected: Array, stepped: bool = False
 ) -> str:
     """Sentence on wrist readings that differ from the load, with the likely cause; else empty.
 
     Args:
         chain: model of the arms.
-        most: largest permitted error of the force (N), `SafetySettings.load_error`.
+        limit: largest permitted error of the force (N), `SafetySettings.load_error`.
         error: (6,) readings less the load, at O in world axes (N, N m).
         expected: (6,) load by the model, at O in world axes (N, N m).
         stepped: True if the robot was commanded before, so that exact zeros are readings.
@@ -149,7 +149,7 @@ def judge_load(
     levers = (norm(link.inertia.lever) for links in chain.outboard for link in links)
     lever = max([LEVER, *levers])
     force, torque = map(norm, np.split(error, 2))
-    if force <= most and torque <= most * lever:
+    if force <= limit and torque <= limit * lever:
         return ""
     weight = norm(expected[:3])
     if not stepped and norm(error + expected) < NOTHING * weight:
@@ -178,7 +178,7 @@ def judge_load(
         f"the wrist sensor ({frames}) reads another load than it carries, and no contact is made: "
         f"in world axes at the object's origin {_show(reading)}, expected {_show(expected)} of "
         f"{chain.outboard_mass:.3g} kg; the difference is {force:.3g} N and {torque:.3g} N m, "
-        f"limit load_error = {most:g} N ({most * lever:.2g} N m). {cause}"
+        f"limit load_error = {limit:g} N ({limit * lever:.2g} N m). {cause}"
     )
 
 

@@ -45,9 +45,9 @@ class Idle:
         """
         desired = len(settings.contacts) > 0 and bool(np.any(np.asarray(alpha_d) > 0.0))
         self.ticks = self.ticks + 1 if desired else 0
-        due = not self.logged and self.ticks * settings.dt > PATIENCE_S
-        self.logged = self.logged or due
-        return due
+        is_overdue = not self.logged and self.ticks * settings.dt > PATIENCE_S
+        self.logged = self.logged or is_overdue
+        return is_overdue
 
     def sentence(self, settings: Settings) -> str:
         """Sentence on forces that are desired without engaged contacts; empty without such forces.
@@ -84,14 +84,14 @@ def explained_approaches(records: TickRecords, settings: Settings) -> str:
             continue
         columns = records.memory.columns[contact_of_column == number]
         for row in columns:
-            least = row.explained + life.force_on
-            if row.explained > 0.0 and life.force_on < row.touch < least:
+            least_force = row.explained + life.force_on
+            if row.explained > 0.0 and life.force_on < row.touch < least_force:
                 sentences.append(
                     f"contact '{pair.name}' is not made: it reads {row.touch:.3g} N, of which "
                     f"friction of the closed contacts explains {row.explained:.3g} N if their "
                     f"coefficient is friction_bound = {life.friction_bound:g}; it is made above "
-                    f"{least:.3g} N. Press more, press less on the others, or lower friction_bound "
-                    "(PhaseSettings, control.life)"
+                    f"{least_force:.3g} N. Press more, press less on the others, or lower "
+                    "friction_bound (PhaseSettings, control.life)"
                 )
     return "; ".join(sentences)
 

@@ -113,7 +113,7 @@ def _header(text: str) -> str:
     Args:
         text: content of osc_controller.h.in.
     """
-    phases = (f" *   {one.name}: {one.words}" for one in _phase_settings())
+    phases = (f" *   {setting.name}: {setting.words}" for setting in _phase_settings())
     values = {
         "VERSION": version("osc-contact"),
         "FILE_VERSION": str(FORMAT),
@@ -276,7 +276,7 @@ def _layout() -> str:
 def _rows() -> list[str]:
     """Write the offsets in rows of tables of MEMORY and MODEL that the library's getters read."""
     lines = []
-    for name, kind, wanted in (
+    for name, kind, fields_by_table in (
         (
             "MEMORY",
             records.MEMORY,
@@ -285,7 +285,7 @@ def _rows() -> list[str]:
         ("MEMORY", records.MEMORY, {"friction": ("theta",)}),
         ("MODEL", records.MODEL, {"joints": ("theta",)}),
     ):
-        for table, columns in wanted.items():
+        for table, columns in fields_by_table.items():
             dtype: Any = kind.tables[table][0]
             lines.append(f"#define {name}_{table}_BYTES {dtype.itemsize}")
             lines += [f"#define {name}_{table}_{key} {dtype.fields[key][1]}" for key in columns]
@@ -297,7 +297,7 @@ def _structure() -> list[str]:
     heads = ", ".join(str(kind.dtype.itemsize) for kind in RECORDS.values())
     fields: Any = records.MODEL.dtype.fields
     tables = []
-    same = []
+    count_rows = []
     for name, kind in RECORDS.items():
         for dtype, sizes in kind.tables.values():
             rows, columns = _sizes_in_c(kind, sizes)
@@ -306,7 +306,9 @@ def _structure() -> list[str]:
         counted = {"a"} if name == "PROGRAM" else set(COUNTED)
         for count in kind.counts:
             if count in counted:
-                same.append(f"    {{{name}, {kind.slot(count)}, {fields[COUNTED[count]][1]}}},")
+                count_rows.append(
+                    f"    {{{name}, {kind.slot(count)}, {fields[COUNTED[count]][1]}}},"
+                )
     return [
         "/* Sizes of tables: numbers, or −1 − the slot of the layout that has them. */",
         f"enum {{ {', '.join(RECORDS)}, RECORDS }};",
@@ -315,7 +317,7 @@ def _structure() -> list[str]:
         *tables,
         "};",
         "static const struct { int record, slot; size_t field; } COUNTS[] = {",
-        *same,
+        *count_rows,
         "};",
     ]
 

@@ -309,34 +309,36 @@ def _reach_step(
 ROUNDING = 1e-6  #: largest rounding error of a number that was written to a file (m, rad)
 
 
-def outside_limits(chain: ClosedChain, q: Array, beyond: Array | float = 0.0) -> list[str]:
+def outside_limits(chain: ClosedChain, q: Array, tolerance: Array | float = 0.0) -> list[str]:
     """List a clause for each joint that is outside its limits.
 
     Args:
         chain: the arms.
         q: (n,) positions (rad, m). Numbers that are not finite are not compared.
-        beyond: (n,) or one number: accepted distance beyond the limits (rad, m).
+        tolerance: (n,) or one number: accepted distance beyond the limits (rad, m).
     """
     lower, upper = position_limits(chain.model)
     return [
         f"joint {chain.joint_names[j]} at {q[j]:.4g} is outside its limits "
         f"[{lower[j]:.4g}, {upper[j]:.4g}]"
-        for j in np.flatnonzero(np.maximum(lower - q, q - upper) > beyond)
+        for j in np.flatnonzero(np.maximum(lower - q, q - upper) > tolerance)
     ]
 
 
-def require_in_range(name: str, chain: ClosedChain, q: Array, beyond: Array | float = 0.0) -> None:
+def require_in_range(
+    name: str, chain: ClosedChain, q: Array, tolerance: Array | float = 0.0
+) -> None:
     """Refuse joint positions outside the joints' limits.
 
     Args:
         name: name of the argument, for the message.
-        chain, q, beyond: see `outside_limits`.
+        chain, q, tolerance: see `outside_limits`.
 
     Raises:
         InvalidInputError: joints are further out; the message lists them, and the numbers in
             radians if they seem to be degrees.
     """
-    clauses = outside_limits(chain, q, beyond + ROUNDING)
+    clauses = outside_limits(chain, q, tolerance + ROUNDING)
     if not clauses:
         return
     advice = "give positions (rad or m) within the limits, or correct those in the robot's file"

@@ -91,13 +91,13 @@ def mass_matrix(work: View, arms: Sequence[slice]) -> Array:
     return M
 
 
-def read_state(chain: EvaluatedChain, work: View, rest: View, data: pin.Data) -> ChainState:
+def read_state(chain: EvaluatedChain, work: View, static_work: View, data: pin.Data) -> ChainState:
     """Convert the results of the law to the state of a chain at O in world axes.
 
     Args:
         chain: the arms.
         work: record WORK at (q, v).
-        rest: record WORK at q and v = 0, in which all forces are those of gravity.
+        static_work: record WORK at q and v = 0, in which all forces are those of gravity.
         data: data of Pinocchio with the placements at q.
 
     Raises:
@@ -112,7 +112,7 @@ def read_state(chain: EvaluatedChain, work: View, rest: View, data: pin.Data) ->
     sigma = work.sigma[:m]
     sigma_e = locked @ sigma
     Lambda = work.Lambda[m:, m:].copy()
-    p = rest.chain_bias[m:].copy()
+    p = static_work.chain_bias[m:].copy()
     mu = work.chain_bias[m:] + work.Lambda[m:, :m] @ sigma - p
     W = joints.J_bar @ free
     G = W.T[:, chain.actuated]
@@ -135,7 +135,7 @@ def read_state(chain: EvaluatedChain, work: View, rest: View, data: pin.Data) ->
         w=joints.offset + joints.J_bar @ sigma_e,
         h=joints.h.copy(),
         M=M,
-        arms=_all_arm_terms(chain, work, rest, M, motion, wrench),
+        arms=_all_arm_terms(chain, work, static_work, M, motion, wrench),
         payload=_payload_terms(chain, X_WO, V_O),
         metric=wrench @ wrench.T,
         grasp_points=np.array([tip.translation for tip in chain.tip_poses(data)]),
@@ -151,19 +151,19 @@ def read_state(chain: EvaluatedChain, work: View, rest: View, data: pin.Data) ->
 
 
 def _all_arm_terms(
-    chain: EvaluatedChain, work: View, rest: View, M: Array, motion: Array, wrench: Array
+    chain: EvaluatedChain, work: View, static_work: View, M: Array, motion: Array, wrench: Array
 ) -> tuple[ArmTerms, ...]:
     """Convert the operational-space terms of each arm at its grasp.
 
     Args:
-        chain, work, rest: see `read_state`.
+        chain, work, static_work: see `read_state`.
         M: (n, n) joint-space inertia of all arms.
         motion, wrench: (6, 6) maps of motions and wrenches from energy coordinates to O, world
             axes.
     """
     terms = []
     for row, grasp, s in zip(work.arms, chain.grasps, chain.slices, strict=True):
-        weight = rest.joints.h[s]
+        weight = static_work.joints.h[s]
         terms.append(_arm_terms(row, grasp, work.joints[s], weight, M[s, s], motion, wrench))
     return tuple(terms)
 
@@ -292,16 +292,16 @@ def require_pinocchio_agrees(chain: EvaluatedChain, row: Bytes) -> None:
         v = rng.normal(size=n)
         work = chain_work(row, q, v, SE3.Identity(), np.zeros(6))
         pin.computeAllTerms(chain.model, data, q, v)
-        for name, ours, theirs in (
+        for name, law_value, pinocchio_value in (
             ("J", carry_twist(work.joints.column.T, work.p_C, np.zeros(3)), columns_of(data.J)),
             ("M", mass_matrix(work, chain.slices), data.M),
             ("h", work.joints.h, data.nle),
         ):
-            worst = float(np.abs(ours - theirs).max(initial=0.0))
-            if not worst <= TOLERANCE * np.abs(theirs).max(initial=1.0):
+            difference = float(np.abs(law_value - pinocchio_value).max(initial=0.0))
+            if not difference <= TOLERANCE * np.abs(pinocchio_value).max(initial=1.0):
                 raise ModelError(
-                    f"the control law's {name} differs from Pinocchio's by {worst:.3g} on a random "
-                    "state: the model has a joint or a property that the law does not support. "
-                    "Please report it with the model; a chain of plain revolute and prismatic "
-                    "joints is supported"
+                    f"the control law's {name} differs from Pinocchio's by {difference:.3g} on a "
+                    "random state: the model has a joint or a property that the law does not "
+                    "support. Please report it with the model; a chain of plain revolute and "
+                    "prismatic joints is supported"
                 )

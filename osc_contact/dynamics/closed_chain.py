@@ -268,14 +268,14 @@ class ClosedChain:
             X_WO = self.object_pose(data) if X_WO is None else X_WO
             V = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
         work = chain_work(row, q, v, X_WO, V)
-        rest = chain_work(row, q, still, X_WO, np.zeros(6))
+        static_work = chain_work(row, q, still, X_WO, np.zeros(6))
         reason = int(work.reason)
         if reason != NO_REASON:
             cause = SENTENCES[reason]
             if reason == OBJECT_UNKNOWN:
                 cause += ", or give the measured pose and twist: state(q, v, X_WO, V_O)"
             raise ModelError(cause)
-        return read_state(self, work, rest, data)
+        return read_state(self, work, static_work, data)
 
     def _twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:
         """Twist (6,) of the object at O from the leader's tip (m/s, rad/s).

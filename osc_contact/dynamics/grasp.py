@@ -68,11 +68,11 @@ class Grasp:
         object.__setattr__(self, "T", T)
         object.__setattr__(self, "N", _wrenches(T))
         for i, j in combinations(range(T.shape[1]), 2):
-            turned = cross_twist(T[:, i], T[:, j])
-            if np.abs(self.N.T @ turned).max(initial=0.0) > _SAME * size[i] * size[j]:
+            bracket = cross_twist(T[:, i], T[:, j])
+            if np.abs(self.N.T @ bracket).max(initial=0.0) > _SAME * size[i] * size[j]:
                 raise InvalidInputError(
                     f"T of the grasp: after motion {i} motion {j} is another one (their bracket "
-                    f"{np.round(turned, 6)} is not in T). A grasp permits a group of motions: "
+                    f"{np.round(bracket, 6)} is not in T). A grasp permits a group of motions: "
                     "hinge, ball, slide, cylinder, screw, plane; put other joints into the URDF."
                 )
 
@@ -271,8 +271,8 @@ def _solved(
             "axes at the object) while every arm stands still. Grasp it so that this is blocked, "
             "or give the measured pose and twist: state(q, v, X_WO, V_O)."
         )
-    right = np.concatenate([miss for _, miss in parts])
-    return np.linalg.solve(L.T, Vh.T @ ((U.T @ right) / s))
+    right_side = np.concatenate([miss for _, miss in parts])
+    return np.linalg.solve(L.T, Vh.T @ ((U.T @ right_side) / s))
 
 
 def _aligned(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:

@@ -108,6 +108,12 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
     cfg: ContactActionCfg
 
     def __init__(self, cfg: ContactActionCfg, env: Environments) -> None:
+        """Make a controller for each environment.
+
+        Args:
+            cfg: configuration of the action. env: environments, whose steps of physics, control and
+                actions must be multiples of one another.
+        """
         super().__init__(cfg=cfg, env=env)
         chain = cfg.controller.chain
         joints = cfg.joints or tuple(name.split("/")[-1] for name in chain.joint_names)
@@ -118,11 +124,14 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
             (f"{cfg.entity_name}/{arm.name}/force", f"{cfg.entity_name}/{arm.name}/torque")
             for arm in chain.arms
         )
-        every = cfg.controller.dt / env.physics_dt
+        ticks_per_step = cfg.controller.dt / env.physics_dt
         of_action = env.step_dt / cfg.controller.dt
-        self._every = round(every)
+        self._every = round(ticks_per_step)
         self._ticks = round(of_action)
-        if max(abs(every - self._every), abs(of_action - self._ticks)) > 1e-6 or not self._every:
+        if (
+            max(abs(ticks_per_step - self._every), abs(of_action - self._ticks)) > 1e-6
+            or not self._every
+        ):
             raise InvalidInputError(
                 f"physics every {env.physics_dt:g} s, control every {cfg.controller.dt:g} s, "
                 f"actions every {env.step_dt:g} s: each must be a multiple of the one before"
@@ -164,10 +173,10 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
     def process_actions(self, actions: torch.Tensor) -> None:
         """Plan set points and forces of all control periods of an action (B, 6 + r)."""
         self._raw[:] = actions
-        given = np.clip(actions.detach().cpu().numpy().astype(float), -1.0, 1.0)
-        forces = 0.5 * (given[:, 6:] + 1.0) * self.cfg.most_force
+        clipped = np.clip(actions.detach().cpu().numpy().astype(float), -1.0, 1.0)
+        forces = 0.5 * (clipped[:, 6:] + 1.0) * self.cfg.most_force
         self._begin(forces)
-        increment = given[:, :6] * np.repeat(self.cfg.move, 3)
+        increment = clipped[:, :6] * np.repeat(self.cfg.move, 3)
         share = np.arange(1, self._ticks + 1)[:, None, None] / self._ticks
         X = moved(self._target, share * increment)
         alpha = self._forces + share * (forces - self._forces)
@@ -198,9 +207,9 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
     def apply_actions(self) -> None:
         """Tick the controllers at each control period and command their torques."""
         assert self._plan is not None
-        tick, between = divmod(self._step, self._every)
+        tick, remainder = divmod(self._step, self._every)
         self._step += 1
-        if between:
+        if remainder:
             return
         X, V, alpha = self._plan
         data = self._entity.data

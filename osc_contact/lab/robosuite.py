@@ -121,17 +121,25 @@ class _ArmLoop:
         )
 
     def aim(self, action: Array, config: Mapping[str, Any]) -> None:
-        """Set goals from the part (6 + contacts,) of an action that belongs to the arm."""
-        moved, turned, forces = np.split(np.asarray(action, dtype=float), [3, 6])
+        """Set the goals of pose and contact forces from the part of an action for this arm.
+
+        Args:
+            action: (6 + contacts,): displacement of the last goal in units of `move`, or pose of
+                the goal as position (m) and rotation vector (rad), in the world; then the forces,
+                −1 … 1 up to `most_force`, or in N.
+            config: options of the controller.
+        """
+        displacement, rotation, forces = np.split(np.asarray(action, dtype=float), [3, 6])
         if config["action"] == "displacement":
-            along, about = config["move"]
+            move_limit, turn_limit = config["move"]
             X = self.goal
             self.goal = pin.SE3(
-                pin.exp3(about * turned) @ X.rotation, X.translation + along * moved
+                pin.exp3(turn_limit * rotation) @ X.rotation,
+                X.translation + move_limit * displacement,
             )
             forces = config["most_force"] * (forces + 1.0) / 2.0
         else:
-            self.goal = pin.SE3(pin.exp3(turned), moved)
+            self.goal = pin.SE3(pin.exp3(rotation), displacement)
         self.goals.aim(self.goal, dict(zip(self.names, forces.tolist(), strict=True)))
 
     def torques(self) -> Array:
@@ -229,9 +237,9 @@ class OscContact(CompositeController):  # type: ignore[misc]
                 low += [-1.0] * (end - start)
                 high += [1.0] * (end - start)
             else:
-                least, most = self.part_controllers[part].control_limits
-                low += list(least)
-                high += list(most)
+                part_low, part_high = self.part_controllers[part].control_limits
+                low += list(part_low)
+                high += list(part_high)
         return np.array(low), np.array(high)
 
     def reset(self) -> None:
@@ -318,13 +326,15 @@ class OscContact(CompositeController):  # type: ignore[misc]
         Raises:
             InvalidInputError: the message names the joints between the world and the arm.
         """
-        own = [self.sim.model.joint_id2name(j) for j in self.part_controllers[arm].joint_index]
-        found = list(model.chain.arms[0].model.names)[1:]
-        others = [name for name in found if name not in own]
-        if others:
+        arm_joints = [
+            self.sim.model.joint_id2name(j) for j in self.part_controllers[arm].joint_index
+        ]
+        joint_names = list(model.chain.arms[0].model.names)[1:]
+        foreign = [name for name in joint_names if name not in arm_joints]
+        if foreign:
             raise InvalidInputError(
-                f"between the world and arm {arm!r} there are {len(others)} more joints "
-                f"({', '.join(others)}); its base has to stand: take a robot with a fixed base, "
+                f"between the world and arm {arm!r} there are {len(foreign)} more joints "
+                f"({', '.join(foreign)}); its base has to stand: take a robot with a fixed base, "
                 'for example "Panda"'
             )
 

@@ -161,12 +161,17 @@ def _follow_centre(t):
 
 @leaf
 def _largest_load(t, acceleration):
-    """Arm whose wrist bears the largest force less weight and inertia, and this force (N).
+    """Find the wrist with the largest force, from which weight and inertial force are subtracted.
 
-    Each arm is assumed to bear an equal share of the object's weight and inertia, and of the tare.
+    Reads `net` of the arms, the reading of the wrist less weight and inertia of the bodies between
+    it and the object. Each arm is assumed to bear an equal share of the object's weight and
+    inertia, and of the tare.
 
     Args:
         t: Tick. acceleration: (3,) acceleration of the object's centre of mass (m/s²).
+
+    Returns:
+        Index of the arm, and the force (N).
     """
     model = t.model
     mass = model.principal[0] / model.n_arms if model.held else 0.0

@@ -129,6 +129,10 @@ def _reduce(t):
 
     Args:
         t: Tick.
+
+    Returns:
+        `NO_REASON`; `CONTRADICTION` if n_γ of a dependent column does not follow from those of the
+        selected ones; or the reason of `_same_body`.
     """
     work = t.work
     columns = work.columns
@@ -219,7 +223,7 @@ def _express(t):
 
 @inner
 def _consistent(t):
-    """Whether n_γ of every active column follows from the kept ones, except for rounding.
+    """Determine whether n_γ of every active column follows from the kept ones, except for rounding.
 
     Reads `n_gamma`, `share`, `extent` of the columns. If one does not, fills `where` (the column)
     and `reason_amount` (n_γ of this column as implied by the others).

@@ -354,7 +354,7 @@ def _take_in_rotor(row, learned, prior, is_learned, dt):
 
 @leaf
 def _is_contradicted(t, j, missing, moves, dt):
-    """Whether residuals have long shown less than half of the friction identified beyond the model.
+    """Test whether residuals have long shown less than half of the friction beyond the model's.
 
     Friction of a joint is permanent, but an object that drags at the arm may be released. In this
     case the caller discards the whole estimate.

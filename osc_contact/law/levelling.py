@@ -22,9 +22,11 @@ _TOUCHED = 0.5  #: share of `force_on` of net force at which a contact counts as
 
 @inner
 def level_approaches(t):
-    """Distribute the mean force command of each approached contact so that its columns go alike.
+    """Distribute the force command of each approached contact so that its columns approach alike.
 
-    As a column begins to touch, the forces become equal again: then each has to press by itself.
+    The mean of the commands is kept; shares are such that all columns get the same acceleration.
+    While a column begins to touch, the commands return to equal ones, because each column then has
+    to press by itself.
     Reads `N_t`, `Lambda`, and `net` of MEMORY. Changes `alpha_u` of contacts with two columns or
     more, all of which are kept.
 
@@ -41,8 +43,8 @@ def level_approaches(t):
     for a in range(work.rank):
         j = work.kept[a]
         contact = t.model.columns[j].contact
-        first = a == 0 or t.model.columns[work.kept[a - 1]].contact != contact
-        if not first or contact_of(t, j).phase != APPROACHING:
+        is_first = a == 0 or t.model.columns[work.kept[a - 1]].contact != contact
+        if not is_first or contact_of(t, j).phase != APPROACHING:
             continue
         end = a + 1
         while end < work.rank and t.model.columns[work.kept[end]].contact == contact:
@@ -69,17 +71,17 @@ def _level(t, factor, first, end):
     n = end - first
     D = local(6, 6)
     share = local(1, 6)
-    answer = local(6)
+    response = local(6)
     mean = 0.0
     touching = 0.0
     for a in range(n):
         share[0, a] = 1.0
         mean += work.alpha_u[first + a] / n
         touching = max(touching, t.memory.columns[work.kept[first + a]].net)
-        fill(answer, work.N_t[first + a])
-        cholesky_solve(factor, d, answer[m:])
+        fill(response, work.N_t[first + a])
+        cholesky_solve(factor, d, response[m:])
         for b in range(n):
-            D[a, b] = dot(answer[m:], work.N_t[first + b, m:], d)
+            D[a, b] = dot(response[m:], work.N_t[first + b, m:], d)
     free = 1.0 - touching / (_TOUCHED * t.model.force_on)
     if free <= 0.0 or not lu_solve(D, n, share, 1):
         return

@@ -120,9 +120,9 @@ def named(path: Path) -> Any:
 
 
 def may_keep(folder: Path) -> bool:
-    """Whether code may be loaded from a folder: it exists, and other users cannot write to it.
+    """Return whether code may be loaded from a folder: it exists, and only its owner can write.
 
-    A folder that others may write to is logged.
+    A folder to which other users can write is logged as a warning.
     """
     try:
         require_private(folder)
@@ -146,10 +146,14 @@ def found_in(folder: Path) -> Any:
 
 
 def load(path: Path) -> Any:
-    """Load a library; None if it is missing, of another platform, or of other sources.
+    """Load the compiled law as an extension module, if it was made of the present sources.
 
     Args:
-        path: file of the library. It is executed only if it contains the hash of these sources.
+        path: file of the library. It is executed only if it contains the hash of the sources.
+
+    Returns:
+        The module; None if the file is missing, or was made for another platform or of other
+        sources.
     """
     if not path.is_file() or law_hash().encode() not in path.read_bytes():
         return None  # loading a foreign file would execute it

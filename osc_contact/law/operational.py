@@ -42,7 +42,7 @@ _DEFINITE = 1e-12  #: least relative pivot of an effort metric
 
 
 @inner
-def arm_terms(t, first_joint, n, m, arm, row):
+def arm_terms(t, first, n, m, arm, row):
     """Compute J̄, Λ and the locked wrenches of one arm in energy coordinates.
 
     Reads J and M of its joints, and `passed` of the arm unless m = 6. Fills J̄ of the joints and,
@@ -54,7 +54,7 @@ def arm_terms(t, first_joint, n, m, arm, row):
     QR of `_decompose` is used if the bound 1/trace(Λ) of the least σ² is above this threshold.
 
     Args:
-        t: Tick. first_joint: first joint of the arm. n: number of its joints. m: number of
+        t: Tick. first: first joint of the arm. n: number of its joints. m: number of
             independent wrenches that its grasp transmits. arm: ARM_WORK row.
         row: first row of `locked_rows` for the locked wrenches of this arm.
 
@@ -63,13 +63,13 @@ def arm_terms(t, first_joint, n, m, arm, row):
     """
     if m == 6:  # all wrenches: the axes themselves are orthonormal
         set_identity(arm.passed)
-        if _decompose(t, first_joint, n, arm, row):
+        if _decompose(t, first, n, arm, row):
             trace = 0.0
             for i in range(6):
                 trace += arm.Lambda[i, i]
             if trace * t.model.rank_tolerance * t.model.rank_tolerance < 1.0:
                 return arm.n_locked
-    return arm.n_locked if _separate(t, first_joint, n, m, arm, row) else -1
+    return arm.n_locked if _separate(t, first, n, m, arm, row) else -1
 
 
 @leaf
@@ -381,7 +381,7 @@ _SMALL = 1e-9  #: χ below which a direction does not determine a motion of the 
 
 @leaf
 def may_be_singular(t, arm, arm_work):
-    """Whether a χ of an arm may be below FULL, by a conservative bound.
+    """Test whether a χ of an arm may be below FULL, by a conservative bound.
 
     ΣΣ Λ_ij²/(Λ_ii Λ_jj)_ref ≥ 1/χ⁴ for every χ, in energy coordinates.
 

@@ -52,7 +52,8 @@ def low_pass(t, independent):
     pull, so a negative remainder is attributed to noise, whose estimate is twice as large.
 
     Fills `filtered_twist`, and `force`, `filtered_speed`, `touch`, `touch_read`, `explained`,
-    `known`, `net` and `noise` of the columns in MEMORY.
+    `known`, `net` and `noise` of the columns in MEMORY. `touch` and `explained` are forces of an
+    approached column, see `witness`.
 
     Args:
         t: Tick, with `speeds` and `mobility` D in WORK.

@@ -519,7 +519,7 @@ def _dry_friction_bound(t, j):
 
 @leaf
 def exceeds_dry_friction(t, j):
-    """Whether the commanded acceleration of joint j needs more torque than dry friction holds.
+    """Test whether the commanded acceleration of a joint needs more torque than dry friction.
 
     Unknown friction is assumed to hold `_HELD` times the motor's limit. If the readings of all
     joints have been constant for `DEAD`, either friction holds the arm or the encoders are dead;

@@ -139,17 +139,19 @@ def _times(M, v):
 def normal_at(shapes, at, p, v):
     """Gradient magnitude |∇F|, normal n and its rate dn/dt at the foot of a moving point.
 
-    All vectors are in the axes of the touched body.
+    With g = ∇F, λ and the Hessian H from `nearest`, the foot moves with (1 + λH)⁻¹(v − λ̇g), where
+    λ̇ keeps it on the surface, and dn/dt = (1 − nnᵀ) Hv_foot/|g|. All vectors are in the axes of
+    the touched body.
 
     Args:
         shapes: SHAPE rows. at: the first one of the surface. p: the point (m). v: its velocity
             (m/s).
     """
     seat = shapes[at + 1].row
-    _, g, H, M = nearest(shapes, at, rotated9_back(seat, minus3(p, seat[9:])))
+    _, g, H, inverse = nearest(shapes, at, rotated9_back(seat, minus3(p, seat[9:])))
     size = sqrt(dot3(g, g))
-    v_foot = _times(M, rotated9_back(seat, v))
-    m = _times(M, g)
-    bend = _times(H, add3(v_foot, -dot3(g, v_foot) / dot3(m, g), m))
-    n_dot = divided3(add3(bend, -dot3(g, bend) / (size * size), g), size)
+    v_foot = _times(inverse, rotated9_back(seat, v))
+    inverse_g = _times(inverse, g)
+    g_dot = _times(H, add3(v_foot, -dot3(g, v_foot) / dot3(inverse_g, g), inverse_g))
+    n_dot = divided3(add3(g_dot, -dot3(g, g_dot) / (size * size), g), size)
     return size, rotated9(seat, divided3(g, size)), rotated9(seat, n_dot)

@@ -184,7 +184,7 @@ def look(t, flags):
 
 @leaf
 def is_finite(t, engaged, moving):
-    """Whether all values of INPUT and the desired squeeze are finite.
+    """Test whether all values of INPUT and the desired squeeze are finite.
 
     Args:
         t: Tick. engaged: whether the law includes contacts; if not, alpha_d is not checked.

@@ -63,11 +63,11 @@ def rate(task: Task) -> Values:
 def stretched(task: Task) -> Values:
     """Excess (m) of the object's distance from the base of an arm over the stretched length."""
     for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
-        most = stretched_length(arm) + norm(grasp.X_TO.translation)
-        far = np.linalg.norm(task.poses[:, :3] - arm.base.translation, axis=1)
-        k = far.argmax()
-        words = {"far": far[k], "name": arm.name, "t": task.times[k], "most": most}
-        yield far[k] - most, words
+        largest = stretched_length(arm) + norm(grasp.X_TO.translation)
+        distances = np.linalg.norm(task.poses[:, :3] - arm.base.translation, axis=1)
+        k = distances.argmax()
+        words = {"far": distances[k], "name": arm.name, "t": task.times[k], "most": largest}
+        yield distances[k] - largest, words
 
 
 @doubt(
@@ -212,8 +212,10 @@ def _acceleration(controller: Controller) -> Array:
     for arm, s, grasp in zip(chain.arms, chain.slices, chain.grasps, strict=True):
         n = arm.model.nv
         if n > grasp.N.shape[1]:
-            own = np.linalg.solve(joints.M[s, :n], joints.rest[s] - joints.h[s])
-            a[s] += own - np.asarray(joints.J_bar[s]) @ (np.asarray(joints.J[s]).T @ own)
+            arm_acceleration = np.linalg.solve(joints.M[s, :n], joints.rest[s] - joints.h[s])
+            a[s] += arm_acceleration - np.asarray(joints.J_bar[s]) @ (
+                np.asarray(joints.J[s]).T @ arm_acceleration
+            )
     return a
 
 
@@ -237,14 +239,14 @@ def motors(task: Task) -> Values:
     contact = task.contact
     chain = task.chain
     limits = np.minimum(chain.tau_max, 1e12)
-    needed = state.b_S[:, None] + state.S.T @ contact.N @ contact.R @ task.forces.T
-    shares = np.linalg.pinv(state.G * limits) @ needed  # of each motor's limit, least squares
+    required = state.b_S[:, None] + state.S.T @ contact.N @ contact.R @ task.forces.T
+    shares = np.linalg.pinv(state.G * limits) @ required  # of each motor's limit, least squares
     order = np.argsort(np.abs(shares).max(axis=0))
     hardest = order[-1]
     median = order[len(order) // 2]
-    peak = least_peak(state.G * limits, needed[:, hardest])
+    peak = least_peak(state.G * limits, required[:, hardest])
     # a peak slightly above the limits only saturates for some time
-    if peak > motors.refused or least_peak(state.G * limits, needed[:, median]) > 1.0:
+    if peak > motors.refused or least_peak(state.G * limits, required[:, median]) > 1.0:
         column = task.forces[hardest].argmax()
         motor = np.abs(shares[:, hardest]).argmax()
         words = {
@@ -300,8 +302,8 @@ def first_tick(task: Task) -> Values:
         yield 1.0, {"why": trial.reason}
     elif task.pairs and is_clear(trial.settings, trial.records):
         error = trial.residual_wrench() - trial.f_tare
-        most = trial.settings.safety.load_error
-        why = judge_load(trial.chain, most, error, trial.result().bias_out)
+        limit = trial.settings.safety.load_error
+        why = judge_load(trial.chain, limit, error, trial.result().bias_out)
         if why:
             may_change = not trial.engaged or not np.any(task.measured.wrenches)
             yield 0.5 if may_change else 1.0, {"why": why}
@@ -327,11 +329,11 @@ def weights(task: Task) -> Values:
         bias = bias + state.arms[0].J.T @ load
     bias = bias[chain.actuated]
     shares = np.abs(bias) / np.minimum(chain.tau_max, 1e12)
-    worst = shares.argmax()
+    j = shares.argmax()
     words = {
-        "joint": chain.joint_names[chain.actuated[worst]],
-        "torque": bias[worst],
-        "most": chain.tau_max[worst],
+        "joint": chain.joint_names[chain.actuated[j]],
+        "torque": bias[j],
+        "most": chain.tau_max[j],
         "mass": chain.moved_mass,
     }
-    yield shares[worst], words
+    yield shares[j], words

@@ -121,12 +121,14 @@ def work_out(
     for first, rows in _blocks(parts):
         if subject.phased:  # results of the controller's own monitor
             bilateral_active = ~unilateral & (rows["active"][:, subject.owners] > 0.0)
-            closed = (rows["closed"] > 0.0) | bilateral_active  # a bilateral one is always closed
+            is_closed = (
+                rows["closed"] > 0.0
+            ) | bilateral_active  # a bilateral one is always closed
             collision = (rows["collision"] > 0.0) & unilateral
         else:
             alpha = np.where(unilateral, rows["alpha"], np.abs(rows["alpha"]))
-            closed, collision = watch_series(monitor, alpha, rows["speed"])
-        detections = {"contact_seen": closed, "collision_seen": collision}
+            is_closed, collision = watch_series(monitor, alpha, rows["speed"])
+        detections = {"contact_seen": is_closed, "collision_seen": collision}
         yield channels(subject, truths, first, rows) | detections
 
 

@@ -97,7 +97,7 @@ class Commissioning:
             "shadow: lead the arm by the hand, at the tool, after a moment of rest": self._shadow,
             f"contact: presses with {FORCES[0]:g} and {FORCES[1]:g} N, slides": self._press,
         }
-        done = 0
+        completed = 0
         for title, step in steps.items():
             if not self.holds_itself:
                 self.robot.stop("the next step is to be confirmed")
@@ -111,11 +111,11 @@ class Commissioning:
             except OscContactError as error:
                 self.lines += [f"- {title}: failed", f"  - {error}"]
                 break
-            done += 1
+            completed += 1
         self.robot.stop()
         text = "\n".join(["# Commissioning", "", *self.lines, ""])
         write_whole(text, self.folder / "report.md")
-        return done == len(steps)
+        return completed == len(steps)
 
     def _read(self) -> Measurement:
         """Read the next measurement of the robot at rest.
@@ -147,14 +147,14 @@ class Commissioning:
             yield "mass matrices are not compared: the robot has no mass_matrix()"
         else:
             M = np.array(pin.crba(self._model, data, q))
-            own = mass_matrix()
-            worst = np.abs(M - own).max() / np.abs(own).max()
-            if worst > MASS_ERROR:
+            robot_M = mass_matrix()
+            difference = np.abs(M - robot_M).max() / np.abs(robot_M).max()
+            if difference > MASS_ERROR:
                 raise PlantError(
-                    f"the mass matrices of model and robot differ by {100 * worst:.3g} % of the "
-                    "largest element; is this the model of the robot, with its hand?"
+                    f"the mass matrices of model and robot differ by {100 * difference:.3g} % of "
+                    "the largest element; is this the model of the robot, with its hand?"
                 )
-            yield f"mass matrices differ by {100 * worst:.2g} %"
+            yield f"mass matrices differ by {100 * difference:.2g} %"
         readings = [m.joint_torques for m in measurements if m.joint_torques is not None]
         if not readings:
             yield "torques at rest are not compared: the robot measures none"
@@ -256,8 +256,8 @@ class Commissioning:
         if not motion.landed:
             raise PlantError(f"no plate was found within {1e3 * life.travel:.0f} mm below the tip")
         yield f"from state to torques: {latency(loop.as_dict())}"
-        shown = "" if self.draw is None else f"; ![forces]({self.draw(recording, self.folder)})"
-        yield f"landed after {motion.landed * self.dt:.2f} s{shown}"
+        picture = "" if self.draw is None else f"; ![forces]({self.draw(recording, self.folder)})"
+        yield f"landed after {motion.landed * self.dt:.2f} s{picture}"
         measured = recording["alpha_meas"][:, 0]
         commanded = recording["alpha_cmd"][:, 0]
         for k, force in zip(motion.judged, FORCES, strict=True):

@@ -65,11 +65,11 @@ class Truths:
 class ReadsTruth(Protocol):
     """Computation of the true states and forces from the rows that a `TruthLog` recorded."""
 
-    def truths(self, noted: Array) -> Truths:
+    def truths(self, rows: Array) -> Truths:
         """True states and contact forces at k instants.
 
         Args:
-            noted: (k, m) rows returned by `TruthLog.noted`.
+            rows: (k, m) rows returned by `TruthLog.noted`.
         """
 
 
@@ -97,21 +97,21 @@ class NotedTruths:
         """Set the contacts, in the order of the controller's contacts."""
         self._contacts = contacts
 
-    def truths(self, noted: Array) -> Truths:
+    def truths(self, rows: Array) -> Truths:
         """True states and contact forces at k instants.
 
         Args:
-            noted: (k, m) rows returned by `Watched.noted`: X_WO and each X_WE (3×4 by rows), V_O, 1
+            rows: (k, m) rows returned by `Watched.noted`: X_WO and each X_WE (3×4 by rows), V_O, 1
                 if bodies move, then for each contact 1 if closed, then the magnitudes α.
         """
         contacts = len(self._contacts)
         ends = np.cumsum([12 * (1 + contacts), 6, 1, contacts])  # of the fields in a row
-        poses, V_O, moving, closed, alpha = np.split(noted, ends, axis=1)
+        poses, V_O, moving, is_closed, alpha = np.split(rows, ends, axis=1)
         matrices = poses.reshape(-1, 1 + contacts, 3, 4).transpose(1, 2, 3, 0).copy()
         X_WO, *faces = (Poses(matrix[:, :3], matrix[:, 3]) for matrix in matrices)
         X_WE = tuple(faces) if moving.any() else (None,) * contacts
         N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(self._contacts, X_WE, strict=True))
-        return Truths(alpha, closed > 0.0, X_WO, V_O, X_WE, N)
+        return Truths(alpha, is_closed > 0.0, X_WO, V_O, X_WE, N)
 
 
 class Watched(NotedTruths):

@@ -196,7 +196,7 @@ class Recorder:
             self.flush()
         status = self._controller.status
         self._note_numbers(reference, seconds)
-        known = (tau, self._numbers, self._normal_std, self._integers)
+        values = (tau, self._numbers, self._normal_std, self._integers)
         row = self._rows[self._k]
         try:
             self._read_records()
@@ -208,9 +208,9 @@ class Recorder:
             if self.truth is None:
                 touched = measurement.touched
                 parts += (self._rest_poses if touched is None else np.ravel(touched.X_WE),)
-            np.concatenate(parts + known, out=row)
+            np.concatenate(parts + values, out=row)
         except (InvalidInputError, TypeError, ValueError, IndexError):  # no result, or misshapen
-            np.concatenate((self._unknown, *known), out=row)
+            np.concatenate((self._unknown, *values), out=row)
         if self.truth is not None:
             self.truth.note()
         stopped = self._controller.state is SafetyState.SAFE_STOP

@@ -32,8 +32,8 @@ _LEFT_OUT, _A_FACTOR, _ANOTHER = "left out", "a factor", "another motion"
 def jump(task: Task) -> Values:
     """Distance from the present pose of the object to the first reference (m)."""
     first = task.poses[0, :3]
-    now = task.state.X_WO.translation
-    yield norm(first - now), {"first": rounded(first), "now": rounded(now)}
+    current = task.state.X_WO.translation
+    yield norm(first - current), {"first": rounded(first), "now": rounded(current)}
 
 
 @rule("{name} is −{value:.3g} N at t = {t:.3g} s; this contact cannot pull: give forces ≥ 0")
@@ -41,8 +41,8 @@ def pulls(task: Task) -> Values:
     """Negated forces (N) of contacts that cannot pull; positive values are findings."""
     for name, owner, force in zip(task.force_names, task.owners, task.forces.T, strict=True):
         if pushes_only(task.pairs[owner]):
-            least = force.argmin()
-            yield -force[least], {"name": name, "t": task.times[least]}
+            k = force.argmin()
+            yield -force[k], {"name": name, "t": task.times[k]}
 
 
 @rule(
@@ -53,11 +53,11 @@ def pulls(task: Task) -> Values:
 )
 def measured_range(task: Task) -> Values:
     """Largest desired force of each column, divided by the range of the wrist sensors."""
-    most = task.safety.force_range
+    limit = task.safety.force_range
     for name, force in zip(task.force_names, np.abs(task.forces).T, strict=True):
         k = force.argmax()
-        words = {"name": name, "t": task.times[k], "force": force[k], "range": most}
-        yield force[k] / most, words
+        words = {"name": name, "t": task.times[k], "force": force[k], "range": limit}
+        yield force[k] / limit, words
 
 
 @rule(
@@ -106,8 +106,8 @@ def speed_ceiling(task: Task) -> Values:
     for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
         point = grasp.X_TO.inverse().translation  # tip in the object's frame
         # the lever R p of all poses at once, by the quaternion's rotation formula
-        across = 2.0 * np.cross(axis, point)
-        lever = point + task.poses[:, 6:] * across + np.cross(axis, across)
+        first_order = 2.0 * np.cross(axis, point)
+        lever = point + task.poses[:, 6:] * first_order + np.cross(axis, first_order)
         speeds = np.linalg.norm(V[:, :3] + np.cross(V[:, 3:], lever), axis=1)
         k = speeds.argmax()
         words = {"name": arm.name, "speed": speeds[k], "t": task.times[k], "most": ceiling}

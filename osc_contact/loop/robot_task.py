@@ -102,9 +102,10 @@ def _active_contacts(references: Sequence[Reference], contacts: int) -> Array | 
     """
     if all(reference.active is None for reference in references):
         return None
-    every = np.ones(contacts)
+    all_active = np.ones(contacts)
     rows = [
-        every if reference.active is None else reference.active != 0 for reference in references
+        all_active if reference.active is None else reference.active != 0
+        for reference in references
     ]
     return np.array(rows, float)
 

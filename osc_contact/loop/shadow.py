@@ -185,26 +185,28 @@ class Shadow:
         return v, acceleration, tau - modelled, J.T @ wrench
 
     def _scale(self, v: Array, acceleration: Array, remainder: Array, push: Array) -> float:
-        """Least-squares estimate of κ from all joints, each with its own friction and inertia.
+        """Estimate by least squares the share κ of the measured wrench that the joints confirm.
 
         The parts of both torques that friction, offset and inertia of a joint explain are removed
         before remainder = κ push is solved for all joints together, each over its motor's limit.
 
         Args:
-            v, acceleration, remainder, push: (k, n) samples, see `_sample`.
+            v, acceleration: (k, n) motion of the joints (rad/s, rad/s²; m/s, m/s²).
+            remainder: (k, n) torques that the model does not explain (N m, N).
+            push: (k, n) torques Jᵀf of the measured wrench (N m, N).
 
         Returns:
-            κ; NaN if the pushes were too small.
+            κ, 1 for a perfect wrist sensor; NaN if the pushes were too small.
         """
         numerator = 0.0
         denominator = 0.0
         for j, tau_max in enumerate(self.chain.tau_max):
             regressors = _columns(v[:, j], acceleration[:, j])
-            both = np.column_stack((remainder[:, j], push[:, j]))
-            explained = regressors @ np.linalg.lstsq(regressors, both)[0]
-            own_remainder, own_push = (both - explained).T / tau_max
-            numerator += own_remainder @ own_push
-            denominator += own_push @ own_push
+            signals = np.column_stack((remainder[:, j], push[:, j]))
+            explained = regressors @ np.linalg.lstsq(regressors, signals)[0]
+            joint_remainder, joint_push = (signals - explained).T / tau_max
+            numerator += joint_remainder @ joint_push
+            denominator += joint_push @ joint_push
         if not denominator > FELT**2 * push.size:
             return float("nan")
         return numerator / denominator
@@ -241,18 +243,18 @@ class Shadow:
         Args:
             joints: fitted deviations, one of each joint of the chain.
         """
-        for joint, most in zip(joints, TOO_LARGE * self.chain.tau_max, strict=True):
+        for joint, limit in zip(joints, TOO_LARGE * self.chain.tau_max, strict=True):
             if not joint.moved:
                 yield f"joint '{joint.name}' was not moved; push the tool so that it turns"
                 continue
             for cause, value in (("friction", joint.coulomb), ("a torque offset", joint.offset)):
-                if abs(value) > most:
+                if abs(value) > limit:
                     yield (
                         f"joint '{joint.name}' has {cause} of {value:.2g} N m, more than "
-                        f"{most:.2g} N m, which the model does not explain: give the arm its "
+                        f"{limit:.2g} N m, which the model does not explain: give the arm its "
                         "friction, or correct its masses"
                     )
-            if joint.rms > UNEXPLAINED / TOO_LARGE * most:
+            if joint.rms > UNEXPLAINED / TOO_LARGE * limit:
                 yield (
                     f"joint '{joint.name}' leaves {joint.rms:.2g} N m unexplained: is it, or a "
                     "joint near it, reversed or out of order, or the wrench of another frame?"

@@ -188,10 +188,10 @@ class HeldRobot:
             self.step(self.weight(q) + self.mass(q) @ desired)
             distances = np.abs(q - self.rest.q)
             if distances.max() > FAR or np.abs(v).max() > FAST:
-                worst = distances.argmax()
+                j = distances.argmax()
                 raise PlantError(
-                    f"joint '{self.names[worst]}' leaves its place though it is braked: "
-                    f"{distances[worst]:.3g} rad away at {v[worst]:.3g} rad/s; are speeds or "
+                    f"joint '{self.names[j]}' leaves its place though it is braked: "
+                    f"{distances[j]:.3g} rad away at {v[j]:.3g} rad/s; are speeds or "
                     "torques reversed, or is the unit of one another?"
                 )
 
@@ -251,8 +251,8 @@ class _Check(HeldRobot):
         if np.abs(accelerations).max() < max(FALLING * np.abs(lift).max(), 0.2):
             return
         missing = "their weight seems to be missing: the robot does not add it, and command() must"
-        twice = "their weight seems to come twice: the robot adds it, and command() must not"
-        causes = {missing: -lift, twice: lift}
+        doubled = "their weight seems to come twice: the robot adds it, and command() must not"
+        causes = {missing: -lift, doubled: lift}
         for i, j in combinations(range(len(q)), 2):
             order = np.arange(len(q))
             order[[i, j]] = (j, i)
@@ -280,13 +280,13 @@ class _Check(HeldRobot):
             yield "wrenches are not checked: an arm of the model has no wrist sensor"
             return
         state = chain.state(self.now.q)
-        most = SafetySettings().load_error
+        limit = SafetySettings().load_error
         error = self.outside() - state.bias_out
-        why = judge_load(chain, most, error, state.bias_out, stepped=True)
+        why = judge_load(chain, limit, error, state.bias_out, stepped=True)
         if why:
             raise PlantError(why)
         weight = 9.81 * chain.outboard_mass
-        if weight < 2.0 * most:
+        if weight < 2.0 * limit:
             yield (
                 f"the sign of the wrench is not checked by {weight:.2g} N, which hang on the "
                 "sensor; push the tip, and give the direction as nudge="
@@ -357,9 +357,9 @@ class _Check(HeldRobot):
             share: largest torque over the motor's limit, one of `SHARES`.
         """
         inertia = self.mass(self.now.q)[joint, joint]
-        most = share * float(self.chain.tau_max[joint])
-        torque = inertia * min(most / inertia, SPEED / (PULSE * self.dt))
-        return max(torque, most) if share > SHARES[1] else torque
+        largest = share * float(self.chain.tau_max[joint])
+        torque = inertia * min(largest / inertia, SPEED / (PULSE * self.dt))
+        return max(torque, largest) if share > SHARES[1] else torque
 
     def push(self, joint: int, torque: float) -> tuple[Array, float, float]:
         """Apply a pulse of a joint's torque (N m, N), then its opposite, beyond the weight.

@@ -32,8 +32,8 @@ def require_stages(stages: Sequence[Stage]) -> None:
     names = [stage.name for stage in stages]
     if not names:
         raise InvalidInputError("the plan has no stages; give one at least, such as osc.Stage(…)")
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise InvalidInputError(f"several stages are named {twice[0]!r}; give each its own name")
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise InvalidInputError(f"several stages are named {repeated[0]!r}; give each its own name")
     for stage in stages:
         for key in ("then", "fails"):
             name = getattr(stage, key)
@@ -145,22 +145,22 @@ def _directions(controller: Controller, active: Array, X: pin.SE3) -> Array:
     return Contact.stack(contacts).N if contacts else np.zeros((6, 0))
 
 
-def _require_forces(stage: Stage, alpha_d: Array, most: float, controller: Controller) -> None:
+def _require_forces(stage: Stage, alpha_d: Array, limit: float, controller: Controller) -> None:
     """Refuse forces above the largest one, or above the ceiling of a contact.
 
     Args:
         stage: stage of a plan.
         alpha_d: (r,) desired forces of the stage (N).
-        most: measured force above which the stage would fail (N).
+        limit: measured force above which the stage would fail (N).
         controller: controller with the ceiling `control.safety.contact_ceiling`.
 
     Raises:
         InvalidInputError: a force or the sum of all forces is too large.
     """
     total = float(np.abs(alpha_d).sum())
-    if total > most:
+    if total > limit:
         raise InvalidInputError(
-            f"stage {stage.name!r} commands {total:g} N in all, and fails above {most:g} N; lower "
+            f"stage {stage.name!r} commands {total:g} N in all, and fails above {limit:g} N; lower "
             "its forces, or raise largest="
         )
     ceiling = controller.settings.safety.contact_ceiling
@@ -200,12 +200,12 @@ def _require_motion(stage: Stage, names: Sequence[str], N: Array, dt: float, X: 
     except (InvalidInputError, LookupError):
         return  # its direction follows from stages before it, and is checked when the stage begins
     for kind, rows in (("velocity", slice(0, 3)), ("turn", slice(3, 6))):
-        chosen = np.flatnonzero(np.any(demand.rows[:, rows] != 0.0, axis=1))
-        values = demand.values[chosen]
+        used_rows = np.flatnonzero(np.any(demand.rows[:, rows] != 0.0, axis=1))
+        values = demand.values[used_rows]
         size = float(np.linalg.norm(values))
         if size == 0.0:
             continue
-        _, misfit = permitted_twist(N, Demand(demand.rows[chosen], values))
+        _, misfit = permitted_twist(N, Demand(demand.rows[used_rows], values))
         if float(np.linalg.norm(misfit)) > BLOCKED * size:
             contacts = " and ".join(stage.forces)
             raise InvalidInputError(

@@ -75,12 +75,12 @@ class Motion:
 
             def demand(now: Sensed, dt: float) -> Demand:
                 """Stack the demands of both motions in a tick."""
-                own = own_course(now, dt)
-                others = other_course(now, dt)
+                first_demand = own_course(now, dt)
+                second_demand = other_course(now, dt)
                 return Demand(
-                    np.vstack((own.rows, others.rows)),
-                    np.concatenate((own.values, others.values)),
-                    own.finished and others.finished,
+                    np.vstack((first_demand.rows, second_demand.rows)),
+                    np.concatenate((first_demand.values, second_demand.values)),
+                    first_demand.finished and second_demand.finished,
                 )
 
             return demand
@@ -125,12 +125,12 @@ def along(
         InvalidInputError: the direction is zero, or a number is not positive.
     """
     unit = unit_vector("along: direction", direction)
-    most = _positive("along: speed", speed)
-    way = _positive("along: distance", distance)
+    largest_speed = _positive("along: speed", speed)
+    length = _positive("along: distance", distance)
     limit = None if yields is None else _positive("along: yields", yields)
 
-    begin = _steady(_TRANSLATION, unit, axes, most, way, limit)
-    return Motion(begin, f"along {_written(unit)} at {1e3 * most:g} mm/s")
+    begin = _steady(_TRANSLATION, unit, axes, largest_speed, length, limit)
+    return Motion(begin, f"along {_written(unit)} at {1e3 * largest_speed:g} mm/s")
 
 
 def about(
@@ -155,12 +155,12 @@ def about(
         InvalidInputError: the axis is zero, or a number is not positive.
     """
     unit = unit_vector("about: axis", axis)
-    most = _positive("about: rate", rate)
-    way = _positive("about: angle", angle)
+    largest_rate = _positive("about: rate", rate)
+    largest_angle = _positive("about: angle", angle)
     limit = None if yields is None else _positive("about: yields", yields)
 
-    begin = _steady(_ROTATION, unit, axes, most, way, limit)
-    return Motion(begin, f"about {_written(unit)} at {most:g} rad/s")
+    begin = _steady(_ROTATION, unit, axes, largest_rate, largest_angle, limit)
+    return Motion(begin, f"about {_written(unit)} at {largest_rate:g} rad/s")
 
 
 def turn_to(
@@ -178,29 +178,29 @@ def turn_to(
     Raises:
         InvalidInputError: axis or direction is zero, or the rate is not positive.
     """
-    unit = unit_vector("turn_to: axis", axis)
-    most = _positive("turn_to: rate", rate)
+    object_axis = unit_vector("turn_to: axis", axis)
+    largest_rate = _positive("turn_to: rate", rate)
     if not callable(direction):
         unit_vector("turn_to: direction", direction)
 
     def begin(now: Sensed) -> Course:
-        """Begin the rotation, with the direction at the beginning of the stage."""
+        """Begin the rotation to `target`, the direction in world axes when the stage begins."""
         goal = direction(now) if callable(direction) else direction
         target = unit_vector("turn_to: direction", goal)
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand both components of the angular velocity across the axis."""
-            a = now.aim.rotation @ unit
+            """Demand the angular velocity that turns the object's axis to `target`."""
+            a = now.aim.rotation @ object_axis
             rotation = _turn_between(a, target)
             angle = float(np.linalg.norm(rotation))
-            w = _ending(most, angle, ANGULAR_ACCELERATION, dt)
-            across = _null_space(a[None]).T  # two axes at right angles to a
-            values = across @ rotation * (w / max(angle, 1e-12))
-            return Demand(across @ _ANGULAR, values, angle < ARRIVED_ANGLE)
+            w = _ending(largest_rate, angle, ANGULAR_ACCELERATION, dt)
+            normal_axes = _null_space(a[None]).T  # two axes at right angles to a
+            values = normal_axes @ rotation * (w / max(angle, 1e-12))
+            return Demand(normal_axes @ _ANGULAR, values, angle < ARRIVED_ANGLE)
 
         return demand
 
-    return Motion(begin, f"turn {_written(unit)} at {most:g} rad/s")
+    return Motion(begin, f"turn {_written(object_axis)} at {largest_rate:g} rad/s")
 
 
 def to(pose: pin.SE3 | Callable[[Sensed], pin.SE3], speed: float, rate: float = 0.5) -> Motion:
@@ -218,18 +218,18 @@ def to(pose: pin.SE3 | Callable[[Sensed], pin.SE3], speed: float, rate: float = 
     largest_rate = _positive("to: rate", rate)
 
     def begin(now: Sensed) -> Course:
-        """Begin the motion, with the pose at the beginning of the stage."""
+        """Begin the motion to `goal`, the pose in the world when the stage begins."""
         goal = pose(now) if callable(pose) else pose
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the whole twist, towards the pose."""
-            way = goal.translation - now.aim.translation
+            """Demand the whole twist (6,), which moves the object straight towards `goal`."""
+            offset = goal.translation - now.aim.translation
             rotation = pin.log3(goal.rotation @ now.aim.rotation.T)
-            distance = float(np.linalg.norm(way))
+            distance = float(np.linalg.norm(offset))
             angle = float(np.linalg.norm(rotation))
             v = _ending(largest_speed, distance, LINEAR_ACCELERATION, dt)
             w = _ending(largest_rate, angle, ANGULAR_ACCELERATION, dt)
-            linear = way * (v / max(distance, 1e-12))
+            linear = offset * (v / max(distance, 1e-12))
             angular = rotation * (w / max(angle, 1e-12))
             arrived = distance < ARRIVED and angle < ARRIVED_ANGLE
             return Demand(np.eye(6), np.concatenate((linear, angular)), arrived)
@@ -253,10 +253,10 @@ def through(points: ArrayLike, speed: float, *, relative: bool = False) -> Motio
         InvalidInputError: points have another shape, or the speed is not positive.
     """
     positions = as_array("through: points", points, (None, 3))
-    most = _positive("through: speed", speed)
+    largest_speed = _positive("through: speed", speed)
 
     def begin(now: Sensed) -> Course:
-        """Begin the motion towards the first point."""
+        """Begin the motion along `path`, the (k, 3) points in the world (m)."""
         path = positions + (now.aim.translation if relative else 0.0)
         k = 0  # index of the next point
 
@@ -265,19 +265,19 @@ def through(points: ArrayLike, speed: float, *, relative: bool = False) -> Motio
             nonlocal k
             while k < len(path):
                 tangents = _null_space(now.N[:3].T)
-                way = tangents @ tangents.T @ (path[k] - now.aim.translation)
-                distance = float(np.linalg.norm(way))
-                if distance >= most * dt + ARRIVED:
+                offset = tangents @ tangents.T @ (path[k] - now.aim.translation)
+                distance = float(np.linalg.norm(offset))
+                if distance >= largest_speed * dt + ARRIVED:
                     is_last = k + 1 == len(path)
                     to_stop = distance if is_last else inf  # the motion stops only at the last one
-                    v = _ending(most, to_stop, LINEAR_ACCELERATION, dt)
-                    return Demand(_LINEAR, way * (v / distance))
+                    v = _ending(largest_speed, to_stop, LINEAR_ACCELERATION, dt)
+                    return Demand(_LINEAR, offset * (v / distance))
                 k += 1
             return Demand(_LINEAR, np.zeros(3), finished=True)
 
         return demand
 
-    return Motion(begin, f"through {len(positions)} points at {1e3 * most:g} mm/s")
+    return Motion(begin, f"through {len(positions)} points at {1e3 * largest_speed:g} mm/s")
 
 
 def raster(
@@ -322,12 +322,12 @@ def spiral(axis: ArrayLike, pitch: float, speed: float, radius: float) -> Motion
     """
     normal = unit_vector("spiral: axis", axis)
     per_angle = _positive("spiral: pitch", pitch) / (2.0 * pi)
-    most = _positive("spiral: speed", speed)
+    largest_speed = _positive("spiral: speed", speed)
     end = _positive("spiral: radius", radius)
     rows = _null_space(normal[None]).T @ _LINEAR
 
     def begin(now: Sensed) -> Course:
-        """Begin at the centre of the spiral, r = pitch / (2π) × angle."""
+        """Begin at the centre of the spiral, whose radius is r = pitch / (2π) × angle (m)."""
         angle = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
@@ -338,7 +338,7 @@ def spiral(axis: ArrayLike, pitch: float, speed: float, radius: float) -> Motion
                 return Demand(rows, np.zeros(2), finished=True)
             path_per_angle = hypot(r, per_angle)
             # limits of the speed and of the centripetal acceleration
-            w = min(most / path_per_angle, sqrt(LINEAR_ACCELERATION / path_per_angle))
+            w = min(largest_speed / path_per_angle, sqrt(LINEAR_ACCELERATION / path_per_angle))
             angle += w * dt
             c = cos(angle)
             s = sin(angle)
@@ -348,7 +348,7 @@ def spiral(axis: ArrayLike, pitch: float, speed: float, radius: float) -> Motion
 
         return demand
 
-    return Motion(begin, f"spiral of {1e3 * end:g} mm at {1e3 * most:g} mm/s")
+    return Motion(begin, f"spiral of {1e3 * end:g} mm at {1e3 * largest_speed:g} mm/s")
 
 
 def rock(
@@ -369,14 +369,14 @@ def rock(
         InvalidInputError: the axis is zero, a number is not positive, or the acceleration is too
             large.
     """
-    unit = unit_vector("rock: axis", axis)
+    rock_axis = unit_vector("rock: axis", axis)
     amplitude = _positive("rock: angle", angle)
-    per_second = _positive("rock: frequency", frequency)
-    most = _positive("rock: cycles", cycles)
-    needed = amplitude * (2.0 * pi * per_second) ** 2
-    if needed > CHANGES * ANGULAR_ACCELERATION:
+    frequency_Hz = _positive("rock: frequency", frequency)
+    n_cycles = _positive("rock: cycles", cycles)
+    required = amplitude * (2.0 * pi * frequency_Hz) ** 2
+    if required > CHANGES * ANGULAR_ACCELERATION:
         raise InvalidInputError(
-            f"rock: {amplitude:g} rad at {per_second:g} Hz need {needed:.3g} rad/s², more than "
+            f"rock: {amplitude:g} rad at {frequency_Hz:g} Hz need {required:.3g} rad/s², more than "
             f"{CHANGES * ANGULAR_ACCELERATION:g} rad/s²; lower angle or frequency"
         )
 
@@ -386,18 +386,18 @@ def rock(
         last_angle = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the angular velocity about the axis."""
+            """Demand the angular velocity about the axis: a sine that rises in its first cycle."""
             nonlocal cycle, last_angle
-            a = now.aim.rotation @ unit if axes == "object" else unit
-            cycle = min(cycle + per_second * dt, most)
+            a = now.aim.rotation @ rock_axis if axes == "object" else rock_axis
+            cycle = min(cycle + frequency_Hz * dt, n_cycles)
             new_angle = amplitude * min(cycle, 1.0) * sin(2.0 * pi * cycle)
             w = (new_angle - last_angle) / dt
             last_angle = new_angle
-            return Demand((a @ _ANGULAR)[None], np.array([w]), cycle >= most)
+            return Demand((a @ _ANGULAR)[None], np.array([w]), cycle >= n_cycles)
 
         return demand
 
-    return Motion(begin, f"rock about {_written(unit)} by {amplitude:g} rad")
+    return Motion(begin, f"rock about {_written(rock_axis)} by {amplitude:g} rad")
 
 
 def permitted_twist(N: Array, demand: Demand) -> tuple[Array, Array]:
@@ -428,7 +428,7 @@ def permitted_displacement(N: Array, e: Array) -> Array:
     return _permitted(N, ((_ANGULAR, e[3:]), (_LINEAR, e[:3])))
 
 
-def _permitted(N: Array, wanted: Iterable[tuple[Array, Array]]) -> Array:
+def _permitted(N: Array, equations: Iterable[tuple[Array, Array]]) -> Array:
     """Vector V (6,) with NᵀV = 0 that meets several equations A V = b in order of priority.
 
     Each equation is solved by least squares with the motions that the equations before it leave
@@ -436,16 +436,16 @@ def _permitted(N: Array, wanted: Iterable[tuple[Array, Array]]) -> Array:
 
     Args:
         N: (6, r) directions of force of the active contacts.
-        wanted: A (k, 6) and b (k,) of each equation, the most important one first. Each A has rows
-            of one unit.
+        equations: A (k, 6) and b (k,) of each equation, the most important one first. Each A has
+            rows of one unit.
     """
     V = np.zeros(6)
     Z = _null_space(N.T)
-    for rows, values in wanted:
+    for rows, values in equations:
         if len(rows) > 0 and Z.shape[1] > 0:
             left, sizes, right = np.linalg.svd(rows @ Z)
-            least = _LEAST_TURN if rows is _ANGULAR else _LEAST_SHARE
-            k = int(np.sum(sizes > least))
+            threshold = _LEAST_TURN if rows is _ANGULAR else _LEAST_SHARE
+            k = int(np.sum(sizes > threshold))
             y = left[:, :k].T @ (values - rows @ V) / sizes[:k]
             V = V + Z @ (right[:k].T @ y)
             Z = Z @ right[k:].T
@@ -501,7 +501,7 @@ _ROTATION = _Kind(_ANGULAR, ANGULAR_ACCELERATION, ARRIVED_ANGLE)
 
 
 def _steady(
-    kind: _Kind, direction: Array, axes: Axes, speed: float, way: float, limit: float | None
+    kind: _Kind, direction: Array, axes: Axes, speed: float, length: float, limit: float | None
 ) -> Callable[[Sensed], Course]:
     """Make the function `begin` of a motion along, or about, one direction.
 
@@ -509,12 +509,12 @@ def _steady(
         kind: translation or rotation.
         direction: (3,) unit vector in world axes, or in the object's, as `axes` states.
         axes: axes of the direction.
-        speed: largest speed (m/s, rad/s). way: distance at which the motion ends (m, rad).
+        speed: largest speed (m/s, rad/s). length: distance at which the motion ends (m, rad).
         limit: force or couple against the motion at which it stops (N, N m); None: it never does.
     """
 
     def begin(now: Sensed) -> Course:
-        """Begin with the whole way before the object."""
+        """Begin the motion with a covered length of zero (m, rad)."""
         covered = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
@@ -523,9 +523,9 @@ def _steady(
             axis = now.aim.rotation @ direction if axes == "object" else direction
             row = axis @ kind.rows
             covered += dt * float(row @ now.V_D)
-            rate = _ending(speed, way - covered, kind.deceleration, dt)
+            rate = _ending(speed, length - covered, kind.deceleration, dt)
             rate *= _yielding(limit, float(row @ now.wrench))
-            return Demand(row[None], np.array([rate]), way - covered < kind.arrived)
+            return Demand(row[None], np.array([rate]), length - covered < kind.arrived)
 
         return demand
 

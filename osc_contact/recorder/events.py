@@ -86,8 +86,8 @@ class EventLog:
         if len(self.events) >= MOST and event not in ALWAYS and facts.get("to") != "SAFE_STOP":
             self.omitted += 1
             return
-        now = datetime.now(UTC).isoformat(timespec="microseconds")
-        entry = {"time": now, "t": t, "event": event, **facts}
+        timestamp = datetime.now(UTC).isoformat(timespec="microseconds")
+        entry = {"time": timestamp, "t": t, "event": event, **facts}
         self.events.append(entry)
         if self._descriptor >= 0 and self.error is None:
             later(partial(self._write, to_line(entry).encode()))

@@ -58,17 +58,17 @@ class JudgedTicks:
         """
         t = np.asarray(piece["t"], dtype=float)
         contacts = np.zeros((len(t), len(self.landed)), dtype=bool)
-        whole = t >= SETTLE_S - 1e-9
+        is_whole = t >= SETTLE_S - 1e-9
         for i in range(len(self.landed)):
             commanded = (piece["alpha_cmd"][:, self.columns == i] != 0.0).any(axis=1)
             commanded |= piece["contact_phase"][:, i] != OPEN
             closed = np.asarray(piece["closed"], dtype=bool)[:, i]
             contacts[:, i] = self._settled(i, t, commanded, closed)
-            whole &= contacts[:, i] | ~commanded
+            is_whole &= contacts[:, i] | ~commanded
         quiet = np.ones(len(t), dtype=bool)
         for begin, end in self._blanks:
             quiet &= ~((t >= begin - 1e-9) & (t < end - 1e-9))
-        return (contacts, contacts[:, self.columns] & quiet[:, None], whole & quiet)
+        return (contacts, contacts[:, self.columns] & quiet[:, None], is_whole & quiet)
 
     def _settled(self, i: int, t: Array, commanded: Flags, closed: Flags) -> Flags:
         """Flags (k,) of the ticks at which contact i is judged.

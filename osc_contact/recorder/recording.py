@@ -88,16 +88,16 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
                 start += len(values)
             file.write(bytes(size - file.seek(0, os.SEEK_END)))  # channels without numbers
             file.seek(0)
-            whole: mmap.mmap | bytearray
+            content: mmap.mmap | bytearray
             if size > IN_MEMORY:
                 file.flush()
-                whole = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
+                content = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
             else:
-                whole = bytearray(file.read())
+                content = bytearray(file.read())
     except OSError as error:
         raise RecordingError(f"no room for a recording's channels: {error}") from error
     return {
-        name: np.ndarray((ticks, *values.shape[1:]), values.dtype, whole, offsets[name])
+        name: np.ndarray((ticks, *values.shape[1:]), values.dtype, content, offsets[name])
         for name, values in part.items()
     }
 
@@ -241,10 +241,10 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes] | No
             return np.frombuffer(entry.read(), dtype).reshape(shape, order=order).copy()
         while entry.read(1 << 20):  # reading to the end verifies the checksum
             pass
-    whole = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     # a ZIP entry has 30 bytes, of which the last four are the lengths of two names that follow
-    names = struct.unpack_from("<HH", whole, info.header_offset + 26)
-    return np.ndarray(shape, dtype, whole, info.header_offset + 30 + sum(names) + start)
+    names = struct.unpack_from("<HH", content, info.header_offset + 26)
+    return np.ndarray(shape, dtype, content, info.header_offset + 30 + sum(names) + start)
 
 
 def _header(
@@ -296,9 +296,9 @@ class Meta(dict[str, Any]):
 
     def __missing__(self, key: str) -> Any:
         """Raise a `RecordingError` that lists the keys that exist."""
-        known = ", ".join(self) or "nothing"
+        names = ", ".join(self) or "nothing"
         raise RecordingError(
-            f"the recording's meta has no {key!r}, but {known}; "
+            f"the recording's meta has no {key!r}, but {names}; "
             "take recordings that osc.run or osc.Recorder made, with their meta"
         )
 
@@ -459,8 +459,8 @@ class Recording:
         times = {name: columns[name] for name in _TIMES if name in columns}
         meta_times = {key: self.meta[key] for key in _META_TIMES if key in self.meta}
         meta = {key: value for key, value in self.meta.items() if key not in meta_times}
-        others = {name: values for name, values in columns.items() if name not in times}
-        write_archive(target, _text(meta=meta, order=list(columns)), others)
+        values_by_name = {name: values for name, values in columns.items() if name not in times}
+        write_archive(target, _text(meta=meta, order=list(columns)), values_by_name)
         times_file = _times_file(target)
         if times or meta_times:
             write_archive(times_file, _text(meta=meta_times, of=checksum(target)), times)
@@ -645,8 +645,8 @@ def write_mcap(recording: Recording, file: IO[bytes]) -> None:
         recording: recording to write.
         file: file that is open for writing.
     """
-    kinds = {"type": ["number", "boolean", "array", "null"]}
-    schema = {"type": "object", "properties": dict.fromkeys(recording.channels, kinds)}
+    value_schema = {"type": ["number", "boolean", "array", "null"]}
+    schema = {"type": "object", "properties": dict.fromkeys(recording.channels, value_schema)}
     writer = Writer(file)
     writer.start("", "osc_contact")
     writer.add_metadata("recording", {"meta": json.dumps(recording.meta)})
@@ -667,7 +667,7 @@ def _finite(value: npt.ArrayLike) -> object:
     """Number, or nested lists of numbers, with None for NaN and infinities, which JSON lacks."""
     array = np.asarray(value)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
-        known = np.isfinite(array)
+        is_finite = np.isfinite(array)
         array = array.astype(object)
-        array[~known] = None
+        array[~is_finite] = None
     return array.tolist()

@@ -305,7 +305,7 @@ def check_mesh_files(
     """
     meshes = {mesh.get("filename"): mesh for mesh in document.root.iter("mesh")}
     roots = _roots(document.file, package_dirs)
-    wrong = []
+    unusable = []
     missing = []
     for mesh in meshes.values():
         places = _places(mesh, roots)
@@ -314,8 +314,8 @@ def check_mesh_files(
             reason = f"the mesh is not there; looked for {', '.join(map(str, places))}"
             missing.append(mesh.finding("mesh", reason, "pass package_dirs", "filename"))
         elif problem := _file_problem(file, roots):
-            wrong.append(mesh.finding("mesh", *problem, "filename"))
-    return (wrong, missing)
+            unusable.append(mesh.finding("mesh", *problem, "filename"))
+    return (unusable, missing)
 
 
 def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:

@@ -89,8 +89,8 @@ def _loaded(
     """
     require_level(inertias)
     document = _sound(file, folders)
-    moving = [joint.name for joint in document.joints.values() if joint.kind != "fixed"]
-    for name, values in matching_limits(moving, dict(limits)).items():
+    joint_names_moving = [joint.name for joint in document.joints.values() if joint.kind != "fixed"]
+    for name, values in matching_limits(joint_names_moving, dict(limits)).items():
         document.joints[name].limits.update(values)
     check_limits(document)
     check_inertias(document, inertias)
@@ -167,14 +167,14 @@ def load_body(path: Path | str) -> pin.Inertia:
     """
     model, document = load(path)
     links = document.links.values()
-    heavy = [link.name for link in links if link.inertial and link.inertial.mass > 0]
+    massive_links = [link.name for link in links if link.inertial and link.inertial.mass > 0]
     if model.nv > 0:
-        moving = ", ".join(joint_names(model))
-        raise ModelError(f"{path}: one rigid body is expected, but these joints move: {moving}")
-    if len(heavy) != 1:
+        joints = ", ".join(joint_names(model))
+        raise ModelError(f"{path}: one rigid body is expected, but these joints move: {joints}")
+    if len(massive_links) != 1:
         raise ModelError(
-            f"{path}: exactly one link with mass is expected, found {len(heavy)} "
-            f"({', '.join(heavy) or 'none'}); merge them into one <inertial>"
+            f"{path}: exactly one link with mass is expected, found {len(massive_links)} "
+            f"({', '.join(massive_links) or 'none'}); merge them into one <inertial>"
         )
     return pin.Inertia(model.inertias[0])
 
@@ -280,9 +280,9 @@ def find_robot(name: str) -> tuple[Path, Path]:
                 f"{name!r} is ambiguous in {ROBOT_DATA}: name one of {', '.join(matches)}"
             )
     stems = sorted({path.stem.removesuffix("_robot") for path in files.values()})
-    near = did_you_mean(name, stems, most=0)
+    hint = did_you_mean(name, stems, most=0)
     raise ModelError(
-        f"{ROBOT_DATA} has no robot {name!r}; {near + ' ' if near else ''}its robots: "
+        f"{ROBOT_DATA} has no robot {name!r}; {hint + ' ' if hint else ''}its robots: "
         f"{', '.join(stems)}; packaged: {', '.join(_packaged())}"
     )
 

@@ -204,10 +204,10 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
         axis = np.array(joint["axis"], dtype=float)
         axis /= norm(axis)
         if joint["slides"]:
-            moving = pin.JointModelPrismaticUnaligned(axis)
+            joint_model = pin.JointModelPrismaticUnaligned(axis)
         else:
-            moving = pin.JointModelRevoluteUnaligned(axis)
-        model.addJoint(int(joint["parent"]), moving, _pose(joint["place"]), str(joint["name"]))
+            joint_model = pin.JointModelRevoluteUnaligned(axis)
+        model.addJoint(int(joint["parent"]), joint_model, _pose(joint["place"]), str(joint["name"]))
     for i, shape in enumerate(picture["shapes"]):
         joint = int(shape["joint"])
         if not 0 <= joint < model.njoints:
@@ -217,10 +217,10 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
             solid = _mesh_of(_unpacked(shape["corners"], "<f4"), _unpacked(shape["faces"], "<i4"))
         else:
             solid = _solid(kind, shape["size"])
-        drawn = pin.GeometryObject(f"shape{i}", joint, _pose(shape["place"]), solid)
-        drawn.meshColor = np.array(shape["rgba"], dtype=float)
-        drawn.overrideMaterial = True
-        geometry.addGeometryObject(drawn)
+        shape_object = pin.GeometryObject(f"shape{i}", joint, _pose(shape["place"]), solid)
+        shape_object.meshColor = np.array(shape["rgba"], dtype=float)
+        shape_object.overrideMaterial = True
+        geometry.addGeometryObject(shape_object)
     return (model, geometry)
 
 

@@ -150,13 +150,14 @@ def friction_warnings(
             f"damping over inertia {', '.join(fast)}, more than {rate:.0f} 1/s: an error of the "
             "damping moves these joints more than their inertia does; give their rotors (armature)"
         )
-    least = [
+    smaller = [
         f"{rotor - inertia / (1.0 + share):.2g} ({name}, {rotor:.2g} in the model)"
         for name, rotor, inertia in zip(names, A, m, strict=True)
         if share > 0.0 and rotor > inertia / (1.0 + share) and name not in passive
     ]
-    if least:
-        yield f"rotors that are smaller than {', '.join(least)} make the friction observer unstable"
+    if smaller:
+        limits = ", ".join(smaller)
+        yield f"rotors that are smaller than {limits} make the friction observer unstable"
 
 
 @dataclass(frozen=True)

@@ -188,8 +188,8 @@ def _check_words(element: Element) -> None:
         first = first_children.setdefault(tag, child)
         if tag in _ONCE.get(element.tag, ()) and first is not child:
             child.note("xml", f"a second <{tag}>; the first is in line {first.line}", "delete one")
-        if tag not in tags and (near := difflib.get_close_matches(tag.lower(), tags, 1, 0.8)):
-            child.note("xml", f"<{tag}> is no word of URDF", f"did you mean <{near[0]}>?")
+        if tag not in tags and (similar := difflib.get_close_matches(tag.lower(), tags, 1, 0.8)):
+            child.note("xml", f"<{tag}> is no word of URDF", f"did you mean <{similar[0]}>?")
         if element.tag in ("joint", "inertial") and (allowed := _ATTRIBUTES.get(tag)):
             cure = f"there is: {', '.join(allowed)}"
             for key in child.attributes:

@@ -47,17 +47,27 @@ class DeadEncoders:
                 evidence (slower sensor, lost sample).
         """
         if fresh:
-            same = measured == self._last
-            self._repeated = np.where(same, self._repeated + 1.0, 0.0)
+            is_same = measured == self._last
+            self._repeated = np.where(is_same, self._repeated + 1.0, 0.0)
             self._last = np.array(measured, dtype=float)
         return self._repeated > self.most
 
 
 def _unlikely_repetitions(noise: float, resolution: float) -> float:
-    """Number of equal readings in a row that is unlikely at rest; see `DeadEncoders`."""
+    """Compute how many repetitions of a reading prove that an encoder at rest is dead.
+
+    The probability of one repetition is p = erf(resolution/(√8 noise)); n repetitions are unlikely
+    from pⁿ = `_BY_CHANCE` on.
+
+    Args:
+        noise: standard deviation of a reading (rad, m). resolution: step of a reading (rad, m).
+
+    Returns:
+        Number n; inf without noise, for which repetitions prove nothing.
+    """
     if not noise > 0.0:
         return inf
-    likely = erf(resolution / (sqrt(8.0) * noise))
-    if likely >= 1.0:
+    probability = erf(resolution / (sqrt(8.0) * noise))
+    if probability >= 1.0:
         return inf
-    return log(_BY_CHANCE) / log(likely) if likely > 0.0 else 1.0
+    return log(_BY_CHANCE) / log(probability) if probability > 0.0 else 1.0

@@ -50,11 +50,11 @@ class _GainsOfOneLoop(OrderedSpec):
     def _complete(self) -> Self:
         """Derive the values that are not given; refuse design values together with gains."""
         values = {key: getattr(self, key) for key in self.model_fields_set}
-        chosen = [key for key in self.serving if key in values]
+        design = [key for key in self.serving if key in values]
         gains = [key for key in self.numbers if key in values]
-        if chosen and gains:
+        if design and gains:
             raise refuse(
-                f"{', '.join(chosen)} beside {', '.join(gains)}: give {', '.join(self.serving)}, "
+                f"{', '.join(design)} beside {', '.join(gains)}: give {', '.join(self.serving)}, "
                 f"or {', '.join(self.numbers)}; to replace them with --set, set the group: "
                 f"--set '{self.example}'"
             )

@@ -237,10 +237,11 @@ def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:
     if kind == "string_pattern_mismatch":
         return f"expected a name of letters, digits, _ and -, beginning with a letter or _; {got}"
     if kind in ("too_short", "too_long", "string_too_short"):
-        least = context.get("min_length")
-        most = context.get("max_length")
+        minimum = context.get("min_length")
+        maximum = context.get("max_length")
         unit = "characters" if kind.startswith("string") else "items"
-        return f"expected at {f'least {least}' if most is None else f'most {most}'} {unit}; {got}"
+        bound = f"least {minimum}" if maximum is None else f"most {maximum}"
+        return f"expected at {bound} {unit}; {got}"
     return item["msg"]
 
 
@@ -280,8 +281,8 @@ class Dimension:
     @property
     def expected(self) -> str:
         """Description of a valid value for messages, for example "a length in m, mm, cm, µm"."""
-        shown = [unit for unit in self.units if not _SPELLINGS.fullmatch(unit)]
-        return f"{self.kind} in {', '.join(shown)}" if shown else self.kind
+        names = [unit for unit in self.units if not _SPELLINGS.fullmatch(unit)]
+        return f"{self.kind} in {', '.join(names)}" if names else self.kind
 
     def parse(self, value: object) -> float:
         """Convert a value of a key to SI.
@@ -318,8 +319,10 @@ class Dimension:
         if not unit:
             return float(digits)
         if unit not in self.units:
-            kinds = [other.kind for other in _DIMENSIONS if unit in other.units]
-            clause = f"which is {kinds[0]}" if kinds else f"and {unit!r} is not a known unit"
+            other_kinds = [other.kind for other in _DIMENSIONS if unit in other.units]
+            clause = (
+                f"which is {other_kinds[0]}" if other_kinds else f"and {unit!r} is not a known unit"
+            )
             raise refuse(f"expected {self.expected}; got {text!r}, {clause}")
         try:
             return float(Decimal(digits) * self.units[unit])

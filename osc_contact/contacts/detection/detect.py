@@ -60,7 +60,7 @@ def face_on_edge(
 
 
 def rim_on_face(
-    rim: Feature, point: Array, normal: Array, n: Array, name: str, turned: bool = False
+    rim: Feature, point: Array, normal: Array, n: Array, name: str, swapped: bool = False
 ) -> GapFunctions:
     """Pair of the rim of a disc of the object on a plane of the environment, r = 1.
 
@@ -74,7 +74,7 @@ def rim_on_face(
         n: (3,) normal at the contact in the rim's frame; ∠(n, a) determines the step of the
             differences.
         name: name of the pair.
-        turned: True if the rim is that of the environment, and the plane that of the object.
+        swapped: True if the rim is that of the environment, and the plane that of the object.
     """
     centre = rim.centre
     axis = rim.axis
@@ -83,7 +83,8 @@ def rim_on_face(
     step = min(1e-2, _STEP * norm(cross(axis, n)))
 
     def gap(X: SE3) -> Array:
-        if turned:
+        """Gap (1,) (m) at the pose X of the object in the environment."""
+        if swapped:
             X = X.inverse()
         reach = radius * norm(cross(normal, X.rotation @ axis))
         return np.array([normal @ (X.act(centre) - point) - reach])
@@ -110,16 +111,17 @@ def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
     reach = a.radius + e.radius
 
     def gap(X: SE3) -> Array:
-        apart = X.act(a.points[0]) - e.points[0]
+        """Distance (1,) (m) of two points or lines less the radii, at the pose X of the object."""
+        distance_vector = X.act(a.points[0]) - e.points[0]
         lines = [e.direction] if e.dimension == 1 else []
         if a.dimension == 1:
             lines.append(X.rotation @ a.direction)
         if len(lines) == 2:
-            across = cross(*lines)
-            return np.array([abs(across @ apart) / norm(across) - reach])
-        for along in lines:
-            apart = apart - (apart @ along) * along
-        return np.array([norm(apart) - reach])
+            common_normal = cross(*lines)
+            return np.array([abs(common_normal @ distance_vector) / norm(common_normal) - reach])
+        for axis in lines:
+            distance_vector = distance_vector - (distance_vector @ axis) * axis
+        return np.array([norm(distance_vector) - reach])
 
     return GapFunctions(gap, length=reach, name=name)
 
@@ -204,7 +206,7 @@ class Detected:
         face = self.object_point
         name = self.name
         if e.axis is not None:
-            return rim_on_face(e, face, normal, self.environment_normal, name, turned=True)
+            return rim_on_face(e, face, normal, self.environment_normal, name, swapped=True)
         if e.dimension == 1:
             return face_on_edge(face, normal, e.points, e.radius, name)
         return FaceOnVertex(face, normal, self.environment_point, e.radius, name)
@@ -225,17 +227,17 @@ class Detected:
         if a.name in ("vertex", "sphere") and e.name in ("sphere", "cylinder"):
             if e.name == "cylinder":
                 surface = Surface.cylinder(e.radius)
-                across, _, axis = triad(e.direction).T
+                tangent, _, axis = triad(e.direction).T
             else:
                 surface = Surface.sphere(e.radius)
-                across, _, axis = triad(self.environment_normal).T
+                tangent, _, axis = triad(self.environment_normal).T
             return SphereOnSurface(
                 a.points[0],
                 a.radius,
                 surface,
                 surface_point=e.points[0],
                 surface_axis=axis,
-                surface_x=across,
+                surface_x=tangent,
                 name=self.name,
             )
         if a.radius > 0.0 or e.radius > 0.0 or a.dimension + e.dimension < 2:
@@ -278,7 +280,7 @@ def merged(
         angle: largest angle between equal directions (rad).
     """
     shapes = {shape.name: shape for shape in object_geometry}
-    kept: list[Detected] = []
+    distinct: list[Detected] = []
     ranked = sorted(contacts, key=lambda c: (-c.r, c.object_feature.radius == 0.0, c.distance))
     for contact in ranked:
         if not any(
@@ -287,10 +289,10 @@ def merged(
                 _spanned(contact.points, other, margin)
                 or _buried(contact, shapes[other.object_shape], X_WO)
             )
-            for other in kept
+            for other in distinct
         ):
-            kept.append(contact)
-    return [contact for contact in contacts if contact in kept]
+            distinct.append(contact)
+    return [contact for contact in contacts if contact in distinct]
 
 
 def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
@@ -314,14 +316,14 @@ def _spanned(points: Array, other: Detected, margin: float) -> bool:
         other: the contact.
         margin: largest distance (m).
     """
-    away = points - other.points[0]
+    offsets = points - other.points[0]
     if other.r == 3:
         return True
     if other.r == 2:
-        along = other.points[-1] - other.points[0]
-        along = along / norm(along)
-        away = away - np.outer(away @ along, along)
-    return bool(np.linalg.norm(away, axis=1).max() <= margin)
+        axis = other.points[-1] - other.points[0]
+        axis = axis / norm(axis)
+        offsets = offsets - np.outer(offsets @ axis, axis)
+    return bool(np.linalg.norm(offsets, axis=1).max() <= margin)
 
 
 def _buried(contact: Detected, shape: CollisionShape, X_WO: SE3) -> bool:
@@ -375,11 +377,11 @@ def detect(
         raise InvalidInputError(f"angle = {angle}; give an angle between 0 and 0.1 rad")
     if X_WE is None:
         X_WE = SE3.Identity()
-    each = (
+    candidates = (
         _classified(a, X_WO, e, X_WE, margin, angle)
         for a, e in product(object_geometry, environment_geometry)
     )
-    contacts = [contact for contact in each if contact is not None]
+    contacts = [contact for contact in candidates if contact is not None]
     return merged(contacts, object_geometry, X_WO, margin, angle)
 
 
@@ -396,15 +398,15 @@ def _classified(
         margin: largest distance at which shapes count as touching (m).
         angle: largest inclination at which edges and faces count as touching along them (rad).
     """
-    near = nearest(a.shape, X_WO * a.placement, e.shape, X_WE * e.placement)
-    if near.distance > margin:
+    closest = nearest(a.shape, X_WO * a.placement, e.shape, X_WE * e.placement)
+    if closest.distance > margin:
         return None
     solid_a = a.solid.moved(X_WO)
     solid_e = e.solid.moved(X_WE)
     n = best_direction(solid_a, solid_e)
     round_one = solid_a.radius + solid_e.radius > 0.0
-    if round_one and separation(solid_a, solid_e, n) < near.distance - _EXACT:
-        n = best_direction(solid_a, solid_e, near.normal)
+    if round_one and separation(solid_a, solid_e, n) < closest.distance - _EXACT:
+        n = best_direction(solid_a, solid_e, closest.normal)
     f_a = foremost(solid_a, -n, margin, angle)
     f_e = foremost(solid_e, n, margin, angle)
     distance = separation(solid_a, solid_e, n)
@@ -412,7 +414,7 @@ def _classified(
     distance = float(max(distance, separation(solid_a, solid_e, n)))
     if distance > margin:
         return None
-    patch = shared_patch(f_a, f_e, n, near.witness, margin, angle)
+    patch = shared_patch(f_a, f_e, n, closest.witness, margin, angle)
     if f_e.normal is not None:
         f_a = f_a.lowered(_lifted(f_a, patch, n))
     elif f_a.normal is not None:
@@ -523,9 +525,12 @@ class TrackedContact:
             ContactError: no contact has been detected so far.
         """
         X_EO = X_WO if X_WE is None else X_WE.actInv(X_WO)
-        moved = self._X_EO.actInv(X_EO)
-        far = norm(moved.translation) > TRAVEL_M or norm(pin.log3(moved.rotation)) > TURN_RAD
-        if self.pairs and not far:
+        displacement = self._X_EO.actInv(X_EO)
+        has_moved = (
+            norm(displacement.translation) > TRAVEL_M
+            or norm(pin.log3(displacement.rotation)) > TURN_RAD
+        )
+        if self.pairs and not has_moved:
             return self.pairs
         shapes, bodies = self._shapes
         detected = detect(shapes, X_WO, bodies, X_WE, margin=MARGIN_M)

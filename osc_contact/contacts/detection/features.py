@@ -61,8 +61,8 @@ class Solid:
         """Support function of the solid (m) for unit `directions` (3,) or (m, 3)."""
         round_part: Array | float = self.radius
         if self.axis is not None:
-            along = directions @ self.axis
-            round_part = self.radius * np.sqrt(np.maximum(0.0, 1.0 - along**2))
+            components = directions @ self.axis
+            round_part = self.radius * np.sqrt(np.maximum(0.0, 1.0 - components**2))
         return np.max(directions @ self.corners.T, axis=-1) + round_part
 
 
@@ -121,20 +121,20 @@ def _read(file: Path, text: bytes) -> tuple[CollisionShape, ...]:
     """Collision shapes of a file, see `collision_shapes`, read once for each content `text`."""
     model, geometry, document = load_geometry(file, pin.GeometryType.COLLISION)
     if model.nv > 0:
-        moving = ", ".join(joint_names(model))
-        raise ModelError(f"{file}: one rigid body is expected, but these joints move: {moving}")
+        joint_text = ", ".join(joint_names(model))
+        raise ModelError(f"{file}: one rigid body is expected, but these joints move: {joint_text}")
     if len(geometry.geometryObjects) == 0:
         raise ModelError(f"{file}: no link has a <collision> element; nothing can touch")
-    given = {
+    names_in_file = {
         f"{link.name}_{i}": collision.get("name")
         for link in document.links.values()
         for i, collision in enumerate(link.element.findall("collision"))
     }
-    names = list(given.values())
+    names = list(names_in_file.values())
     shapes = []
     for item in geometry.geometryObjects:
-        own = given.get(item.name)
-        name = own if own and names.count(own) == 1 else item.name
+        name_in_file = names_in_file.get(item.name)
+        name = name_in_file if name_in_file and names.count(name_in_file) == 1 else item.name
         shape = item.geometry
         if isinstance(shape, coal.BVHModelBase):
             shape = _convex(f"{file}: {name}", shape)
@@ -297,8 +297,8 @@ class Feature:
     @property
     def direction(self) -> Array:
         """Unit direction (3,) of a line."""
-        along: Array = self.points[-1] - self.points[0]
-        return along / norm(along)
+        edge: Array = self.points[-1] - self.points[0]
+        return edge / norm(edge)
 
     def moved(self, X: SE3) -> Feature:
         """Feature in other coordinates, to which the pose X maps."""
@@ -319,10 +319,10 @@ class Feature:
             return self.points[0]
         if self.normal is not None:
             return point + n * (((self.points[0] - point) @ self.normal) / (n @ self.normal))
-        along = self.direction
-        across = along - (along @ n) * n
+        axis = self.direction
+        normal_part = axis - (axis @ n) * n
         start = self.points[0]
-        return start + along * (((point - start) @ across) / (across @ across))
+        return start + axis * (((point - start) @ normal_part) / (normal_part @ normal_part))
 
     def lowered(self, points: Array) -> Feature:
         """Feature of lower dimension, if only some `points` (k, 3) of this one touch."""
@@ -358,13 +358,15 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
         normal = solid.normals[(solid.normals @ d).argmax()]
         if norm(cross(normal, d)) <= angle:
             return Feature("face", 2, _round_trip(points, normal), 0.0, normal)
-        others = active[active != top]  # steeper than `angle` across: the flattest edge is left
-        flattest = others[(drop[others] / distance[others]).argmin()]
+        other_points = active[
+            active != top
+        ]  # steeper than `angle` across: the flattest edge is left
+        flattest = other_points[(drop[other_points] / distance[other_points]).argmin()]
         points = solid.corners[[top, flattest]]
     if len(points) == 1:
         return Feature("sphere" if solid.radius > 0.0 else "vertex", 0, points, solid.radius)
-    along = (points - points[0]) @ (points[-1] - points[0])
-    ends = points[[along.argmin(), along.argmax()]]
+    positions = (points - points[0]) @ (points[-1] - points[0])
+    ends = points[[positions.argmin(), positions.argmax()]]
     return Feature("cylinder" if solid.radius > 0.0 else "edge", 1, ends, solid.radius)
 
 
@@ -377,17 +379,17 @@ def _cylinder_feature(solid: Solid, axis: Array, d: Array, margin: float, angle:
         margin: distance along d within which points count as foremost (m).
         angle: angle of a face or side from its ideal direction up to which it counts (rad).
     """
-    along = float(axis @ d)
-    radial = d - along * axis
+    component = float(axis @ d)
+    radial = d - component * axis
     sine = norm(radial)
     end = solid.corners[(solid.corners @ d).argmax()]
     length = norm(solid.corners[1] - solid.corners[0])
     if sine <= min(margin / (2.0 * solid.radius), angle):
-        normal = axis if along > 0.0 else -axis
+        normal = axis if component > 0.0 else -axis
         turn = 2.0 * np.pi * np.arange(_DISC_POINTS) / _DISC_POINTS
         disc = np.column_stack((np.cos(turn), np.sin(turn))) @ triad(normal)[:, :2].T
         return Feature("face", 2, end + solid.radius * disc, 0.0, normal)
-    if abs(along) <= min(margin / length, angle):
+    if abs(component) <= min(margin / length, angle):
         return Feature("cylinder", 1, solid.corners, solid.radius)
     low = end + solid.radius * radial / sine
     return Feature("rim", 0, low[None, :], centre=end, axis=axis)
@@ -470,15 +472,15 @@ def _clip(subject: Array, window: Array) -> Array:
     for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
         inward = np.array((start[1] - end[1], end[0] - start[0]))
         depth = [float(inward @ (p - start)) for p in points]
-        kept = []
+        clipped = []
         for i, (p, h) in enumerate(zip(points, depth, strict=True)):
             previous = points[i - 1]
             before = depth[i - 1]
             if (h < 0.0) != (before < 0.0):
-                kept.append(previous + (p - previous) * (before / (before - h)))
+                clipped.append(previous + (p - previous) * (before / (before - h)))
             if h >= 0.0:
-                kept.append(p)
-        points = kept
+                clipped.append(p)
+        points = clipped
     return np.array(points).reshape(-1, 2)
 
 
@@ -493,11 +495,11 @@ def _reduced(points: Array, width: float) -> Array:
         return points
     middle = points.mean(axis=0)
     directions = np.linalg.svd(points - middle)[2]
-    along, across = directions @ (points - middle).T
-    if np.ptp(along) <= width:
+    lengthwise, crosswise = directions @ (points - middle).T
+    if np.ptp(lengthwise) <= width:
         return middle[None, :]
-    if np.ptp(across) <= width:
-        return middle + np.outer((along.min(), along.max()), directions[0])
+    if np.ptp(crosswise) <= width:
+        return middle + np.outer((lengthwise.min(), lengthwise.max()), directions[0])
     return points
 
 
@@ -539,8 +541,8 @@ def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
         directions = np.vstack((directions, guess / norm(guess)))
     if len(directions) == 0:
         directions = np.eye(3)[2:]
-    apart = separation(a, e, directions)
-    return directions[(apart >= apart.max() - _TIE).argmax()]
+    distances = separation(a, e, directions)
+    return directions[(distances >= distances.max() - _TIE).argmax()]
 
 
 def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:
@@ -556,20 +558,20 @@ def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:
     if a.normal is not None:
         return -a.normal
     if a.dimension == e.dimension == 1:
-        across = cross(a.direction, e.direction)
-        if norm(across) <= angle:
+        normal = cross(a.direction, e.direction)
+        if norm(normal) <= angle:
             return n
     elif a.axis is not None or e.axis is not None:
         return n  # that of the solver
     else:
-        across = _nearest(a, e) - _nearest(e, a)
-    across = across / norm(across)
-    return across if across @ n > 0.0 else -across
+        normal = _nearest(a, e) - _nearest(e, a)
+    normal = normal / norm(normal)
+    return normal if normal @ n > 0.0 else -normal
 
 
 def _nearest(a: Feature, e: Feature) -> Array:
     """The point of a nearest to e, where one of the two is a point."""
     if a.dimension == 0:
         return a.points[0]
-    along = a.direction
-    return a.points[0] + along * (along @ (e.points[0] - a.points[0]))
+    axis = a.direction
+    return a.points[0] + axis * (axis @ (e.points[0] - a.points[0]))

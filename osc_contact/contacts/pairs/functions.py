@@ -64,6 +64,7 @@ class GapFunctions(PackagedPair):
     name: str = "gap_functions"
 
     def _make(self) -> None:
+        """Check the step of the differences."""
         if not 1e-5 <= self.step <= 0.3:
             raise InvalidInputError(f"{self.name}.step = {self.step}; give 1e-5 … 0.3")
 
@@ -91,15 +92,15 @@ class GapFunctions(PackagedPair):
             xi: (6,) twist at A's origin, E's axes.
         """
         at_A = SE3(np.eye(3), X_EA.translation)
-        turned = SE3(X_EA.rotation, np.zeros(3))
+        rotation = SE3(X_EA.rotation, np.zeros(3))
 
         def g(s: float) -> Array:
-            return self._gaps(at_A * pin.exp6(s * xi) * turned)
+            return self._gaps(at_A * pin.exp6(s * xi) * rotation)
 
-        ahead = np.array([g(k * self.step) for k in _STEPS])
-        behind = np.array([g(-k * self.step) for k in _STEPS])
-        first = _FIRST @ (ahead - behind) / self.step
-        return (first, _SECOND @ (ahead + behind - 2.0 * self._gaps(X_EA)) / self.step**2)
+        forward = np.array([g(k * self.step) for k in _STEPS])
+        backward = np.array([g(-k * self.step) for k in _STEPS])
+        first = _FIRST @ (forward - backward) / self.step
+        return (first, _SECOND @ (forward + backward - 2.0 * self._gaps(X_EA)) / self.step**2)
 
 
 # Pairs defined by a function of N and n_γ, which is compiled and called inside the law.
@@ -142,6 +143,7 @@ class CompiledPair(PackagedPair):
     _rows: Array = field(init=False, repr=False)  # parameters, 16 a row
 
     def _make(self) -> None:
+        """Check the number of forces, and store the parameters in rows of 16 for the law."""
         if self.forces not in range(1, 7):
             raise InvalidInputError(f"{self.name}.forces = {self.forces}; give r, 1 … 6")
         numbers = as_array(f"{self.name}.parameters", self.parameters, (None,))
@@ -163,10 +165,10 @@ class CompiledPair(PackagedPair):
         return PairRow(FUNCTION, tuple(self._rows), len(self._rows) - self.forces, address)
 
     def _contact(self, b: Bodies) -> Contact:
-        found = self._evaluate(b)
-        if not np.isfinite(found[:, :7]).all():
+        results = self._evaluate(b)
+        if not np.isfinite(results[:, :7]).all():
             raise ContactError(f"{self.name}: N or n_γ is not finite")
-        return Contact(found[:, :6].T, found[:, 6], name=self.name)
+        return Contact(results[:, :6].T, results[:, 6], name=self.name)
 
     def _gaps(self, X_EA: SE3) -> Array:
         return self._evaluate(Bodies.at_O(X_EA))[:, 7]
@@ -177,11 +179,11 @@ class CompiledPair(PackagedPair):
 
     def _evaluate(self, b: Bodies) -> Array:
         """Column of N (6), n_γ, gap and point from O (3) of each magnitude, (r, 11)."""
-        found = np.empty((self.forces, 11))
-        given = (b.X_A.homogeneous, b.V_A, b.X_E.homogeneous, b.V_E)
-        rows = [np.ascontiguousarray(one, dtype=float) for one in given]
-        call_address(self.row().address, *rows, self._rows, found)
-        return found
+        results = np.empty((self.forces, 11))
+        arguments = (b.X_A.homogeneous, b.V_A, b.X_E.homogeneous, b.V_E)
+        rows = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]
+        call_address(self.row().address, *rows, self._rows, results)
+        return results
 
 
 @cache
@@ -216,21 +218,21 @@ def _entry(function: Callable[..., None], forces: int, count: int) -> tuple[int,
         """
         pose = carray(X_WO, (4, 4))
         body = carray(X_WE, (4, 4))
-        given = carray(parameters, (count,))
+        parameter_array = carray(parameters, (count,))
         out = carray(evaluated, (forces, 11))
         out[:, :6] = np.nan
         out[:, 6:] = 0.0
         N = out[:, :6].T
         points = out[:, 8:].T
         V_A = carray(V_O, (6,))
-        part(pose, V_A, body, carray(V_E, (6,)), given, N, out[:, 6], out[:, 7], points)
+        part(pose, V_A, body, carray(V_E, (6,)), parameter_array, N, out[:, 6], out[:, 7], points)
         for i in range(forces):
             for k in range(3):
                 out[i, 8 + k] -= pose[k, 3]
 
     if PLAIN_PYTHON:
-        kept: Any = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(ctypes.c_double)] * 6)(evaluate)
-        return (int(ctypes.cast(kept, ctypes.c_void_p).value or 0), kept)
+        callback: Any = ctypes.CFUNCTYPE(None, *[ctypes.POINTER(ctypes.c_double)] * 6)(evaluate)
+        return (int(ctypes.cast(callback, ctypes.c_void_p).value or 0), callback)
     types: Any = numba.types
-    kept = numba.cfunc(types.void(*[types.CPointer(types.float64)] * 6))(evaluate)
-    return (int(kept.address), kept)
+    callback = numba.cfunc(types.void(*[types.CPointer(types.float64)] * 6))(evaluate)
+    return (int(callback.address), callback)

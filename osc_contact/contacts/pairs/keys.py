@@ -84,8 +84,8 @@ def check_geometry(pair: Any) -> None:
         InvalidInputError: wrong shape, a number that is not finite, a zero direction, or a length
             < 0 (≤ 0 for lengths that must be positive).
     """
-    made: Any = type(pair)
-    for key, (kind, *_) in declared_geometry(made).items():
+    pair_class: Any = type(pair)
+    for key, (kind, *_) in declared_geometry(pair_class).items():
         name = f"{pair.name}.{key}"
         value = getattr(pair, key)
         if kind == "point":
@@ -106,13 +106,13 @@ def object_sizes(pair: ContactPair) -> dict[str, float]:
     The length of a point is its distance from the object's origin. Points of the environment are
     excluded, because the point of an infinite plane may be anywhere.
     """
-    found = {}
+    sizes = {}
     for key, (kind, *keys) in declared_geometry(type(pair)).items():
         if kind == "point" and Vec3 not in keys:
             continue
         if kind and kind != "direction":  # a surface has neither
-            found[key] = norm(np.atleast_1d(getattr(pair, key)))
-    return found
+            sizes[key] = norm(np.atleast_1d(getattr(pair, key)))
+    return sizes
 
 
 def require_object_fits(pair: ContactPair, longest: float) -> None:

@@ -68,9 +68,9 @@ def law_row(pair: ContactPair) -> PairRow | None:
     row = getattr(pair, "row", None)
     if row is None:
         return None
-    kinds = type(pair).__mro__
-    declared_by = next(kind for kind in kinds if "row" in vars(kind))
-    newer = kinds[: kinds.index(declared_by)]
+    classes = type(pair).__mro__
+    declared_by = next(kind for kind in classes if "row" in vars(kind))
+    newer = classes[: classes.index(declared_by)]
     changed = any(name in vars(kind) for kind in newer for name in _GIVEN_BY_ROW)
     return None if changed else row()
 
@@ -118,15 +118,18 @@ class LawPair(PackagedPair):
         T = None
         if self._row.kind == TANGENTS and len(self._row.shapes) == 6:
             freedoms = self._numbers[1][N.shape[1] :]
-            T = np.array([_motion(one.row, A, E) for one in freedoms]).reshape(-1, 6).T
+            T = np.array([_motion(freedom.row, A, E) for freedom in freedoms]).reshape(-1, 6).T
         return Contact(N, n_gamma, T=T, name=self.name)
 
     def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """Points of application (3, r) of the magnitudes of a pair that pushes, world (m)."""
         A = _elements(X_WO)
         E = _IDENTITY if X_WE is None else _elements(X_WE)
-        each = zip(self._numbers[1], self._columns(A, E), strict=False)
-        points = [_point(self._row.kind, one.row, A, E, column.N) for one, column in each]
+        shapes_and_columns = zip(self._numbers[1], self._columns(A, E), strict=False)
+        points = [
+            _point(self._row.kind, shape.row, A, E, column.N)
+            for shape, column in shapes_and_columns
+        ]
         return X_WO.translation[:, None] + np.array(points).T
 
     def normals(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
@@ -167,8 +170,8 @@ class LawPair(PackagedPair):
                 sine = _place(head, shapes, columns, motion)
         except ZeroDivisionError:
             sine = 0.0
-        least = np.min(sine)
-        if least >= law.PARALLEL:
+        least_sine = np.min(sine)
+        if least_sine >= law.PARALLEL:
             return columns
         if self._row.kind == SURFACE:
             raise ContactError(
@@ -176,7 +179,7 @@ class LawPair(PackagedPair):
                 "start with it on the outer side, nearer than the least radius of curvature"
             )
         raise ContactError(
-            f"{self.name}: the edges are parallel (sine of their angle {least:.2g}), so their "
+            f"{self.name}: the edges are parallel (sine of their angle {least_sine:.2g}), so their "
             "common normal is undefined; model this contact as an edge on a face"
         )
 

@@ -72,8 +72,8 @@ def count_forces(pair: ContactPair) -> int:
     """Number r of the force magnitudes of a pair, one for each of its gaps."""
     if (row := getattr(pair, "row", None)) is None:
         return len(pair.gaps(SE3.Identity()))
-    shown = row()  # valid in every pose; gaps of parallel edges do not exist
-    return len(shown.shapes) - int(shown.freedoms)
+    law_row = row()  # valid in every pose; gaps of parallel edges do not exist
+    return len(law_row.shapes) - int(law_row.freedoms)
 
 
 def pushes_only(pair: ContactPair) -> bool:

@@ -46,23 +46,23 @@ class PointsOnPlanes(LawPair):
     _reach: Array
 
     def _hold_points(
-        self, points: Array, into: Array, on_plane: Array, radius: float = 0.0
+        self, points: Array, directions: Array, on_plane: Array, radius: float = 0.0
     ) -> None:
         """Set the points and planes of the pair.
 
         Args:
             points: (3,) or (3, r) points of A (m).
-            into: (3,) or (3, r) unit directions of E into the planes.
+            directions: (3,) or (3, r) unit directions of E into the planes.
             on_plane: (3,) point of E in all planes (m).
             radius: ρ (m).
         """
         points = points.reshape(3, -1)
-        into = np.broadcast_to(into.reshape(3, -1), points.shape)
-        heights = (into * on_plane[:, None]).sum(axis=0)
-        store(self, _points=points, _into=into, _reach=heights - radius)
+        directions = np.broadcast_to(directions.reshape(3, -1), points.shape)
+        heights = (directions * on_plane[:, None]).sum(axis=0)
+        store(self, _points=points, _into=directions, _reach=heights - radius)
         shapes = [
             shape(point, direction, height)
-            for point, direction, height in zip(points.T, into.T, heights, strict=True)
+            for point, direction, height in zip(points.T, directions.T, heights, strict=True)
         ]
         self._hold(on_plane, POINTS, tuple(shapes))
 
@@ -74,8 +74,8 @@ class PointsOnPlanes(LawPair):
     def _gaps(self, X_EA: SE3) -> Array:
         """Signed distances (r,) minus ρ (m), negative in an overlap."""
         n = self._into
-        turned = X_EA.rotation @ self._points
-        return self._reach - X_EA.translation @ n - np.einsum("ij,ij->j", turned, n)
+        points = X_EA.rotation @ self._points
+        return self._reach - X_EA.translation @ n - np.einsum("ij,ij->j", points, n)
 
 
 def ends(point: Array, direction: Array, length: float) -> Array:
@@ -119,6 +119,7 @@ class VertexOnFace(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
+        """Press the vertex into the face, against its normal."""
         self._hold_points(self.vertex, -self.normal, self.point, self.radius)
 
 
@@ -149,6 +150,7 @@ class SphereOnPlane(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
+        """Press the sphere's centre against the normal of the body's face."""
         self._hold_points(self.centre, -self.face_normal, self.face_point, self.radius)
 
 
@@ -183,6 +185,7 @@ class EdgeOnFace(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
+        """Press both ends of the edge against the normal of the body's face."""
         feet = ends(self.point, self.direction, self.length)
         self._hold_points(feet, -self.face_normal, self.face_point)
 
@@ -222,6 +225,7 @@ class CylinderOnPlane(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
+        """Press both ends of the cylinder's axis against the normal of the body's face."""
         feet = ends(self.point, self.direction, self.length)
         self._hold_points(feet, -self.face_normal, self.face_point, self.radius)
 
@@ -262,8 +266,9 @@ class FaceOnFace(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        drawn = np.array((np.cos(_CORNERS), np.sin(_CORNERS)))
-        corners = self.point[:, None] + self.size * triad(self.normal)[:, :2] @ drawn
+        """Press the corners of the face against the normal of the body's face."""
+        circle = np.array((np.cos(_CORNERS), np.sin(_CORNERS)))
+        corners = self.point[:, None] + self.size * triad(self.normal)[:, :2] @ circle
         self._hold_points(corners, -self.face_normal, self.face_point)
 
 
@@ -298,9 +303,10 @@ class CylinderInHole(PointsOnPlanes):
     axes_are_chosen = True
 
     def _make(self) -> None:
+        """Press both ends of the axis in two directions across the hole."""
         points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
-        across = triad(self.hole_direction)[:, :2]
-        self._hold_points(points, np.hstack((across, across)), self.hole_point)
+        axes = triad(self.hole_direction)[:, :2]
+        self._hold_points(points, np.hstack((axes, axes)), self.hole_point)
 
 
 # A cylinder of the object in a V-groove of the environment.
@@ -342,6 +348,7 @@ class CylinderInVGroove(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
+        """Check the groove; press both ends of the axis into each of its two walls."""
         side = cross(self.groove_direction, self.groove_outward)
         size = norm(side)
         if not (0.0 < self.groove_angle < pi and size > 1e-6):
@@ -351,8 +358,10 @@ class CylinderInVGroove(PointsOnPlanes):
                 "between 0 and π, and a way out that is not along the groove"
             )
         side = side / size
-        across = np.cos(self.groove_angle / 2) * side
+        axes = np.cos(self.groove_angle / 2) * side
         along = np.sin(self.groove_angle / 2) * cross(side, self.groove_direction)
-        into = np.column_stack((across - along, -across - along))
+        directions = np.column_stack((axes - along, -axes - along))
         points = np.repeat(ends(self.point, self.direction, self.length), 2, axis=1)
-        self._hold_points(points, np.hstack((into, into)), self.groove_point, self.radius)
+        self._hold_points(
+            points, np.hstack((directions, directions)), self.groove_point, self.radius
+        )

@@ -101,8 +101,8 @@ def register_pair(forces: int | None = None) -> Callable[[Pair], Pair]:
             _show_plain_types(pair)
         PAIRS[pair.__name__] = pair
         if forces is not None:
-            named: Any = pair
-            NAMED[named.name] = NamedPair(pair, forces)
+            pair_class: Any = pair
+            NAMED[pair_class.name] = NamedPair(pair, forces)
         return pair
 
     return enter
@@ -110,13 +110,13 @@ def register_pair(forces: int | None = None) -> Callable[[Pair], Pair]:
 
 def _show_plain_types(pair: Any) -> None:
     """Hide the annotations of keys in the signature that help and API pages show."""
-    shown = signature(pair)
+    declared = signature(pair)
     hints = get_type_hints(pair)
     arguments = []
-    for one in shown.parameters.values():
-        hint = hints[one.name]
+    for parameter in declared.parameters.values():
+        hint = hints[parameter.name]
         plain = "ArrayLike" if Array in (hint, *get_args(hint)) else hint
         # unions and callables are shown as written in the source, which is shorter
-        kept = plain if isinstance(plain, str | type) else one.annotation
-        arguments.append(one.replace(annotation=kept))
-    pair.__signature__ = shown.replace(parameters=arguments)
+        shown_type = plain if isinstance(plain, str | type) else parameter.annotation
+        arguments.append(parameter.replace(annotation=shown_type))
+    pair.__signature__ = declared.replace(parameters=arguments)

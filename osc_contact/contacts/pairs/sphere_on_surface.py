@@ -76,11 +76,11 @@ class SphereOnSurface(LawPair):
             points: (3, k) points in the environment frame (m).
         """
         R = self.X_ES.rotation
-        away, n = distance_and_normal(
+        distances, n = distance_and_normal(
             self._numbers[1], R.T @ (points - self.surface_point[:, None])
         )
         n = R @ n
-        return (away, points - away * n, n)
+        return (distances, points - distances * n, n)
 
     def _gaps(self, X_EA: SE3) -> Array:
         """Signed distance (1,) of the ball (m), negative in an overlap."""

@@ -38,7 +38,7 @@ class TangentPair(PointsOnPlanes):
     def _hold_tangents(
         self,
         point: Array,
-        into: Array,
+        directions: Array,
         on_plane: Array,
         right_angles: tuple[Array, Array] = (_NONE, _NONE),
         freedoms: tuple[Array, ...] = (),
@@ -48,7 +48,7 @@ class TangentPair(PointsOnPlanes):
 
         Args:
             point: (3,) point of A (m) on the planes.
-            into: (3, k) unit directions of E into the planes.
+            directions: (3, k) unit directions of E into the planes.
             on_plane: (3,) point of E in all planes (m).
             right_angles: directions a (3, m) of A and u (3, m) of E that are perpendicular.
             freedoms: shapes of TURN about an axis of A through a point of A; of SLIDE along an
@@ -56,10 +56,17 @@ class TangentPair(PointsOnPlanes):
                 its rate along an axis of E.
             threads: shapes of columns that couple the advance of a SCREW to its turn.
         """
-        points = np.tile(point[:, None], into.shape[1])
+        points = np.tile(point[:, None], directions.shape[1])
         arms, marks = right_angles
-        store(self, _points=points, _into=into, _reach=on_plane @ into, _arms=arms, _marks=marks)
-        forces = (shape(point, n, FORCE) for n in into.T)
+        store(
+            self,
+            _points=points,
+            _into=directions,
+            _reach=on_plane @ directions,
+            _arms=arms,
+            _marks=marks,
+        )
+        forces = (shape(point, n, FORCE) for n in directions.T)
         couples = (shape(a, u, COUPLE) for a, u in zip(arms.T, marks.T, strict=True))
         shapes = (*forces, *couples, *threads, *freedoms)
         self._hold(on_plane, TANGENTS, shapes, len(freedoms))
@@ -142,6 +149,7 @@ class Fixed(TangentPair):
     name: str = "fixed"
 
     def _make(self) -> None:
+        """Hold the origin in three directions, and the orientation, at the assembled pose."""
         pose = self.assembled
         self._hold_tangents(_ORIGIN, np.eye(3), pose.translation, held_axes(pose.rotation))
 
@@ -158,6 +166,7 @@ class Free(TangentPair):
     name: str = "free"
 
     def _make(self) -> None:
+        """Hold nothing: no forces, no gaps."""
         self._hold_tangents(_ORIGIN, np.zeros((3, 0)), _ORIGIN)
 
 
@@ -188,6 +197,7 @@ class Prismatic(TangentPair):
     name: str = "prismatic"
 
     def _make(self) -> None:
+        """Hold the point in two directions across the line, and the orientation."""
         seat, on_line = assembled_axis(self)
         turns = held_axes(self.assembled.rotation)
         freedom = shape(self.point, seat, SLIDE)
@@ -221,6 +231,7 @@ class Revolute(TangentPair):
     name: str = "revolute"
 
     def _make(self) -> None:
+        """Hold the point in three directions, and the direction of the axis."""
         seat, on_axis = assembled_axis(self)
         freedom = shape(self.point, self.axis, TURN)
         tilts = held_axis(self.axis, seat)
@@ -259,6 +270,7 @@ class Screw(TangentPair):
     _seat: Array = field(init=False, repr=False)
 
     def _make(self) -> None:
+        """Hold the point across the axis, the axis, and the advance to the pitch (a thread)."""
         if not np.isfinite(self.pitch) or self.pitch == 0.0:
             raise InvalidInputError(
                 f"{self.name}.pitch = {self.pitch}; give m/rad other than 0 (else: Revolute)"
@@ -276,8 +288,8 @@ class Screw(TangentPair):
         x, y, d = self._seat.T
         spoke = X_EA.rotation @ self.assembled.rotation.T @ x  # along x when assembled
         angle = np.arctan2(y @ spoke, x @ spoke)
-        apart = X_EA.act(self.point) - self.assembled.act(self.point)
-        ahead = d @ apart / self.pitch - angle
+        distance_vector = X_EA.act(self.point) - self.assembled.act(self.point)
+        ahead = d @ distance_vector / self.pitch - angle
         wrapped = -self.pitch * np.remainder(ahead + np.pi, 2 * np.pi) + self.pitch * np.pi
         return np.append(super()._gaps(X_EA), wrapped)
 
@@ -317,8 +329,9 @@ class ConeInGroove(TangentPair):
     name: str = "cone_in_groove"
 
     def _make(self) -> None:
-        across = triad(self.groove_direction)[:, :2]
+        """Hold the apex in two directions across the groove, and the axis in its seat."""
+        axes = triad(self.groove_direction)[:, :2]
         turn = shape(self.apex, self.axis, TURN)
         freedoms = (turn, shape(self.apex, self.groove_direction, SLIDE))
         tilts = held_axis(self.axis, self.seat)
-        self._hold_tangents(self.apex, across, self.groove_point, tilts, freedoms)
+        self._hold_tangents(self.apex, axes, self.groove_point, tilts, freedoms)

@@ -50,6 +50,7 @@ class FaceOnVertex(LawPair):
     pushes = True
 
     def _make(self) -> None:
+        """Make the pair's row of the law."""
         row = shape(self.normal, self.body_vertex, self.radius)
         self._hold(self.body_vertex, FACE_ON_VERTEX, (row,))
         store(self, surface_radius=self.radius)
@@ -57,8 +58,8 @@ class FaceOnVertex(LawPair):
     def _gaps(self, X_EA: SE3) -> Array:
         """Distance (1,) between face and vertex surface (m), negative when they overlap."""
         R = X_EA.rotation
-        apart = self.body_vertex - X_EA.translation - R @ self.point
-        return np.array([R @ self.normal @ apart - self.radius])
+        distance_vector = self.body_vertex - X_EA.translation - R @ self.point
+        return np.array([R @ self.normal @ distance_vector - self.radius])
 
 
 # An edge of the object across an edge of the environment.

@@ -60,8 +60,8 @@ def inspect_rig(rig: Rig) -> Inspection:
     values = np.linalg.eigvalsh(mobility / np.outer(scale, scale)) if contact.r else np.ones(1)
     conditioning = float(values[-1] / values[0])
     motors = rig.chain.n_a
-    own = sum(t.J.shape[1] - t.rank for t in state.arms)  # motions of an arm alone
-    internal = motors - own - (int(np.linalg.matrix_rank(state.G)) if state.d else 0)
+    arm_motions = sum(t.J.shape[1] - t.rank for t in state.arms)  # motions of an arm alone
+    internal = motors - arm_motions - (int(np.linalg.matrix_rank(state.G)) if state.d else 0)
     lines = (
         f"{len(rig.chain.arms)} arm(s), {rig.chain.nq} joints, {motors} motors; "
         f"the object can make d = {state.d} independent motions.",
@@ -82,7 +82,7 @@ def inspect_rig(rig: Rig) -> Inspection:
         *_skew(rig),
         *_normals(rig),
         *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
-        *_redundancy(len(rig.chain.arms), internal, own),
+        *_redundancy(len(rig.chain.arms), internal, arm_motions),
         f"conditioning of the contact forces: {conditioning:.3g} (1 = independent of each other)",
     )
     return Inspection(
@@ -102,21 +102,29 @@ def _stages(rig: Rig) -> Iterator[str]:
     stages = rig.references.stages
     ends = [begin for begin, _ in stages[1:]] + [rig.scenario.duration]
     for (begin, active), end in zip(stages, ends, strict=False):  # none if no set is named
-        here = [pair for pair, one in zip(rig.pairs, active, strict=True) if one]
-        known = [f"'{pair.name}'" for pair, one in zip(rig.pairs, active, strict=True) if not one]
-        r = contact_at(here, rig.state.X_WO).r
-        names = ", ".join(f"'{pair.name}'" for pair in here) or "none"
-        rest = f"; known, not active: {', '.join(known)}." if known else "."
+        active_pairs = [
+            pair for pair, is_active in zip(rig.pairs, active, strict=True) if is_active
+        ]
+        inactive_names = [
+            f"'{pair.name}'"
+            for pair, is_active in zip(rig.pairs, active, strict=True)
+            if not is_active
+        ]
+        r = contact_at(active_pairs, rig.state.X_WO).r
+        names = ", ".join(f"'{pair.name}'" for pair in active_pairs) or "none"
+        inactive_text = (
+            f"; known, not active: {', '.join(inactive_names)}." if inactive_names else "."
+        )
         free = f"(r = {r}, {rig.state.d - r} motions free)"
-        yield f"active from {begin:.4g} s to {end:.4g} s: {names} {free}{rest}"
+        yield f"active from {begin:.4g} s to {end:.4g} s: {names} {free}{inactive_text}"
 
 
 def _friction(rig: Rig) -> Iterator[str]:
     """Sentences on modelled friction and rotors that limit accuracy or stability of control."""
     how = rig.joint_friction
-    for arm, own in zip(rig.model.arms, rig.model.slices, strict=True):
+    for arm, joints in zip(rig.model.arms, rig.model.slices, strict=True):
         share = how.share if how and (how.learning or how.errors) else 0.0
-        q = rig.q_contact[own]
+        q = rig.q_contact[joints]
         passive = arm.passive_joints
         for words in friction_warnings(arm.model, q, share, 1.0 / LAG, passive):
             yield f"joints of '{arm.name}': {words}"
@@ -145,11 +153,11 @@ def _free_motions(state: ChainState, contact: Contact) -> Array:
     return echelon(state.S @ Vh[contact.r :].T)
 
 
-def _redundancy(arms: int, internal: int, own: int) -> Iterator[str]:
+def _redundancy(arms: int, internal: int, arm_motions: int) -> Iterator[str]:
     """Sentences on internal forces and null-space motions.
 
     Args:
-        arms: number of arms. internal: number of internal forces. own: number of null-space
+        arms: number of arms. internal: number of internal forces. arm_motions: number of null-space
             motions.
     """
     if internal or arms > 1:
@@ -157,8 +165,8 @@ def _redundancy(arms: int, internal: int, own: int) -> Iterator[str]:
             f"{internal} internal force(s) can be set without moving the object or pressing harder"
             + (" (squeeze along the grasp line is one)." if arms == 2 else ".")
         )
-    if own:
-        yield f"{own} motion(s) of arms leave the object where it is: postures to choose."
+    if arm_motions:
+        yield f"{arm_motions} motion(s) of arms leave the object where it is: postures to choose."
 
 
 def _contact_lines(rig: Rig) -> Iterator[str]:
@@ -197,25 +205,32 @@ def _body(rig: Rig, contact: int) -> str:
 
 
 def _skew(rig: Rig) -> Iterator[str]:
-    """The distance and angle of lines of force, two contacts with one line each at a time."""
+    """Describe distance and angle of the lines of force of all pairs of contacts with one line.
+
+    Args:
+        rig: rig, whose pairs are taken at the pose of its start.
+
+    Yields:
+        One sentence for two contacts: parallel, skew or meeting lines.
+    """
     lines = [(pair, *feet(pair, rig.state.X_WO)) for pair in rig.pairs]
-    for (a, p, d), (b, q, e) in combinations([one for one in lines if len(one[1]) == 1], 2):
-        between = common_perpendicular(p[0], d[0], q[0], e[0])
+    for (a, p, d), (b, q, e) in combinations([line for line in lines if len(line[1]) == 1], 2):
+        normal = common_perpendicular(p[0], d[0], q[0], e[0])
         names = f"'{a.name}' and '{b.name}'"
-        gap = f"{1e3 * between.distance:.1f} mm apart"
-        if between.angle < 1e-9:
+        gap = f"{1e3 * normal.distance:.1f} mm apart"
+        if normal.angle < 1e-9:
             yield f"{names} press along parallel lines, {gap}."
             continue
-        skew = between.distance > 1e-6
+        skew = normal.distance > 1e-6
         kind = "skew: no single frame's axes hold both" if skew else "they meet in a point"
         yield (
-            f"the lines of force of {names} enclose {np.degrees(between.angle):.1f}° and pass "
+            f"the lines of force of {names} enclose {np.degrees(normal.angle):.1f}° and pass "
             f"{gap} ({kind})."
         )
 
 
 def _twist_words(twist: Array) -> str:
-    """A twist as pure translation, or as turning about an axis with a pitch."""
+    """Words for a twist (6,) at the object's origin: a translation, or a turn with a pitch."""
     v, w = np.split(twist, 2)
     if norm(w) < 1e-9 * max(norm(v), 1.0):
         return f"translation along {_vector(v / norm(v))}"

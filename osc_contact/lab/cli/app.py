@@ -118,19 +118,19 @@ def run(
     json_file: JsonOption = None,
 ) -> None:
     """Run a scenario; write metrics.json, the recording, figures and an HTML scene."""
-    chosen = load_task(scenario, set_, plant, duration)
-    folder = out_dir or Path("out") / chosen.file_stem
-    require_report(chosen)
+    task = load_task(scenario, set_, plant, duration)
+    folder = out_dir or Path("out") / task.file_stem
+    require_report(task)
     code = 0
-    beside = FigureProcess() if available_cores() > 1 else nullcontext()
-    with sole_user(folder), beside as figures:
+    figure_process = FigureProcess() if available_cores() > 1 else nullcontext()
+    with sole_user(folder), figure_process as figures:
         try:
-            recording = run_with_progress(chosen, seed, folder)
+            recording = run_with_progress(task, seed, folder)
         except Interrupted as error:
             recording = error.recording
             code = 130
             say(str(error))
-        written, failed = report_run(recording, chosen, folder, json_file, figures)
+        written, failed = report_run(recording, task, folder, json_file, figures)
         forget_rows(folder)
     missing = recording.meta.get("missing", ())
     say(*missing, f"written to {folder}: {written}")
@@ -210,25 +210,25 @@ def view(
         if set_ or plant or duration is not None:
             raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
         recording = open_recording(what, folder)
-        shown = shown_of(recording, Path(what), folder)
-        viewing.require_drawable(recording, shown, what)
+        content = shown_of(recording, Path(what), folder)
+        viewing.require_drawable(recording, content, what)
     else:
         scenario = load_task(what, set_, plant, duration)
-        shown = viewing.content_of(build_rig(scenario))
+        content = viewing.content_of(build_rig(scenario))
     if live:
-        show_live(shown, scenario, recording, seed, hold)
+        show_live(content, scenario, recording, seed, hold)
         return
     if scenario is not None:
         recording = run_with_progress(scenario, seed, None)
     assert recording is not None
     if png:
-        written = viewing.picture(recording, shown, png, time)
+        written = viewing.picture(recording, content, png, time)
     elif film:
         write = write_gif if gif else write_mp4
-        written = viewing.moving_picture(recording, shown, film, write)
+        written = viewing.moving_picture(recording, content, film, write)
     else:
         page = html or Path("out") / f"{Path(what).stem}.html"
-        written = viewing.write_scene_of(recording, shown, page, time)
+        written = viewing.write_scene_of(recording, content, page, time)
     say(f"written: {written}")
 
 
@@ -392,21 +392,21 @@ def programs() -> Iterator[tuple[str, str, str]]:
     """
     for page in PAGES:
         text = _page(page).read_text(encoding="utf-8")
-        for found in PROGRAM.finditer(text):
-            title, *sections = HEADING.findall(PROGRAM.sub("", text[: found.start()]))
+        for program in PROGRAM.finditer(text):
+            title, *sections = HEADING.findall(PROGRAM.sub("", text[: program.start()]))
             if page == "README.md":
-                yield ("first_program", "First program", found[1])
+                yield ("first_program", "First program", program[1])
             elif sections:
                 name = _slug(f"{Path(page).stem} {sections[-1]}")
-                yield (name, f"{title}: {sections[-1]}", found[1])
+                yield (name, f"{title}: {sections[-1]}", program[1])
             else:
-                yield (Path(page).stem, title, found[1])
+                yield (Path(page).stem, title, program[1])
 
 
 def _page(name: str) -> Path:
     """File of a page, inside the installed package or in the checkout."""
-    here = Path(__file__).resolve().parents[2]
-    places = (here / "docs" / name, here.parent / "docs" / name, here.parent / name)
+    package = Path(__file__).resolve().parents[2]
+    places = (package / "docs" / name, package.parent / "docs" / name, package.parent / name)
     return next((place for place in places if place.is_file()), places[0])
 
 

@@ -129,8 +129,8 @@ def load_program(name: str) -> ModuleType:
         InvalidInputError: there is no such folder, as in an installed wheel.
     """
     root = Path(__file__).resolve().parents[3]
-    needed = (root / "pyproject.toml", root / name / "__main__.py")
-    if not all(file.is_file() for file in needed):
+    required_files = (root / "pyproject.toml", root / name / "__main__.py")
+    if not all(file.is_file() for file in required_files):
         raise InvalidInputError(
             f"this command needs the folder {name}/ of a checkout or of the source archive: unpack "
             "one, run `pip install -e '.[all]'` in it and repeat the command there"
@@ -316,8 +316,8 @@ def changed(
         plant: type of the plant instead of the scenario's.
         duration: duration instead of the scenario's (s).
     """
-    given = {"plant.type": plant, "duration": duration}
-    options = [f"{key}={value}" for key, value in given.items() if value is not None]
+    values = {"plant.type": plant, "duration": duration}
+    options = [f"{key}={value}" for key, value in values.items() if value is not None]
     return [*(overrides or ()), *options]
 
 

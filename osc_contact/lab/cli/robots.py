@@ -44,17 +44,17 @@ def check(
         path, limits=by_hand, inertias=inertias, package_dirs=places, tip=tip
     )
     say(*report.lines())
-    found = report.as_dict()
+    results = report.as_dict()
     if report.sound and not is_mjcf(path):
         differences = second_reading.differences(
             path, limits=by_hand, inertias=inertias, package_dirs=places
         )
-        found["differences"] = differences
+        results["differences"] = differences
         say(*(differences or [second_reading.AGREE]))
     for table in robot_tables(report.summary) if report.summary else ():
         out.print(table)
     if json_file:
-        write_json(found, json_file)
+        write_json(results, json_file)
     if not report.sound:
         raise Exit(1)
 
@@ -88,13 +88,13 @@ def pose(
         if q.shape != (chain.nq,):
             names = ", ".join(chain.joint_names)
             raise InvalidInputError(f"posture: {len(q)} numbers for {chain.nq} joints: {names}")
-    now = X if posture is None and X is not None else object_pose(chain, q)
+    X_now = X if posture is None and X is not None else object_pose(chain, q)
     reached = True
     if seed is not None and xyz is None and rpy is None:
         raise InvalidInputError("--seed is of the search for a posture; give --xyz or --rpy")
     if xyz is not None or rpy is not None:
-        p = now.translation if xyz is None else poses.place(xyz)
-        R = now.rotation if rpy is None else pin.rpy.rpyToMatrix(*poses.numbers("rpy", rpy))
+        p = X_now.translation if xyz is None else poses.place(xyz)
+        R = X_now.rotation if rpy is None else pin.rpy.rpyToMatrix(*poses.numbers("rpy", rpy))
         solution = poses.solve(chain, pin.SE3(R, p), q, seed)
         q = solution.q
         reached = solution.reached
@@ -187,7 +187,7 @@ def commission(
     course = Commissioning(
         driver, folder, gap, confirm, shadow_time, realtime, draw_forces, holds_itself=True
     )
-    done = course.run()
+    completed = course.run()
     say(*course.lines)
-    if not done:
+    if not completed:
         raise Exit(1)

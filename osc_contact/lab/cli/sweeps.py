@@ -154,9 +154,9 @@ def _limits(texts: list[str]) -> dict[str, float]:
     """
     limits = {}
     for text in texts:
-        name, _, most = text.partition("=")
+        name, _, limit = text.partition("=")
         try:
-            limits[name.strip()] = float(most)
+            limits[name.strip()] = float(limit)
         except ValueError as error:
             raise InvalidInputError(f"--limit {text!r}: write COLUMN=NUMBER") from error
     return limits

@@ -44,10 +44,10 @@ class FlexibleJoints:
         """
         for name in ("stiffness", "damping", "motor_inertia"):
             value = as_array(name, getattr(self, name), np.asarray(self.stiffness).shape)
-            least = 0.0 if name == "damping" else 1e-9
-            if value.min(initial=least) < least:
+            minimum = 0.0 if name == "damping" else 1e-9
+            if value.min(initial=minimum) < minimum:
                 raise PlantError(
-                    f"flexible joints: {name} = {value}; give {'≥ 0' if least == 0 else '> 0'} "
+                    f"flexible joints: {name} = {value}; give {'≥ 0' if minimum == 0 else '> 0'} "
                     "for every motor"
                 )
             object.__setattr__(self, name, value)

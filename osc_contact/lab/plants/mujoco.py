@@ -357,9 +357,9 @@ class MujocoPlant:
             self._mj.mj_step(self.model, self.data)
         self.time += steps * self._step
         if any(self._warnings.tolist()):  # of accelerations that are not finite, too
-            kinds = [self._mj.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
+            warnings = [self._mj.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
             raise PlantError(
-                f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(kinds)}); largest speed "
+                f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(warnings)}); largest speed "
                 f"{np.abs(self._qvel).max():.3g}. Lower the gains or the plant step."
             )
 

@@ -250,7 +250,7 @@ class MujocoArm:
                 "MuJoCo's control callback is in use; end the other block, or call "
                 "mujoco.set_mjcb_control(None), before driven()"
             )
-        due = -np.inf
+        next_tick = -np.inf
         failure: Exception | None = None
 
         def control(model: Any, data: Any) -> None:
@@ -259,13 +259,13 @@ class MujocoArm:
             Args:
                 model, data: simulation that makes the step; other simulations are ignored.
             """
-            nonlocal due, failure
+            nonlocal next_tick, failure
             if model is not self.model or data is not self.data or failure is not None:
                 return
-            if data.time < due - dt:  # the simulation was reset
-                due = -np.inf
-            if data.time > due - 0.5 * step:
-                due = data.time + dt
+            if data.time < next_tick - dt:  # the simulation was reset
+                next_tick = -np.inf
+            if data.time > next_tick - 0.5 * step:
+                next_tick = data.time + dt
                 try:
                     self.apply(law(self.measure()))
                 except Exception as error:  # MuJoCo would end the process in some of its calls
@@ -284,10 +284,10 @@ class MujocoArm:
         model = self.model
         tool = geoms_beyond(model, self._body)
         tree = moving_geoms(model, self._body)
-        others = np.setdiff1d(np.flatnonzero(~tree), tool)
+        other_geoms = np.setdiff1d(np.flatnonzero(~tree), tool)
         loose = loose_joints(model, self._body, self._v)
         return MujocoScene(
-            model, self.data, tool.tolist(), others.tolist(), chain=self.chain, loose=loose
+            model, self.data, tool.tolist(), other_geoms.tolist(), chain=self.chain, loose=loose
         )
 
 

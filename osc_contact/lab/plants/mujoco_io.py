@@ -33,9 +33,9 @@ class TorqueInputs:
         Args:
             mj: MuJoCo's model, changed. joints: indices of the joints.
         """
-        kinds = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
+        types = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
         per_torque = mj.actuator_gear[:, 0] * mj.actuator_gainprm[:, 0]
-        plain = (per_torque != 0.0) & ~np.any(kinds, axis=0)  # force is gain × control, at once
+        plain = (per_torque != 0.0) & ~np.any(types, axis=0)  # force is gain × control, at once
         motors = []  # index of each joint's motor; −1: torques are applied to the joint directly
         for joint in joints:
             actuators = motors_of(mj, joint)
@@ -136,17 +136,17 @@ def loose_joints(mj: Any, body: int, dofs: Array) -> dict[str, float]:
     return masses
 
 
-def require_name(kind: str, name: str, known: Sequence[str]) -> None:
+def require_name(kind: str, name: str, names: Sequence[str]) -> None:
     """Refuse a name that a MuJoCo model does not have.
 
     Args:
         kind: kind of the named element, for the message.
         name: name of the element.
-        known: names of all elements of that kind.
+        names: names of all elements of that kind.
 
     Raises:
         PlantError: there is no such element; the message has similar names.
     """
-    if name not in known:
-        similar = did_you_mean(name, filter(None, known))
+    if name not in names:
+        similar = did_you_mean(name, filter(None, names))
         raise PlantError(f"the MuJoCo model has no {kind} {name!r}; {similar}")

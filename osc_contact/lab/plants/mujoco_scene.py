@@ -300,21 +300,21 @@ def _add_friction(spec: MjSpec, options: PlantSpec) -> None:
     """
     time, ratio = options.solref
     low, high, width = options.solimp
-    most = _IMPEDANCE
+    largest_impedance = _IMPEDANCE
 
     def root(d: float) -> float:
         """Relative natural frequency d/√(1 − d) of a contact's spring for the impedance d."""
         return d / np.sqrt(1.0 - d)
 
-    share = most / root(high)
+    share = largest_impedance / root(high)
     power = 1.0  # exponent of the curve of impedances, fitted in its middle
     if low != high:
         power = -np.log2((root(0.5 * (low + high)) - root(low)) / (root(high) - root(low)))
     fastest = 1.0 / spec.option.timestep  # no damper stops a motion within less than a step
-    damping = min(2.0 / time * (1.0 - most) / (1.0 - high), fastest)
-    stiffness = (1.0 - most) / ((1.0 - high) * (time * ratio) ** 2)
+    damping = min(2.0 / time * (1.0 - largest_impedance) / (1.0 - high), fastest)
+    stiffness = (1.0 - largest_impedance) / ((1.0 - high) * (time * ratio) ** 2)
     friction = _FRICTION_IMPEDANCE / (1.0 - _FRICTION_IMPEDANCE)
-    spec.option.impratio = friction * (1.0 - most) / most
+    spec.option.impratio = friction * (1.0 - largest_impedance) / largest_impedance
     for i, geom in enumerate(spec.geoms):
         geom.name = geom.name or f"geom{i}"
     own_geoms = [geom.name for geom in spec.geoms if geom.conaffinity and not geom.contype]
@@ -324,8 +324,8 @@ def _add_friction(spec: MjSpec, options: PlantSpec) -> None:
         pair.condim = 3
         pair.friction = [options.friction, options.friction, 0.0, 0.0, 0.0]
         pair.solref = [-stiffness, -damping]
-        pair.solimp = [share * root(low), most, width, 1.0, power]
-        pair.solreffriction = [-1e-9, -min(_FRICTION_DAMPING, fastest) * most]
+        pair.solimp = [share * root(low), largest_impedance, width, 1.0, power]
+        pair.solreffriction = [-1e-9, -min(_FRICTION_DAMPING, fastest) * largest_impedance]
 
 
 def _put_on_rail(part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:

@@ -49,21 +49,21 @@ class NotedWrenches:
         self._guided = guided_joints(faces.rails)
         self._root = np.linalg.cholesky(np.linalg.inv(inertia)).T  #: Φ = rootᵀ root
 
-    def truths(self, noted: Array) -> Truths:
+    def truths(self, rows: Array) -> Truths:
         """True states and contact forces at k instants.
 
         Args:
-            noted: (k, m) rows. The m columns are: R of the object by rows (9), its position p (3;
+            rows: (k, m) rows. The m columns are: R of the object by rows (9), its position p (3;
                 m), its twist at O in world axes (6; m/s, rad/s), the positions of the bodies on
                 rails (m, rad), then for each body the wrench of normal forces that the object
                 exerts on it at O (6; N, N m), then for each body 1 if the object touches it, else
                 0.
         """
         faces = self._faces
-        k = len(noted)
+        k = len(rows)
         bodies = len(faces.rails)
         sizes = [9, 3, 6, len(self._guided[0]), 6 * bodies]
-        R, p, V_O, positions, wrenches, touched = np.split(noted.T.copy(), np.cumsum(sizes))
+        R, p, V_O, positions, wrenches, touched = np.split(rows.T.copy(), np.cumsum(sizes))
         X_WO = Poses(R.reshape(3, 3, k), p)
         X_WE: tuple[Poses | None, ...] = (None,) * len(faces.on)
         if len(positions):

@@ -151,8 +151,8 @@ def _nearest(model: MjModel, data: MjData, pairs: list[tuple[int, int]]) -> tupl
         (mj_geomDistance(model, data, first, second, FAR_M, ends), second)
         for first, second in pairs
     ]
-    least, geom = min(distances)
-    return (least if least < FAR_M else np.inf), model.geom(geom).name or f"geom {geom}"
+    distance, geom = min(distances)
+    return (distance if distance < FAR_M else np.inf), model.geom(geom).name or f"geom {geom}"
 
 
 def _can_touch(model: MjModel, a: int, b: int) -> bool:
@@ -291,21 +291,21 @@ class MujocoRobot(MujocoPlant):
         tree = mj.body_rootid[mj.geom_bodyid] == mj.body_rootid[tool]
         self._warn_of_friction(np.flatnonzero(~tree))
 
-    def _warn_of_friction(self, others: Array) -> None:
+    def _warn_of_friction(self, other_geoms: Array) -> None:
         """Log a warning about large friction between tool and scene, such as MuJoCo's default.
 
         Args:
-            others: indices of the geoms that are not the arm's.
+            other_geoms: indices of the geoms that are not the arm's.
         """
         mj = self.model
         largest = 0.0
         for tool_geom in np.flatnonzero(self.body_of == OBJECT).tolist():
-            for other in others.tolist():
-                both = np.array([tool_geom, other])
+            for other in other_geoms.tolist():
+                geoms = np.array([tool_geom, other])
                 # MuJoCo takes the properties of the geom with the higher priority
-                both = both[mj.geom_priority[both] == mj.geom_priority[both].max()]
-                if _can_touch(mj, tool_geom, other) and mj.geom_condim[both].max() > 1:
-                    largest = max(largest, float(mj.geom_friction[both, 0].max()))
+                geoms = geoms[mj.geom_priority[geoms] == mj.geom_priority[geoms].max()]
+                if _can_touch(mj, tool_geom, other) and mj.geom_condim[geoms].max() > 1:
+                    largest = max(largest, float(mj.geom_friction[geoms, 0].max()))
         if largest >= MUCH_FRICTION:
             _log.warning(
                 "friction of tool and scene has a coefficient of %g (MuJoCo's default: 1): "
@@ -385,9 +385,9 @@ class MujocoRobot(MujocoPlant):
     def scene(self) -> MujocoScene:
         """Scene around the arm at present: distances from the geoms near the tool, and masses."""
         tool = np.flatnonzero(self.body_of == OBJECT).tolist()
-        others = np.flatnonzero(self.body_of == 0).tolist()
+        other_geoms = np.flatnonzero(self.body_of == 0).tolist()
         loose = loose_joints(self.model, self.object_body, self._v)
-        return MujocoScene(self.model, self.data, tool, others, chain=self.chain, loose=loose)
+        return MujocoScene(self.model, self.data, tool, other_geoms, chain=self.chain, loose=loose)
 
     def _send(self, tau: Array) -> None:
         """Write motor torques tau (n_a,) into MuJoCo's data (N m, N)."""

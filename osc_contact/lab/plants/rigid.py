@@ -242,8 +242,8 @@ class RigidPlant:
         key = self._state() + self._tau.tobytes()
         if self._cached_solution[0] != key:
             solution = self._solve(self._tau, with_wrenches=True)
-            now = self._equations()
-            self._cached_solution = (key, (solution, (now.X, now.V)))
+            equations = self._equations()
+            self._cached_solution = (key, (solution, (equations.X, equations.V)))
         return self._cached_solution[1]
 
     def poses(self) -> Array:
@@ -310,28 +310,29 @@ class RigidPlant:
         """
         chain = self.chain
         n = chain.nq
-        now = self._equations()
-        force = now.force.copy()
+        equations = self._equations()
+        force = equations.force.copy()
         force[chain.actuated] += tau
-        M = now.M.copy()
-        M[:n, :n] += ahead * np.diag(now.slope)
+        M = equations.M.copy()
+        M[:n, :n] += ahead * np.diag(equations.slope)
         unconstrained = np.linalg.solve(M, force)
-        inverse, multipliers = inverse_rows(chain, now.A, M)
-        deficit = now.right - now.A @ unconstrained
+        inverse, multipliers = inverse_rows(chain, equations.A, M)
+        deficit = equations.right - equations.A @ unconstrained
         x = unconstrained + inverse @ deficit
         lam = multipliers @ deficit  # M x = force + Aᵀλ
-        size = now.first.shape[1]
+        size = equations.first.shape[1]
         sdd = self.faces.second.copy()
         sdd[self.faces.free] = x[size:]
-        *loop_multipliers, alpha = np.split(lam, now.ends[1:])
+        *loop_multipliers, alpha = np.split(lam, equations.ends[1:])
         qdd = x[:n]
         wrenches = np.zeros((len(self._tips), 6))
         if with_wrenches:
             loops = [
-                passed @ values for passed, values in zip(now.passed, loop_multipliers, strict=True)
+                basis @ values
+                for basis, values in zip(equations.passed, loop_multipliers, strict=True)
             ]
-            wrenches = self._wrist(qdd, loops, now.N @ alpha, now)
-        return Solution(qdd, sdd, now.first @ x[:size] + now.gamma_O, alpha, wrenches)
+            wrenches = self._wrist(qdd, loops, equations.N @ alpha, equations)
+        return Solution(qdd, sdd, equations.first @ x[:size] + equations.gamma_O, alpha, wrenches)
 
     def _state(self) -> bytes:
         """Bytes of all numbers that the equations depend on, as the key of a cache."""
@@ -361,21 +362,21 @@ class RigidPlant:
         tips = chain.tip_poses(self.data)
         first = object_columns(chain, J)
         gamma_O = np.zeros(6) if chain.leader is None else self._drift(chain.leader, X)
-        right = []
+        right_sides = []
         normals = []
         for i, (s, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
             if i == chain.leader:
                 continue
             drift = self._drift(i, X) - gamma_O
-            passed = np.eye(6)
+            basis = np.eye(6)
             if not grasp.is_rigid:  # N is carried by the tip while the object slips
-                passed = grasp.wrenches_at(tips[i], O)
-                drift = passed.T @ (drift + cross_twist(J[:, s] @ self.v[s], V))
-            right.append(drift)
-            normals.append(passed)
-        ends = np.cumsum([0, *map(len, right)])
+                basis = grasp.wrenches_at(tips[i], O)
+                drift = basis.T @ (drift + cross_twist(J[:, s] @ self.v[s], V))
+            right_sides.append(drift)
+            normals.append(basis)
+        ends = np.cumsum([0, *map(len, right_sides)])
         by_rail, face_drift = faces.closing(parts, O)
-        right.append(N.T @ gamma_O - n_gamma - face_drift)
+        right_sides.append(N.T @ gamma_O - n_gamma - face_drift)
         dry = np.array(model.upperDryFrictionLimit)
         share = np.tanh(self.v / self._slip)
         slope = model.damping + dry / self._slip * (1.0 - share**2)
@@ -401,7 +402,7 @@ class RigidPlant:
             force=force,
             slope=slope,
             A=A,
-            right=np.concatenate(right),
+            right=np.concatenate(right_sides),
             ends=ends,
             passed=normals,
             first=first,
@@ -409,24 +410,27 @@ class RigidPlant:
             joints=[self.data.oMi[tip.parentJoint].copy() for tip in self._tips],
         )
 
-    def _wrist(self, qdd: Array, loops: list[Array], f_c: Array, now: Equations) -> Array:
+    def _wrist(self, qdd: Array, loops: list[Array], f_c: Array, equations: Equations) -> Array:
         """Wrist readings (arms, 6) in the sensors' axes, by the Newton–Euler algorithm (N, N m).
 
         Args:
             qdd: (n,) joint accelerations. loops: wrench (6,) at O of each arm on the object, in the
                 order of the arms without the leader. f_c: (6,) wrench of the object on its contacts
-                at O. now: equations of the instant.
+                at O. equations: equations of the instant.
         """
         leader = self.chain.leader
         if leader is not None:  # the object is part of its last link and needs no wrench
             loops.insert(leader, f_c - sum(loops, np.zeros(6)))
         external = [pin.Force.Zero() for _ in range(self.model.njoints)]
-        for tip, wrench, X in zip(self._tips, loops, now.joints, strict=True):
-            at_origin = pin.Force(carry_wrench(-wrench, now.X.translation, np.zeros(3)))
+        for tip, wrench, X in zip(self._tips, loops, equations.joints, strict=True):
+            at_origin = pin.Force(carry_wrench(-wrench, equations.X.translation, np.zeros(3)))
             external[tip.parentJoint] = X.actInv(at_origin)
         pin.rnea(self.model, self.data, self.q, self.v, qdd, external)
         return np.array(
-            [np.zeros(6) if cut is None else cut.reading(self.data) for cut in self._sensors]
+            [
+                np.zeros(6) if sensor is None else sensor.reading(self.data)
+                for sensor in self._sensors
+            ]
         )
 
     def _object(self) -> tuple[pin.SE3, Array]:

@@ -38,12 +38,12 @@ def mujoco_files(archive: Path | None = None) -> dict[str, bytes]:
         path = Path(folder) / ARCHIVE
         path.write_bytes(content)
         with tarfile.open(path) as opened:
-            found = {name: opened.extractfile(f"package/{name}") for name in NAMES}
-            return {name: one.read() for name, one in found.items() if one is not None}
+            members = {name: opened.extractfile(f"package/{name}") for name in NAMES}
+            return {name: member.read() for name, member in members.items() if member is not None}
 
 
 def _read(archive: Path) -> bytes:
-    """The archive in a file.
+    """Read the npm package of MuJoCo from a file, and compare its SHA-512 with the registry's.
 
     Raises:
         OscContactError: the file is not there, or has another content.
@@ -61,14 +61,14 @@ def _read(archive: Path) -> bytes:
 
 
 def _brought() -> bytes:
-    """The archive out of the user's cache, where npm puts it once.
+    """Return the npm package of MuJoCo from the user's cache; npm downloads it the first time.
 
     Raises:
-        OscContactError: there is no npm, or it cannot bring it.
+        OscContactError: there is no npm, or it cannot download the package.
     """
-    kept = cache_folder() / ARCHIVE
-    if kept.is_file():
-        return _read(kept)
+    cached = cache_folder() / ARCHIVE
+    if cached.is_file():
+        return _read(cached)
     cure = f"where npm is: npm pack {PACKAGE}; here: --mujoco {ARCHIVE}"
     npm = shutil.which("npm")
     if npm is None:
@@ -77,12 +77,12 @@ def _brought() -> bytes:
         )
     with TemporaryDirectory() as folder:
         command = [npm, "pack", "--silent", PACKAGE]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-        if done.returncode != 0:
+        process = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+        if process.returncode != 0:
             raise OscContactError(
-                f"npm cannot bring {PACKAGE} ({done.stderr.strip()[-300:]}); {cure}"
+                f"npm cannot bring {PACKAGE} ({process.stderr.strip()[-300:]}); {cure}"
             )
         content = _read(Path(folder) / ARCHIVE)
-    kept.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    write_whole(content, kept)
+    cached.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    write_whole(content, cached)
     return content

@@ -26,7 +26,7 @@ _OF_MODULES = (
 
 
 def packed_files(contents: Mapping[str, str | bytes]) -> str:
-    """A script element that holds all files of a page and begins its worker with them.
+    """Make a script element that holds all files of a page and starts its worker with them.
 
     Args:
         contents: text of each file by name, three modules of JavaScript among them.
@@ -44,15 +44,18 @@ def packed_files(contents: Mapping[str, str | bytes]) -> str:
 
 
 def _classic(name: str, module: str) -> str:
-    """The text of a module as a classic script.
+    """Convert a JavaScript module to a classic script, without imports and exports.
+
+    Args:
+        name: name of the file, for the message. module: its text.
 
     Raises:
         OscContactError: something of a module remains.
     """
     for pattern, replacement in _OF_MODULES:
         module = re.sub(pattern, replacement, module)
-    if rest := re.search(r"(?m)^(import|export) .*|import\.meta", module):
-        raise OscContactError(f"{name} cannot be a classic script: it has {rest[0][:60]!r}")
+    if match := re.search(r"(?m)^(import|export) .*|import\.meta", module):
+        raise OscContactError(f"{name} cannot be a classic script: it has {match[0][:60]!r}")
     return module
 
 
@@ -68,15 +71,15 @@ def _bytes(content: str | bytes) -> bytes:
 
 def licences() -> str:
     """Licences of MuJoCo, meshcat with what it contains, DAQP and wasi-libc."""
-    own = distribution("osc-contact").metadata["License-Expression"]
+    own_licence = distribution("osc-contact").metadata["License-Expression"]
     viewer = files("meshcat") / "viewer"
     sources = files("osc_contact.control") / "c_files" / "daqp-0.11.0.tar.xz"
     with sources.open("rb") as stream, tarfile.open(fileobj=stream) as archive:
-        found = archive.extractfile("daqp/LICENSE")
-        assert found is not None
-        daqp = found.read().decode("utf-8")
+        licence_file = archive.extractfile("daqp/LICENSE")
+        assert licence_file is not None
+        daqp = licence_file.read().decode("utf-8")
     parts = {
-        "osc_contact (this page, law.wasm)": own,
+        "osc_contact (this page, law.wasm)": own_licence,
         f"MuJoCo (mujoco.js, mujoco.wasm: {PACKAGE})": "Copyright DeepMind Technologies Limited. "
         "Apache License 2.0, whose text is the last part of this file.",
         "meshcat (in index.html)": (viewer / "LICENSE").read_text("utf-8"),

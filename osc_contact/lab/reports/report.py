@@ -68,8 +68,8 @@ def verdict_table(verdict: Json) -> Table:
     for name, std in verdict["normals"].items():
         if std is not None:
             table.add_row(f"normal of {name}", f"known to {np.rad2deg(std):.2g} deg")
-    least = max(filter(None, verdict["normals"].values()), default=0.0)
-    if words := gain_in_words(verdict["force_per_normal"], least):
+    largest_std = max(filter(None, verdict["normals"].values()), default=0.0)
+    if words := gain_in_words(verdict["force_per_normal"], largest_std):
         table.add_row("", words)
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
     if verdict.get("loop"):
@@ -89,29 +89,47 @@ def task_lines(verdict: Json) -> Iterator[str]:
 
 
 def _first(t: float, contact: str, steps: Sequence[Json]) -> str:
-    """Line on the time at which a contact closed and the overshoot of its forces."""
-    own = [s for s in steps if s["what"] == "first contact" and _owner(s["force"]) == contact]
-    return f"at {t:.3f} s" + "".join(f"; {_over(s)}" for s in own)
+    """Line on the time at which a contact closed and the overshoot of its forces.
+
+    Args:
+        t: time at which it closed (s). contact: its name. steps: `steps` of the metrics.
+    """
+    first_steps = [
+        s for s in steps if s["what"] == "first contact" and _owner(s["force"]) == contact
+    ]
+    return f"at {t:.3f} s" + "".join(f"; {_over(s)}" for s in first_steps)
 
 
-def _steps(steps: Sequence[Json], most: int = 3) -> Iterator[tuple[str, str]]:
-    """Rows of the steps of a force: all of them, or of many the worst."""
+def _steps(steps: Sequence[Json], limit: int = 3) -> Iterator[tuple[str, str]]:
+    """Make a row for each step of a force: its time, its size (N) and its overshoot.
+
+    Args:
+        steps: `steps` of the metrics. limit: number of steps of one force; of more, only the step
+            with the largest overshoot has a row.
+
+    Yields:
+        Label and text of a row.
+    """
     by_force: dict[str, list[Json]] = {}
     for step in steps:
         if step["what"] == "step":
             by_force.setdefault(step["force"], []).append(step)
-    for name, some in by_force.items():
+    for name, steps_of_name in by_force.items():
         label = f"step {name}"
-        if len(some) > most:
-            label = f"worst of {len(some)} steps {name}"
-            some = [max(some, key=lambda s: s["overshoot_rel"])]
-        for s in some:
+        if len(steps_of_name) > limit:
+            label = f"worst of {len(steps_of_name)} steps {name}"
+            steps_of_name = [max(steps_of_name, key=lambda s: s["overshoot_rel"])]
+        for s in steps_of_name:
             change = f"at {s['t_s']:.3f} s from {s['from_N']:.3g} N to {s['to_N']:.3g} N"
             yield label, f"{change}; {_over(s)}"
 
 
 def _share(ratio: float | None) -> str:
-    """The ratio of powers, and its cause where it is large."""
+    """Words for the ratio of projected to total power, with its cause where it is large.
+
+    Args:
+        ratio: projected power over total power; None: unknown, without words.
+    """
     if ratio is None:
         return ""
     if ratio <= MOST_PROJECTED:
@@ -165,7 +183,11 @@ def scenario_table(scenarios: Mapping[str, str]) -> Table:
 
 
 def robot_tables(robot: RobotSummary) -> Iterator[Table]:
-    """The joints, and what the tips can do."""
+    """Make the table of the joints, and that of the inertias and mobilities at the tips.
+
+    Args:
+        robot: summary of a model, from `check_robot`.
+    """
     joints = Table(
         "joint",
         "type",
@@ -220,11 +242,11 @@ def _range(low: float, high: float, digits: int = 4) -> str:
     return " … ".join(words)
 
 
-def _basis(title: str, basis: Array, names: Sequence[str], kinds: Sequence[str]) -> Table:
+def _basis(title: str, basis: Array, names: Sequence[str], labels: Sequence[str]) -> Table:
     """Rows of both kinds, {} their axis."""
     table = Table("", *names, title=title)
     for i, row in enumerate(basis):
-        label = kinds[i // 3].format("xyz"[i % 3])
+        label = labels[i // 3].format("xyz"[i % 3])
         table.add_row(label, *(f"{round(float(value), 4) + 0.0:.4f}" for value in row))
     return table
 

@@ -100,26 +100,26 @@ def write_scene_of(
     return write_scene(recording.thinned(DRAWN), content_of(rig), path, still=still)
 
 
-def require_drawable(recording: Recording, shown: Content, source: str) -> None:
+def require_drawable(recording: Recording, content: Content, source: str) -> None:
     """Refuse a recording that does not fit the content of its scene; channels may be missing.
 
     Args:
-        recording: recording read from a file. shown: content of the scene. source: name of the
+        recording: recording read from a file. content: content of the scene. source: name of the
             file.
 
     Raises:
         RecordingError: other contacts, channels of other shapes, times that do not increase, or
             numbers too large to be drawn. NaN is permitted for values of held ticks.
     """
-    names = list(shown.contacts)
-    owners = list(shown.columns)
+    names = list(content.contacts)
+    owners = list(content.columns)
     for key, of_rig in (("contact_names", names), ("columns", owners)):
         if recording.meta.get(key, of_rig) != of_rig:
             raise RecordingError(
-                f"{source}: its {key} are {recording.meta[key]!r}; runs of {shown.title} "
+                f"{source}: its {key} are {recording.meta[key]!r}; runs of {content.title} "
                 f"have {of_rig!r}"
             )
-    sizes = {"joints": shown.joints, "contacts": len(names), "forces": len(owners)}
+    sizes = {"joints": content.joints, "contacts": len(names), "forces": len(owners)}
     recording = recording.thinned(DRAWN)
     for name, sides in CHANNELS.items():
         shape = tuple(side if isinstance(side, int) else sizes[side] for side in sides)
@@ -129,7 +129,7 @@ def require_drawable(recording: Recording, shown: Content, source: str) -> None:
         if values.shape[1:] != shape:
             raise RecordingError(
                 f"{source}: channel {name!r} has shape {values.shape[1:]} at a tick; runs of "
-                f"{shown.title} have {shape}"
+                f"{content.title} have {shape}"
             )
         if np.abs(values).max(initial=0.0, where=~np.isnan(values)) > _LARGEST:
             raise RecordingError(f"{source}: channel {name!r} holds numbers above {_LARGEST:g}")

@@ -137,11 +137,11 @@ def playable(scenario: Scenario, without: Collection[str] = ()) -> Scenario:
     for one in HINDRANCES:
         if one.found(scenario) and one.name in without and one.left_out is not None:
             scenario = scenario.replaced(**one.left_out(scenario))
-    found = [one for one in HINDRANCES if one.found(scenario)]
-    if found:
-        cure = ",".join(one.name for one in found if one.left_out is not None)
+    present = [one for one in HINDRANCES if one.found(scenario)]
+    if present:
+        cure = ",".join(one.name for one in present if one.left_out is not None)
         raise InvalidInputError(
-            f"{scenario.name} has {', '.join(one.words for one in found)}, which Python computes "
+            f"{scenario.name} has {', '.join(one.words for one in present)}, which Python computes "
             "step by step and a page cannot"
             + (f"; --without {cure} leaves that out" if cure else "")
         )
@@ -179,9 +179,9 @@ def write_web_page(
     plant = _rough(scenario).plant()
     assert isinstance(plant, MujocoPlant) and plant.spec is not None
     selection = None if select is None else select(rig)
-    drawn = _Drawn(rig, plant, selection is not None)
+    drawing = _Drawn(rig, plant, selection is not None)
     columns, table = folded(_references(rig))
-    task = _task(rig, plant, columns) | {"nodes": drawn.bodies, "selection": selection}
+    task = _task(rig, plant, columns) | {"nodes": drawing.bodies, "selection": selection}
     contents: dict[str, str | bytes] = {
         "task.json": json.dumps(task, allow_nan=False),
         "worker.mjs": asset("web_worker.mjs"),
@@ -196,11 +196,11 @@ def write_web_page(
     }
     if one_file:
         begin, where = packed_files(contents), "at the end of this file"
-        page = drawn.page(without, begin, f"Licences: {where}.")
+        page = drawing.page(without, begin, f"Licences: {where}.")
         contents = {"index.html": page + f"<!--\n{licences()}\n-->\n"}
     else:
         contents["licences.txt"] = licences()
-        contents["index.html"] = drawn.page(
+        contents["index.html"] = drawing.page(
             without, BEGIN, '<a href="licences.txt">Licences</a> of what runs here.'
         )
     folder.mkdir(parents=True, exist_ok=True)
@@ -255,11 +255,11 @@ def folded(table: Array) -> tuple[Json, bytes]:
     columns, parts = [], []
     for k in changing:
         unit = float(np.abs(table[:, k]).max()) / _DIGITS
-        whole = np.rint(table[:, k] / unit).astype(np.int64)
+        integers = np.rint(table[:, k] / unit).astype(np.int64)
         for _ in range(3):
-            whole = np.diff(whole, prepend=0)
+            integers = np.diff(integers, prepend=0)
         columns.append({"index": k, "unit": unit})
-        parts.append(whole.astype("<i4").tobytes())
+        parts.append(integers.astype("<i4").tobytes())
     about = {"ticks": len(table), "constant": table[0].tolist(), "columns": columns}
     return about, b"".join(parts)
 
@@ -323,15 +323,15 @@ def _forces(rig: Rig) -> list[Json]:
     index of the body that is touched. The key `wall` is −1 if several forces act on the body, so
     that MuJoCo does not give the true magnitude of this one.
     """
-    owners, on = rig.owners.tolist(), rig.on
+    owners, touched_bodies = rig.owners.tolist(), rig.on
     commands = rig.references.overview[1].alpha_d
     couples = _couples(rig)
-    found = []
+    forces = []
     for column, (name, owner) in enumerate(zip(rig.force_names, owners, strict=True)):
-        wall = on[owner]
-        alone = owners.count(owner) == 1 and on.count(wall) == 1
+        wall = touched_bodies[owner]
+        alone = owners.count(owner) == 1 and touched_bodies.count(wall) == 1
         largest = float(np.abs(commands[:, column]).max())
-        found.append(
+        forces.append(
             {
                 "name": name.replace("_", " "),
                 "mean": float(commands[0, column]),
@@ -342,7 +342,7 @@ def _forces(rig: Rig) -> list[Json]:
                 "turnsWith": wall,
             }
         )
-    return found
+    return forces
 
 
 def _couples(rig: Rig) -> list[bool]:
@@ -358,7 +358,7 @@ def _walls(rig: Rig, plant: MujocoPlant) -> list[Json]:
     Args:
         rig: rig of the scenario. plant: plant with the names of MuJoCo's bodies.
     """
-    found = []
+    walls = []
     N = rig.contact.N
     for i, body in enumerate(rig.bodies):
         owner = body.contacts[0]
@@ -368,7 +368,7 @@ def _walls(rig: Rig, plant: MujocoPlant) -> list[Json]:
         if norm(axis) < 0.1:
             axis = np.array([1.0, 0.0, 0.0])
         point = feet(rig.pairs[owner], rig.state.X_WO)[0][0]
-        found.append(
+        walls.append(
             {
                 "name": body.name.replace("_", " "),
                 "body": plant.model.body(f"face{i}/root").name,
@@ -377,7 +377,7 @@ def _walls(rig: Rig, plant: MujocoPlant) -> list[Json]:
                 "normal": normal.tolist(),
             }
         )
-    return found
+    return walls
 
 
 # --- The page -------------------------------------------------------------------------------------
@@ -404,18 +404,20 @@ class _Drawn:
             run(rig.scenario, duration=2.0 / rig.scenario.control.rate).channels, slice(1)
         )
         self._forces = _forces(rig)
-        unknown = () if any(one["wall"] >= 0 for one in self._forces) else ("alpha_true",)
-        kept = {name: value for name, value in first.items() if name not in (*_POWERS, *unknown)}
-        self._scene = Scene(content_of(rig), kept)
+        unknown = () if any(force["wall"] >= 0 for force in self._forces) else ("alpha_true",)
+        channels = {
+            name: value for name, value in first.items() if name not in (*_POWERS, *unknown)
+        }
+        self._scene = Scene(content_of(rig), channels)
         self._sink = CommandSink()
         top = self._sink.visualizer()
         self._scene.draw(top)
-        self._frames = self._scene.states(kept)
+        self._frames = self._scene.states(channels)
         changes(top, {}, self._frames)
         for path in self._frames:
             if path.startswith("twists/") and path.count("/") == 1:
                 top[path].set_property("visible", False)
-        self._cameras = self._scene.look(top, kept)
+        self._cameras = self._scene.look(top, channels)
         self._nodes = [self._node(path) for path in self._frames if self._body(path)]
         self.bodies = [{"body": node["body"]} for node in self._nodes]
 
@@ -458,7 +460,7 @@ class _Drawn:
         in the world (4×4 by rows).
         """
         place = next(node for node in self._nodes if node["object"])
-        found = []
+        marks = []
         for force, about in zip(self._scene.forces, self._forces, strict=True):
             poses = self._frames[force.path].poses
             assert poses is not None
@@ -466,7 +468,7 @@ class _Drawn:
             base = self._frames[place["path"]].poses
             assert base is not None
             rotation = pin.SE3(X_WN.rotation, np.zeros(3)).homogeneous
-            found.append(
+            marks.append(
                 about
                 | {
                     "path": force.path,
@@ -476,7 +478,7 @@ class _Drawn:
                     "unit": METRES_PER_NEWTON_METRE if force.couple else METRES_PER_NEWTON,
                 }
             )
-        return found
+        return marks
 
     def page(self, without: Collection[str], begin: str, licences: str) -> str:
         """Text of index.html.
@@ -521,7 +523,7 @@ class _Drawn:
             task=task,
         )
         for part, key in (("legend", "paths"), ("labels", "path")):
-            config[part] = [one for one in config[part] if not _is_of_recordings(one[key])]
+            config[part] = [entry for entry in config[part] if not _is_of_recordings(entry[key])]
         words = "Plant and law run in this browser. The law does not know of what you do to a wall."
         if without:
             words += f" Left out of this task: {', '.join(sorted(without))}."
@@ -552,7 +554,7 @@ class _Drawn:
                 ],
             }
         )
-        self._scene.lines = [line for one in self._scene.panels for line in one["lines"]]
+        self._scene.lines = [line for panel in self._scene.panels for line in panel["lines"]]
 
 
 def _is_of_recordings(paths: str | Sequence[str]) -> bool:

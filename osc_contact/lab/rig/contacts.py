@@ -146,8 +146,8 @@ def misplaced(
         outward = -directions[0]
         horizontal = np.cross([0.0, 0.0, 1.0], outward)
         size = norm(horizontal)
-        across = triad(outward)[:, 0] if size < 1e-3 else horizontal / size
-        axis = pin.exp3(error.face_tilt_about * outward) @ across
+        tangent = triad(outward)[:, 0] if size < 1e-3 else horizontal / size
+        axis = pin.exp3(error.face_tilt_about * outward) @ tangent
         tilt = pin.SE3(pin.exp3(error.face_tilt * axis), foot + error.face_offset * outward)
         for i in body.contacts:
             modelled[i] = _displaced(scenario, i, tilt * pin.SE3(np.eye(3), -foot))

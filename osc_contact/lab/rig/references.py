@@ -292,9 +292,9 @@ def _way(move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3) -> Ar
     for pair in pairs:
         if pair.name == move.contact and isinstance(pair, SphereOnSurface):
             return SurfaceMotion(pair, X_start, move.direction)
-    known = [pair.name for pair in pairs if isinstance(pair, SphereOnSurface)]
+    surfaces = [pair.name for pair in pairs if isinstance(pair, SphereOnSurface)]
     raise ScenarioError(
-        f"motion: '{move.contact}' is no contact of type sphere_on_surface; there are {known}"
+        f"motion: '{move.contact}' is no contact of type sphere_on_surface; there are {surfaces}"
     )
 
 
@@ -447,12 +447,12 @@ class SurfaceMotion:
         self._ball = X_start.act(pair.centre)
         _, _, normals = pair.nearest(self._ball[:, None])
         self._normal = normals[:, 0]
-        wanted = as_array("direction", direction, (3,))
-        tangent = wanted - (wanted @ self._normal) * self._normal
+        requested = as_array("direction", direction, (3,))
+        tangent = requested - (requested @ self._normal) * self._normal
         size = norm(tangent)
-        if size < 1e-3 * norm(wanted) or size == 0.0:
+        if size < 1e-3 * norm(requested) or size == 0.0:
             raise InvalidInputError(
-                f"direction = {wanted} is along the normal of the surface, "
+                f"direction = {requested} is along the normal of the surface, "
                 f"{self._normal.round(4)}; give one across it"
             )
         self.axes = np.column_stack((tangent / size, cross(self._normal, tangent / size)))
@@ -637,9 +637,9 @@ def showing_twist(pairs: Sequence[ContactPair], state: ChainState, N: Array) -> 
     if line is None:
         return np.zeros(6)
     u, points, _ = line
-    along = np.concatenate((u, np.cross(points.mean(axis=0) - state.X_WO.translation, u)))
-    V = least_motion(state, np.column_stack((N, along)), np.append(np.zeros(N.shape[1]), 1.0))
-    return V if abs(along @ V - 1.0) < 1e-6 else np.zeros(6)
+    force = np.concatenate((u, np.cross(points.mean(axis=0) - state.X_WO.translation, u)))
+    V = least_motion(state, np.column_stack((N, force)), np.append(np.zeros(N.shape[1]), 1.0))
+    return V if abs(force @ V - 1.0) < 1e-6 else np.zeros(6)
 
 
 def least_motion(state: ChainState, F: Array, power: Array) -> Array:

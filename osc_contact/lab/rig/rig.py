@@ -120,9 +120,9 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
     q_near = reach(chain, q, X_WO)
     try:
         q_contact = close(chain, q_near, partial(faces.gaps, pairs))
-        if found := outside_limits(chain, q_contact):
+        if outside := outside_limits(chain, q_contact):
             raise ScenarioError(
-                f"the contacts touch where {found[0]}; move object, faces or base, or change the "
+                f"the contacts touch where {outside[0]}; move object, faces or base, or change the "
                 "posture"
             )
     except (ModelError, ScenarioError) as error:

@@ -108,22 +108,22 @@ def _commanded(
     dt: float,
     commands: Sequence[Array],
     driven_Hz: Sequence[float],
-    along: Array | None,
-    across: Array | None,
+    tangent_speeds: Array | None,
+    normal_speed: Array | None,
 ) -> Flags:
     """Mask (n/2 + 1,) of the frequency bins with a line of a command or its low harmonics.
 
     Args:
         n: number of samples. dt: time between samples (s). commands: desired forces (n,) (N).
-        driven_Hz: frequencies at which faces are driven (Hz). along: (n, m) speeds along the
-            contacts (m/s). across: (n,) speed into the contact (m/s); None: not recorded.
+        driven_Hz: frequencies at which faces are driven (Hz). tangent_speeds: (n, m) speeds along
+            the contacts (m/s). normal_speed: (n,) speed into the contact (m/s); None: not recorded.
     """
     lines = np.zeros(n // 2 + 1, dtype=bool)
     for command in commands:
         lines |= _lines(command, 1e-6 * np.abs(command).max(initial=1e-3))
-    if along is not None and across is not None:
-        inward = _spectrum(across)
-        for speed in along.T:
+    if tangent_speeds is not None and normal_speed is not None:
+        inward = _spectrum(normal_speed)
+        for speed in tangent_speeds.T:
             lines |= _lines(speed, _SLOW) & (_spectrum(speed) > _ALONG * inward)
     for frequency in driven_Hz:
         centre = round(frequency * n * dt)
@@ -172,45 +172,45 @@ def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycl
     driven = tuple(_frequencies(recording.meta.get("scenario", {})))
     names = ("alpha_cmd", "alpha_true", *(name for name in ("twist", "N") if name in recording))
     size = round(WINDOW_S / dt)
-    worst: list[Cycle | None] = [None] * judged.shape[1]
-    for j in range(len(worst)):
+    cycles: list[Cycle | None] = [None] * judged.shape[1]
+    for j in range(len(cycles)):
         for start, stop in stretches(judged[:, j]):
             while judged[start, j] and stop - start >= _SHORTEST_S / dt - 0.5:
                 window = recording.rows(start, min(start + size, stop), *names)
                 cycle = _cycle_in(window, j, dt, driven, least)
-                largest = worst[j]
+                largest = cycles[j]
                 if cycle and (largest is None or cycle.relative > largest.relative):
-                    worst[j] = cycle
+                    cycles[j] = cycle
                 if stop - start < size:
                     break
                 start += size // 2
-    return worst
+    return cycles
 
 
 def _cycle_in(
-    window: Mapping[str, Array], j: int, dt: float, driven_Hz: Sequence[float], least: float
+    window: Mapping[str, Array], j: int, dt: float, driven_Hz: Sequence[float], least_share: float
 ) -> Cycle | None:
     """Find the limit cycle of force j in some ticks of a recording; None if there is none.
 
     Args:
         window: channels of the ticks. j: index of the force. dt: control period (s).
-        driven_Hz: frequencies at which faces are driven (Hz). least: least amplitude relative to
-            the mean command.
+        driven_Hz: frequencies at which faces are driven (Hz). least_share: least amplitude relative
+            to the mean command.
     """
     commands = window["alpha_cmd"]
     error = window["alpha_true"][:, j] - commands[:, j]
     mean = float(np.abs(commands[:, j]).mean())
     amplitude_of_a_sine = np.sqrt(2.0) * error.std()
-    if not amplitude_of_a_sine > least * mean > 0.0:
+    if not amplitude_of_a_sine > least_share * mean > 0.0:
         return None
-    along, across = _speeds(window, j) if "N" in window else (None, None)
-    oscillation = find_cycle(error, dt, list(commands.T), driven_Hz, along, across)
+    tangent_speeds, normal_speed = _speeds(window, j) if "N" in window else (None, None)
+    oscillation = find_cycle(error, dt, list(commands.T), driven_Hz, tangent_speeds, normal_speed)
     if oscillation is None:
         return None
     amplitude, frequency = oscillation
     compliance = None
-    if across is not None:
-        speed = _spectrum(across)[round(frequency * len(error) * dt)]
+    if normal_speed is not None:
+        speed = _spectrum(normal_speed)[round(frequency * len(error) * dt)]
         compliance = float(speed) / (2.0 * np.pi * frequency * amplitude)
     return Cycle(amplitude, frequency, amplitude / mean, compliance)
 

@@ -166,7 +166,7 @@ def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = No
     Raises:
         ModelError: no search converges.
     """
-    others = []
+    postures = []
     random = robots.random_configurations(chain.model, TRIES, seed or 0)
     for q in (start, *random) if seed is None else (*random, start):
         try:
@@ -176,13 +176,13 @@ def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = No
         posture = Posture(q_near, _miss(chain, q_near, X_WO))
         if posture.reached:
             return posture
-        others.append(posture)
-    if not others:
+        postures.append(posture)
+    if not postures:
         raise ModelError(
             f"no posture comes near {np.round(X_WO.translation, 4).tolist()} m; is it within the "
             "arms' reach?"
         )
-    return min(others, key=lambda posture: sum(posture.miss))
+    return min(postures, key=lambda posture: sum(posture.miss))
 
 
 def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:

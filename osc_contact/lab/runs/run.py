@@ -118,9 +118,9 @@ def _recorded_to_the_end(recorder: Recorder, ticks: int, period: float) -> Itera
         raise
     except (KeyboardInterrupt, SystemExit) as error:  # a signal, see `run_loop`
         if recorder.count < ticks:
-            ended = recorder.count * period
-            interrupted = Interrupted(f"ended on request at t = {ended:g} s")
-            interrupted.recording = recorder.recording({"ended_s": ended})
+            end_time = recorder.count * period
+            interrupted = Interrupted(f"ended on request at t = {end_time:g} s")
+            interrupted.recording = recorder.recording({"ended_s": end_time})
             raise interrupted from error
 
 

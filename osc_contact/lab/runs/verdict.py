@@ -435,14 +435,16 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
         sums.sensing.rms(),
         sums.cycles,
     )
-    for name, mean, rms, peak, second, over, sensing, cycle in zip(names, *columns, strict=True):
+    for name, mean, rms, peak, largest_second, peak_ratio, sensing, cycle in zip(
+        names, *columns, strict=True
+    ):
         by_name[name] = {
             "rms_error_N": rms,
             "rms_error_rel": _ratio(rms, mean),
             "peak_error_N": peak,
             "peak_error_rel": _ratio(peak, mean),
-            "worst_second_rel": _ratio(second, mean),
-            "peak_over_command": over,
+            "worst_second_rel": _ratio(largest_second, mean),
+            "peak_over_command": peak_ratio,
             "mean_command_N": mean,
             "sensing_rms_rel": _ratio(sensing, mean),
             "limit_cycle_N": cycle and cycle.amplitude,
@@ -573,13 +575,13 @@ def _answer(
     if goal == start:
         return None
     excess = np.sign(goal - start) * (truth - command)
-    worst = after[np.argmax(excess[after])]
-    overshoot = max(0.0, excess[worst])
+    peak = after[np.argmax(excess[after])]
+    overshoot = max(0.0, excess[peak])
     numbers = {
         "from_N": start,
         "to_N": goal,
-        "peak_N": truth[worst],
-        "commanded_N": command[worst],
+        "peak_N": truth[peak],
+        "commanded_N": command[peak],
         "overshoot_N": overshoot,
         "overshoot_rel": overshoot / abs(goal - start),
     }

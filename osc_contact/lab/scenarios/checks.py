@@ -127,11 +127,11 @@ def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]
     """
     steps = 1.0 / (control.rate * plant.step)
     if not _is_whole(steps):
-        right = 1.0 / (control.rate * max(1, round(steps)))
+        whole_step = 1.0 / (control.rate * max(1, round(steps)))
         text = (
             f"the control period is {steps:.9g} plant steps (control.rate {control.rate:g} Hz, "
             f"plant.step {plant.step:g} s); it must be a whole number of them, e.g. a step of "
-            f"{right * 1e3:.9g} ms"
+            f"{whole_step * 1e3:.9g} ms"
         )
         yield ("plant", "step"), text
     if not control.in_contact and (control.life is None or plant.exact):

@@ -217,7 +217,7 @@ class ScenarioDocument:
         override = f"{path}={value}"
         try:
             own_problems = Problems("its value")
-            inner = ScenarioDocument(value, own_problems)
+            document = ScenarioDocument(value, own_problems)
             own_problems.raise_any()
             if not value.strip():
                 raise ScenarioError("no value is given; write null to clear a key")
@@ -227,7 +227,7 @@ class ScenarioDocument:
             return
         self.origins = {old: line for old, line in self.origins.items() if old[: len(key)] != key}
         self.origins[key] = override
-        parent[key[-1]] = inner.data
+        parent[key[-1]] = document.data
 
     def value(self, path: str) -> Any:
         """Value of a key; None if it is not given.
@@ -256,7 +256,7 @@ class ScenarioDocument:
         """
         key: Key = ()
         parent = self.data
-        passed: list[str] = []
+        parents: list[str] = []
         remaining = path.split(".")
         while remaining:
             part = remaining.pop(0)
@@ -265,7 +265,7 @@ class ScenarioDocument:
                 if dotted in parent:
                     part = dotted
                     del remaining[0]
-            where = ".".join(passed) or "the scenario"
+            where = ".".join(parents) or "the scenario"
             if not part:
                 raise ScenarioError("the path has an empty part; write path.to.key=value")
             step: str | int = part
@@ -274,7 +274,7 @@ class ScenarioDocument:
             elif not isinstance(parent, dict):
                 raise ScenarioError(f"{where} is {parent!r} and has no keys or items")
             key = (*key, step)
-            passed.append(part)
+            parents.append(part)
             if remaining:
                 if _child(parent, step) is None:
                     parent[step] = {}
@@ -295,11 +295,11 @@ class ScenarioDocument:
         for word in re.findall(r"[a-z_]+(?:\.[a-z_]+)+", text):  # e.g. control.rate
             if isinstance(origin, int) and isinstance(other := self._origin(word.split(".")), str):
                 origin = other  # the override of the other key is to blame, not the line
-        shown = f"{_dotted(self._named(key), '')}: {text}" if key else text
+        text_with_key = f"{_dotted(self._named(key), '')}: {text}" if key else text
         if isinstance(origin, str):
-            self.problems.at_override(origin, shown)
+            self.problems.at_override(origin, text_with_key)
         else:
-            self.problems.at_line(origin, shown)
+            self.problems.at_line(origin, text_with_key)
 
     def _origin(self, key: Sequence[str | int]) -> int | str:
         """Line or override of a key, or of its nearest parent that has one.
@@ -342,8 +342,8 @@ def _item(items: Sequence[Any], part: str, where: str) -> int:
         return names.index(part)
     if re.fullmatch(r"\d{1,6}", part) and int(part) < len(items):
         return int(part)
-    known = [str(name) for name in names if name is not None]
-    hint = did_you_mean(part, known) if known else f"items are 0 to {len(items) - 1}"
+    item_names = [str(name) for name in names if name is not None]
+    hint = did_you_mean(part, item_names) if item_names else f"items are 0 to {len(items) - 1}"
     raise ScenarioError(f"{where} has no item {part!r}; {hint if items else 'it is empty'}")
 
 
@@ -452,10 +452,14 @@ def _inside(kind: Any, part: str | int) -> list[Any]:
     if _is_model(kind):
         return _options(kind.model_fields[part].annotation) if part in kind.model_fields else []
     origin = get_origin(kind)
-    inner = get_args(kind)
+    inner_types = get_args(kind)
     if origin is tuple and isinstance(part, int):
-        return _options(inner[0] if Ellipsis in inner else inner[min(part, len(inner) - 1)])
-    return _options(inner[1]) if origin is dict else []
+        return _options(
+            inner_types[0]
+            if Ellipsis in inner_types
+            else inner_types[min(part, len(inner_types) - 1)]
+        )
+    return _options(inner_types[1]) if origin is dict else []
 
 
 def _options(kind: Any) -> list[Any]:
@@ -464,12 +468,12 @@ def _options(kind: Any) -> list[Any]:
     `ContactSpec` stands for the models of all registered contact pairs.
     """
     origin = get_origin(kind)
-    inner = get_args(kind)
+    inner_types = get_args(kind)
     if origin is Annotated:
-        return _options(inner[0])
+        return _options(inner_types[0])
     if origin in (Union, types.UnionType):
         members: list[Any] = []
-        for member in inner:
+        for member in inner_types:
             if member is not type(None):
                 members += _options(member)
         return members

@@ -153,10 +153,10 @@ def read_text(name_or_path: str | Path) -> tuple[str, Path]:
     """
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1 and not path.is_file():
-        known = sorted(file.stem for file in FILES.glob("*.yaml"))
-        if str(name_or_path) not in known:
+        packaged = sorted(file.stem for file in FILES.glob("*.yaml"))
+        if str(name_or_path) not in packaged:
             raise ScenarioError(
-                f"no packaged scenario {str(name_or_path)!r}; {did_you_mean(path.name, known)}; "
+                f"no packaged scenario {str(name_or_path)!r}; {did_you_mean(path.name, packaged)}; "
                 "or give the path of a YAML file"
             )
         path = FILES / f"{path.name}.yaml"

@@ -171,11 +171,11 @@ def jerk_limited(
     columns = []
     last = points[0]
     for begin, end in pairwise(points):
-        if (way := end - begin) == 0.0:
+        if (displacement := end - begin) == 0.0:
             continue
         state = (begin, 0.0, 0.0)
-        sign = math.copysign(1.0, way)
-        for duration, size in from_rest_to_rest(abs(way), velocity, acceleration, jerk):
+        sign = math.copysign(1.0, displacement)
+        for duration, size in from_rest_to_rest(abs(displacement), velocity, acceleration, jerk):
             if knots[-1] + duration > knots[-1]:  # shorter phases vanish by rounding
                 x, v, a = state
                 columns.append((sign * size / 6.0, a / 2.0, v, x))

@@ -122,32 +122,34 @@ def _draw(table: pyarrow.Table, study: SweepStudy, summary: Json, folder: Path) 
 
     from osc_contact.lab.visual.plots import save, style
 
-    shown = list(summary["quantiles"])[:_SHOWN]
-    if not shown:
+    drawn_names = list(summary["quantiles"])[:_SHOWN]
+    if not drawn_names:
         return []
     with style():
         spread = Figure(figsize=(8.0, 3.4))
         ax = spread.subplots()
-        for name in shown:
+        for name in drawn_names:
             x = numbers(table, name)
             ax.ecdf(x[np.isfinite(x)], label=name)
-        if all(summary["quantiles"][name]["50 %"] > 0.0 for name in shown):
+        if all(summary["quantiles"][name]["50 %"] > 0.0 for name in drawn_names):
             ax.set_xscale("log")
         ax.set(title="Share of runs below an error", xlabel="error", ylabel="share of runs")
         ax.legend()
-        written = [save(spread, folder / "errors")[0]]
+        pictures = [save(spread, folder / "errors")[0]]
         causes = [n for n in study.sample(0).shown if _varies(table, n)][:_SHOWN]
         if causes:
-            over = Figure(figsize=(8.0, 1.9 * len(shown) + 0.4))
-            axes = over.subplots(len(shown), len(causes), squeeze=False, sharex="col", sharey="row")
-            for row, error in zip(axes, shown, strict=True):
+            causes_figure = Figure(figsize=(8.0, 1.9 * len(drawn_names) + 0.4))
+            axes = causes_figure.subplots(
+                len(drawn_names), len(causes), squeeze=False, sharex="col", sharey="row"
+            )
+            for row, error in zip(axes, drawn_names, strict=True):
                 for ax, cause in zip(row, causes, strict=True):
                     ax.plot(numbers(table, cause), numbers(table, error), ".", markersize=3)
                 row[0].set_ylabel(error, fontsize=7)
             for ax, cause in zip(axes[-1], causes, strict=True):
                 ax.set_xlabel(cause, fontsize=7)
-            written.append(save(over, folder / "causes")[0])
-    return written
+            pictures.append(save(causes_figure, folder / "causes")[0])
+    return pictures
 
 
 # --- Summary of the table -----------------------------------------------------------------------
@@ -222,10 +224,10 @@ def sensitivities(table: pyarrow.Table, study: SweepStudy, name: str) -> dict[st
     for column in correlations:
         if not _varies(table, column):
             continue
-        both = np.array([numbers(table, column), error])
-        both = both[:, np.isfinite(both).all(axis=0)]
-        if both.shape[1] > 2 and np.ptp(both, axis=1).all():
-            correlations[column] = float(spearmanr(*both).statistic)
+        pairs = np.array([numbers(table, column), error])
+        pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
+        if pairs.shape[1] > 2 and np.ptp(pairs, axis=1).all():
+            correlations[column] = float(spearmanr(*pairs).statistic)
     return correlations
 
 
@@ -272,8 +274,8 @@ def worst_rows(table: pyarrow.Table, study: SweepStudy) -> list[Json]:
         about |= {"column": name, "value": name and row[name]}
         ranked.append((row["failed"], max(errors.values(), default=0.0), about))
     ranked.sort(key=lambda entry: entry[:2], reverse=True)
-    worst = [about for _, _, about in ranked[:_WORST]]
-    return [about | {"command": study.command(about["row"])} for about in worst]
+    selected = [about for _, _, about in ranked[:_WORST]]
+    return [about | {"command": study.command(about["row"])} for about in selected]
 
 
 def _varies(table: pyarrow.Table, name: str) -> bool:

@@ -151,11 +151,11 @@ def _kept(store: dict[str, Made], key: str, make: Callable[[], Made]) -> Made:
         key: key of the entry.
         make: function that makes the entry.
     """
-    made = store.pop(key) if key in store else make()
-    store[key] = made  # becomes the last one
+    value = store.pop(key) if key in store else make()
+    store[key] = value  # becomes the last one
     if len(store) > _KEPT:
         del store[next(iter(store))]
-    return made
+    return value
 
 
 _rigs = RigBuilder()

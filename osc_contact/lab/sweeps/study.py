@@ -71,11 +71,11 @@ def parse_distribution(text: str) -> Distribution:
             f"{text!r} is no distribution; write one of {', '.join(WORDS)} with its values, such "
             "as uniform(5 mm, 10 mm) or choice(filter, least_squares)"
         )
-    make, written = WORDS[match[1]]
+    make, syntax = WORDS[match[1]]
     try:
         return make(_split(match[2]))
     except (ValueError, IndexError) as error:
-        raise InvalidInputError(f"{text!r}: {error}; it is written {written}") from error
+        raise InvalidInputError(f"{text!r}: {error}; it is written {syntax}") from error
 
 
 def _split(text: str) -> list[str]:
@@ -232,16 +232,21 @@ def _tilt(parts: Sequence[str]) -> Distribution:
     Args:
         parts: text of the largest angle, in deg or rad.
     """
-    (most,), unit = _quantities(parts, 1)
-    most = np.deg2rad(most) if unit == "deg" else most
-    if unit not in ("deg", "rad", "") or not 0.0 < most <= np.pi:
+    (largest,), unit = _quantities(parts, 1)
+    largest = np.deg2rad(largest) if unit == "deg" else largest
+    if unit not in ("deg", "rad", "") or not 0.0 < largest <= np.pi:
         raise ValueError("give the largest angle in deg or rad, at most 180 deg")
 
     def draw(u: Array, value: Any) -> Drawn:
-        """The direction `value` (3,), tilted by u[0] towards the heading u[1]; u (2,)."""
+        """Tilt a direction by an angle, at most `largest`, about a random axis across it.
+
+        Args:
+            u: (2,) point in [0, 1)²: cosine of the angle, heading of the tilt.
+            value: (3,) direction of the scenario.
+        """
         n = np.array(value, dtype=float)
         n /= norm(n)
-        angle = float(np.arccos(1.0 - u[0] * (1.0 - np.cos(most))))
+        angle = float(np.arccos(1.0 - u[0] * (1.0 - np.cos(largest))))
         heading = 2.0 * np.pi * float(u[1])
         a = np.cross(np.eye(3)[np.abs(n).argmin()], n)  # across n, by the axis furthest from it
         a /= norm(a)
@@ -440,9 +445,9 @@ class SweepStudy:
 
     def sample(self, number: int) -> Sample:
         """Values of a run, by its number."""
-        overrides, shown = self.at(self._point(number))
+        overrides, values = self.at(self._point(number))
         seed = int(overrides.pop(SEED, self.seed))
-        return Sample(number, seed, overrides, shown)
+        return Sample(number, seed, overrides, values)
 
     def at(self, u: Array) -> tuple[dict[str, str], dict[str, Cell]]:
         """Values of all keys at a point.

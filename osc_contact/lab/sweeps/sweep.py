@@ -68,13 +68,13 @@ class RowFile:
         Raises:
             InvalidInputError: the file holds another study.
         """
-        whole = text[: text.rfind(b"\n") + 1]
-        if not whole:
+        complete_lines = text[: text.rfind(b"\n") + 1]
+        if not complete_lines:
             self._file.truncate(0)
-            named = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
-            self._write(named if laws is None else named | {"laws": laws})
+            head_line = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
+            self._write(head_line if laws is None else head_line | {"laws": laws})
             return
-        head, *rows = map(_parsed, whole.splitlines())
+        head, *rows = map(_parsed, complete_lines.splitlines())
         if (head.get("study"), head.get("laws")) != (study.fingerprint, laws):
             raise InvalidInputError(
                 f"{self.path} holds the rows of another study (another scenario, other "
@@ -82,7 +82,7 @@ class RowFile:
                 "another folder, or remove it"
             )
         self.done |= {row["row"]: row for row in rows if type(row.get("row")) is int}
-        self._file.truncate(len(whole))  # once all of it is sound
+        self._file.truncate(len(complete_lines))  # once all of it is sound
 
     def append(self, row: Row) -> None:
         """Append a completed row to the file."""
@@ -214,8 +214,8 @@ def run_study(
         raise InvalidInputError(missing(error)) from error
 
     file = None if out is None else Path(out) / ROWS
-    done = run_rows(study, file, workers=workers, scheduler=scheduler, progress=progress)
-    table = make_table(done.values(), study)
+    rows = run_rows(study, file, workers=workers, scheduler=scheduler, progress=progress)
+    table = make_table(rows.values(), study)
     if out is not None:
         with whole_file(Path(out) / TABLE) as unfinished:
             parquet.write_table(table, unfinished)
@@ -246,16 +246,16 @@ def run_rows(
         rows = None
         if file is not None:
             rows = stack.enter_context(closing(RowFile(file, study, laws)))
-        done = {} if rows is None else rows.done
-        remaining = [number for number in range(study.rows) if number not in done]
+        finished = {} if rows is None else rows.done
+        remaining = [number for number in range(study.rows) if number not in finished]
         completed = study.rows - len(remaining)
         jobs = [(study, remaining[i : i + _CHUNK]) for i in range(0, len(remaining), _CHUNK)]
         crew = stack.enter_context(workers_of(workers, scheduler, len(jobs)))
         for _, row in make_all(crew, jobs, make):
-            done[row["row"]] = row
+            finished[row["row"]] = row
             completed += 1
             if rows is not None:
                 rows.append(row)
             if progress is not None:
                 progress(completed, study.rows)
-    return {number: done[number] for number in range(study.rows)}
+    return {number: finished[number] for number in range(study.rows)}

@@ -163,19 +163,19 @@ class _Search:
 
         return self.study.get_trials(states=(TrialState.COMPLETE,))
 
-    def run(self, crew: Workers | None, most: int) -> int:
-        """Run a trial for each worker, at most `most`; return their number.
+    def run(self, crew: Workers | None, limit: int) -> int:
+        """Run a trial for each worker, at most `limit`; return their number.
 
         Args:
             crew: workers, see `workers_of`; None: this process runs a trial.
-            most: largest number of trials.
+            limit: largest number of trials.
         """
-        count = min(1 if crew is None else crew.count(), most)
-        drawn = [self._draw() for _ in range(count)]
+        count = min(1 if crew is None else crew.count(), limit)
+        trials = [self._draw() for _ in range(count)]
         samples = range(self.base.samples)
-        made = list(make_all(crew, [(study, samples) for _, study in drawn], make_rows))
-        for trial, own_study in drawn:
-            rows = [row for study, row in made if study is own_study]
+        results = list(make_all(crew, [(study, samples) for _, study in trials], make_rows))
+        for trial, own_study in trials:
+            rows = [row for study, row in results if study is own_study]
             for words, excess in self.judge.excess(rows).items():
                 trial.set_constraint(words, excess)
             trial.set_user_attr("numbers", self.judge.worst(rows))
@@ -185,14 +185,16 @@ class _Search:
     def result(self, shipped: Sequence[Row]) -> Tuned:
         """Best of all completed trials, compared with the rows of the shipped values."""
         completed = self.completed()
-        best = min(completed, key=lambda trial: (sum(trial.constraints.values()), trial.value))
-        after = best.user_attrs["numbers"]
+        best_trial = min(
+            completed, key=lambda trial: (sum(trial.constraints.values()), trial.value)
+        )
+        after = best_trial.user_attrs["numbers"]
         before = self.judge.worst(shipped)
         return Tuned(
             shipped=self.judge.value(shipped),
-            best=best.values[0],
-            broken=tuple(words for words, excess in best.constraints.items() if excess),
-            values=best.user_attrs["values"],
+            best=best_trial.values[0],
+            broken=tuple(words for words, excess in best_trial.constraints.items() if excess),
+            values=best_trial.user_attrs["values"],
             trials=len(completed),
             numbers={name: (value, after[name]) for name, value in before.items()},
         )
@@ -260,9 +262,9 @@ class _Judge:
         ]
         self._shipped = {name: self._mean(shipped, name) for name in ("force", "motion")}
         if objective not in (*self._shipped, "both", *shipped[0]):
-            known = [name for name, value in shipped[0].items() if isinstance(value, float)]
+            columns = [name for name, value in shipped[0].items() if isinstance(value, float)]
             raise InvalidInputError(
-                f"objective {objective!r}: give force, motion, both, or a column: {known}"
+                f"objective {objective!r}: give force, motion, both, or a column: {columns}"
             )
         unknown = [name for name in self._limits if name not in shipped[0]]
         if unknown:
@@ -270,7 +272,7 @@ class _Judge:
         if not self._limits:
             values = self.worst(shipped)
             self._limits = {
-                name: max(least, _SLACK * values[name]) for name, least in _LIMITED.items()
+                name: max(floor, _SLACK * values[name]) for name, floor in _LIMITED.items()
             }
 
     def _mean(self, rows: Sequence[Row], name: str) -> float:
@@ -308,11 +310,11 @@ class _Judge:
 
     def excess(self, rows: Sequence[Row]) -> dict[str, float]:
         """Share of failed tasks, and relative excess over each limit, by a text that names them."""
-        worst = self.worst(rows)
+        worst_values = self.worst(rows)
         excess = {"a task fails": float(np.mean([row["failed"] for row in rows]))}
         for name, limit in self._limits.items():
-            beyond = (worst[name] - limit) / max(abs(limit), 1.0)
-            excess[f"{name} > {limit:g}"] = max(0.0, beyond)
+            relative_excess = (worst_values[name] - limit) / max(abs(limit), 1.0)
+            excess[f"{name} > {limit:g}"] = max(0.0, relative_excess)
         return excess
 
     def worst(self, rows: Sequence[Row]) -> dict[str, float]:

@@ -111,9 +111,9 @@ def tracking_reward(seen: SensedRows) -> Array:
     """
     scale = np.maximum(np.abs(seen.force_desired).mean(axis=1), 1.0)
     force = np.abs(seen.force - seen.force_desired).mean(axis=1) / scale
-    away = np.linalg.norm(seen.error[:, :3], axis=1) / 0.01
-    turned = np.linalg.norm(seen.error[:, 3:], axis=1) / 0.1
-    return np.nan_to_num(np.maximum(1.0 - force - away - turned, -1.0), nan=-1.0)
+    position_cost = np.linalg.norm(seen.error[:, :3], axis=1) / 0.01
+    rotation_cost = np.linalg.norm(seen.error[:, 3:], axis=1) / 0.1
+    return np.nan_to_num(np.maximum(1.0 - force - position_cost - rotation_cost, -1.0), nan=-1.0)
 
 
 class ContactVectorEnv(VectorEnv[Any, Any, Any]):

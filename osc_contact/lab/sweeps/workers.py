@@ -79,21 +79,21 @@ class Workers:
 
 @contextmanager
 def workers_of(
-    workers: int | None, scheduler: str | distributed.Client | None, most: int
+    workers: int | None, scheduler: str | distributed.Client | None, limit: int
 ) -> Iterator[Workers | None]:
     """Yield workers for the block; None: this process makes the rows.
 
     Args:
         workers: number of processes; None: one for each core.
         scheduler: dask cluster, see `sweep.sweep`; None: processes of this machine.
-        most: largest number of workers that have something to do.
+        limit: largest number of workers that have something to do.
 
     Raises:
         InvalidInputError: both are given; the cluster cannot be used, see `cluster.connect`.
     """
     if workers is not None and scheduler is not None:
         raise InvalidInputError(f"{workers} workers: a cluster has its own; leave workers out")
-    count = min(available_cores() if workers is None else workers, most)
+    count = min(available_cores() if workers is None else workers, limit)
     if scheduler is None and count <= 1:
         yield None
         return

@@ -260,22 +260,25 @@ def _written(folder: str, name: str, text: str) -> Path:
 
 
 def peg_urdf(peg: Peg) -> str:
-    """URDF of a peg in its frame; its base is held."""
+    """Make the URDF of a peg of 0.2 kg with its box or cylinder along −z of its frame.
+
+    `axial` and `bending` are the squared radii of gyration about the axis and across it (m²).
+    """
     half = 0.5 * peg.width
     if peg.shape == "square":
         shape = f'<box size="{peg.width} {peg.width} {LENGTH}"/>'
-        across = peg.width**2 / 6.0
+        axial = peg.width**2 / 6.0
         bending = (peg.width**2 + LENGTH**2) / 12.0
     else:
         shape = f'<cylinder radius="{half}" length="{LENGTH}"/>'
-        across = half**2 / 2.0
+        axial = half**2 / 2.0
         bending = (3.0 * half**2 + LENGTH**2) / 12.0
     mass = 0.2
     body = f'<origin xyz="0 0 {-LENGTH / 2}"/><geometry>{shape}</geometry>'
     return (
         f'<robot name="peg"><link name="peg"><inertial><origin xyz="0 0 {-LENGTH / 2}"/>'
         f'<mass value="{mass}"/><inertia ixx="{mass * bending}" ixy="0" ixz="0" '
-        f'iyy="{mass * bending}" iyz="0" izz="{mass * across}"/></inertial>'
+        f'iyy="{mass * bending}" iyz="0" izz="{mass * axial}"/></inertial>'
         f"<visual>{body}</visual><collision>{body}</collision></link></robot>"
     )
 

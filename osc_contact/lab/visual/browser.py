@@ -61,15 +61,15 @@ def find_browser() -> str:
     Raises:
         ViewerError: there is none, with the cure.
     """
-    named = os.environ.get(VARIABLE)
-    found = next(filter(None, map(shutil.which, (named,) if named else NAMES)), None)
-    if found is None:
-        where = f"{VARIABLE}={named}" if named else ", ".join(NAMES) + " on PATH"
+    configured = os.environ.get(VARIABLE)
+    browser = next(filter(None, map(shutil.which, (configured,) if configured else NAMES)), None)
+    if browser is None:
+        where = f"{VARIABLE}={configured}" if configured else ", ".join(NAMES) + " on PATH"
         raise ViewerError(
             f"no browser to render pictures with (looked for {where}). Install Chromium "
             f"(Debian, Ubuntu: apt-get install chromium), or name one: {VARIABLE}=/path/to/chrome"
         )
-    return found
+    return browser
 
 
 class Browser:
@@ -97,6 +97,14 @@ class Browser:
         ready: str = READY,
         density: float = 1.0,
     ) -> None:
+        """Start a browser without a window, and wait until its page is ready.
+
+        Args:
+            address: URL of the page.
+            size: width and height of the page (CSS pixels).
+            ready: JavaScript expression that is true once the page can be used.
+            density: pixels of a picture per CSS pixel.
+        """
         program = find_browser()
         self.folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         self.number = 0
@@ -298,8 +306,8 @@ def moments(begin: float, end: float, most: int = MOST_FRAMES) -> tuple[list[flo
 
     span = max(end - begin, 1e-3)
     count = int(np.clip(np.ceil(span * RATE), 2, most))
-    shown = 10 * max(round(100.0 * min(span, LONGEST_S) / count), 4)
-    return (np.linspace(begin, end, count, endpoint=False).tolist(), shown)
+    frame_ms = 10 * max(round(100.0 * min(span, LONGEST_S) / count), 4)
+    return (np.linspace(begin, end, count, endpoint=False).tolist(), frame_ms)
 
 
 def write_gif(
@@ -325,9 +333,15 @@ def write_gif(
         ViewerError: no browser, or it gave no picture.
         InvalidInputError: the page holds no drawing commands.
     """
-    times, shown = moments(begin, end, most)
-    first, *others = one_palette(list(photographs(page, times, size, camera)))
-    how = {"append_images": others, "duration": shown, "loop": 0, "optimize": False, "disposal": 1}
+    times, frame_ms = moments(begin, end, most)
+    first, *further = one_palette(list(photographs(page, times, size, camera)))
+    how = {
+        "append_images": further,
+        "duration": frame_ms,
+        "loop": 0,
+        "optimize": False,
+        "disposal": 1,
+    }
     with whole_file(path) as unfinished:
         first.save(unfinished, format="GIF", save_all=True, **how)
     return Path(path)
@@ -400,11 +414,11 @@ def one_palette(frames: Sequence[Image]) -> list[Image]:
     from PIL import Image
 
     pixels = np.array([np.asarray(frame) for frame in frames])
-    for before, now in pairwise(pixels):
-        still = np.abs(now.astype(int) - before).max(axis=2) <= LEAST_CHANGE
-        now[still] = before[still]
-    chosen = np.linspace(0, len(frames) - 1, SAMPLES).round().astype(int)
-    sheet = Image.fromarray(np.vstack(pixels[chosen]))
+    for before, after in pairwise(pixels):
+        still = np.abs(after.astype(int) - before).max(axis=2) <= LEAST_CHANGE
+        after[still] = before[still]
+    selected = np.linspace(0, len(frames) - 1, SAMPLES).round().astype(int)
+    sheet = Image.fromarray(np.vstack(pixels[selected]))
     palette = sheet.quantize(256, method=Image.Quantize.MEDIANCUT)
     return [
         Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)

@@ -123,16 +123,16 @@ class Viewer:
 
         At most `rate` ticks per second are sent; other calls return immediately.
         """
-        now = monotonic()
-        if now < self._due or self.error is not None:
+        time_s = monotonic()
+        if time_s < self._due or self.error is not None:
             return
-        self._due = now + self._period
+        self._due = time_s + self._period
         try:
             sample = {name: np.array(tick[name], dtype=float) for name in CHANNELS if name in tick}
             self._link.send(pickle.dumps(sample))
             self._taken()
         except BlockingIOError:
-            self._wait(now)
+            self._wait(time_s)
         except OSError:
             self._read_news()
             why = f": {self._reason}" if self._reason else ""
@@ -147,16 +147,16 @@ class Viewer:
             self.stalled = False
             LOG.info("the live view continues")
 
-    def _wait(self, now: float) -> None:
+    def _wait(self, time_s: float) -> None:
         """Note that the other process has taken no tick: log that once, and try less often.
 
         Args:
-            now: present time by `monotonic` (s).
+            time_s: present time by `monotonic` (s).
         """
-        self._stalled_since = min(self._stalled_since, now)
-        if now - self._stalled_since <= STALLED_S:
+        self._stalled_since = min(self._stalled_since, time_s)
+        if time_s - self._stalled_since <= STALLED_S:
             return
-        self._due = now + RETRY_S
+        self._due = time_s + RETRY_S
         if not self.stalled:
             self.stalled = True
             LOG.warning(

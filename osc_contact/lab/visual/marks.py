@@ -129,7 +129,11 @@ class ContactForce(Part):
         self.pitch = pitch if abs(pitch) > LEAST_PITCH else 0.0
 
     def draw(self, scene: Visualizer) -> None:
-        """Make the nodes."""
+        """Make the nodes of the mark below its path: line of force, point, patch, arrows.
+
+        Args:
+            scene: root of the drawn scene.
+        """
         from meshcat.geometry import Cylinder, Sphere
 
         node = scene[self.path]
@@ -157,7 +161,14 @@ class ContactForce(Part):
                 cylinder(part[f"head/{name}"], paint, ends, 2.4 * arrow.radius, top=0.0)
 
     def states(self, samples: Samples) -> Frames:
-        """Poses, lengths and visibility of the marks."""
+        """Poses, lengths (m) and visibility of the marks at F ticks.
+
+        Args:
+            samples: recorded channels at these ticks: contact points, N, forces, object poses.
+
+        Returns:
+            States of each node by its path in the scene.
+        """
         poses, _ = self._place(samples)
         known, pressed, active = (flags[:, self.column] for flags in samples["normals"][1:])
         frames = {
@@ -170,50 +181,65 @@ class ContactForce(Part):
         longest = np.zeros(len(poses))
         for arrow in self.arrows:
             alpha = samples[arrow.channel][:, self.column]
-            drawn = pressed if arrow.name == "true" else known & active
+            is_drawn = pressed if arrow.name == "true" else known & active
             path = f"{self.path}/{arrow.name}"
-            frames[path] = States(visible=drawn & (alpha > SHOWN_FROM))
+            frames[path] = States(visible=is_drawn & (alpha > SHOWN_FROM))
             frames |= arrow_states(path, unit * alpha)
             longest = np.maximum(longest, np.nan_to_num(unit * alpha, posinf=0.0))
         frames[f"{self.path}/label"] = States(on_y_axis(-longest - 0.045))
         return frames
 
     def corners(self, samples: Samples) -> Array:
-        """Positions (k, 3) of tips and labels, at ticks with a known contact (m)."""
+        """Positions (k, 3) (m, world) of arrow tips and labels, which a camera has to show.
+
+        Args:
+            samples: recorded channels at F ticks; those without a known contact are skipped.
+        """
         frames = self.states(samples)
         tips = frames[self.path].poses
         labels = frames[f"{self.path}/label"].poses
         assert tips is not None and labels is not None
-        known = samples["normals"].known[:, self.column]
+        is_known = samples["normals"].known[:, self.column]
         ends = []
-        for tip, label in zip(tips[known], labels[known], strict=True):
+        for tip, label in zip(tips[is_known], labels[is_known], strict=True):
             X = pin.XYZQUATToSE3(tip)
             ends += [X.translation, X * label[:3]]
         return np.reshape(ends, (-1, 3))
 
     def _place(self, samples: Samples) -> tuple[Array, Array]:
-        """Poses (F, 7) with the y-axis on the line of force near the contact point, and pitches.
+        """Place the mark with its y-axis on the line of force, near the contact point.
 
-        At ticks without a known contact the last pose is kept. Pitches (m) are those of the other
-        ticks.
+        Args:
+            samples: recorded channels at F ticks.
+
+        Returns:
+            Poses (F, 7), the last known one at ticks without a known contact; and pitches (m) of
+            the ticks with a known contact, inf for a couple.
         """
         N, known, *_ = samples["normals"]
-        here = known[:, self.column]
-        points = samples["contact_point"][here, self.contact]
-        foot, directions, pitches = wrench_screw(N[here, :, self.column], samples["pose"][here, :3])
+        is_known = known[:, self.column]
+        points = samples["contact_point"][is_known, self.contact]
+        foot, directions, pitches = wrench_screw(
+            N[is_known, :, self.column], samples["pose"][is_known, :3]
+        )
         on_line = foot + np.vecdot(points - foot, directions)[:, None] * directions
         points = np.where(np.isinf(pitches)[:, None], points, on_line)
-        poses = held(here, poses_along(points, directions), self.last)
+        poses = held(is_known, poses_along(points, directions), self.last)
         self.last = poses[-1]
         return (poses, pitches)
 
 
 def legend(forces: Sequence[ContactForce]) -> list[LegendEntry]:
-    """Colours of the contacts, and the check boxes that all contacts share."""
+    """Make the legend: the colour of each contact, and the check boxes that all contacts share.
+
+    Args:
+        forces: marks of all contact forces.
+    """
     if not forces:
         return []
     rows: list[tuple[str, ...]] = [
-        (one.words, one.look, f"{one.name}/shaft", f"{one.name}/head") for one in forces[0].arrows
+        (arrow.words, arrow.look, f"{arrow.name}/shaft", f"{arrow.name}/head")
+        for arrow in forces[0].arrows
     ]
     words = "N: lines of force (grey: contact lost, faint: not active)"
     rows.append((words, "line", *(f"{state}/line" for state in ("closed", "lost", "known"))))
@@ -271,20 +297,27 @@ class TwistAxes(Part):
             cylinder(node["slide/down"], paint, (-half - 0.02, 0.008 - half), 0.0, top=0.007)
 
     def states(self, samples: Samples) -> Frames:
-        """Poses and pitches of the axes; axes beyond the dimension of T are hidden."""
-        poses, pitches, there = _screws(samples)
+        """Poses and pitches of the six axes at F ticks; those beyond the dimension of T are hidden.
+
+        Args:
+            samples: recorded channels at these ticks.
+
+        Returns:
+            States of each node by its path in the scene.
+        """
+        poses, pitches, exists = _screws(samples)
         frames: Frames = {}
         for i, reference in enumerate(self.pitches):
             path = f"twists/{i}"
             turns = np.isfinite(pitches[:, i])
             curve = helix(reference, *TWIST_HELIX)
-            most = TALLEST / np.ptp(curve[:, 1])
-            stretch = np.clip(np.where(turns, pitches[:, i], 0.0) / reference, -most, most)
+            largest = TALLEST / np.ptp(curve[:, 1])
+            stretch = np.clip(np.where(turns, pitches[:, i], 0.0) / reference, -largest, largest)
             stretch[np.abs(stretch) < 1e-6] = 1e-6
             scale = np.insert(np.ones((len(stretch), 2)), 1, stretch, axis=1)
             end = 0.53 * np.where(turns, AXIS_LENGTH, SLIDE_LENGTH + 0.06)
             frames |= {
-                path: States(poses[:, i], visible=there[:, i]),
+                path: States(poses[:, i], visible=exists[:, i]),
                 f"{path}/turn": States(visible=turns),
                 f"{path}/slide": States(visible=~turns),
                 f"{path}/turn/path": States(scale=scale),
@@ -304,23 +337,26 @@ class TwistAxes(Part):
 def _screws(samples: Samples) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Axes and pitches of a basis of the motions that closed contacts permit.
 
+    Args:
+        samples: recorded channels at F ticks.
+
     Returns:
         Poses (F, 6, 7) whose y-axes are the axes; pitches (F, 6) (m/rad); flags (F, 6) of the
         axes that exist. The pitch of the others is zero.
     """
-    N, _, closed, active = samples["normals"]
-    pressed = closed & active
-    bases = [tangents(one[:, held_by]).T for one, held_by in zip(N, pressed, strict=True)]
+    N, _, is_closed, active = samples["normals"]
+    pressed = is_closed & active
+    bases = [tangents(columns[:, held_by]).T for columns, held_by in zip(N, pressed, strict=True)]
     counts = np.array([len(basis) for basis in bases])
-    there = np.arange(6) < counts[:, None]
+    exists = np.arange(6) < counts[:, None]
     origins = np.repeat(samples["pose"][:, :3], counts, axis=0)
     point, direction, pitch = twist_screw(np.vstack(bases), origins)
-    poses = np.zeros((*there.shape, 7))
+    poses = np.zeros((*exists.shape, 7))
     poses[..., 6] = 1.0
-    poses[there] = poses_along(point, direction)
-    pitches = np.zeros(there.shape)
-    pitches[there] = pitch
-    return (poses, pitches, there)
+    poses[exists] = poses_along(point, direction)
+    pitches = np.zeros(exists.shape)
+    pitches[exists] = pitch
+    return (poses, pitches, exists)
 
 
 # --- Trails -------------------------------------------------------------------------------------
@@ -337,13 +373,18 @@ class Trails:
     """
 
     def __init__(self, contacts: Sequence[str]) -> None:
+        """Begin with empty paths, one for the object and one for each contact (by name)."""
         self.colours = {"object": TRAIL_COLOUR}
         self.colours |= {name: contact_colour(i) for i, name in enumerate(contacts)}
         self.points: dict[str, list[Array]] = {name: [] for name in self.colours}
         self.drawn: dict[str, int] = {}
 
     def extend(self, samples: Samples) -> None:
-        """Append the positions of some ticks; steps of less than 0.5 mm are left out."""
+        """Append the positions of some ticks; a step of less than 0.5 mm is omitted.
+
+        Args:
+            samples: recorded channels at these ticks.
+        """
         contacts = np.moveaxis(samples.get("contact_point", np.zeros((0, 0, 3))), 1, 0)
         objects = [samples["pose"][:, :3]] if "pose" in samples else [np.zeros((0, 3))]
         for path, points in zip(self.points.values(), [*objects, *contacts], strict=False):

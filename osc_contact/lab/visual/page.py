@@ -92,7 +92,7 @@ class CommandSink:
 
 
 def page_text(sink: CommandSink, title: str, config: Json, around: Around | None = None) -> str:
-    """The page that draws the sink's commands, with everything it needs inside.
+    """HTML text of a page that draws the commands of a sink; it loads no other file.
 
     Args:
         sink: the drawing commands.
@@ -112,7 +112,9 @@ def page_text(sink: CommandSink, title: str, config: Json, around: Around | None
     mover = "live.js" if around is None else around.script
     scripts = ("plot.js", "flat.js", "player.js", *((mover,) if config["live"] else ()))
     messages = [*map(packed, sink.commands), sink.animation]
-    commands = b"".join(len(one).to_bytes(4, "little") + one for one in messages if one)
+    commands = b"".join(
+        len(message).to_bytes(4, "little") + message for message in messages if message
+    )
     parts = {
         "policy": around.policy if around else POLICY + (" 'self'" if config["live"] else ""),
         "title": html.escape(title),

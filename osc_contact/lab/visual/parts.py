@@ -64,15 +64,15 @@ Frames = dict[str, States]
 """States of every moving node by its path below the scene's root; always the same nodes."""
 
 
-def held(known: NDArray[np.bool_], values: Array, before: Array) -> Array:
-    """Newest values (F, n) at F ticks.
+def held(is_known: NDArray[np.bool_], values: Array, before: Array) -> Array:
+    """Hold values until a new one is known: the newest values (F, n) at each of F ticks.
 
     Args:
-        known: (F,) flags of the k ticks with a new value.
+        is_known: (F,) flags of the k ticks with a new value.
         values: (k, n) new values in their order.
         before: (n,) value before the first new one.
     """
-    return np.vstack([before, values])[np.cumsum(known)]
+    return np.vstack([before, values])[np.cumsum(is_known)]
 
 
 class LegendEntry(NamedTuple):
@@ -199,27 +199,26 @@ class Content:
 class Moving(Part):
     """Arm that moves by its joint positions, held object, or face at rest or in motion.
 
-    Args:
-        what: the arm or body. folder: parent node of its node. Each joint with shapes has a node.
+    Each joint with shapes has a node.
     """
 
-    def __init__(self, what: Visual, folder: str) -> None:
+    def __init__(self, visual: Visual, folder: str) -> None:
         """Load the shapes of a robot, object or body.
 
         Args:
-            what: its file, base pose, joints and locked joints. folder: path of its nodes in the
+            visual: its file, base pose, joints and locked joints. folder: path of its nodes in the
                 scene.
         """
-        self.what = what
-        self.model, geometry = _shapes(what)
+        self.what = visual
+        self.model, geometry = _shapes(visual)
         self.data = self.model.createData()
         names = joint_names(self.model)
-        nodes = [f"{folder}/{what.name}/{name}" for name in ("base", *names)]
+        nodes = [f"{folder}/{visual.name}/{name}" for name in ("base", *names)]
         self.shapes = list(geometry.geometryObjects)
         self.paths = {shape.parentJoint: nodes[shape.parentJoint] for shape in self.shapes}
-        self.base = pin.SE3ToXYZQUAT(what.base or pin.SE3.Identity())
-        self.q = np.array([what.locked.get(name, 0.0) for name in names])
-        self.moving = [j for j, name in enumerate(names) if name not in what.locked]
+        self.base = pin.SE3ToXYZQUAT(visual.base or pin.SE3.Identity())
+        self.q = np.array([visual.locked.get(name, 0.0) for name in names])
+        self.moving = [j for j, name in enumerate(names) if name not in visual.locked]
 
     def draw(self, scene: Visualizer) -> None:
         """Make the nodes."""
@@ -235,22 +234,33 @@ class Moving(Part):
         """
         poses: dict[int, list[Array]] = {joint: [] for joint in self.paths}
         for placed in self._placements(samples):
-            for joint, found in poses.items():
-                found.append(pin.SE3ToXYZQUAT(placed[joint]))
+            for joint, joint_poses in poses.items():
+                joint_poses.append(pin.SE3ToXYZQUAT(placed[joint]))
         return {path: States(np.array(poses[joint])) for joint, path in self.paths.items()}
 
     def corners(self, samples: Samples) -> Array:
-        """Origins, corners of bounding boxes, or points of meshes (k, 3), in the world (m)."""
+        """Origins, and corners of bounding boxes or points of meshes, (k, 3) in the world (m).
+
+        Args:
+            samples: recorded channels; the points of all their ticks are returned.
+        """
         corners = [(shape.parentJoint, _corners(shape)) for shape in self.shapes]
         points = []
         for placed in self._placements(samples):
             points.append(placed[0].translation[None])
-            for joint, own in corners:
-                points.append(own @ placed[joint].rotation.T + placed[joint].translation)
+            for joint, joint_corners in corners:
+                points.append(joint_corners @ placed[joint].rotation.T + placed[joint].translation)
         return np.vstack(points)
 
     def _placements(self, samples: Samples) -> Iterator[dict[int, pin.SE3]]:
-        """Placements in the world of the base (0) and of all joints with shapes, tick by tick."""
+        """Compute the poses in the world of the base and of all joints with shapes, tick by tick.
+
+        Args:
+            samples: recorded channels at F ticks.
+
+        Yields:
+            Poses of one tick by the index of the joint; 0 is the base.
+        """
         ticks = len(next(iter(samples.values())))
         joints = {0, *self.paths}
         for q, base in zip(
@@ -261,29 +271,37 @@ class Moving(Part):
             yield {joint: X * self.data.oMi[joint] for joint in joints}
 
     def _positions(self, samples: Samples, ticks: int) -> Array:
-        """Joint positions (F, nq); unknown ones are replaced by the last known ones."""
-        what = self.what
-        q = self._channel(samples, "q")[:, what.q_slice] if self.moving else np.zeros((ticks, 0))
+        """Joint positions (F, nq) at F ticks; unknown ones (NaN) are replaced by the last known.
+
+        Args:
+            samples: recorded channels. ticks: their number F of ticks.
+        """
+        visual = self.what
+        q = self._channel(samples, "q")[:, visual.q_slice] if self.moving else np.zeros((ticks, 0))
         if q.shape[1] != len(self.moving):
             raise InvalidInputError(
-                f"{what.name!r}: {what.q_slice} takes {q.shape[1]} numbers of q, "
-                f"but its model has nq = {self.model.nq}, {len(what.locked)} locked"
+                f"{visual.name!r}: {visual.q_slice} takes {q.shape[1]} numbers of q, "
+                f"but its model has nq = {self.model.nq}, {len(visual.locked)} locked"
             )
-        known = np.asarray(np.isfinite(q).all(axis=1))
+        is_known = np.asarray(np.isfinite(q).all(axis=1))
         positions = np.tile(self.q, (ticks, 1))
-        positions[:, self.moving] = held(known, q[known], self.q[self.moving])
+        positions[:, self.moving] = held(is_known, q[is_known], self.q[self.moving])
         self.q = positions[-1]
         return positions
 
     def _bases(self, samples: Samples, ticks: int) -> Array:
-        """Poses (F, 7) of the base; unknown ones are replaced by the last known one."""
+        """Poses (F, 7) of the base at F ticks; unknown ones (NaN) are replaced by the last known.
+
+        Args:
+            samples: recorded channels. ticks: their number F of ticks.
+        """
         poses = np.full((ticks, 7), np.nan)
         if self.what.face is not None and "face_pose" in samples:
             poses = samples["face_pose"][:, self.what.face]
         elif self.what.base is None:
             poses = self._channel(samples, "pose")
-        known = np.asarray(np.isfinite(poses).all(axis=1))
-        bases = held(known, poses[known], self.base)
+        is_known = np.asarray(np.isfinite(poses).all(axis=1))
+        bases = held(is_known, poses[is_known], self.base)
         self.base = bases[-1]
         return bases
 
@@ -300,13 +318,13 @@ class Moving(Part):
         return samples[key]
 
 
-def _shapes(what: Visual) -> tuple[pin.Model, pin.GeometryModel]:
+def _shapes(visual: Visual) -> tuple[pin.Model, pin.GeometryModel]:
     """Kinematics and shapes of an arm or body, from its URDF, MJCF or picture."""
-    if isinstance(what.urdf, Mapping):
-        return read_picture(what.urdf)
-    if is_mjcf(what.urdf):
-        return mjcf_geometry(what.urdf, what.tip)
-    return load_geometry(what.urdf, pin.GeometryType.VISUAL, what.package_dirs)[:2]
+    if isinstance(visual.urdf, Mapping):
+        return read_picture(visual.urdf)
+    if is_mjcf(visual.urdf):
+        return mjcf_geometry(visual.urdf, visual.tip)
+    return load_geometry(visual.urdf, pin.GeometryType.VISUAL, visual.package_dirs)[:2]
 
 
 def _corners(shape: Any) -> Array:

@@ -29,7 +29,7 @@ NEAR_LIMIT = 60.0  # %: from there on the limits are drawn
 
 
 def style() -> AbstractContextManager[None]:
-    """The one look of all figures: Okabe-Ito colours, light grid, no box, constrained layout."""
+    """Context with the look of all figures: Okabe-Ito colours, light grid, no box."""
     return matplotlib.rc_context(
         {
             "axes.prop_cycle": cycler(color=[*CONTACT_COLOURS, OKABE_ITO["black"], "#999999"]),
@@ -87,17 +87,17 @@ def save(
         The paths, one for each suffix.
     """
     base = Path(path_without_suffix)
-    written = []
+    paths = []
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):
         _lay_out(figure)
         for suffix in suffixes:
-            written.append(base.with_name(base.name + suffix))
-            with whole_file(written[-1]) as unfinished:
+            paths.append(base.with_name(base.name + suffix))
+            with whole_file(paths[-1]) as unfinished:
                 figure.savefig(
                     unfinished, dpi=_DPI, format=suffix[1:], metadata=undated.get(suffix)
                 )
-    return tuple(written)
+    return tuple(paths)
 
 
 def _lay_out(figure: Figure) -> None:
@@ -109,10 +109,10 @@ def _lay_out(figure: Figure) -> None:
     engine = figure.get_layout_engine()
     if engine is None:
         return
-    own = figure.dpi
+    dpi = figure.dpi
     figure.set_dpi(_DPI)
     engine.execute(figure)
-    figure.set_dpi(own)
+    figure.set_dpi(dpi)
     figure.set_layout_engine(None)
 
 
@@ -177,21 +177,22 @@ def contact_forces(recording: Recording, judged: Judged | None = None) -> Figure
 def draw_errors(
     ax: Axes, recording: Recording, judged: Judged | None = None, linear: float | None = None
 ) -> None:
-    """The lowest panel of `contact_forces`: errors of all forces, with their rms and peak values.
+    """Draw the errors of all forces over time, with their rms and peak values in the legend.
 
     Args:
-        ax: of the panel.
-        recording: needs ``t``, ``alpha_cmd``, ``alpha_true``.
-        judged: see `contact_forces`.
-        linear: up to which error the scale is linear (N), logarithmic beyond. None: as far as they
-            are judged.
+        ax: axes, the lowest panel of `contact_forces`.
+        recording: recording with the channels ``t``, ``alpha_cmd``, ``alpha_true``.
+        judged: (T,) or (T, r) flags of the ticks that count, see `contact_forces`.
+        linear: error (N) up to which the scale is linear, and logarithmic beyond; None: the
+            largest judged error.
     """
     t = recording["t"]
     error = recording["alpha_true"] - recording["alpha_cmd"]
     counted = _counted(error.shape, judged)
     for i, name in enumerate(recording.magnitude_names):
-        here = error[counted[:, i], i]
-        label = f"{name.replace('_', ' ')}\nrms {_si(_rms(here))}N, peak {_si(_peak(here))}N"
+        counted_error = error[counted[:, i], i]
+        sizes = f"rms {_si(_rms(counted_error))}N, peak {_si(_peak(counted_error))}N"
+        label = f"{name.replace('_', ' ')}\n{sizes}"
         ax.plot(t, error[:, i], color=contact_colour(i), lw=0.9, label=label)
     ax.set_ylabel("error (N)")
     _shade(ax, t, np.asarray(counted.any(axis=1)))
@@ -215,14 +216,14 @@ def power(recording: Recording, judged: Judged | None = None) -> Figure:
     projected = recording["power_projected"]
     counted = _counted(total.shape, judged)
     of_total, of_projected = (f"rms {_si(_rms(x[counted]))}W" for x in (total, projected))
-    whole = _limits(np.concatenate([total, projected]))
+    total_limits = _limits(np.concatenate([total, projected]))
     contents = (
-        (total, rf"total $\vartheta^T f'_{{meas}}$: {of_total}", "blue", whole),
+        (total, rf"total $\vartheta^T f'_{{meas}}$: {of_total}", "blue", total_limits),
         (
             projected,
             rf"projected $\vartheta^T \Omega_f f'_{{meas}}$: {of_projected}",
             "vermillion",
-            whole,
+            total_limits,
         ),
         (projected, "projected, enlarged", "vermillion", _limits(projected[counted])),
     )
@@ -259,12 +260,12 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
     position = 1e3 * recording["pose"][:, :3]
     counted = _counted(t.shape, t >= judged_from - 1e-9)
     contents = [(position - position[0], "object position, from its start", "position (mm)", "")]
-    for part, what, kind, unit, about in (
+    for part, quantity, kind, unit, about in (
         (error[:, 3:], "rotation", "angular", "mrad", "about "),
         (error[:, :3], "motion", "linear", "mm", ""),
     ):
         rms = _rms(np.linalg.norm(part[counted], axis=1))
-        title = f"{what} error along the free directions: rms {rms:.3g} {unit}"
+        title = f"{quantity} error along the free directions: rms {rms:.3g} {unit}"
         contents.insert(0, (part, title, f"{kind} error ({unit})", about))
     with style():
         figure, axes = panels(3, 2.1)
@@ -291,18 +292,18 @@ def torques(recording: Recording) -> Figure:
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         groups.setdefault(name.rpartition("/")[0], []).append(i)
-    known = all(limits.values())
-    shown = 100.0 * tau / np.array(list(limits.values())) if known else tau
+    has_limits = all(limits.values())
+    plotted = 100.0 * tau / np.array(list(limits.values())) if has_limits else tau
     with style():
         figure, axes = panels(len(groups), 2.6)
         for ax, (title, columns) in zip(axes, groups.items(), strict=True):
-            peaks = [_peak(shown[:, i]) for i in columns]
+            peaks = [_peak(plotted[:, i]) for i in columns]
             for i, peak in zip(columns, peaks, strict=True):
                 name = names[i].removeprefix(f"{title}/")
-                ax.plot(t, shown[:, i], lw=0.9, label=name + f", peak {peak:.0f} %" * known)
-            unit = "% of its limit" if known else "N m; sliding joints: N"
+                ax.plot(t, plotted[:, i], lw=0.9, label=name + f", peak {peak:.0f} %" * has_limits)
+            unit = "% of its limit" if has_limits else "N m; sliding joints: N"
             ax.set(title=title.replace("_", " "), ylabel=f"effort ({unit})")
-            if known and max(peaks, default=0.0) > NEAR_LIMIT:
+            if has_limits and max(peaks, default=0.0) > NEAR_LIMIT:
                 for limit in (-100.0, 100.0):
                     ax.axhline(limit, color="black", lw=0.9, ls="--")
             legend(ax)
@@ -311,8 +312,8 @@ def torques(recording: Recording) -> Figure:
 
 def _counted(shape: tuple[int, ...], judged: Judged | None) -> Judged:
     """The values that count: those judged; all of them if none is."""
-    every = np.ones(shape, dtype=bool)
-    return every if judged is None or not judged.any() else judged & every
+    mask = np.ones(shape, dtype=bool)
+    return mask if judged is None or not judged.any() else judged & mask
 
 
 def _shade(ax: Axes, t: Array, counted: Judged) -> None:

@@ -34,10 +34,10 @@ def draw_figures(recording: Recording, folder: Path, names: Sequence[str] | None
     from osc_contact.lab.visual import plots
 
     recording = recording.thinned(DRAWN)
-    forces, whole = judged_ticks(recording)
+    forces, judged_motion = judged_ticks(recording)
     drawings = {
         "contact_forces": partial(plots.contact_forces, recording, forces),
-        "power": partial(plots.power, recording, whole),
+        "power": partial(plots.power, recording, judged_motion),
         "tracking": partial(plots.tracking, recording, SETTLE_S),
         "torques": partial(plots.torques, recording),
     }
@@ -93,9 +93,9 @@ def _draw_on_request() -> None:
     folder = sys.stdin.readline().rstrip("\n")
     if folder:
         recording = Recording.load(os.path.join(folder, RECORDING))
-        mine, others = SHARES
+        mine, second_share = SHARES
         other = get_context("fork").Process(
-            target=draw_figures, args=(recording, Path(folder), others)
+            target=draw_figures, args=(recording, Path(folder), second_share)
         )
         other.start()
         draw_figures(recording, Path(folder), mine)

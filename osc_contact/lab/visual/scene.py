@@ -80,7 +80,7 @@ class Scene:
             samples: channels of the ticks.
         """
         samples = self._with_normals(samples)
-        return {path: one for part in self.parts for path, one in part.states(samples).items()}
+        return {path: frame for part in self.parts for path, frame in part.states(samples).items()}
 
     def look(self, scene: Visualizer, samples: Samples) -> list[Json]:
         """Draw floor and background, and place cameras that show all samples.
@@ -97,9 +97,9 @@ class Scene:
         first = samples_at(samples, slice(1))
         samples = self._with_normals(samples)
         small: Sequence[Moving | marks.ContactForce] = (*self.bodies, *self.forces)
-        near = np.vstack([nothing, *(part.corners(samples) for part in small)])
+        contact_points = np.vstack([nothing, *(part.corners(samples) for part in small)])
         links = np.vstack([nothing, *(arm.corners(first) for arm in self.arms)])
-        points = np.vstack((near, links))
+        points = np.vstack((contact_points, links))
         bases = np.vstack([nothing, *(arm.base[:3] for arm in self.arms)])
         directions = first.get("contact_direction", nothing)
         floor = np.min(bases[:, 2], initial=0.0)
@@ -109,18 +109,18 @@ class Scene:
         pushes = np.nan_to_num(directions.reshape(-1, 3))
         arrows = np.vstack([nothing, *(force.corners(samples) for force in self.forces)])
         front, side = headings(points, bases, pushes, arrows, links)
-        if not len(near):
-            near = points
+        if not len(contact_points):
+            contact_points = points
         views = {
             "whole": (points, eye(side)),
-            "contacts": (near, eye(side)),
-            "from above": (near, eye(front, np.deg2rad(85.0))),
+            "contacts": (contact_points, eye(side)),
+            "from above": (contact_points, eye(front, np.deg2rad(85.0))),
             "other side": (points, eye(side + np.pi)),
         }
         set_stage(scene, points, views["whole"][1], floor=floor)
         cameras = []
-        for name, (seen, view) in views.items():
-            target, offset = fitted(seen, view)
+        for name, (in_view, view) in views.items():
+            target, offset = fitted(in_view, view)
             cameras.append({"name": name, "target": target.tolist(), "offset": offset.tolist()})
         return cameras
 
@@ -302,8 +302,8 @@ def headings(
         Angle about the vertical axis of the direction from the target to each camera.
     """
     middle = centre(points)[:2]
-    away = middle - bases[:, :2].mean(axis=0) if len(bases) else middle
-    front = np.arctan2(away[1], away[0]) if norm(away) > 0.02 else -np.pi / 3
+    direction = middle - bases[:, :2].mean(axis=0) if len(bases) else middle
+    front = np.arctan2(direction[1], direction[0]) if norm(direction) > 0.02 else -np.pi / 3
     views = {turn: eye(front + np.deg2rad(turn)) for turn in TURNS}
     cost = {
         turn: (
@@ -325,10 +325,10 @@ def hidden(points: Array, links: Array, view: Array) -> float:
     """
     if not len(points) or not len(links):
         return 0.0
-    across = picture_axes(view)
-    apart = np.linalg.norm((links @ across.T)[None] - (points @ across.T)[:, None], axis=2)
+    axes = picture_axes(view)
+    distances = np.linalg.norm((links @ axes.T)[None] - (points @ axes.T)[:, None], axis=2)
     nearer = (links @ view)[None] > (points @ view)[:, None] + NEARER
-    return float(np.mean(((apart < COVERED) & nearer).any(axis=1)))
+    return float(np.mean(((distances < COVERED) & nearer).any(axis=1)))
 
 
 def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, Array]:
@@ -343,9 +343,9 @@ def fitted(points: Array, view: Array, aspect: float = ASPECT) -> tuple[Array, A
     half = np.tan(np.deg2rad(0.5 * FIELD_OF_VIEW_DEG)) * np.array([aspect, 1.0]) * FILLED
     target = axes.T @ centre(points @ axes.T)
     for _ in range(20):  # perspective: centre the picture at the distance that just fits
-        seen = (points - target) @ axes.T
-        distance = (np.abs(seen[:, :2]) / half + seen[:, 2:]).max() + 0.05
-        image = seen[:, :2] / (distance - seen[:, 2:])
+        in_view = (points - target) @ axes.T
+        distance = (np.abs(in_view[:, :2]) / half + in_view[:, 2:]).max() + 0.05
+        image = in_view[:, :2] / (distance - in_view[:, 2:])
         target = target + axes[:2].T @ (centre(image) * distance)
     return (target, max(distance, 0.3) * view)
 
@@ -380,12 +380,15 @@ _POWERS = (
 def panels_of(
     samples: Samples, names: Sequence[str] = (), owners: Sequence[int] = ()
 ) -> list[Json]:
-    """The panels and their lines, for what was recorded; JSON-able.
+    """Make the panels of contact forces and of power, with a line for each recorded channel.
 
     Args:
-        samples: the channels; what is missing has no panel.
+        samples: recorded channels; a missing one has no line, a panel without lines is omitted.
         names: names of the contact forces.
-        owners: the contact of each force.
+        owners: index of the contact of each force.
+
+    Returns:
+        Panels with title, unit, lines and a note, for JSON.
     """
     forces = [
         {
@@ -405,10 +408,10 @@ def panels_of(
         if key in samples
     ]
     looks = "wide: commanded, solid: true, dashed: measured"
-    what = "of the measured wrench, in the motion relative to the faces"
+    note = "of the measured wrench, in the motion relative to the faces"
     panels = [
         {"title": "contact force", "unit": "N", "lines": forces, "note": looks},
-        {"title": "power", "unit": "W", "lines": powers, "note": what},
+        {"title": "power", "unit": "W", "lines": powers, "note": note},
     ]
     return [panel for panel in panels if panel["lines"]]
 
@@ -420,11 +423,11 @@ def values(lines: Sequence[Json], channels: Mapping[str, Any]) -> Array:
         lines: lines of the panels.
         channels: channels of a recording.
     """
-    found = []
+    rows = []
     for line in lines:
         channel = channels[line["key"]]
-        found.append(channel if line["index"] < 0 else channel[..., line["index"]])
-    return np.array(found, dtype=float)
+        rows.append(channel if line["index"] < 0 else channel[..., line["index"]])
+    return np.array(rows, dtype=float)
 
 
 def rounded(numbers: Array) -> list[float | None]:
@@ -450,8 +453,8 @@ def thinned(lines: Sequence[Json], channels: Mapping[str, Any]) -> Json:
         stretches = np.array_split(np.arange(len(t)), BINS)
         t = t[[part[k] for part in stretches for k in (0, -1)]]
         for number, row in enumerate(np.nan_to_num(rows)):
-            found = [
+            kept_values = [
                 sorted((part[row[part].argmin()], part[row[part].argmax()])) for part in stretches
             ]
-            rows[number] = row[np.concatenate(found)]
+            rows[number] = row[np.concatenate(kept_values)]
     return {"t": np.round(t, 4).tolist(), "y": [rounded(row) for row in rows]}

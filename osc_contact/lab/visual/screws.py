@@ -37,7 +37,11 @@ class ScrewAxis(NamedTuple):
 
 
 def wrench_screw(wrench: ArrayLike, origin: ArrayLike) -> ScrewAxis:
-    """The screws of wrenches [f; m] (…, 6) whose moments are taken about `origin` (…, 3), m.
+    """Convert wrenches to screws: a force along an axis, and a couple about it.
+
+    Args:
+        wrench: (…, 6) wrenches [f; m] (N, N m), or columns of N.
+        origin: (…, 3) points about which the moments m are taken (m).
 
     Raises:
         InvalidInputError: one is zero or not finite, or they are not (…, 6).
@@ -52,13 +56,17 @@ def wrench_screw(wrench: ArrayLike, origin: ArrayLike) -> ScrewAxis:
     couple = size * FAR <= arm
     size = np.where(couple, arm, size)
     direction = np.where(couple, moment, line) / size
-    across = np.cross(direction, moment / size)  # of a couple: zero
+    offset = np.cross(direction, moment / size)  # of a couple: zero
     pitch = np.where(couple[..., 0], np.inf, np.vecdot(direction, moment) / size[..., 0])
-    return ScrewAxis(np.asarray(origin, dtype=float) + across, direction, pitch)
+    return ScrewAxis(np.asarray(origin, dtype=float) + offset, direction, pitch)
 
 
 def twist_screw(twist: ArrayLike, origin: ArrayLike) -> ScrewAxis:
-    """The screws of twists [v; ω] (…, 6) whose velocities are those of `origin` (…, 3), m.
+    """Convert twists to screws: a rotation about an axis, and a translation along it.
+
+    Args:
+        twist: (…, 6) twists [v; ω], or columns of T.
+        origin: (…, 3) points whose velocities are v (m).
 
     Raises:
         InvalidInputError: one is zero or not finite, or they are not (…, 6).
@@ -125,7 +133,7 @@ def contact_normals(samples: Mapping[str, Array], owners: Sequence[int] = ()) ->
     directions = samples["contact_direction"]
     points = samples["contact_point"]
     always = np.ones(points.shape[:2])
-    closed, active = (
+    is_closed, active = (
         np.asarray(samples.get(key, always), dtype=bool) for key in ("closed", "contact_phase")
     )
     arms = points - samples["pose"][:, None, :3]
@@ -135,10 +143,10 @@ def contact_normals(samples: Mapping[str, Array], owners: Sequence[int] = ()) ->
         N = samples["N"]
         owner = np.asarray(owners or range(N.shape[2]), dtype=np.intp)
     located = np.asarray(np.isfinite(points).all(axis=2))
-    known = located[:, owner] & np.isfinite(N).all(axis=1)
-    N = np.where(known[:, None], N, 0.0)
-    known &= N.any(axis=1)
-    return Normals(N, known, known & closed[:, owner], active[:, owner])
+    is_known = located[:, owner] & np.isfinite(N).all(axis=1)
+    N = np.where(is_known[:, None], N, 0.0)
+    is_known &= N.any(axis=1)
+    return Normals(N, is_known, is_known & is_closed[:, owner], active[:, owner])
 
 
 def tangents(N: Array) -> Array:

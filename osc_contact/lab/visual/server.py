@@ -40,6 +40,11 @@ class LivePage:
     """The scene as it is now, and the browsers that show it."""
 
     def __init__(self, link: socket.socket, content: Content) -> None:
+        """Begin without a scene, which is made at the first tick.
+
+        Args:
+            link: socket to the process of the run. content: bodies and contacts to draw.
+        """
         self.link = link
         self.content = content
         self.scene: Scene | None = None

@@ -116,8 +116,8 @@ def tube(points: ArrayLike, radius: float, sides: int = 6) -> Any:
     from meshcat.geometry import TriangularMeshGeometry
 
     path = np.asarray(points, dtype=float)
-    far = np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9
-    path = path[np.concatenate([[True], far])]
+    is_distinct = np.linalg.norm(np.diff(path, axis=0), axis=1) > 1e-9
+    path = path[np.concatenate([[True], is_distinct])]
     if len(path) < 2:
         path = np.vstack([path, path[-1] + [0.0, 0.0, 1e-4]])
     forward = np.gradient(path, axis=0)
@@ -171,8 +171,8 @@ def urdf_geometry(node: Visualizer, shape: pin.GeometryObject) -> None:
         corners = np.asarray(form.vertices(), dtype=np.float32).reshape(-1, 3)
         faces = map(form.tri_indices, range(form.num_tris))
         triangles = np.array([[face[0], face[1], face[2]] for face in faces])
-        own = None if shape.overrideMaterial else shape.meshPath
-        colours = own and vertex_colours(own, triangles, len(corners))
+        mesh_file = None if shape.overrideMaterial else shape.meshPath
+        colours = mesh_file and vertex_colours(mesh_file, triangles, len(corners))
         if colours is not None:
             paint = mc.MeshLambertMaterial(color=0xFFFFFF, vertexColors=True)
         body.set_object(mc.TriangularMeshGeometry(corners, triangles, colours), paint)
@@ -231,8 +231,8 @@ def _groups(root: ET.Element) -> Iterator[tuple[list[float], int]]:
     geometries = {g.get("id"): g for g in root.findall(".//c:geometry", SPACE)}
     for instance in root.findall(".//c:visual_scene//c:instance_geometry", SPACE):
         bound = {
-            one.get("symbol"): one.get("target", "")[1:]
-            for one in instance.findall(".//c:instance_material", SPACE)
+            binding.get("symbol"): binding.get("target", "")[1:]
+            for binding in instance.findall(".//c:instance_material", SPACE)
         }
         for part in geometries[instance.get("url", "")[1:]].findall("c:mesh/*", SPACE):
             if part.tag.split("}")[-1] in GROUPS:
