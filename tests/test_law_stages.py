@@ -10,7 +10,17 @@ from math import inf
 from types import SimpleNamespace as Record
 
 import numpy as np
-from law_calls import allocation, force_law, operational, phases, reading, records, tick, write
+from law_calls import (
+    allocation,
+    commands,
+    force_law,
+    operational,
+    phases,
+    reading,
+    records,
+    tick,
+    write,
+)
 from law_calls import command_filter as command
 from numpy.linalg import cholesky, inv, norm, qr, solve
 from numpy.testing import assert_array_equal
@@ -20,7 +30,6 @@ from test_law import inputs, motion_of
 from test_law_parts import SEEDS, rng_of
 
 import osc_contact as osc
-from osc_contact.law import commands
 from osc_contact.law import records as at
 from osc_contact.law.compiled import rows
 from osc_contact.law.limits import TorqueLimits
