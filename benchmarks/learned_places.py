@@ -33,7 +33,7 @@ from benchmarks.recognition import SEARCH as CONTACTS
 from benchmarks.recorded_insertions import CLEARANCE, recorded
 from osc_contact.contacts.insertion import Peg
 from osc_contact.lab.tasks.insertion import WIDTH, Insertion
-from osc_contact.lab.tasks.pegs import square_peg
+from osc_contact.lab.tasks.pegs import peg_plan
 from osc_contact.recognition.place import PARAMETERS, LearnedPlace
 from osc_contact.recognition.recogniser import SURE, Recogniser
 from osc_contact.spatial import Array
@@ -52,7 +52,7 @@ def learn(seed: int, folder: Path) -> tuple[LearnedPlace, Array]:
     rows = recorded(seed, folder)
     task = Insertion(Peg("square", WIDTH), CLEARANCE, seed)
     states = states_of(task.peg, task.hole)
-    stages = [stage.name for stage in square_peg(task.peg, task.hole).stages]
+    stages = [stage.name for stage in peg_plan(task.peg, task.hole).stages]
     recogniser = Recogniser(states, 1e-3 * EVERY)
     wrenches = smoothed(rows["wrench"])
     place = LearnedPlace(

@@ -27,7 +27,7 @@ from rich.console import Console
 from benchmarks.recorded_insertions import CLEARANCE, recorded
 from osc_contact.contacts.insertion import Hole, Peg, pairs_between
 from osc_contact.lab.tasks.insertion import BASE, LENGTH, WIDTH, Insertion
-from osc_contact.lab.tasks.pegs import square_peg, square_peg_start
+from osc_contact.lab.tasks.pegs import peg_plan, peg_start
 from osc_contact.recognition.recogniser import Recogniser
 from osc_contact.recognition.states import ContactStates, WrenchErrors
 from osc_contact.spatial import Array
@@ -228,7 +228,7 @@ def states_of(peg: Peg, hole: Hole) -> ContactStates:
 
 def groups_of(states: ContactStates, peg: Peg, hole: Hole) -> dict[str, str]:
     """Name of the group of each state, with a corner of the peg in the mouth of the hole."""
-    rotation = (hole.pose.actInv(square_peg_start(peg, hole))).rotation
+    rotation = (hole.pose.actInv(peg_start(peg, hole))).rotation
     X = hole.pose * pin.SE3(rotation, np.array([0.0, 0.0, 1e-3]))
     return {name: ", ".join(group) for group in states.groups(X, force=FORCE) for name in group}
 
@@ -243,7 +243,7 @@ def follow(seed: int, folder: Path, tally: Tally) -> None:
     task = Insertion(Peg("square", WIDTH), CLEARANCE, seed)
     states = states_of(task.peg, task.hole)
     group = groups_of(states, task.peg, task.hole)
-    stages = [stage.name for stage in square_peg(task.peg, task.hole).stages]
+    stages = [stage.name for stage in peg_plan(task.peg, task.hole).stages]
     recogniser = Recogniser(states, 1e-3 * EVERY)
     wrenches = smoothed(rows["wrench"])
     watch = Watch(tally)

@@ -12,7 +12,7 @@ from osc_contact.contacts.insertion import Peg
 from osc_contact.control.controller import Controller
 from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.tasks.insertion import WIDTH, Insertion, InsertionRobot
-from osc_contact.lab.tasks.pegs import controller_of, square_peg, square_peg_start
+from osc_contact.lab.tasks.pegs import controller_of, peg_plan, peg_start
 from osc_contact.loop.loop import run_loop
 from osc_contact.loop.protocols import Records
 from osc_contact.plan.plan import Plan
@@ -76,8 +76,8 @@ def recorded(seed: int, folder: Path) -> dict[str, Array]:
     path = folder / f"insertion-{seed}.npz"
     if not path.exists():
         task = Insertion(Peg("square", WIDTH), CLEARANCE, seed)
-        plan = square_peg(task.peg, task.hole)
-        robot = task.robot(square_peg_start(task.peg, task.hole))
+        plan = peg_plan(task.peg, task.hole)
+        robot = task.robot(peg_start(task.peg, task.hole))
         controller = controller_of(task, plan, robot)
         recorder = InsertionRecorder(robot, controller, plan)
         run_loop(robot, controller, plan, recorder=recorder)

@@ -36,8 +36,8 @@ CORNERS: dict[str, Array] = {
 }
 _OUT = np.array([0.0, 0.0, -1.0])  #: direction out of the hole
 _INTO = -_OUT  #: direction into the hole
-#: Distance of the two points of a round peg's axis at which it is held (m). The couple that
-#: overcomes stiction of the joints, some 0.5 N m, is then a few newtons at both, not some tens.
+#: Distance of the two points of a round peg's axis at which it is held (m). A couple that
+#: overcomes stiction of the joints, some 0.5 N m, takes a few newtons at both, not some tens.
 _LEVER = 0.1
 _APART = 0.7  #: distance of the two points of a side along a rim, as a share of the rim's length
 

@@ -350,7 +350,3 @@ def _last_stages(peg: Peg, hole: Hole) -> list[Stage]:
         Stage("return", {}, to(start, 30e-3, 0.5), until=finished(), within=8.0, then="find"),
         Stage("done", {"hole": 0.0}, until=after(0.1), within=1.0),
     ]
-
-
-square_peg = peg_plan  #: the same plan, by its name of a square peg
-square_peg_start = peg_start  #: the same pose, by its name of a square peg
