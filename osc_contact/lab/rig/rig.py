@@ -256,7 +256,7 @@ class Rig:
 
     @cached_property
     def fastest_mode(self) -> float:
-        """Largest frequency √(k/m) (rad/s) of a contact that pushes on an elastic wall; 0: none.
+        """Largest frequency √(k/m) (rad/s) of a contact that pushes on an elastic wall, or 0.
 
         k is `control.estimate.stiffest_wall`, or the stiffness of the contact's cart if that is
         larger; 1/m = NᵀΦN is the mobility of the object along one line of force, at the start.
