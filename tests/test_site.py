@@ -227,7 +227,7 @@ def test_each_equation_of_the_law_has_its_lines_beside_it(site):
     for path, name in named:
         code = code_of(ROOT, path, name)
         assert code and "local(" not in code and code in shown, name
-    assert "gram(answer, r, work.pushed, r, D)" in code_of(
+    assert "gram(response, r, work.pushed, r, D)" in code_of(
         ROOT, "osc_contact/law/reading.py", "_solve_magnitudes"
     )
     with raises(LookupError, match="no function measure_nothing"):
