@@ -46,8 +46,8 @@ from osc_contact.lab.rig.contacts import (
     tracked,
     urdf_of,
 )
+from osc_contact.lab.rig.drake_rules import require_bodies_at_rest, require_closed_slip
 from osc_contact.lab.rig.references import References, force_names, least_motion, showing_twist
-from osc_contact.lab.rig.slip import slip_speeds
 from osc_contact.lab.scenarios.bodies import CartSpec, GraspSpec
 from osc_contact.lab.scenarios.hardware import PLANT_TYPES
 from osc_contact.lab.scenarios.named import as_scenario
@@ -494,13 +494,8 @@ def _drake(rig: Rig, seed: int) -> Plant:
             contact by itself.
     """
     scenario = rig.scenario
-    for body in rig.bodies:
-        if body.motion is not None:
-            raise ScenarioError(
-                f"'{body.name}' has a motion, and the bodies of the drake plant are at rest; leave "
-                "it out, or take plant.type mujoco"
-            )
-    _require_closed_slip(rig)
+    require_bodies_at_rest(rig.bodies)
+    require_closed_slip(rig.pairs, rig.references, rig.owners, scenario.plant)
     return DrakePlant(
         rig.chain,
         [urdf_of(scenario, arm) for arm in scenario.arms],
@@ -510,36 +505,6 @@ def _drake(rig: Rig, seed: int) -> Plant:
         options=scenario.plant,
         on=rig.on,
     )
-
-
-def _require_closed_slip(rig: Rig) -> None:
-    """Refuse commands under which Drake's `sap` lifts a sliding object off a contact.
-
-    The condition is (τ₁ + τ₂ + δt) μ v < F/k at all times, see `DrakeSpec.lift`.
-
-    Args:
-        rig: rig of a scenario with the drake plant.
-
-    Raises:
-        ScenarioError: the lift exceeds the depth of a contact.
-    """
-    plant = rig.scenario.plant
-    speeds = slip_speeds(rig.pairs, rig.references)
-    commands = rig.references.overview[1].commands
-    for i, pair in enumerate(rig.pairs):
-        force = commands[:, rig.owners == i].sum(axis=1)
-        lift = np.array([plant.drake.lift(plant.friction, v, plant.step) for v in speeds[:, i]])
-        depth = force / plant.drake.stiffness_of(count_forces(pair))
-        worst = int(np.argmax(lift - depth))
-        if lift[worst] > depth[worst]:
-            at_most = plant.friction * depth[worst] / lift[worst]
-            raise ScenarioError(
-                f"plant.drake.contact: sap lifts a sliding body by (2 relaxation + step) friction "
-                f"slip speed = {1e3 * lift[worst]:.3g} mm, and contact '{pair.name}' is only "
-                f"{1e3 * depth[worst]:.3g} mm deep ({force[worst]:.3g} N, {speeds[worst, i]:.3g} "
-                "m/s): it would open and bounce without any fault of the controller; choose "
-                f"lagged, a smaller relaxation, or a friction below {at_most:.2g}"
-            )
 
 
 def build_rig(scenario: str | Path | Scenario, chains: MakesChain | None = None) -> Rig:
