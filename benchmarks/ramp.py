@@ -22,8 +22,8 @@ import typer
 from rich.console import Console
 
 import osc_contact as osc
+from benchmarks.curved_faces import TangentPlane
 from benchmarks.measuring import side_by_side, table_from
-from osc_contact.lab.plants.mujoco import MujocoPlant
 from osc_contact.lab.rig.rig import PLANTS
 from osc_contact.lab.sweeps.rows import without_logged_doubts
 from osc_contact.spatial import Array
@@ -135,20 +135,8 @@ def foot_on_ramp(p: Array) -> tuple[Array, Array]:
     raise ValueError(f"{p} m is beyond the ramp")
 
 
-class RampPlant(MujocoPlant):
+class RampPlant(TangentPlane):
     """MujocoPlant whose one face is put, before each step, where the ramp is nearest."""
-
-    def reset(self, q: Array) -> None:
-        """Start at rest at q (n,)."""
-        super().reset(q)
-        self._put()
-        self._mj.mj_forward(self.model, self.data)
-
-    def command(self, tau: Array, duration: float) -> None:
-        """Hold the torques over the steps that fit into `duration`."""
-        for _ in range(self.steps_in(duration)):
-            self._put()
-            super().command(tau, self._step)
 
     def _put(self) -> None:
         """Put the face, whose upper side is 0.5 mm above its origin."""
@@ -282,7 +270,7 @@ def scenario(folder: Path, force: float, speed: float) -> osc.Scenario:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is judged of a run.
+    """Metrics of a run on the ramp.
 
     Attributes:
         settling: time from the first contact until the force stays within `BAND`, while the tool

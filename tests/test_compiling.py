@@ -101,7 +101,7 @@ def test_no_field_of_a_record_is_named_like_an_attribute(name):
     ids=["plain", "plain for longer", "jit", "quick"],
 )
 def test_torques_are_equal_to_the_bit_however_the_law_is_compiled(tmp_path, other, duration):
-    """As plain Python, by numba in its usual way (some minutes), and function by function.
+    """Compare the law as plain Python, by numba in its usual way, and function by function.
 
     LLVM does not reorder sums at any level; the lower one compiles in two thirds of the time.
     """

@@ -16,12 +16,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from llvmlite import binding as llvm
-from numba.core.compiler_lock import global_compiler_lock
 
 from osc_contact.errors import OscContactError
 from osc_contact.law import library
 from osc_contact.law.platforms import PLAIN, pass_builder, pointer_bytes
-from osc_contact.law.units import Part, defined, inlined_in, machinery, needed, store
+from osc_contact.law.units import (
+    Part,
+    defined,
+    global_compiler_lock,
+    inlined_in,
+    machinery,
+    needed,
+    store,
+)
 
 #: Number of translated parts that remain in the user's cache, some 20 kB each.
 KEPT = 4_000
