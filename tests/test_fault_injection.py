@@ -84,6 +84,15 @@ def test_drawn_moments_that_were_once_found_wrong(name, case):
     assert verdict.state is SAFE_STOP
 
 
+@parametrize("every", first([3, 2], 1))
+def test_wrists_that_motors_contradict_do_not_show_that_an_arm_has_let_go(every):
+    """Their readings are limited; one arm alone is too weak to carry the object, and sinks."""
+    case = Case("saturated", every=every, seed=2911)
+    verdict = try_fault("wrists saturate", case, fault_for=1.0, stopped_for=5.0)
+    assert verdict.state is SAFE_STOP and "contradict its wrist" in verdict.reason
+    assert not verdict.wrong, verdict
+
+
 @parametrize("where", first(LET_GO, 2), ids=str)
 def test_arms_of_which_one_has_let_go_of_the_object_come_to_rest(where):
     """The one that holds it carries all of it, the other one nothing."""

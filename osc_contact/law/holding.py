@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from math import isfinite, sqrt
 
+from osc_contact.law.agreement import UNBALANCED
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, turn_axes
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.phases import slew
 from osc_contact.law.reading import read_wrist
 from osc_contact.law.records import BRAKED, SAFE_STOP, SETTLED
+from osc_contact.law.sensors import WRIST_FROZEN
 from osc_contact.law.vectors import (
     ZERO,
     ZERO_3,
@@ -208,8 +210,10 @@ def _weigh(t, k, world, outboard):
     An arm whose load is below `_LIGHT` times its share of the object's weight for `LET_GO_TIME` has
     let go; this is not revoked until the next stop as long as other arms hold the object, because
     vibrations or errors of the sensor may look like a load later. The load of an arm that holds
-    passes zero, too, as braking shakes the object: in a few milliseconds. Fills `load`, `light`,
-    `weighed` and `let_go` of the arm in MEMORY.
+    passes zero, too, as braking shakes the object: in a few milliseconds. Wrists are no evidence
+    if motor torques have contradicted one of them, as an error of scale, range or wiring concerns
+    all; nor is a wrist whose reading repeats. Fills `load`, `light`, `weighed` and `let_go` of the
+    arm in MEMORY.
 
     Args:
         t: Tick after `move_arm`. k: arm. world: (3,) origin of the world, reference point of the
@@ -229,7 +233,9 @@ def _weigh(t, k, world, outboard):
     arm_memory.weighed = 1
     load = add3(arm_memory.load, share, minus3(minus3(wrench, outboard), arm_memory.load))
     fill3(arm_memory.load, load)
+    is_frozen = t.memory.cause == WRIST_FROZEN and t.memory.culprit == k
     is_light = arm_memory.holds == 0 and sqrt(dot3(load, load)) < _LIGHT * _weight_share(t)
+    is_light = is_light and not is_frozen and t.memory.cause != UNBALANCED
     arm_memory.light = arm_memory.light + model.period if is_light else 0.0
     if arm_memory.light > LET_GO_TIME:
         arm_memory.let_go = 1
