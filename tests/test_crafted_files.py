@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from crafted_files import BASES, FLOATS, KINDS, SOUND, Base, built, whole_fields
 from numpy.random import default_rng
-from processes import completed
+from processes import completed, python
 from pytest import mark
 from rigs import refused
 from samples import aligned, first, module_fixture, parametrize
@@ -20,6 +20,7 @@ from osc_contact.control.without_python import ERRORS, write_library
 from osc_contact.lab.runs.run import start
 from osc_contact.law import records
 from osc_contact.law.jit import HAS_LIBRARY
+from osc_contact.law.reasons import CODES
 
 pytestmark = mark.skipif(not HAS_LIBRARY, reason="no library of the law is used here")
 OUT_OF_RANGE, DAMAGED = (-list(ERRORS).index(name) for name in ("OUT_OF_RANGE", "DAMAGED"))
@@ -41,6 +42,14 @@ def rod(tmp_path_factory):
 
 
 # --- The declaration ------------------------------------------------------------------------------
+
+
+def test_the_ranges_of_reasons_are_known_to_a_program_that_asks_for_them_first():
+    """No module of the law has been imported before; a stopped controller could not be saved."""
+    words = (
+        "from osc_contact.control import record_ranges; print(record_ranges.RELATIONS['MEMORY'])"
+    )
+    assert f"reason <= {max(CODES.values())}" in python("-c", words).stdout
 
 
 def test_every_whole_number_and_every_number_has_a_range():

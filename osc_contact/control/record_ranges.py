@@ -33,6 +33,7 @@ from typing import Any
 
 import numpy as np
 
+import osc_contact.law.tick  # noqa: F401  its modules declare the reasons
 from osc_contact.errors import InvalidInputError
 from osc_contact.law import records as at
 from osc_contact.law.limits import PROGRAM
