@@ -93,6 +93,13 @@ def test_wrists_that_motors_contradict_do_not_show_that_an_arm_has_let_go(every)
     assert not verdict.wrong, verdict
 
 
+def test_an_arm_with_encoders_far_noisier_than_expected_is_held_at_rest():
+    """Speeds are estimated from them; with the gains of quiet encoders it moved at 2.6 rad/s."""
+    case = Case(scenario="panda_wrist", every=3, seed=2911)
+    verdict = try_fault("encoder noise of 5 mrad", case, fault_for=1.0, stopped_for=5.0)
+    assert verdict.state is SAFE_STOP and not verdict.wrong, verdict
+
+
 @parametrize("where", first(LET_GO, 2), ids=str)
 def test_arms_of_which_one_has_let_go_of_the_object_come_to_rest(where):
     """The one that holds it carries all of it, the other one nothing."""

@@ -21,6 +21,7 @@ from osc_contact.interface import Measurement, Touched
 from osc_contact.lab.plants.sensors import SensedPlant, SensorErrors, Sensors
 from osc_contact.lab.scenarios.hardware import Clock, VisionSpec
 from osc_contact.sensing.calibration import calibrate_wrist
+from osc_contact.sensing.reading_noise import ReadingNoise
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.sensing.vision_fusion import History, Registration
 
@@ -407,6 +408,46 @@ def test_a_slow_sensor_is_followed_between_its_samples():
     x, v = np.array(found[4000:])[..., 0].T
     assert_near(v, 0.02, rtol=0.01)
     assert largest(np.diff(x)) < 1e-3  # no jumps at the samples
+
+
+@parametrize("noise", [3e-4, 5e-3])
+def test_noise_far_beyond_the_expected_one_is_measured(noise):
+    """By third differences, of a joint that moves; what is expected is returned as it is."""
+    rng = default_rng(3)
+    sensors = ReadingNoise(vector(2e-5, 2e-5), DT)
+    found = []
+    for k in range(1000):
+        x = 0.3 * np.sin(2.0 * np.pi * DT * k) + vector(2e-5, noise) * rng.standard_normal(2)
+        found.append(sensors.update(x))
+    assert (np.array(found)[:, 0] == 2e-5).all() and sensors.is_loud
+    assert_near(np.mean(found[300:], axis=0)[1], noise, rtol=0.1)
+    first_loud = np.argmax(np.array(found)[:, 1] > 2e-5)
+    assert first_loud < 200.0 * 2e-4 / noise
+
+
+@parametrize("bits", [14, 16, 20])
+@parametrize("speed", [0.0, 1e-3, 0.05, 2.0])
+def test_resolution_jolts_and_missing_readings_are_no_noise(bits, speed):
+    step = 2.0 * np.pi / 2**bits
+    sensors = ReadingNoise(vector(step / np.sqrt(12.0)), DT)
+    x, v = 0.1, speed
+    for k in range(2000):
+        x, v = x + DT * v, v + (1000.0 * DT if 500 <= k < 502 else 0.0)
+        reading = np.nan if k % 7 == 0 else np.round(x / step) * step
+        assert sensors.update(vector(reading))[0] == sensors.expected[0]
+    assert not sensors.is_loud
+
+
+@parametrize("make", [VelocityEstimate.optimal, VelocityEstimate.learning])
+def test_an_estimate_that_expects_another_noise_is_the_one_made_for_it(make):
+    """From there on; those made of gains know no noise."""
+    loud = make(vector(5e-3), 0.8, DT)
+    estimate = make(vector(2e-5), 0.8, DT)
+    estimate.expect_noise(vector(5e-3))
+    for x in default_rng(1).normal(scale=5e-3, size=(50, 1)):
+        assert_near(estimate.update(x, vector(3.0)), loud.update(x, vector(3.0)), rtol=1e-12)
+    with invalid_input("made from gains"):
+        at_two(0.5, 0.1).expect_noise(vector(1.0))
 
 
 # Vision fused with encoders: the camera's frame found, its delay undone, its noise weighed.

@@ -26,7 +26,9 @@ filtering, IEEE Trans. Automatic Control 14, 1969).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -39,6 +41,10 @@ _CHANGES = (
 )
 _MOST = 1.5  #: largest share c, of a joint whose links or rotors are modelled too heavy
 _EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
+
+
+#: Function that returns the gains α, β, γ (k,) for the noise (k,) of the readings.
+Design = Callable[[Array], tuple[Array, Array, Array]]
 
 
 def smallest_bandwidth(brake: float, integral: float, mode: float) -> float:
@@ -121,7 +127,8 @@ class VelocityEstimate:
         self._variance = np.full(len(self.alpha), _DOUBT**2)
         #: (3, k) derivatives of x, v and unknown by the share
         self._by_share = np.zeros((3, len(self.alpha)))
-        self._gains = np.array([self.alpha, self.beta / self.sample, self.gamma / self.sample**2])
+        self._gains = self._scaled_gains()
+        self._design: Design | None = None
         self._learns = bool(np.isfinite(self.scatter).all())
 
     @classmethod
@@ -147,11 +154,8 @@ class VelocityEstimate:
                 f"velocity estimate: noise {noise} and unknown acceleration {acceleration} must "
                 "both be > 0; without noise take the resolution of the sensor"
             )
-        index = acceleration * (sample or dt) ** 2 / noise
-        u = 1.0 / 3.0 + np.sqrt(1.0 / 12.0 + 4.0 / index**2)
-        beta = 12.0 / (6.0 * (u + np.sqrt(u)) + 1.0)
-        alpha = beta * np.sqrt(u)
-        return cls(alpha, beta, dt, sample, scatter=_scatter(noise, alpha))
+        design = partial(_optimal_gains, acceleration=acceleration, period=sample or dt)
+        return cls._designed(design, noise, dt, sample)
 
     @classmethod
     def learning(
@@ -172,12 +176,45 @@ class VelocityEstimate:
         """
         cls.optimal(noise, acceleration, dt, sample)  # raises for numbers that are not > 0
         period = max(sample, dt)
-        pole = np.exp(-_EQUAL_NOISE * np.sqrt(np.divide(acceleration, noise)) * period)
-        pole = np.atleast_1d(pole)
-        decay = 1.0 - pole
-        beta = 1.5 * decay**2 * (1.0 + pole)
-        alpha = 1.0 - pole**3
-        return cls(alpha, beta, dt, period, decay**3, _scatter(noise, alpha))
+        design = partial(_learning_gains, acceleration=np.asarray(acceleration), period=period)
+        return cls._designed(design, np.atleast_1d(noise), dt, period)
+
+    @classmethod
+    def _designed(cls, design: Design, noise: Array, dt: float, sample: float) -> VelocityEstimate:
+        """Make an estimate with the gains of a design for the noise of the readings.
+
+        Args:
+            design: function that returns gains. noise: (k,) rms noise (m, rad). dt, sample: see
+                the class.
+        """
+        alpha, beta, gamma = design(noise)
+        estimate = cls(alpha, beta, dt, sample, gamma, _scatter(noise, alpha))
+        estimate._design = design
+        return estimate
+
+    def expect_noise(self, noise: Array) -> None:
+        """Change the gains to those that `optimal` or `learning` have for another noise.
+
+        Position, velocity, unknown acceleration and share continue without a jump.
+
+        Args:
+            noise: (k,) rms noise of the readings (m, rad).
+
+        Raises:
+            InvalidInputError: the estimate was made from gains.
+        """
+        if self._design is None:
+            raise InvalidInputError(
+                "velocity estimate: it was made from gains; make it from the noise of the readings "
+                "by VelocityEstimate.optimal or .learning"
+            )
+        self.alpha, self.beta, self.gamma = self._design(noise)
+        self.scatter = _scatter(noise, self.alpha)
+        self._gains = self._scaled_gains()
+
+    def _scaled_gains(self) -> Array:
+        """Gains (3, k) of position, velocity (1/s) and unknown acceleration (1/s²)."""
+        return np.array([self.alpha, self.beta / self.sample, self.gamma / self.sample**2])
 
     @property
     def noise_gain(self) -> Array:
@@ -263,6 +300,32 @@ class VelocityEstimate:
         share = np.clip(self.share + gain * innovation, 0.0, _MOST)
         self._correct(self._by_share * (share - self.share))
         self.share = share
+
+
+def _optimal_gains(noise: Array, acceleration: Array, period: float) -> tuple[Array, Array, Array]:
+    """Compute the stationary Kalman gains α and β (k,), see the module; γ is zero.
+
+    Args:
+        noise: (k,) rms noise of the readings (m, rad). acceleration: (k,) rms of the unknown
+            acceleration (m/s², rad/s²). period: of the readings (s).
+    """
+    index = acceleration * period**2 / noise
+    u = 1.0 / 3.0 + np.sqrt(1.0 / 12.0 + 4.0 / index**2)
+    beta = 12.0 / (6.0 * (u + np.sqrt(u)) + 1.0)
+    return beta * np.sqrt(u), beta, np.zeros(len(beta))
+
+
+def _learning_gains(noise: Array, acceleration: Array, period: float) -> tuple[Array, Array, Array]:
+    """Compute the gains α, β and γ (k,) of `VelocityEstimate.learning`.
+
+    Args:
+        noise: (k,) rms noise of the readings (m, rad). acceleration: (k,) rms of the unknown
+            acceleration (m/s², rad/s²). period: of the readings (s).
+    """
+    pole = np.exp(-_EQUAL_NOISE * np.sqrt(np.divide(acceleration, noise)) * period)
+    pole = np.atleast_1d(pole)
+    decay = 1.0 - pole
+    return 1.0 - pole**3, 1.5 * decay**2 * (1.0 + pole), decay**3
 
 
 def _scatter(noise: Array, alpha: Array) -> Array:

@@ -24,6 +24,7 @@ from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.loop.judge import Plant
 from osc_contact.robots.model import sliding
 from osc_contact.sensing.dead_encoders import DeadEncoders
+from osc_contact.sensing.reading_noise import ReadingNoise
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.sensing.vision_fusion import Registration, VisionFusion
 from osc_contact.spatial import Array
@@ -279,7 +280,8 @@ class ObservedRobot:
 
     Joint velocities are estimated from encoders, the motion of bodies from vision. Readings are
     extrapolated over the sensors' known delay. Ideal readings pass unchanged. Positions and
-    velocities of dead encoders are NaN.
+    velocities of dead encoders are NaN. Velocities from encoders that are far noisier than the
+    scenario says are estimated with the gains for their measured noise.
 
     Attributes:
         robot: robot that measures. controller: controller of the loop.
@@ -324,7 +326,8 @@ class ObservedRobot:
             self._delay = spec.encoder.delay
             self._accepted = np.full(chain.nq, np.nan)
             self._missed = np.zeros(chain.nq)
-            self._joints, _ = joint_estimate(scenario, chain, measured_forces)
+            self._joints, error = joint_estimate(scenario, chain, measured_forces)
+            self._noise = ReadingNoise(error, 1.0 / spec.encoder.rate)
             noise = _joint_errors(chain, spec.encoder, attrgetter("noise"))
             resolution = _joint_errors(chain, spec.encoder, attrgetter("resolution"))
             self._dead = DeadEncoders(noise, resolution)
@@ -367,6 +370,8 @@ class ObservedRobot:
             fresh = stamps.encoders > self._sampled
             q = np.where(implausible, np.nan, measurement.q)
             dead = self._dead.update(measurement.q, fresh)
+            if fresh:
+                self._expect_noise(self._joints, q)
             q, v = self._joints.update(np.where(dead, np.nan, q), self._acceleration, fresh)
             q = np.where(implausible | dead, np.nan, q + self._delay * v)
             v = np.where(dead, np.nan, v)  # only predicted
@@ -383,6 +388,17 @@ class ObservedRobot:
         self._ticks += 1
         self._sampled = stamps.encoders
         return measurement
+
+    def _expect_noise(self, estimate: VelocityEstimate, q: Array) -> None:
+        """Change the gains of the estimated velocities while encoders are noisier than expected.
+
+        Args:
+            estimate: of the joints. q: (n,) new readings (rad, m); NaN: implausible.
+        """
+        was_loud = self._noise.is_loud
+        noise = self._noise.update(q)
+        if was_loud or self._noise.is_loud:
+            estimate.expect_noise(noise)
 
     def command(self, tau: Array, duration: float) -> None:
         """Command the robot, and store the joint accelerations that the next estimate expects.
