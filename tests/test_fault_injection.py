@@ -100,6 +100,20 @@ def test_an_arm_with_encoders_far_noisier_than_expected_is_held_at_rest():
     assert verdict.state is SAFE_STOP and not verdict.wrong, verdict
 
 
+def test_an_arm_whose_posture_motors_and_wrist_both_contradict_asks_for_brakes():
+    """It followed its drifting encoder for ever: speeds are estimated from it."""
+    case = Case(scenario="panda_wrist", every=3, seed=2911)
+    verdict = try_fault("encoder drifts by 0.2 rad/s", case, stopped_for=1.0)
+    assert verdict.state is SAFE_STOP and verdict.unbraked and not verdict.wrong, verdict
+
+
+@parametrize("name", first(["wrists times 0.3", "wrists mirrored", "wrist offset of 20 N"], 1))
+def test_an_arm_whose_wrist_alone_is_wrong_keeps_its_encoders(name):
+    case = Case(scenario="panda_wrist", every=3, seed=2911)
+    verdict = try_fault(name, case, 0.6, stopped_for=1.0)
+    assert verdict.state is SAFE_STOP and not verdict.unbraked and not verdict.wrong, verdict
+
+
 @parametrize("where", first(LET_GO, 2), ids=str)
 def test_arms_of_which_one_has_let_go_of_the_object_come_to_rest(where):
     """The one that holds it carries all of it, the other one nothing."""

@@ -160,12 +160,26 @@ def _follow_centre(t):
 
 
 @leaf
+def carried_force(t, acceleration):
+    """Force (three numbers, N) by which each arm carries and accelerates its share of the object.
+
+    Each arm is assumed to bear an equal share of the object's weight and inertia, and of the tare.
+
+    Args:
+        t: Tick. acceleration: (3,) acceleration of the object's centre of mass (m/s²).
+    """
+    model = t.model
+    mass = model.principal[0] / model.n_arms if model.held else 0.0
+    force = scaled3(mass, minus3(acceleration, model.gravity))
+    return add3(force, 1.0 / model.n_arms, t.memory.f_tare)
+
+
+@leaf
 def _largest_load(t, acceleration):
     """Find the wrist with the largest force, from which weight and inertial force are subtracted.
 
     Reads `net` of the arms, the reading of the wrist less weight and inertia of the bodies between
-    it and the object. Each arm is assumed to bear an equal share of the object's weight and
-    inertia, and of the tare.
+    it and the object.
 
     Args:
         t: Tick. acceleration: (3,) acceleration of the object's centre of mass (m/s²).
@@ -174,10 +188,7 @@ def _largest_load(t, acceleration):
         Index of the arm, and the force (N).
     """
     model = t.model
-    mass = model.principal[0] / model.n_arms if model.held else 0.0
-    carried = add3(
-        scaled3(mass, minus3(acceleration, model.gravity)), 1.0 / model.n_arms, t.memory.f_tare
-    )
+    carried = carried_force(t, acceleration)
     arm = 0
     largest = 0.0
     for k in range(model.n_arms):

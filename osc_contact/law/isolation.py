@@ -8,12 +8,16 @@ sound readings. Missing and faulty positions and speeds are estimated from sound
 from __future__ import annotations
 
 from osc_contact.law.agreement import UNBALANCED_TIME
+from osc_contact.law.ceilings import carried_force
 from osc_contact.law.jit import inner
 from osc_contact.law.records import FAULTY_POSITION, FAULTY_SPEED
-from osc_contact.law.vectors import clamped
+from osc_contact.law.vectors import angular, clamped, dot3, dot6, join, minus3
 
 _DISTANCE = 0.25  #: share of `position_drift` by which a lasting speed must change the position
 _SLOPE = 0.005  #: s, time constant of the speed estimate from positions
+#: share of a wrist's reading by which it differs from its load if the posture is wrong: weight
+#: turned by 15°
+_TURNED = 0.25
 _SPEED_SHARE = 0.2  #: share of the positions' error at which an estimated speed is faulty
 DEAD = 0.01  #: s of identical readings of all joints after which the whole packet is dead
 BLIND = 0.01  #: s without a sound reading after which a joint cannot be braked
@@ -69,6 +73,43 @@ def isolate_packet(t):
     """
     memory = t.memory
     for j in range(t.model.n_joints if memory.still > UNBALANCED_TIME else 0):
+        memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED
+
+
+@inner
+def isolate_posture(t):
+    """Mark all readings of a single arm as faulty if motors, wrist and encoders all disagree.
+
+    Weights and inertia at the posture that encoders read predict the torques of the motors and the
+    load of the wrist. Where motors and wrist contradict each other, the wrist is wrong if torques
+    are as predicted, and something drags at the arm inboard of the wrist if the load is. If neither
+    is, the posture is wrong, by an encoder that is not known. If speeds are estimated from
+    encoders, none of the arm is sound then.
+
+    The load of an arm in contact, or of one of several at an object, is not predicted: no reading
+    of such arms is marked. Reads `residual` and `faulty` of the joints and `centre_rate` in MEMORY,
+    `net` of the arm in WORK, and its wrench in INPUT.
+
+    Args:
+        t: Tick of a contradiction between motors and the wrist of an arm, the `culprit` of MEMORY.
+    """
+    model = t.model
+    memory = t.memory
+    if memory.derived == 0 or model.n_arms != 1 or t.work.rank > 0:
+        return
+    arm = model.arms[memory.culprit]
+    net = t.work.arms[memory.culprit].net
+    reading = t.input.wrenches[memory.culprit]
+    force = minus3(net, carried_force(t, memory.centre_rate))
+    if dot3(force, force) < _TURNED**2 * dot3(reading, reading):
+        return
+    excess = join(force, angular(net))  # of the wrist's load over the predicted one
+    is_wrong = False
+    for j in range(arm.first, arm.sensor_joint + 1):
+        torque = memory.joints[j].residual + dot6(t.work.joints[j].column, excess)
+        bound = 2.0 * model.wrist_error * model.joints[j].tau_max
+        is_wrong = is_wrong or (model.joints[j].motor >= 0 and abs(torque) > bound)
+    for j in range(arm.first, arm.end if is_wrong else arm.first):
         memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED
 
 
