@@ -7,7 +7,7 @@ from active_set_cases import KNOWN, sequence, torques, worst
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from processes import python
-from pytest import mark, raises
+from pytest import approx, mark, raises
 from rigs import UNLIMITED, assert_near, held_tick, largest, panda_pair, posed, rig_of
 from samples import first, parametrize
 from test_without_python import files, library, run  # noqa: F401
@@ -86,17 +86,17 @@ def packaged(seed, count):
 # --- what is active -------------------------------------------------------------------------------
 
 
-def vertices(count, life=None):
+def vertices(count, life=None, rise=0.0):
     """Two Pandas whose object stands on a plane with so many vertices."""
     chain = panda_pair()
     q, _, X = posed(chain, default_rng(1))
-    at_once = osc.ForceGains(rise=0.0)
+    force = osc.ForceGains(rise=rise)
     rng = default_rng(2)
     spots = np.column_stack((rng.uniform(-0.2, 0.2, (count, 2)), np.full(count, -0.05)))
     up = X.rotation @ np.array([0.0, 0.0, 1.0])
     pairs = [osc.VertexOnFace(spot, X.act(spot), up) for spot in spots]
     how = {"life": life, "posture": q, "safety": UNLIMITED}
-    controller = osc.Controller(chain, pairs, osc.Gains(force=at_once), **how)
+    controller = osc.Controller(chain, pairs, osc.Gains(force=force), **how)
     measured = osc.Measurement(q, 0.0 * q, 10.0 * rng.standard_normal((2, 6)))
     return (controller, measured, X)
 
@@ -187,6 +187,53 @@ def test_torques_go_gently_after_the_set_has_changed():
             steps.append(largest((tau - last) / controller.chain.tau_max))
         last = tau
     assert 0.005 < max(steps[9:]) < 0.01
+
+
+@parametrize("life", [None, osc.PhaseSettings(rise=1e-3)])
+def test_a_contact_is_unloaded_before_it_leaves(life):
+    """Its command goes to zero within the rise time of a step; those of the others stay."""
+    controller, measured, X = vertices(3, life, rise=0.1)
+    work = controller.records.work
+    desired = np.array([4.0, 8.0, 6.0])
+    seen = []
+    for k in range(320):
+        active = np.array([1.0, 1.0, k < 180])
+        reference = osc.Reference(X, alpha_d=desired * active, active=active)
+        controller.tick(measured, reference)
+        controller.records.memory.fresh = 0  # the readings are random, so they open no contact
+        seen.append([*work.columns.goal, controller.phases()[2]])
+    *goals, phase = np.array(seen).T
+    x = np.clip((np.arange(320) - 180) / 100, 0.0, 1.0)
+    assert_near(goals[0][170:], 4.0)
+    assert_near(goals[1][170:], 8.0)
+    assert_near(goals[2][170:280], (6.0 * (1 - x) ** 3 * (1 + 3 * x + 6 * x**2))[170:280], atol=1e-9)
+    assert_array_equal(phase[170:280], CLOSED)
+    assert_array_equal(phase[282:], OPEN)
+
+
+def test_a_contact_that_is_named_again_while_it_is_unloaded_stays():
+    controller, measured, X = vertices(3, rise=0.1)
+    goal = []
+    for k in range(500):
+        active = np.array([1.0, 1.0, not 200 <= k < 250])
+        controller.tick(measured, osc.Reference(X, alpha_d=6.0 * active, active=active))
+        goal.append(controller.records.work.columns.goal[2])
+        assert controller.active[2]
+    steps = np.abs(np.diff(goal[150:]))
+    assert 1.0 < min(goal[150:]) < 3.0 and goal[-1] == approx(6.0)
+    assert steps.max() < 2.5 * 6.0 / 100  # of a quintic: 1.9 times its mean slope
+
+
+def test_unloading_ends_while_other_forces_step_on():
+    """Each step of another contact lengthens the step to zero, for twice its rise time at most."""
+    controller, measured, X = vertices(3, rise=0.1)
+    here = []
+    for k in range(700):
+        active = np.array([1.0, 1.0, k < 200])
+        alpha_d = active * np.array([8.0, 4.0 + 4.0 * (k // 20 % 2), 6.0])
+        controller.tick(measured, osc.Reference(X, alpha_d=alpha_d, active=active))
+        here.append(controller.active[2])
+    assert here[250] and not any(here[405:])
 
 
 # --- a beginning in the air -----------------------------------------------------------------------

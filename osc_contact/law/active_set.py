@@ -9,6 +9,11 @@ are active:
 | active, with phases | APPROACHING, then CLOSED, for any desired force | CLOSED |
 | active, without phases | CLOSED | CLOSED |
 
+A closed contact that is no longer named is unloaded first: it stays in N, CLOSED, while its desired
+force goes to zero as every step of a desired force does, within `step_time` (`commands`). Removed
+at once, it would press on for as long as the torques take, and its force would be read as that of
+the others, which are then pressed less.
+
 If no active contacts are named, a pair that pushes is active while a force is desired of it (with
 phases; otherwise always), and a pair that holds is always active.
 
@@ -24,6 +29,9 @@ from __future__ import annotations
 from osc_contact.law.jit import inner
 from osc_contact.law.phases import APPROACHING, CLOSED, OPEN, advance_phases, set_goals
 from osc_contact.law.records import contact_of
+from osc_contact.law.vectors import dot3, linear
+
+_UNLOADED = 2.0  #: longest duration of unloading, as a multiple of the rise time of a step
 
 
 @inner
@@ -61,10 +69,10 @@ def update_contacts(t):
 
 @inner
 def _take_set(t):
-    """Open contacts that are not active, and close or approach those that are.
+    """Open contacts that are not active once they are unloaded; close or approach those that are.
 
-    Reads `chosen_set` and `active` of INPUT, and `dt`. Updates `phase`, `since` (s) and `held` of
-    the contacts in MEMORY.
+    Reads `chosen_set` and `active` of INPUT, and `dt`. Updates `phase`, `since` (s), `held` and
+    `unloading` (s) of the contacts in MEMORY, and `goal` (N), 0 for columns that are unloaded.
 
     Args:
         t: Tick.
@@ -78,8 +86,10 @@ def _take_set(t):
         contact = t.memory.contacts[c]
         phase = contact.phase
         is_approached = model.phased and model.bodies[c].pushes
+        unloads = t.input.chosen_set and t.input.active[c] == 0.0 and _unload(t, c)
+        contact.unloading = contact.unloading + t.work.dt if unloads else 0.0
         if t.input.chosen_set and t.input.active[c] == 0.0:
-            phase = OPEN
+            phase = phase if unloads else OPEN
         elif phase == OPEN:
             phase = APPROACHING if is_approached else CLOSED
         if model.phased == 0:
@@ -91,6 +101,38 @@ def _take_set(t):
             _begin_columns(t, c, phase)
         changed = changed or (phase != OPEN) != (contact.active != 0)
     return changed
+
+
+@inner
+def _unload(t, c):
+    """Set the desired forces of a contact that is not active to zero, unless it carries none.
+
+    Reads, of MEMORY, `phase` and `unloading` of the contact, `has_desired`, `desired` (N) and
+    `to_come` of its columns, and `step_left`. Sets `goal` (N) of its columns to 0.
+
+    Args:
+        t: Tick. c: index of the contact.
+
+    Returns:
+        Whether a force was commanded of it in the last tick, so that it stays in N: its desired
+        force was not zero, or its step to zero lasts. False if steps are not shaped, or if
+        unloading has lasted too long because steps of other contacts follow each other.
+    """
+    model = t.model
+    contact = t.memory.contacts[c]
+    may_last = contact.unloading <= _UNLOADED * model.step_time
+    if contact.phase != CLOSED or model.step_time == 0.0 or not may_last:
+        return False
+    is_loaded = False
+    for j in range(model.n_columns):
+        if model.columns[j].contact != c:
+            continue
+        row = t.memory.columns[j]
+        to_come = linear(row.to_come)
+        steps = t.memory.step_left > 0.0 and dot3(to_come, to_come) > 0.0
+        is_loaded = is_loaded or (row.has_desired != 0 and (row.desired != 0.0 or steps))
+        t.work.goal[j] = 0.0
+    return is_loaded
 
 
 @inner
