@@ -191,7 +191,7 @@ def test_torques_go_gently_after_the_set_has_changed():
 
 @parametrize("life", [None, osc.PhaseSettings(rise=1e-3)])
 def test_a_contact_is_unloaded_before_it_leaves(life):
-    """Its command goes to zero within the rise time of a step; those of the others stay."""
+    """Its command goes to zero within the rise time of a step; the others are held meanwhile."""
     controller, measured, X = vertices(3, life, rise=0.1)
     work = controller.records.work
     desired = np.array([4.0, 8.0, 6.0])
@@ -201,14 +201,15 @@ def test_a_contact_is_unloaded_before_it_leaves(life):
         reference = osc.Reference(X, alpha_d=desired * active, active=active)
         controller.tick(measured, reference)
         controller.records.memory.fresh = 0  # the readings are random, so they open no contact
-        seen.append([*work.columns.goal, controller.phases()[2]])
-    *goals, phase = np.array(seen).T
+        seen.append([*work.columns.goal, controller.phases()[2], work.integral_scale])
+    *goals, phase, integral_scale = np.array(seen).T
     x = np.clip((np.arange(320) - 180) / 100, 0.0, 1.0)
     assert_near(goals[0][170:], 4.0)
     assert_near(goals[1][170:], 8.0)
     assert_near(goals[2][170:280], (6.0 * (1 - x) ** 3 * (1 + 3 * x + 6 * x**2))[170:280], atol=1e-9)
     assert_array_equal(phase[170:280], CLOSED)
     assert_array_equal(phase[282:], OPEN)
+    assert_array_equal(integral_scale[170:], 1.0)
 
 
 def test_a_contact_that_is_named_again_while_it_is_unloaded_stays():
