@@ -206,7 +206,9 @@ def test_a_contact_is_unloaded_before_it_leaves(life):
     x = np.clip((np.arange(320) - 180) / 100, 0.0, 1.0)
     assert_near(goals[0][170:], 4.0)
     assert_near(goals[1][170:], 8.0)
-    assert_near(goals[2][170:280], (6.0 * (1 - x) ** 3 * (1 + 3 * x + 6 * x**2))[170:280], atol=1e-9)
+    assert_near(
+        goals[2][170:280], (6.0 * (1 - x) ** 3 * (1 + 3 * x + 6 * x**2))[170:280], atol=1e-9
+    )
     assert_array_equal(phase[170:280], CLOSED)
     assert_array_equal(phase[282:], OPEN)
     assert_array_equal(integral_scale[170:], 1.0)

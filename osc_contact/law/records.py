@@ -347,8 +347,8 @@ _MEMORY = _record(
 )
 CONTACT_MEMORY = _record(
     whole=("active", "phase", "held"),  # held: 1 once a steady force was measured since OPEN
-    # of the force law: K_i (1/s), K_v (N s/m), κ (1/s), α_min (N); s in the present phase; s since a
-    # closed contact was named not active
+    # of the force law: K_i (1/s), K_v (N s/m), κ (1/s), α_min (N); s in the present phase;
+    # s since a closed contact was named not active
     number=("gain", "damping", "brake", "least", "since", "unloading"),
 )
 COLUMN_MEMORY = _record(
