@@ -168,6 +168,19 @@ def test_torques_go_gently_around_a_change_but_for_fast_joints():
         assert law.max_speed_ratio(t) == approx(most)
 
 
+@parametrize("chosen, expected", [(0, 200.0), (1, 0.45 * 20.0)])
+@parametrize("passing", [{"phase": APPROACHING}, {"phase": CLOSED, "unloading": 0.02}])
+def test_torques_go_gently_while_a_named_contact_comes_or_goes(passing, chosen, expected):
+    t = records(contacts=2, torque_rate=200.0, phase_rate=20.0, phased=1)
+    t.memory.contacts.phase = CLOSED
+    t.memory.contacts.since = 9.0
+    t.memory.chosen_set = chosen
+    assert law.torque_rate(t, 0.0) == 200.0
+    for name, value in passing.items():
+        setattr(t.memory.contacts[1], name, value)
+    assert law.torque_rate(t, 0.0) == approx(expected)
+
+
 def meet(alpha, speed, mass=0.5, k=None, ticks=700):
     """Tick at which an approach is over; 0: never. alpha (N), speed (m/s): a number, or of k."""
     phases = Phases([0], [True], k, phase=[APPROACHING])

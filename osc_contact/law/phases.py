@@ -348,7 +348,8 @@ def torque_rate(t, share):
     """Largest rate of the motor torques (1/s, as a multiple of the torque limits).
 
     After a change of phase it is smaller, except where joints are fast: there a delayed torque
-    would make a joint deviate from its path.
+    would make a joint deviate from its path. Where the user names active contacts, it is smaller
+    also while a contact is unloaded or approached.
 
     Args:
         t: Tick. share: largest ratio of a joint's speed to its limit, from `max_speed_ratio`.
@@ -362,7 +363,9 @@ def torque_rate(t, share):
     changes = model.phased or t.memory.chosen_set
     if changes and slow > 0.0:
         for c in range(model.n_contacts):
-            if t.memory.contacts[c].since < _CHANGES:
+            contact = t.memory.contacts[c]
+            passes = contact.unloading > 0.0 or contact.phase == APPROACHING
+            if contact.since < _CHANGES or (passes and t.memory.chosen_set):
                 rate = min(rate, gently / (slow * slow))
     return rate
 
