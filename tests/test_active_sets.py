@@ -86,7 +86,7 @@ def packaged(seed, count):
 # --- what is active -------------------------------------------------------------------------------
 
 
-def vertices(count, life=None, rise=0.0):
+def vertices(count, life=None, rise=0.0, **how):
     """Two Pandas whose object stands on a plane with so many vertices."""
     chain = panda_pair()
     q, _, X = posed(chain, default_rng(1))
@@ -95,7 +95,7 @@ def vertices(count, life=None, rise=0.0):
     spots = np.column_stack((rng.uniform(-0.2, 0.2, (count, 2)), np.full(count, -0.05)))
     up = X.rotation @ np.array([0.0, 0.0, 1.0])
     pairs = [osc.VertexOnFace(spot, X.act(spot), up) for spot in spots]
-    how = {"life": life, "posture": q, "safety": UNLIMITED}
+    how |= {"life": life, "posture": q, "safety": UNLIMITED}
     controller = osc.Controller(chain, pairs, osc.Gains(force=force), **how)
     measured = osc.Measurement(q, 0.0 * q, 10.0 * rng.standard_normal((2, 6)))
     return (controller, measured, X)
