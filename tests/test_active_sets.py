@@ -227,6 +227,18 @@ def test_a_contact_that_is_named_again_while_it_is_unloaded_stays():
     assert steps.max() < 2.5 * 6.0 / 100  # of a quintic: 1.9 times its mean slope
 
 
+def test_a_contact_leaves_at_once_where_another_one_takes_its_place():
+    controller, measured, X = vertices(3, rise=0.1)
+    for k in range(300):
+        active = np.array([1.0, k < 200, k >= 200])
+        controller.tick(measured, osc.Reference(X, alpha_d=6.0 * active, active=active))
+        assert controller.active.tolist() == (active != 0).tolist()
+    for k in range(100):  # and while it is unloaded
+        active = np.array([1.0, k >= 20, 0.0])
+        controller.tick(measured, osc.Reference(X, alpha_d=6.0 * active, active=active))
+        assert controller.active.tolist() == [True, k >= 20, k < 20]
+
+
 def test_unloading_ends_while_other_forces_step_on():
     """Each step of another contact lengthens the step to zero, for twice its rise time at most."""
     controller, measured, X = vertices(3, rise=0.1)

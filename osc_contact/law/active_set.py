@@ -12,7 +12,8 @@ are active:
 A closed contact that is no longer named is unloaded first: it stays in N, CLOSED, while its desired
 force goes to zero as every step of a desired force does, within `step_time` (`commands`). Removed
 at once, it would press on for as long as the torques take, and its force would be read as that of
-the others, which are then pressed less.
+the others, which are then pressed less. It leaves at once where another contact becomes active,
+since that one may take its place: their columns would depend on each other.
 
 If no active contacts are named, a pair that pushes is active while a force is desired of it (with
 phases; otherwise always), and a pair that holds is always active.
@@ -82,13 +83,18 @@ def _take_set(t):
     """
     model = t.model
     changed = False
+    comes = False
+    for c in range(model.n_contacts):
+        is_open = t.memory.contacts[c].phase == OPEN
+        comes = comes or (is_open and (t.input.chosen_set == 0 or t.input.active[c] != 0.0))
     for c in range(model.n_contacts):
         contact = t.memory.contacts[c]
         phase = contact.phase
         is_approached = model.phased and model.bodies[c].pushes
-        unloads = t.input.chosen_set and t.input.active[c] == 0.0 and _unload(t, c)
+        leaves = t.input.chosen_set != 0 and t.input.active[c] == 0.0
+        unloads = leaves and not comes and _unload(t, c)
         contact.unloading = contact.unloading + t.work.dt if unloads else 0.0
-        if t.input.chosen_set and t.input.active[c] == 0.0:
+        if leaves:
             phase = phase if unloads else OPEN
         elif phase == OPEN:
             phase = APPROACHING if is_approached else CLOSED
