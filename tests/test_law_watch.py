@@ -220,6 +220,16 @@ def test_a_force_integral_at_its_bound_shows_that_nothing_is_measured(sign):
 
 
 @BOTH
+def test_a_column_without_a_command_has_no_force_to_lose(sign):
+    """Its integral is at its bound at a wedged peg, whose forces the overload limit judges."""
+    contacts = Contacts()
+    contacts.memory.force_sum[1] = sign * 15.0
+    given = ((5.0, sign * 20.0), (5.0, 0.0))
+    assert contacts.ticks_until(CONTACT_LOST, *given) == 0
+    assert contacts.ticks_until(OVERFORCE, (5.0, sign * 30.1), (5.0, 0.0)) == 6
+
+
+@BOTH
 def test_a_contact_is_overloaded_above_three_times_its_command_or_30_newtons(sign):
     for command, alpha, ticks in ((5.0, 29.9, 0), (5.0, 30.1, 6), (20.0, 59.0, 0), (20.0, 61.0, 6)):
         contacts = Contacts()

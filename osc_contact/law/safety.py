@@ -129,8 +129,11 @@ def watch_contacts(t):
 
     The power is P = Σ α_k (NᵀV_rel)_k over the contacts that move into their faces. A contact is
     lost (or its sensor is faulty) if less than a fifth of its command is measured or if its force
-    integral is at its bound; with contact phases, if it is not regained within `regain_time`. It is
-    overloaded above three times its command or above `contact_force`, whichever is larger.
+    integral is at its bound; with contact phases, if it is not regained within `regain_time`. A
+    column without a command, such as one of a hole that holds a peg at zero force, has no force to
+    lose: its integral is at its bound where a force remains that the bound cannot cancel, for
+    example at a wedged peg. It is overloaded above three times its command or above
+    `contact_force`, whichever is larger.
 
     Reads `alpha_meas`, `alpha_d` and `speed`. Updates in MEMORY `underforce` and `overforce` (s) of
     the columns, and `powered` (s); fills `culprit`.
@@ -158,7 +161,7 @@ def watch_contacts(t):
         pressing = alpha if desired > 0.0 else -alpha  # measured force along the desired one
         is_missing = command > _LIGHT and pressing < _SHARE * command
         is_missing = is_missing and model.phased == 0
-        if memory.force_rank == work.rank and memory.by_column == 0:
+        if command > 0.0 and memory.force_rank == work.rank and memory.by_column == 0:
             integral_limit = _FULL * integral_room(model.integral_force, desired)
             is_missing = is_missing or abs(memory.force_sum[a]) > integral_limit
         is_judged = memory.state == RUN or memory.faults > 0
