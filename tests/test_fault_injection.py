@@ -114,6 +114,33 @@ def test_an_arm_whose_wrist_alone_is_wrong_keeps_its_encoders(name):
     assert verdict.state is SAFE_STOP and not verdict.unbraked and not verdict.wrong, verdict
 
 
+FIGHT = (("collisions", 0), ("approach_and_slide", 0), ("collisions", 3))
+
+
+@parametrize("where", first(FIGHT, 1), ids=str)
+def test_arms_that_fight_by_a_drifting_encoder_ask_for_brakes(where):
+    """Speeds are estimated from encoders; arms that hold one object moved at 0.9 rad/s."""
+    scenario, every = where
+    case = Case(scenario=scenario, every=every, seed=2911)
+    verdict = try_fault("encoder drifts by 0.2 rad/s", case, fault_for=1.0, stopped_for=1.0)
+    assert verdict.state is SAFE_STOP and verdict.unbraked and not verdict.wrong, verdict
+
+
+def test_arms_of_which_one_has_let_go_are_not_taken_for_arms_that_fight():
+    """Encoders place them apart, too, and rightly so; the wrist of one shows no load."""
+    name = "encoder drifts by 0.2 rad/s"
+    run = Run(Case(scenario="collisions", seed=2911), name)
+    seen = Verdict(name, run.case)
+    stopped = 0
+    while stopped < 300:
+        run.step(seen, FAULTS[name] if run.k >= run.first else None)
+        stopped += run.controller.state is SAFE_STOP
+        if stopped:
+            run.controller.records.memory.arms.let_go[1] = 1
+    assert "away from where the others hold" in run.controller.reason
+    assert run.controller.unbraked is None
+
+
 @parametrize("where", first(LET_GO, 2), ids=str)
 def test_arms_of_which_one_has_let_go_of_the_object_come_to_rest(where):
     """The one that holds it carries all of it, the other one nothing."""

@@ -7,10 +7,10 @@ sound readings. Missing and faulty positions and speeds are estimated from sound
 
 from __future__ import annotations
 
-from osc_contact.law.agreement import UNBALANCED_TIME
+from osc_contact.law.agreement import APART, UNBALANCED_TIME
 from osc_contact.law.ceilings import carried_force
 from osc_contact.law.jit import inner
-from osc_contact.law.records import FAULTY_POSITION, FAULTY_SPEED
+from osc_contact.law.records import FAULTY_POSITION, FAULTY_SPEED, SAFE_STOP
 from osc_contact.law.vectors import angular, clamped, dot3, dot6, join, minus3
 
 _DISTANCE = 0.25  #: share of `position_drift` by which a lasting speed must change the position
@@ -18,6 +18,7 @@ _SLOPE = 0.005  #: s, time constant of the speed estimate from positions
 #: share of a wrist's reading by which it differs from its load if the posture is wrong: weight
 #: turned by 15°
 _TURNED = 0.25
+_WEIGHED = 0.1  #: s after a stop in which the wrist of an arm shows that it has let go
 _SPEED_SHARE = 0.2  #: share of the positions' error at which an estimated speed is faulty
 DEAD = 0.01  #: s of identical readings of all joints after which the whole packet is dead
 BLIND = 0.01  #: s without a sound reading after which a joint cannot be braked
@@ -110,6 +111,32 @@ def isolate_posture(t):
         bound = 2.0 * model.wrist_error * model.joints[j].tau_max
         is_wrong = is_wrong or (model.joints[j].motor >= 0 and abs(torque) > bound)
     for j in range(arm.first, arm.end if is_wrong else arm.first):
+        memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED
+
+
+@inner
+def isolate_arms(t):
+    """Mark all readings of joints as faulty if stopped arms fight each other by a wrong encoder.
+
+    Arms that encoders placed apart at one object have been stopped: an encoder is wrong, or an arm
+    has let go of the object, which its wrist shows within `_WEIGHED`. If all bear a load then, they
+    hold an object that is rigid, and hold it apart. Which encoder is wrong is not known; if speeds
+    are estimated from encoders, it contradicts none of them, and the arms follow its drift.
+
+    Arms without a wrist sensor do not show whether they hold the object: nothing is marked.
+
+    Args:
+        t: Tick, of which `let_go` of the arms in MEMORY is read.
+    """
+    model = t.model
+    memory = t.memory
+    is_due = memory.state == SAFE_STOP and memory.cause == APART and memory.derived != 0
+    if not is_due or memory.age * model.period < _WEIGHED:
+        return
+    for k in range(model.n_arms):
+        if model.arms[k].sensor_joint < 0 or memory.arms[k].let_go:
+            return
+    for j in range(model.n_joints):
         memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED
 
 

@@ -5,7 +5,12 @@ from __future__ import annotations
 from osc_contact.law.agreement import UNBALANCED
 from osc_contact.law.force_law import integral_room
 from osc_contact.law.holding import hold_posture
-from osc_contact.law.isolation import estimate_joints, isolate_packet, isolate_posture
+from osc_contact.law.isolation import (
+    estimate_joints,
+    isolate_arms,
+    isolate_packet,
+    isolate_posture,
+)
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.phases import collect
 from osc_contact.law.reasons import LASTING, NO_REASON, declare_reason
@@ -216,6 +221,7 @@ def guard(t, reason):
     if reason == UNBALANCED:
         isolate_packet(t)
         isolate_posture(t)
+    isolate_arms(t)
     estimate_joints(t)
     not_computed = 0.0 if reason == NO_REASON else 1.0
     memory.missed += model.period / (_RECENT + model.period) * (not_computed - memory.missed)
