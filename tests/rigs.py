@@ -284,11 +284,15 @@ def contact_of(pairs, state):
     return osc.Contact.stack([pair.contact(state.X_WO, state.V_O) for pair in pairs])
 
 
-def sliding(pairs, X_WO, V_O, touched, slip):
-    """List p from O (3,), normal n (3,) and s = v_t / √(v_t² + v_0²) (3,) of each contact point.
+def sliding(pairs, X_WO, V_O, V_c, touched, slip):
+    """List p from O (3,), normal n (3,) and direction of slip s (3,) of each contact point.
+
+    With the commanded tangential velocity v_c, its difference e from the measured one and
+    w = (v_0² + v_c²)/(v_0² + v_c² + e²), s = v/√(v² + v_0²(1 − 0.95w)²), v = (1 − w) v_t + w v_c.
 
     Args:
         pairs: pairs with a point of contact each. X_WO, V_O: pose and twist of the object.
+        V_c: (6,) its commanded twist, as far as the contacts permit it.
         touched: motion of the touched bodies, or None. slip: v_0 (m/s).
     """
     out = []
@@ -296,9 +300,14 @@ def sliding(pairs, X_WO, V_O, touched, slip):
         face = () if touched is None else (pin.SE3(np.array(touched.X_WE[i])), touched.V_E[i])
         p = pair.points_of_contact(X_WO, *face[:1])[:, 0] - X_WO.translation
         n = pair.contact(X_WO, V_O, *face).N[:3, 0]
-        v = velocity_at(Bodies.at_O(X_WO, V_O, *face).V_rel, p)
-        v = v - n * (n @ v)
-        out.append((p, n, v / np.sqrt(v @ v + slip**2)))
+        v_t, v_c = (
+            velocity_at(Bodies.at_O(X_WO, V, *face).V_rel, p) @ (np.eye(3) - np.outer(n, n))
+            for V in (V_O, V_c)
+        )
+        certain = slip**2 + v_c @ v_c
+        w = certain / (certain + np.sum((v_c - v_t) ** 2))
+        v = (1.0 - w) * v_t + w * v_c
+        out.append((p, n, v / np.sqrt(v @ v + (slip * (1.0 - 0.95 * w)) ** 2)))
     return out
 
 

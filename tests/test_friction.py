@@ -121,3 +121,24 @@ def test_tangential_forces_of_a_contact_at_rest_leave_the_contact_force_as_comma
         read.append(controller.records.memory.columns.tangential[0].copy())
     assert forces[1] == approx(forces[0], abs=1e-6) and abs(held) > 0.1
     assert_near(read[1] - read[0], f * 5.0 / 6.0, atol=1e-9)  # a lag of 5 ms at 1 kHz
+
+
+def slow_slide(mu, **changes):
+    """Recording of a Panda that slides its bar by 5 mm to and fro at 8 mm/s at most, 10 N."""
+    sine = {"type": "sine", "amplitude": 0.005, "frequency": 0.25, "ramp": 1.0}
+    scenario = osc.load_scenario("panda_edge", [f"plant.friction={mu}"]).replaced(
+        force={"edge": [{"type": "constant", "value": 10.0}]},
+        motion=[{"kind": "linear", "direction": [0, 1, 0], "signals": [sine]}],
+        gains={},
+    )
+    return run_of(scenario, duration=5.0, **changes)
+
+
+def test_a_slow_slide_follows_its_path_with_default_gains():
+    """Learned friction is applied along the commanded motion, also where the contact sticks."""
+    recording = slow_slide(0.2)
+    moving = recording["t"] > 1.0
+    away = np.linalg.norm(recording["motion_error"][moving, :3], axis=1)
+    assert np.sqrt(np.mean(away**2)) < 1e-4
+    error = recording["alpha_true"][moving] - recording["alpha_cmd"][moving]
+    assert np.sqrt(np.mean(error**2)) < 0.01

@@ -258,8 +258,9 @@ def tick(state, contacts, i, rng):
     squeeze = rng.uniform(-5.0, 5.0, k * (k - 1) // 2) * rigid
     reference = osc.Reference(
         case.X_WO * pin.exp6(0.02 * rng.standard_normal(6)),
-        0.1 * rng.standard_normal(6),
-        rng.standard_normal(6) * (state.mu == 0.0),  # else friction is that of a slip to come
+        # with friction the measured slip is the commanded one, now and to come
+        state.V if state.mu else 0.1 * rng.standard_normal(6),
+        rng.standard_normal(6) * (state.mu == 0.0),
         rng.uniform(5.0, 20.0, sum(len(c.along_object) for c in contacts)),
         squeeze if rigid and k > 2 else squeeze.sum() if k == 2 else 0.0,
     )

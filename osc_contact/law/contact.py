@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.jit import call_at, inner, local
+from osc_contact.law.algebra import project_onto_columns
+from osc_contact.law.jit import call_at, inner, leaf, local
 from osc_contact.law.normals import follow_face, tangential_part, turn_given
 from osc_contact.law.pair_geometry import PARALLEL, Motion, fill_line, place_pair, point_of_contact
 from osc_contact.law.records import (
@@ -15,14 +16,20 @@ from osc_contact.law.records import (
 from osc_contact.law.vectors import (
     ZERO,
     ZERO_3,
-    add,
+    add3,
     carry_motion,
     dot3,
+    dot6,
     fill,
     fill3,
     finiteness,
     minus,
+    minus3,
+    motion_to_energy,
+    motion_to_world,
     origin,
+    plus,
+    scaled,
     scaled3,
     set_identity,
     unpack_pose,
@@ -34,13 +41,11 @@ AHEAD = 2.0  #: control periods from a measurement to the latest effect of its t
 
 @inner
 def place_contacts(t):
-    """Fill N, n_γ and friction wrenches of the columns of all contacts, at O in world axes.
+    """Fill N, n_γ and the points of contact of all columns, at O in world axes.
 
     N, n_γ and points of GIVEN pairs were filled by Python before the tick; those of FUNCTION pairs
-    are computed by the user's compiled function. The friction wrench is predicted for the time at
-    which the torques of this tick act, since friction reverses within milliseconds with the motion.
-    Reads `X_WO`, `V_O`, `V_D`, `A_D`, `mu`, and `touched` of INPUT; fills, too, the estimates of
-    `follow_face`.
+    are computed by the user's compiled function. Reads `X_WO`, `V_O`, `V_D`, and `touched` of
+    INPUT; fills, too, the estimates of `follow_face`.
 
     Args:
         t: Tick.
@@ -88,36 +93,27 @@ def place_contacts(t):
         if has_one_point and model.tilt > 0.0:
             fill(V_goal, minus(work.V_D, V_E))
             follow_face(t, pair, X_WO, X_WE, V_rel, V_goal)
-        _predict_friction(t, pair, X_WE, V_rel)
+        _place_points(t, pair, X_WE)
     return True
 
 
 @inner
-def _predict_friction(t, pair, X_WE, V_rel):
-    """Fill point, slip and friction wrench of the columns of a pair.
+def _place_points(t, pair, X_WE):
+    """Fill the points of contact of a pair's columns (m, from O); of pairs without, no friction.
+
+    The points of GIVEN and FUNCTION pairs are filled elsewhere.
 
     Args:
         t: Tick. pair: row of MODEL. X_WE: (4, 4) pose of the touched body.
-        V_rel: (6,) twist of the object relative to the face (m/s, rad/s).
     """
-    model = t.model
-    work = t.work
-    columns = work.columns
-    V = local(6)
-    has_points = pair.has_friction != 0
-    if not has_points and model.reading == LEAST_SQUARES:
-        for j in range(pair.count):
-            fill3(columns[pair.first + j].slip, ZERO_3)
-            fill(columns[pair.first + j].friction_wrench, ZERO)
-    if has_points and (work.mu > 0.0 or model.reading == LEAST_SQUARES):
-        fill(V, add(V_rel, AHEAD * model.period, work.A_D))
-        for j in range(pair.count):
-            column = columns[pair.first + j]
-            if pair.kind != GIVEN and pair.kind != FUNCTION:
-                row = model.shapes[pair.shape_at + j].row
-                point = point_of_contact(pair.kind, row, work.X_WO, X_WE, column.N)
-                fill3(column.point, point)
-            _slide(V, work.mu, model.slip, column)
+    columns = t.work.columns
+    for j in range(pair.count):
+        column = columns[pair.first + j]
+        fill3(column.slip, ZERO_3)
+        fill(column.friction_wrench, ZERO)
+        if pair.has_friction != 0 and pair.kind != GIVEN and pair.kind != FUNCTION:
+            row = t.model.shapes[pair.shape_at + j].row
+            fill3(column.point, point_of_contact(pair.kind, row, t.work.X_WO, X_WE, column.N))
 
 
 @inner
@@ -140,19 +136,86 @@ def _take_evaluated(columns, first, count, evaluated):
     return zero == 0.0
 
 
-@inner
-def _slide(V_rel, mu, slip, column):
-    """Fill `slip`, s = v_t / √(v_t² + v_0²), and `friction_wrench`, μ [s; p × s], of a column.
+# --- Direction of slip ----------------------------------------------------------------------------
+#
+# At the point of contact p, v_t is the measured tangential velocity and v_c the commanded one, that
+# of the desired twist as far as the contacts permit it. v_c has neither noise nor stiction, and
+# reverses when it is meant to; v_t is right about motions that are not commanded. With
+# e = v_c − v_t,
+#
+#     v = v_t + w e,   w = (v_0² + v_c²) / (v_0² + v_c² + e²),   s = v / √(v² + v_1²),
+#     v_1 = v_0 (1 − 0.95 w)
+#
+# so a contact that follows its command, or sticks behind it, has the direction of the command, and
+# one that moves otherwise by more than v_0 has the direction in which it moves.
 
-    v_t is the tangential velocity at the point of contact p. Both wrench and point are at O, in
-    world axes.
+_KNOWN = 0.95  #: share of v_0 that is not needed where the sliding speed is the commanded one
+
+
+@inner
+def predict_friction(t):
+    """Fill slip and friction wrench of the active columns, for N and its basis.
+
+    Friction is predicted for the time at which the torques of this tick act, since it reverses
+    within milliseconds with the motion. Reads `V_O`, `V_D`, `A_D`, `mu`, `chosen`, `kept`, `N` and
+    `point` of the columns, `N_factor`, `N_basis`, and `touched` of INPUT.
 
     Args:
-        V_rel: (6,) twist of the object relative to the body, at O (m/s, rad/s). mu: coefficient of
-            friction μ. slip: v_0 (m/s), below which friction is regularised.
+        t: Tick.
+    """
+    model = t.model
+    work = t.work
+    if not (work.mu > 0.0 or model.reading == LEAST_SQUARES):
+        return
+    change = scaled(AHEAD * model.period, work.A_D)
+    permitted = local(6)
+    normal = local(6)
+    fill(permitted, motion_to_energy(work, plus(work.V_D, change)))
+    for a in range(work.rank):
+        normal[a] = dot6(work.columns[work.kept[a]].N, _face_twist(t, work.kept[a]))
+    project_onto_columns(work.N_factor, work.N_basis, work.rank, permitted, normal)
+    commanded = motion_to_world(work, permitted)
+    measured = plus(work.V_O, change)
+    for i in range(work.count):
+        j = work.chosen[i]
+        if model.pairs[model.columns[j].contact].has_friction != 0:
+            V_E = _face_twist(t, j)
+            _slide(
+                minus(measured, V_E), minus(commanded, V_E), work.mu, model.slip, work.columns[j]
+            )
+
+
+@leaf
+def _face_twist(t, j):
+    """Twist of the body that column j touches, at O in world axes (six numbers; m/s, rad/s).
+
+    Args:
+        t: Tick. j: index of the column among all columns of the model.
+    """
+    if not t.work.moving:
+        return ZERO
+    E = t.input.touched[t.model.columns[j].contact]
+    return carry_motion(E[16:], (E[3], E[7], E[11]), origin(t.work.X_WO))
+
+
+@leaf
+def _slide(measured, commanded, mu, slip, column):
+    """Fill `slip`, the direction of slip s, and `friction_wrench`, μ [s; p × s], of a column.
+
+    Both wrench and point are at O, in world axes.
+
+    Args:
+        measured, commanded: (6,) twists of the object relative to the body, at O (m/s, rad/s).
+        mu: coefficient of friction μ. slip: v_0 (m/s), below which friction is regularised.
         column: COLUMN_WORK, of which N and `point` are read.
     """
-    v = tangential_part(velocity_at(V_rel, column.point), column.N)
-    s = scaled3(1.0 / sqrt(dot3(v, v) + slip * slip), v)
+    v_t = tangential_part(velocity_at(measured, column.point), column.N)
+    v_c = tangential_part(velocity_at(commanded, column.point), column.N)
+    e = minus3(v_c, v_t)
+    certain = slip * slip + dot3(v_c, v_c)
+    w = certain / (certain + dot3(e, e))
+    v = add3(v_t, w, e)
+    v_1 = slip * (1.0 - _KNOWN * w)
+    s = scaled3(1.0 / sqrt(dot3(v, v) + v_1 * v_1), v)
     fill3(column.slip, s)
     fill_line(column.friction_wrench, column.point, scaled3(mu, s))

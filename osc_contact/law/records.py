@@ -663,7 +663,7 @@ COLUMN_WORK = _record(
     ),
     to_come=3,
     point=3,  # point of contact from O
-    slip=3,  # v_t / √(v_t² + v_0²) there
+    slip=3,  # direction of slip s there, see `contact`
     turn=3,  # turn of the assumed normal, see `contact`
     turned=3,  # turn after this tick
     shown=3,  # direction in which sliding shows an error of the normal, in the same axes

@@ -51,7 +51,7 @@ from osc_contact.law.commands import (
     shape_squeeze,
     shape_steps,
 )
-from osc_contact.law.contact import place_contacts
+from osc_contact.law.contact import place_contacts, predict_friction
 from osc_contact.law.force_law import command_force, contact_laws, last_integral
 from osc_contact.law.hopping import watch_hops
 from osc_contact.law.jit import inner, leaf, local
@@ -277,6 +277,7 @@ def measure(t):
     reason = keep_columns(t)
     if reason != NO_REASON:
         return reason
+    predict_friction(t)
     add_friction(t)
     project_bodies(t)
     sum_readings(t)
