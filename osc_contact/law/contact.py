@@ -109,6 +109,7 @@ def _place_points(t, pair, X_WE):
     columns = t.work.columns
     for j in range(pair.count):
         column = columns[pair.first + j]
+        column.rests = 0.0
         fill3(column.slip, ZERO_3)
         fill(column.friction_wrench, ZERO)
         if pair.has_friction != 0 and pair.kind != GIVEN and pair.kind != FUNCTION:
@@ -154,7 +155,7 @@ _KNOWN = 0.95  #: share of v_0 that is not needed where the sliding speed is the
 
 @inner
 def predict_friction(t):
-    """Fill slip and friction wrench of the active columns, for N and its basis.
+    """Fill slip, rest and friction wrench of the active columns, for N and its basis.
 
     Friction is predicted for the time at which the torques of this tick act, since it reverses
     within milliseconds with the motion. Reads `V_O`, `V_D`, `A_D`, `mu`, `chosen`, `kept`, `N` and
@@ -202,7 +203,8 @@ def _face_twist(t, j):
 def _slide(measured, commanded, mu, slip, column):
     """Fill `slip`, the direction of slip s, and `friction_wrench`, μ [s; p × s], of a column.
 
-    Both wrench and point are at O, in world axes.
+    Both wrench and point are at O, in world axes. Fills also `rests`, how far the point is at rest
+    as measured.
 
     Args:
         measured, commanded: (6,) twists of the object relative to the body, at O (m/s, rad/s).
@@ -217,5 +219,6 @@ def _slide(measured, commanded, mu, slip, column):
     v = add3(v_t, w, e)
     v_1 = slip * (1.0 - _KNOWN * w)
     s = scaled3(1.0 / sqrt(dot3(v, v) + v_1 * v_1), v)
+    column.rests = slip * slip / (dot3(v_t, v_t) + slip * slip)
     fill3(column.slip, s)
     fill_line(column.friction_wrench, column.point, scaled3(mu, s))

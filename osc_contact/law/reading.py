@@ -387,11 +387,11 @@ def learn_friction(t):
         dμ/dt = k Σw_j s_jᵀβ_j / Σw_j²,   β_j = C_jT_jᵀR⁻¹(f − N_μα)
 
     Contacts at rest (s_j = 0) do not change μ. In the beginning k = 1/(T_1 + T), more than
-    `learning`, so that μ is the mean of all readings; T = ∫Σw_jα_j|s_j|²/Σw_j² dt is the time of
-    sliding under the desired forces. This faster start is not used while normals are estimated,
-    because a tilted face initially causes the same forces as friction.
+    `learning`, so that μ is the mean of all readings; T = ∫Σw_jα_j(1 − ρ_j)/Σw_j² dt is the time of
+    sliding under the desired forces, with ρ_j = `rests`. This faster start is not used while
+    normals are estimated, because a tilted face initially causes the same forces as friction.
 
-    Reads `alpha_meas`, `reading_rest` and `slip`, `prior` of the active columns. Updates
+    Reads `alpha_meas`, `reading_rest` and `slip`, `rests`, `prior` of the active columns. Updates
     `more_friction` and `slid` (T).
 
     Args:
@@ -415,7 +415,7 @@ def learn_friction(t):
         multiplier = dot6(reading_of_force(t, linear(s), index), work.reading_rest)  # sᵀTᵀR⁻¹(…)
         friction += w * w * w * share * multiplier
         pressing = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
-        sliding += w * pressing * slip_square
+        sliding += w * pressing * (1.0 - column.rests)
         square += w * w
         normal_variance += column.prior[0] + column.prior[4] + column.prior[8]
     if not square > 0.0:  # also if NaN
@@ -445,10 +445,11 @@ def _likely_force(work, index):
 def oppose_friction(t):
     """Compute `reaction`, the contact force D⁻¹Nᵀ(Φ_0 + Φ_e)f_t caused by tangential forces f_t.
 
-    D = Nᵀ(Φ_0 + Φ_e)N_μ. f_t = Σ(1 − |s_j|²) T_jβ_j has the tangential forces of contacts that
-    stick or hardly slide, as far as μ does not explain them: β_j = C_jT_jᵀR⁻¹(f − N_μα), measured
-    up to the last tick and low-passed. f_t itself is not compensated, because that would push on
-    contacts that stick. The reaction is limited to half of the desired force.
+    D = Nᵀ(Φ_0 + Φ_e)N_μ. f_t = Σ ρ_jT_jβ_j, with ρ_j = `rests`, has the tangential forces of
+    contacts that stick or hardly slide, as far as μ does not explain them:
+    β_j = C_jT_jᵀR⁻¹(f − N_μα), measured up to the last tick and low-passed. f_t itself is not
+    compensated, because that would push on contacts that stick. The reaction is limited to half of
+    the desired force.
 
     Reads `N_t`, `pushed_t`, `Lambda`, `Phi_mu`, `yields`, `reading_rest`, `alpha_d`, and
     `tangential` of MEMORY. Fills `reaction` (r,) in N, and `tangential` of the columns for the next
@@ -474,7 +475,7 @@ def oppose_friction(t):
             continue
         column = work.columns[index]
         last_force = t.memory.columns[index].tangential
-        resting = scaled3(1.0 - dot3(column.slip, column.slip), last_force)
+        resting = scaled3(column.rests, last_force)
         f = join(resting, cross(column.point, resting))
         wrench = plus(wrench, turned(work, wrench_to_energy(work, f)))
         if work.moving:

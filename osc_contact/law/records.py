@@ -656,6 +656,7 @@ COLUMN_WORK = _record(
         "drift",  # m/s, lasting speed v̄
         "unexplained",  # m/s, speed that v̄ does not explain
         "lever",  # (m/s)², square of the sliding speed
+        "rests",  # v_0²/(v_t² + v_0²) of the measured sliding speed: 1 at rest, 0 in fast slides
         # N, see `witness`
         "touch",
         "touch_inertia",
