@@ -281,11 +281,11 @@ def test_a_compiler_that_fails_is_quoted(workshop, monkeypatch):
 
 
 def test_what_is_missing_is_named(monkeypatch, tmp_path):
-    assert library.obstacle() == ""
+    assert library.missing_tool() == ""
     monkeypatch.setattr(library, "HEADERS", str(tmp_path))
-    assert "Python.h" in library.obstacle()
+    assert "Python.h" in library.missing_tool()
     monkeypatch.setattr(library, "COMPILER", "no-such-compiler")
-    assert "no-such-compiler" in library.obstacle()
+    assert "no-such-compiler" in library.missing_tool()
 
 
 def test_without_numba_and_without_a_library_the_cure_is_named():

@@ -117,7 +117,8 @@ def _unload(t, c):
     `to_come` of its columns, and `step_left`. Sets `goal` (N) of its columns to 0.
 
     Args:
-        t: Tick. c: index of the contact.
+        t: Tick.
+        c: index of the contact.
 
     Returns:
         Whether a force was commanded of it in the last tick, so that it stays in N: its desired
@@ -148,7 +149,9 @@ def _begin_columns(t, c, phase):
     Changes fields of `phases.monitor` and `safety` of the columns in MEMORY, and `here` of WORK.
 
     Args:
-        t: Tick. c: index of the contact. phase: its new phase (OPEN, APPROACHING or CLOSED).
+        t: Tick.
+        c: index of the contact.
+        phase: its new phase (OPEN, APPROACHING or CLOSED).
     """
     for j in range(t.model.n_columns):
         if t.model.columns[j].contact == c:

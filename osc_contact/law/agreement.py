@@ -48,11 +48,13 @@ _APART = 0.01  #: s for which arms may place the object differently
 
 @inner
 def compare_speeds(t):
-    """Replace NᵀV_rel of approaching contacts by the speed from positions where it is too small.
+    """Replace the speeds of approaching contacts by those from positions where they are too small.
 
-    An approach with speed sensors that read too little would accelerate towards its face. The
-    twist from positions is computed from X_WO of the last tick and of this one, and low-passed.
-    Changes `speed`; fills `velocity_from_positions` and `velocity_from_encoders` of the columns.
+    The speed of a contact is NᵀV_rel (m/s): the twist V_rel of the object relative to the face,
+    along the column N. An approach with speed sensors that read too little would accelerate towards
+    its face. The twist from positions is computed from the poses `X_WO` of the last tick and of
+    this one; both speeds are low-passed. Changes `speed`; fills `velocity_from_positions` and
+    `velocity_from_encoders` of the columns.
 
     Args:
         t: Tick.
@@ -82,10 +84,10 @@ def compare_speeds(t):
 def check_arms(t):
     """Compare motors, wrists and encoders of the arms with each other.
 
-    The motor residual less friction (`joint_friction`) must stay within `wrist_error` times the
-    torque limit of its long-term mean, and within twice that bound of zero. The arms must place the
-    object alike (`closure_error`). Wrists are not compared in ticks without wrenches. Updates
-    `apart`, `balanced` and `instant` of MEMORY.
+    The residual of a motor, the torque that neither model nor wrist explains, less friction must
+    stay within `wrist_error` times the torque limit of its long-term mean, and within twice that
+    bound of zero. The arms must place the object alike (`closure_error`). Wrists are not compared
+    in ticks without wrenches. Updates `apart`, `balanced` and `instant` of MEMORY.
 
     Args:
         t: Tick after `solve_chain`.
@@ -126,7 +128,12 @@ def _balance_arm(t, k, dt):
     `slid`, `unexplained`, `usual` and `unbalanced`, and `doubtful` of the arm.
 
     Args:
-        t: Tick. k: index of the arm. dt: time since the last computed tick with wrenches (s).
+        t: Tick.
+        k: index of the arm.
+        dt: time since the last computed tick with wrenches (s).
+
+    Returns:
+        True if the torque of a motor has exceeded its bound for `UNBALANCED_TIME`.
     """
     arm = t.model.arms[k]
     arm_memory = t.memory.arms[k]

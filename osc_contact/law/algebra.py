@@ -22,7 +22,9 @@ def dot(a, b, n):
     """Inner product Σ aᵢbᵢ of two rows.
 
     Args:
-        a, b: rows. n: number of elements that are multiplied.
+        a: (n,) or longer.
+        b: (n,) or longer.
+        n: number of elements that are multiplied.
     """
     s = 0.0
     for i in range(n):
@@ -35,7 +37,10 @@ def add_scaled(s, a, n, out):
     """Add s a[:n] to out[:n].
 
     Args:
-        s: factor. a: row. n: number of elements. out: row, changed.
+        s: factor.
+        a: (n,) or longer.
+        n: number of elements that are added.
+        out: (n,) or longer, changed.
     """
     for i in range(n):
         out[i] += s * a[i]
@@ -46,7 +51,11 @@ def gram(X, n, Y, m, out):
     """Compute X Yᵀ, the inner products of rows of six numbers.
 
     Args:
-        X: (n, 6). n: number of rows of X. Y: (m, 6). m: number of rows of Y. out: (n, m), filled.
+        X: (n, 6).
+        n: number of rows of X.
+        Y: (m, 6).
+        m: number of rows of Y.
+        out: (n, m), filled.
     """
     for i in range(n):
         for j in range(m):
@@ -58,7 +67,10 @@ def transpose(A, n, m, out):
     """Write the transpose of a matrix to `out`.
 
     Args:
-        A: (n, m). n, m: its size. out: (m, n), filled.
+        A: (n, m).
+        n: number of rows of A.
+        m: number of columns of A.
+        out: (m, n), filled.
     """
     for i in range(n):
         for j in range(m):
@@ -67,13 +79,15 @@ def transpose(A, n, m, out):
 
 @inner
 def cholesky(A, first, n, L):
-    """Compute the Cholesky factor L (n, n) of a diagonal block of A, A = LLᵀ.
+    """Compute the Cholesky factor L (n, n) of a symmetric diagonal block B of A, B = LLᵀ.
 
-    Only the lower triangle of A is read. The diagonal of L contains the reciprocals of its
-    elements.
+    Only the lower triangle of A is read. L has the reciprocals of its diagonal elements in place of
+    them, so that later substitutions multiply instead of dividing.
 
     Args:
-        A: symmetric matrix. first: row and column at which the block begins. n: size of the block.
+        A: symmetric matrix, at least (first + n, first + n).
+        first: row and column at which the block begins.
+        n: size of the block.
         L: (n, n), of which the lower triangle is filled.
 
     Returns:
@@ -102,8 +116,9 @@ def forward_rows(L, n, X):
     """Overwrite the rows X[:n, :6] with L⁻¹X.
 
     Args:
-        L: (n, n) factor from `cholesky`, reciprocals on its diagonal. n: its size. X: (n, 6),
-            overwritten.
+        L: (n, n) factor from `cholesky`, reciprocals on its diagonal.
+        n: its size.
+        X: (n, 6), overwritten.
     """
     for i in range(n):
         x = six(X[i])
@@ -117,8 +132,9 @@ def forward(L, n, x):
     """Overwrite x[:n] with L⁻¹x, L from `cholesky`.
 
     Args:
-        L: (n, n) factor, reciprocals on its diagonal. n: its size. x: right-hand side, overwritten
-            with the solution.
+        L: (n, n) factor, reciprocals on its diagonal.
+        n: its size.
+        x: right-hand side, overwritten with the solution.
     """
     for i in range(n):
         s = x[i]
@@ -132,8 +148,10 @@ def forward_each(L, n, X, m):
     """Multiply each of the rows X[:m, :n] by L⁻¹: X ← X L⁻ᵀ.
 
     Args:
-        L: (n, n) factor from `cholesky`, reciprocals on its diagonal. n: its size. X: (m, n),
-            overwritten. m: number of rows.
+        L: (n, n) factor from `cholesky`, reciprocals on its diagonal.
+        n: its size.
+        X: (m, n), overwritten.
+        m: number of rows.
     """
     for i in range(m):
         forward(L, n, X[i])
@@ -144,8 +162,9 @@ def transposed_factor_times(L, n, x):
     """Overwrite x[:n] with Lᵀx.
 
     Args:
-        L: (n, n) factor from `cholesky`, reciprocals on its diagonal. n: its size. x: operand,
-            overwritten with the product.
+        L: (n, n) factor from `cholesky`, reciprocals on its diagonal.
+        n: its size.
+        x: operand, overwritten with the product.
     """
     for i in range(n):
         s = x[i] / L[i, i]
@@ -159,12 +178,15 @@ def factor_times(L, n, B, m, out):
     """Compute the product L B, L from `cholesky` or `orthonormalise`.
 
     Args:
-        L: (n, n) factor, reciprocals on its diagonal. n: its size. B: (n, m). m: number of columns
-            of B. out: (n, m), filled.
+        L: (n, n) factor, reciprocals on its diagonal.
+        n: its size.
+        B: (n, m).
+        m: number of columns of B.
+        out: (n, m), filled.
     """
     for i in range(n):
         for j in range(m):
-            s = B[i, j] / L[i, i]
+            s = B[i, j] / L[i, i]  # L[i, i] is the reciprocal of the diagonal element
             for k in range(i):
                 s += L[i, k] * B[k, j]
             out[i, j] = s
@@ -175,8 +197,9 @@ def backward(L, n, x):
     """Overwrite x[:n] with L⁻ᵀx, L from `cholesky`.
 
     Args:
-        L: (n, n) factor, reciprocals on its diagonal. n: its size. x: right-hand side, overwritten
-            with the solution.
+        L: (n, n) factor, reciprocals on its diagonal.
+        n: its size.
+        x: right-hand side, overwritten with the solution.
     """
     for i in range(n - 1, -1, -1):
         s = x[i]
@@ -190,8 +213,9 @@ def cholesky_solve(L, n, x):
     """Overwrite x[:n] with (LLᵀ)⁻¹x, L from `cholesky`.
 
     Args:
-        L: (n, n) factor, reciprocals on its diagonal. n: its size. x: right-hand side, overwritten
-            with the solution.
+        L: (n, n) factor, reciprocals on its diagonal.
+        n: its size.
+        x: right-hand side, overwritten with the solution.
     """
     forward(L, n, x)
     backward(L, n, x)
@@ -201,16 +225,20 @@ def cholesky_solve(L, n, x):
 def lu_solve(A, n, B, columns):
     """Solve A x = b for each row b of B by Gaussian elimination with partial pivoting.
 
+    The reciprocal of each pivot is stored in place of the pivot.
+
     Args:
-        A: (n, n), destroyed. n: its size. B: (columns, n) right-hand sides as rows, overwritten
-            with the solutions. columns: number of right-hand sides.
+        A: (n, n), destroyed.
+        n: its size.
+        B: (columns, n) right-hand sides as rows, overwritten with the solutions.
+        columns: number of right-hand sides.
 
     Returns:
         False if a pivot is at most _SINGULAR times the largest one.
     """
     largest = 0.0
     for k in range(n):
-        p = k
+        p = k  # row of the pivot
         for i in range(k + 1, n):
             if abs(A[i, k]) > abs(A[p, k]):
                 p = i
@@ -225,7 +253,7 @@ def lu_solve(A, n, B, columns):
         inverse = 1.0 / A[k, k]
         for i in range(k + 1, n):
             f = A[i, k] * inverse
-            if n == 6:
+            if n == 6:  # whole rows at once; elements before k are not read any more
                 accumulate(A[i], -f, A[k])
             else:
                 for j in range(k + 1, n):
@@ -244,15 +272,17 @@ def lu_solve(A, n, B, columns):
 
 @inner
 def qr_rows(X, rows, length, diagonal, beta):
-    """Compute the Householder QR of the (length, rows) matrix with the *columns* X[:rows, :length].
+    """Compute the Householder QR of a matrix whose *columns* are the rows X[:rows, :length].
 
-    The vector v of reflector k, 1 − β v vᵀ, is left in X[k, k:]; R in X[j, k] (k < j) and
-    `diagonal`.
+    Reflector k is 1 − β_k v_k v_kᵀ; its vector v_k is left in X[k, k:], element (k, j) of R with k
+    < j in X[j, k], and the diagonal of R in `diagonal`.
 
     Args:
-        X: columns of the matrix, as rows, overwritten. rows: number of columns. length: length of
-            each column. diagonal: (rows,), filled with the diagonal of R. beta: (rows,), filled
-            with β of the reflectors.
+        X: (rows, length) columns of the matrix, overwritten.
+        rows: number of columns.
+        length: length of each column.
+        diagonal: (rows,), filled with the diagonal of R.
+        beta: (rows,), filled with β of the reflectors.
 
     Returns:
         False if a column depends on those before it.
@@ -275,7 +305,10 @@ def reflect(v, beta, n, x):
     """Apply the reflector 1 − β v vᵀ to x[:n].
 
     Args:
-        v: (n,) vector of the reflector. beta: β. n: number of elements. x: row, overwritten.
+        v: (n,) vector of the reflector.
+        beta: β.
+        n: number of elements.
+        x: (n,) or longer, overwritten.
     """
     add_scaled(-beta * dot(v, x, n), v, n, x)
 
@@ -285,7 +318,11 @@ def form_q(X, rows, length, beta, count, Q):
     """Form the first `count` columns of the orthogonal factor Q, as rows Q[:count, :length].
 
     Args:
-        X, rows, length, beta: from `qr_rows`. count: number of columns of Q.
+        X: (rows, length) from `qr_rows`, with the vectors v_k of the reflectors.
+        rows: number of reflectors.
+        length: length of each column of Q.
+        beta: (rows,) β of the reflectors 1 − β v vᵀ.
+        count: number of columns of Q.
         Q: (count, length), filled.
     """
     for c in range(count):
@@ -301,7 +338,9 @@ def back_substitute(X, rows, length, diagonal, Z):
     """Overwrite the rows Z[:rows, :length] with R⁻¹Z, R from `qr_rows`.
 
     Args:
-        X, rows, diagonal: from `qr_rows`; element (k, j) of R, k < j, is X[j, k].
+        X: (rows, …) from `qr_rows`: element (k, j) of R, k < j, is X[j, k].
+        rows: size of R.
+        diagonal: (rows,) diagonal of R.
         length: number of elements of each row of Z.
         Z: (rows, length) right-hand sides, overwritten with the solutions.
     """
@@ -314,16 +353,19 @@ def back_substitute(X, rows, length, diagonal, Z):
 
 @inner
 def one_sided_jacobi(X, count, length, carried):
-    """Rotate the rows X[:count, :length] until they are orthogonal (one-sided Jacobi SVD).
+    """Rotate the rows of X among each other until their leading elements are orthogonal.
 
-    The norms of the resulting rows are the singular values. The next `carried` elements of each
-    row are rotated with it.
+    It is the singular value decomposition U X[:count, :length] = ΣYᵀ: the norms of the leading
+    parts of the resulting rows are the singular values. The next `carried` elements of each row are
+    rotated with it, so that an appended identity becomes U.
 
     Args:
-        X: matrix, overwritten. count: number of rows. length: number of elements of each row that
-            become orthogonal. carried: number of further elements.
+        X: (count, length + carried) or larger, overwritten.
+        count: number of rows.
+        length: number of leading elements of each row that become orthogonal.
+        carried: number of elements behind them that are rotated, too.
     """
-    for _ in range(30):
+    for _ in range(30):  # sweeps; convergence is quadratic, so that few are needed
         has_rotated = False
         for p in range(count - 1):
             a = dot(X[p], X[p], length)
@@ -340,10 +382,10 @@ def one_sided_jacobi(X, count, length, carried):
                     continue
                 h = sqrt(h)
                 has_rotated = True
-                t = 2.0 * c / (d + h if d >= 0.0 else d - h)
+                t = 2.0 * c / (d + h if d >= 0.0 else d - h)  # tan φ, |φ| ≤ 45°
                 cosine = sqrt(0.5 + 0.5 * abs(d) / h)
                 sine = cosine * t
-                a -= t * c
+                a -= t * c  # the square of the rotated row p
                 for i in range(length + carried):
                     x = X[p, i]
                     y = X[q, i]
@@ -355,14 +397,17 @@ def one_sided_jacobi(X, count, length, carried):
 
 @inner
 def orthonormalise(X, r, m, Q, L):
-    """Factorise X = L Q over the elements m … 5 of its rows, by modified Gram–Schmidt, twice.
+    """Factorise X = L Q over the elements m … 5 of its rows, by modified Gram–Schmidt.
 
     Q (r, 6) has orthonormal rows whose first m elements are zero; L (r, r) is lower triangular,
     with the reciprocals of its diagonal in place of the diagonal, as in `cholesky`.
 
     Args:
-        X: (r, 6). r: number of rows. m: index of the first element in use. Q: (r, 6), filled; it
-            may be X. L: (r, r), filled.
+        X: (r, 6) matrix that is factorised.
+        r: number of rows.
+        m: index of the first element in use.
+        Q: (r, 6), filled; it may be X.
+        L: (r, r), filled.
 
     Returns:
         The smallest |L_aa| relative to the norm of row a of X; 0 if a row is zero.
@@ -395,10 +440,13 @@ def project_onto_constraint(Q, r, x, target):
     """Replace x by the nearest vector with Q x = target.
 
     Args:
-        Q: (r, 6) with orthonormal rows. r: number of rows. x: (6,), overwritten. target: (r,).
+        Q: (r, 6) with orthonormal rows.
+        r: number of rows.
+        x: (6,), overwritten.
+        target: (r,) required Q x.
     """
     y = six(x)
-    for _ in range(2):
+    for _ in range(2):  # twice: the first pass leaves rounding errors
         for a in range(r):
             y = add(y, target[a] - dot6(Q[a], y), Q[a])
     fill(x, y)
@@ -409,8 +457,11 @@ def project_onto_columns(L, Q, r, x, target):
     """Replace x by the nearest vector with L Q x = target.
 
     Args:
-        L, Q: (r, r) and (r, 6) from `orthonormalise`. r: number of rows. x: (6,), overwritten.
-        target: (r,), overwritten.
+        L: (r, r) lower triangular factor from `orthonormalise`.
+        Q: (r, 6) orthonormal rows from `orthonormalise`.
+        r: number of rows.
+        x: (6,), overwritten.
+        target: (r,) required L Q x, overwritten.
     """
     forward(L, r, target)
     project_onto_constraint(Q, r, x, target)

@@ -45,7 +45,11 @@ _DOUBTFUL = 1e-6  #: relative pivot below which a pivot is computed a second tim
 
 @inner
 def factor_effort(t):
-    """Factorise the block G R⁻¹Gᵀ of Z, from `effort` to `factor`.
+    """Factorise the block G R⁻¹Gᵀ (d, d) of Z, from `effort` to `factor`.
+
+    G (d, n) maps torques to the wrench on the object along its d free axes; R is the metric of the
+    motors' effort. `effort` (6, 6) of WORK has G R⁻¹Gᵀ in turned energy coordinates, `factor` its
+    Cholesky factor, to which `add_row` appends rows.
 
     Args:
         t: Tick.
@@ -64,14 +68,16 @@ def factor_effort(t):
 
 @inner
 def add_row(t, e):
-    """Append a row of E, a further condition on the torques, to the Cholesky factor of Z = A R⁻¹Aᵀ.
+    """Append a condition on the torques to the Cholesky factor of Z = A R⁻¹Aᵀ.
 
-    A has the rows of G and of E. Reads `extra` (E) and J̄ of the joints. Fills row e of `weighed`
-    (E[e] R⁻¹, R being the effort of the motors) and row d + e of `factor`, with the reciprocal
-    pivot on the diagonal.
+    A has the rows of G (d, n), the wrench on the object per torque, and of E, further conditions; R
+    is the metric of the motors' effort. Reads `extra` (E) and J̄ of the joints. Fills row e of
+    `weighed` (R⁻¹ times the row of E) and row d + e of `factor`, with the reciprocal pivot on the
+    diagonal.
 
     Args:
-        t: Tick. e: index of the row of E.
+        t: Tick.
+        e: index of the row of E.
 
     Returns:
         False if E[e] τ is determined by the rows before it; then the row is not appended.
@@ -95,13 +101,17 @@ def add_row(t, e):
 
 @inner
 def _multiply_constraints(t, weighed, e, out):
-    """Compute A R⁻¹a, the products of a weighted row R⁻¹a with the rows of G and of E[:e].
+    """Compute the products of a weighted row R⁻¹a with the rows of G and E[:e] before it.
 
-    Reads J̄ of the joints, whose columns along the free axes are those of G, and `extra` (E).
+    G (d, n) maps torques to the wrench on the object along its d free axes; its columns are the
+    rows J̄ of the joints there. E are further conditions, in `extra`; R is the metric of the
+    motors' effort.
 
     Args:
-        t: Tick. weighed: (n,) R⁻¹a. e: number of rows of E in use. out: (d + e,), filled: d
-            products with G, then e with E.
+        t: Tick.
+        weighed: (n,) R⁻¹a.
+        e: number of rows of E in use.
+        out: (d + e,), filled: d products with G, then e with E.
     """
     work = t.work
     m = work.locked
@@ -120,11 +130,13 @@ def _multiply_constraints(t, weighed, e, out):
 def _refine_pivot(t, e):
     """Compute the pivot of row e of E again, without cancellation, and correct its `factor` row.
 
-    The pivot is computed from the remainder of E[e] outside the span of the rows before it, not as
-    a difference of two large numbers.
+    E are the conditions that are appended to those on the object's force; a pivot is the square of
+    the part of a condition that the conditions before it do not determine. It is computed from this
+    part itself, not as a difference of two large numbers.
 
     Args:
-        t: Tick. e: index of the row of E, whose row of `factor` has been computed once.
+        t: Tick.
+        e: index of the row of E, whose row of `factor` has been computed once.
 
     Returns:
         Pivot: the square of the remainder's norm in the metric R⁻¹.
@@ -157,7 +169,8 @@ def _embed_free(work, x):
     """Embed components along the free axes in six numbers in energy coordinates, other axes zero.
 
     Args:
-        work: WORK. x: (d,) components along the free axes.
+        work: WORK, of which `locked`, `reflectors` and `beta` are read.
+        x: (d,) components along the free axes.
     """
     components = local(6)
     for i in range(6):
@@ -167,12 +180,17 @@ def _embed_free(work, x):
 
 @inner
 def _weigh(t, row, out):
-    """Weight a row of conditions on the torques by R⁻¹, where R is the effort of the motors.
+    """Multiply a condition on the torques by R⁻¹, where R is the metric of the motors' effort.
 
-    Reads `wide` and `effort` of the arms, and J of the joints.
+    The effort Σ τ²/τ_max² of an arm without redundant joints has R⁻¹ = τ_max²; for an arm with them
+    (`wide`) R⁻¹ = JᵀWJ, with the Jacobian J (6, n) and the inverse metric W (6, 6) of the wrenches
+    (`effort` of the arm), so that only torques Jᵀf of wrenches f are used. Reads `wide` and
+    `effort` of the arms, and J of the joints.
 
     Args:
-        t: Tick. row: (n,) condition, one number for each joint. out: (n,) R⁻¹ row, filled.
+        t: Tick.
+        row: (n,) condition a on the torques, aᵀτ = const, one number for each joint.
+        out: (n,) R⁻¹a, filled.
     """
     joints = t.work.joints
     for k in range(t.model.n_arms):
@@ -207,9 +225,13 @@ def _weigh(t, row, out):
 def command_object(t):
     """Compute the commanded force of the control structure (21), in turned energy coordinates.
 
-    f_S = Λ_S η̇_c + b_S + Sᵀ(N_μ(α_u + α_f) + f_bias), where α_f is `reaction`, the loss of contact
-    force by tangential forces. Reads `Lambda`, `acceleration_t`, `chain_bias`, `pushed_t`,
-    `alpha_u`; fills `f_S` (6,).
+        f_S = Λ_S η̇_c + b_S + Sᵀ(N_μ(α_u + α_f) + f_bias)
+
+    S (6, d) are the motions that the arms permit, Λ_S (d, d) the inertia of the chain along them,
+    η̇_c the filtered acceleration, b_S the bias of velocity and weight, N_μ (6, r) the columns of
+    contact forces with friction, α_u (r,; N) the commanded forces, α_f = `reaction` the contact
+    force lost by tangential forces, f_bias a constant wrench. Reads `Lambda`, `acceleration_t`,
+    `chain_bias`, `pushed_t`, `alpha_u`, `reaction` and `f_bias` of MEMORY; fills `f_S` (6,).
 
     Args:
         t: Tick.
@@ -224,10 +246,14 @@ def command_object(t):
 
 @leaf
 def predict_joints(t):
-    """Compute joint accelerations q̈ = J̄a + offset and torques h + Mq̈ for the acceleration a.
+    """Compute joint accelerations and torques for the commanded acceleration a of the object.
 
-    Reads `acceleration_t`, and J̄, `offset`, `h`, M of the joints; fills `acceleration` and
-    `inertial` of the joints.
+        q̈ = J̄a + offset,   τ = h + Mq̈
+
+    J̄ (n, 6) is the inertia-weighted inverse of the Jacobian, `offset` the acceleration of the
+    joints at a = 0, h (n,) the torque of velocities and gravity, M (n, n) the joint-space inertia
+    of an arm. Reads `acceleration_t`, and J̄, `offset`, `h`, M of the joints; fills `acceleration`
+    q̈ (rad/s², m/s²) and `inertial` τ (N m, N) of the joints.
 
     Args:
         t: Tick.
@@ -248,14 +274,22 @@ def predict_joints(t):
 
 @inner
 def allocate_torques(t):
-    """Compute the least torques τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0), not limited; return a reason.
+    """Compute the torques of least effort for the commanded force and internal forces, not limited.
 
-    Reads `f_S`, `effort`, `locked`, and the terms of arms and joints. Fills `rest` (τ_0) and `tau`
-    of the joints, `n_internal`, `extra`, `weighed`, `factor`, `sides`, and the fields that
-    `internal_rows` fills.
+        τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0),   A = [G; E],   Z = A R⁻¹Aᵀ
+
+    They satisfy A τ = b: G (d, n) maps torques to the wrench on the object along its free axes,
+    which has to be f_S; E has rows for internal forces and for motions of single arms. τ_0 (n,) are
+    torques without command, such as those of the posture law; R is the metric of the motors'
+    effort. Reads `f_S`, `effort`, `locked`, and the terms of arms and joints. Fills `rest` (τ_0)
+    and `tau` of the joints (N m, N), `n_internal`, `extra` (E), `weighed`, `factor`, `sides` (b),
+    and the fields that `internal_rows` fills.
 
     Args:
         t: Tick.
+
+    Returns:
+        `NO_REASON`, or `UNACTUATED` if the motors cannot satisfy the conditions.
     """
     model = t.model
     arms = model.arms
@@ -315,7 +349,8 @@ def push_from_limits(joint, q):
     It is zero between `low` and `high`, and rises smoothly to `most` over `width` beyond them.
 
     Args:
-        joint: JOINT row. q: its position (rad, m).
+        joint: JOINT row.
+        q: its position (rad, m).
     """
     if q < joint.low:
         depth = joint.low - q
@@ -333,12 +368,18 @@ def push_from_limits(joint, q):
 def _hold_posture(t, arm, arm_work):
     """Compute the posture torques (1 − JᵀJ̄ᵀ)τ₀ of an arm with redundant joints.
 
-    τ₀ = h + M(k_p(q₀ − q) − k_d q̇) + diag(M) a_l, where a_l repels joints from their limits
-    (`push_from_limits`). Reads h, M, J, J̄ of the joints; fills their `rest` with the posture
-    torques and `tau` with τ₀ (N m, N).
+        τ₀ = h + M(k_p(q₀ − q) − k_d q̇) + diag(M) a_l
+
+    The projection, with the Jacobian J (6, n) and its inertia-weighted inverse J̄ (n, 6), leaves
+    torques that do not move the object. h (n,) is the torque of velocities and gravity, M (n, n)
+    the joint-space inertia, k_p and k_d the gains of the posture law towards q₀; a_l repels joints
+    from their limits (`push_from_limits`). Reads h, M, J, J̄ of the joints; fills their `rest` with
+    the posture torques and `tau` with τ₀ (N m, N).
 
     Args:
-        t: Tick. arm: ARM row. arm_work: its ARM_WORK.
+        t: Tick.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
     """
     model = t.model
     joints = t.work.joints
@@ -362,11 +403,15 @@ def _hold_posture(t, arm, arm_work):
 def _retreat_from_lost(t, arm, arm_work):
     """Add to `rest` the posture law along joint motions that the task loses in a singular posture.
 
-    Reads `mode`, `gone` and `share` of the arm; h, M and `tau` (τ₀ of `_hold_posture`) of its
-    joints.
+    Such a joint motion w (n,) has wᵀMw = 1, so that the torque M w c has the component c along it.
+    A direction that the chain counts as locked (`gone`) gets the posture law in place of τ₀;
+    another one gets it in the share of the command that is not executed. Reads `mode` (w), `gone`
+    and `share` of the arm; h, M and `tau` (τ₀ of `_hold_posture`) of its joints.
 
     Args:
-        t: Tick. arm: ARM row. arm_work: its ARM_WORK.
+        t: Tick.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
     """
     joints = t.work.joints
     lo = arm.first
@@ -390,13 +435,16 @@ def _own_motions(t, d, first):
     """Append rows of E for motions of single arms that do not move the object; return their number.
 
     An arm without redundant joints has such motions if its grasp permits them (a SCARA on a slide,
-    four joints in a plane) or in a singular posture. The posture law acts along them:
-    νᵀτ = νᵀ(h + M q̈_posture) for every joint motion ν with U J ν = 0. Fills rows of `extra` and
-    `sides`, and subtracts from the first d of `sides` the force on the object by τ_0 of all arms.
+    four joints in a plane) or in a singular posture. The posture law acts along them: νᵀτ = νᵀ(h +
+    M q̈) for every joint motion ν (n,) with U J ν = 0, where U are the wrenches that the joints
+    resist, J (6, n) is the Jacobian and q̈ the acceleration of the posture law. Fills rows of
+    `extra` and `sides`, and subtracts from the first d of `sides` the force on the object by the
+    torques τ_0 of all arms.
 
     Args:
-        t: Tick. d: number of rows of `sides` before those of E. first: index of the first new row
-            of E.
+        t: Tick.
+        d: number of rows of `sides` before those of E.
+        first: index of the first new row of E.
     """
     model = t.model
     work = t.work
@@ -439,9 +487,14 @@ def _own_motions(t, d, first):
 def _add_torques(t, arm, arm_work, y):
     """Fill `tau` of an arm's joints with τ_0 + R⁻¹J̄ y, the torques for the force on the object.
 
+    τ_0 is `rest` (N m, N), R the metric of the motors' effort (see `_weigh`), J̄ (n, 6) the
+    inertia-weighted inverse of the Jacobian.
+
     Args:
-        t: Tick. arm: ARM row. arm_work: its ARM_WORK. y: six multipliers of f_S in energy
-            coordinates.
+        t: Tick.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
+        y: (6,) multipliers of the condition on the force on the object, in energy coordinates.
     """
     joints = t.work.joints
     if arm_work.wide == 0:

@@ -46,8 +46,10 @@ def place_frame(joint, X, R, p):
     """Transform a frame that is fixed to a joint to the world.
 
     Args:
-        joint: JOINT_WORK row. X: (12,) frame in the joint: rotation by rows, then origin (m).
-        R: (3, 3), filled with the frame's axes in the world. p: (3,), filled with its origin (m).
+        joint: JOINT_WORK row.
+        X: (12,) frame in the joint: rotation by rows, then origin (m).
+        R: (3, 3), filled with the frame's axes in the world.
+        p: (3,), filled with its origin (m).
     """
     turn_axes(joint.R, X, R)
     fill3(p, place_point(joint, X[9:]))
@@ -58,8 +60,8 @@ def turn_axes(R, rotation, out):
     """Multiply two rotations, the second given by rows, and write the product to `out`.
 
     Args:
-        R: rotation matrix or pose, at least 3×3. rotation: rotation by rows in its first nine
-            elements.
+        R: rotation matrix or pose, at least 3×3.
+        rotation: rotation by rows in its first nine elements.
         out: at least 3×3, filled.
     """
     turn = join(six(rotation), linear(rotation[6:]))
@@ -72,7 +74,9 @@ def place_arm(t, arm, q):
     """Fill axes R and origin p (m, world) of every joint of an arm.
 
     Args:
-        t: Tick. arm: ARM row. q: (n,) joint positions (m, rad).
+        t: Tick.
+        arm: ARM row.
+        q: (n,) joint positions (m, rad).
     """
     joints = t.model.joints
     work = t.work.joints
@@ -94,7 +98,7 @@ def place_arm(t, arm, q):
             b = R[i, 1]
             R[i, 0] = c * a + s * b
             R[i, 1] = c * b - s * a
-            p[i] += (q[j] - angle) * R[i, 2]
+            p[i] += (q[j] - angle) * R[i, 2]  # 0 for a revolute joint, whose angle is q
 
 
 @leaf
@@ -102,8 +106,10 @@ def _place_body(w, C, link, body):
     """Transform the inertia of a body that is fixed to a joint to world axes about C.
 
     Args:
-        w: JOINT_WORK row. C: (3,) point (m). link: (13,) mass (kg), centre in the joint (m),
-            rotational inertia about the centre by rows (kg m²).
+        w: JOINT_WORK row.
+        C: (3,) point (m).
+        link: (13,) mass (kg), centre in the joint (m), rotational inertia about the centre by rows
+            (kg m²).
         body: (13,), filled with mass, mass × centre from C, rotational inertia about C by rows.
     """
     R = w.R
@@ -119,7 +125,9 @@ def _place_body(w, C, link, body):
 
 @leaf
 def _times(b, x):
-    """Multiply the inertia of a body with a motion: momentum of a twist, wrench of an acceleration.
+    """Multiply the inertia of a body with a motion x.
+
+    The result is the momentum of a twist, or the wrench that causes an acceleration.
 
     Args:
         b: (13,) mass (kg), mass × centre of mass (kg m), inertia about C by rows (kg m²).
@@ -136,27 +144,36 @@ def _times(b, x):
 def _force_on(b, V, a, gravity):
     """Compute the wrench I(a − g) + V ×* IV (six numbers, at C) that moves a body.
 
+    I (6, 6) is its inertia about C, and V ×* the spatial cross product for wrenches.
+
     Args:
         b: (13,) mass (kg), mass × centre of mass (kg m), inertia about C by rows (kg m²).
-        V: (6,) twist at C (m/s, rad/s). a: (6,) spatial acceleration at C (m/s², rad/s²).
+        V: (6,) twist at C (m/s, rad/s).
+        a: (6,) spatial acceleration at C (m/s², rad/s²).
         gravity: (3,) g (m/s²).
     """
     f = _times(b, join(minus3(a, gravity), angular(a)))
-    p = _times(b, V)
+    p = _times(b, V)  # momentum
     force = plus3(f, cross(V[3:], p))
     return join(force, plus3(plus3(f[3:], cross(V[3:], p[3:])), cross(V, p)))
 
 
 @leaf
 def move_arm(t, arm, v, C, V, gamma, bias_out):
-    """Compute J at C, drift γ, h = C v + g and M of one arm, and wrenches of its outboard bodies.
+    """Compute Jacobian, drift, bias torques and inertia of an arm, and its outboard wrenches.
 
-    Reads R and p of the joints. Fills of each joint `column` (of J), `h`, `M` and `outboard`, the
-    wrench at C of the bodies beyond the wrist sensor per unit of the joint's acceleration.
+    Outboard are the bodies beyond the wrist sensor. Reads R and p of the joints. Fills of each
+    joint `column` (its column of the Jacobian J at C, world axes), `h` (C v + g: torque of
+    velocities and gravity; N m, N), `M` (its row of the joint-space inertia), and `outboard`, the
+    wrench at C of the outboard bodies per unit of the joint's acceleration.
 
     Args:
-        t: Tick. arm: ARM row. v: (n,) joint velocities (rad/s, m/s). C: (3,) common point (m).
-        V: (6,), filled with the twist of the tip at C. gamma: (6,), filled with its drift at C.
+        t: Tick.
+        arm: ARM row.
+        v: (n,) joint velocities (rad/s, m/s).
+        C: (3,) common point (m).
+        V: (6,), filled with the twist of the tip at C.
+        gamma: (6,), filled with its drift γ, the acceleration at q̈ = 0, at C (m/s², rad/s²).
         bias_out: (6,), to which the wrench of the outboard bodies at q̈ = 0 is added, at C.
     """
     joints = t.model.joints
@@ -197,7 +214,7 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
             w.M[k - arm.first] = m
             work[k].M[j - arm.first] = m
         w.M[j - arm.first] += joints[j].armature + t.memory.joints[j].rotor
-        if j <= arm.outer_joint:
+        if j <= arm.outer_joint:  # it moves all outboard bodies, else only those beyond itself
             momentum = _times(outer_body, w.column)
         fill(w.outboard, momentum)
 
@@ -207,6 +224,7 @@ def weight_on_joint(w, gravity):
     """Force or torque (N, N m) at a joint by gravity on the bodies beyond it.
 
     Args:
-        w: JOINT_WORK row after `move_arm`. gravity: (3,) m/s².
+        w: JOINT_WORK row after `move_arm`.
+        gravity: (3,) m/s².
     """
     return dot6(w.column, _times(w.body, join(scaled3(-1.0, gravity), ZERO_3)))

@@ -42,23 +42,26 @@ _DEPENDENT = 1e-9  # remainder of a row, relative to the longest one, that count
 def settable_bars(t, n_locked):
     """Compute the combinations of bar forces that the motors can set, and the levers of the bars.
 
-    Excluded are dependent bars, forces that the structure of the arms carries independently of the
-    motors, and forces that no torques in null(G) produce (because hinges and balls do not transmit
-    them, or passive joints do not resist them). Reads `points`, `carried` and `owners`, J̄ of the
-    joints. Fills `levers` (bars, n), E⁺J̄ᵀ: force in the bars per torque of a joint, without
-    acceleration; and `basis` (bars, s): orthonormal columns, at most 3k − 6, the identity if all
-    bars can be set.
+    A bar carries an internal force between two of the k grasps; E (3k, bars) maps bar forces to
+    forces at the grasps, E⁺ is its pseudo-inverse, J̄ᵀ (6, n) maps torques to the forces of the
+    arms, and G (6, n) torques to the wrench on the object. Excluded are dependent bars, forces that
+    the structure of the arms carries independently of the motors, and forces that no torques in
+    null(G) produce (because hinges and balls do not transmit them, or passive joints do not resist
+    them). Reads `points`, `carried` and `owners`, J̄ of the joints. Fills `levers` (bars, n),
+    E⁺J̄ᵀ: force in the bars per torque of a joint, without acceleration; and `basis` (bars, s):
+    orthonormal columns, at most 3k − 6, the identity if all bars can be set.
 
     Tables of the model's sizes are intermediate results in WORK that no other function reads:
-    `bar_inverse` (E⁺ by rows), `bar_effects` (forces in the bars by locked wrenches and by joints),
-    `bar_torques` (torques that change bar forces), `moving_torques` (torques that move the object).
+    `bar_inverse` (factors of E⁺ = UΣ⁻¹Yᵀ: in each row one of Σ⁻¹Yᵀ, then one of Uᵀ), `bar_effects`
+    (rows of Σ⁻¹Yᵀ times locked wrenches and times forces by joints, then Uᵀ), `bar_torques`
+    (torques that change bar forces), `moving_torques` (torques that move the object).
 
-    `angle_tolerance` is the threshold below which are counted as zero: singular values of E
-    relative to the largest one, those of the locked forces in the bars, and cosines between torques
-    and null(G).
+    Below `angle_tolerance` count as zero: singular values of E relative to the largest one, those
+    of the locked forces in the bars, and cosines between torques and null(G).
 
     Args:
-        t: Tick. n_locked: number of rows of `carried`, ≤ 6k.
+        t: Tick.
+        n_locked: number of rows of `carried`, forces that the arms carry without motors, ≤ 6k.
 
     Returns:
         Number s of columns of `basis`.
@@ -77,6 +80,7 @@ def settable_bars(t, n_locked):
     if n_locked > 0:
         one_sided_jacobi(effects, rank, n_locked, n + bars)
         width = n_locked + n + bars
+        # Combinations that the arms' structure does not change; −1 keeps exact zeros.
         count = _keep(effects, rank, n_locked, width, -1.0, tolerance * tolerance)
     settable = _find_internal_torques(t, count, n_locked)
     _fill_basis(t, settable, count, bars, n_locked)
@@ -85,13 +89,20 @@ def settable_bars(t, n_locked):
 
 @inner
 def _compute_levers(t, bars, n_locked):
-    """Fill `levers` E⁺J̄ᵀ, and rows [locked forces, joints, bars] of `bar_effects`.
+    """Fill `levers` E⁺J̄ᵀ, and rows of `bar_effects`: locked forces, joints, bars.
 
-    The rows of E⁺ that belong to singular values of zero are left out. Reads `points`, `carried`,
-    `owners`, J̄ of the joints; fills `bar_inverse` (E⁺ by rows), too.
+    `levers` (bars, n) are the forces in the bars (N) per torque (N m, N) of each joint. E (3k,
+    bars) maps forces in the bars to forces at the grasps of the k arms, E⁺ = UΣ⁻¹Yᵀ is its
+    pseudo-inverse, and J̄ᵀ (6, n) maps torques to the forces of the arms. A row of `bar_effects`
+    belongs to a singular value of E: it has products of the row of Σ⁻¹Yᵀ with locked forces and
+    with the forces by joints, then the row of Uᵀ; singular values of zero are left out. Reads
+    `points`, `carried`, `owners`, J̄ of the joints; fills `bar_inverse` with rows of Σ⁻¹Yᵀ, then of
+    Uᵀ, too.
 
     Args:
-        t: Tick. bars: number of bars. n_locked: number of rows of `carried`.
+        t: Tick.
+        bars: number of bars.
+        n_locked: number of rows of `carried`.
 
     Returns:
         Rank of E, the number of filled rows of `bar_effects`.
@@ -105,15 +116,15 @@ def _compute_levers(t, bars, n_locked):
     _place_bars(arms, bars, work.points, inverse)
     one_sided_jacobi(inverse, bars, 3 * arms, bars)
     rank = _invert(inverse, bars, 3 * arms, bars, t.model.angle_tolerance)
-    _dot_forces(t, rank, inverse, n_locked, effects)
+    _apply_inverse(t, rank, inverse, n_locked, effects)
     for bar in range(bars):
         for j in range(n):
             levers[bar, j] = 0.0
         for row in range(rank):
-            share = inverse[row, 3 * arms + bar]  # element of u in E⁺ = UΣ⁻¹Yᵀ
-            effects[row, n_locked + n + bar] = share
+            u = inverse[row, 3 * arms + bar]  # element of U in E⁺ = UΣ⁻¹Yᵀ
+            effects[row, n_locked + n + bar] = u
             for j in range(n):
-                levers[bar, j] += share * effects[row, n_locked + j]
+                levers[bar, j] += u * effects[row, n_locked + j]
     return rank
 
 
@@ -121,14 +132,16 @@ def _compute_levers(t, bars, n_locked):
 def _find_internal_torques(t, count, n_locked):
     """Find torques that change bar forces and, being in null(G), do not move the object.
 
-    Torques are weighted by effort, τ/τ_max. They are selected by their angle to null(G), not by
-    size, because singular postures exaggerate some forces. Reads J̄ of the joints; weights the
-    joint elements of `bar_effects`. Fills `bar_torques` (s, n) with these torques, and
-    `moving_torques` with an orthonormal basis of the torques that move the object.
+    G (6, n) maps torques to the wrench on the object. Torques are weighted by effort, τ/τ_max. They
+    are selected by their angle to null(G), not by size, because singular postures exaggerate some
+    forces. Reads J̄ of the joints (n, 6), whose rows along the free axes are the columns of G;
+    weights the joint elements of `bar_effects`. Fills `bar_torques` (s, n) with these torques, and
+    `moving_torques` (6, n) with an orthonormal basis of the torques that move the object.
 
     Args:
-        t: Tick. count: number of rows of `bar_effects`. n_locked: number of their leading elements,
-            which belong to locked wrenches.
+        t: Tick.
+        count: number of rows of `bar_effects`.
+        n_locked: number of their leading elements, which belong to locked wrenches.
 
     Returns:
         Number s of these torques.
@@ -163,8 +176,11 @@ def _fill_basis(t, settable, count, bars, n_locked):
     null(G), the rows of `bar_effects`; else the forces by the torques in `bar_torques`.
 
     Args:
-        t: Tick. settable: number s of columns. count: number of rows of `bar_effects`.
-        bars: number of bars. n_locked: number of leading elements of each row of `bar_effects`.
+        t: Tick.
+        settable: number s of columns.
+        count: number of rows of `bar_effects`.
+        bars: number of bars.
+        n_locked: number of leading elements of each row of `bar_effects`.
     """
     work = t.work
     n = t.model.n_joints
@@ -191,7 +207,9 @@ def _place_bars(k, bars, points, X):
     those of arm j; a bar between coinciding points has zeros.
 
     Args:
-        k: number of arms. bars: number of bars. points: (k, 3) grasp points (m).
+        k: number of arms.
+        bars: number of bars.
+        points: (k, 3) grasp points (m).
         X: (bars, 3k + bars), filled.
     """
     X[:] = 0.0
@@ -210,12 +228,17 @@ def _place_bars(k, bars, points, X):
 
 @inner
 def _invert(X, count, length, carried, tolerance):
-    """Convert rows [σyᵀ  uᵀ] of the SVD UΣYᵀ = Eᵀ to rows [yᵀ/σ  uᵀ], with E⁺ = UΣ⁻¹Yᵀ.
+    """Convert rows [σyᵀ, uᵀ] of the SVD Eᵀ = UΣYᵀ to rows [yᵀ/σ, uᵀ] of its inverse E⁺ = UΣ⁻¹Yᵀ.
+
+    Each row belongs to a singular value σ with the singular vectors y (3k,) and u (bars,): y is a
+    column of Y, u one of U. Rows with σ near zero are dropped.
 
     Args:
-        X: matrix whose rows are orthogonal in y, overwritten. count: number of rows. length: number
-            of elements of y. carried: number of elements of u.
-        tolerance: least σ relative to the largest one; rows below it are dropped.
+        X: (count, length + carried), orthogonal in the elements y, overwritten.
+        count: number of rows.
+        length: number of elements of y.
+        carried: number of elements of u.
+        tolerance: least σ relative to the largest one.
 
     Returns:
         Number of rows that remain, at the front of X.
@@ -225,40 +248,59 @@ def _invert(X, count, length, carried, tolerance):
         largest = max(largest, dot(X[row], X[row], length))
     n_kept = _keep(X, count, length, length + carried, tolerance * tolerance * largest, inf)
     for row in range(n_kept):
-        inverse = 1.0 / dot(X[row], X[row], length)
+        inverse = 1.0 / dot(X[row], X[row], length)  # 1/σ², since the row has σy
         for i in range(length):
             X[row, i] *= inverse
     return n_kept
 
 
 @inner
-def _dot_forces(t, rank, X, n_locked, Y):
-    """Multiply rows of E⁺ with the locked forces, then with the force per torque of each joint.
+def _apply_inverse(t, rank, inverse, n_locked, effects):
+    """Multiply a factor of E⁺ with the locked forces and the forces by unit joint torques.
+
+    E (3k, bars) maps forces in the bars (N) to forces at the grasps of the k arms, and E⁺ = UΣ⁻¹Yᵀ
+    is its pseudo-inverse. The rows of Σ⁻¹Yᵀ are multiplied, the left factor U follows in
+    `_compute_levers`. A locked force acts at the grasp of one arm, the force of a joint at that of
+    its arm, so only three elements of a row count for each.
+
+    Reads `owners`, `carried`, `axes`, and J̄ of the joints.
 
     Args:
-        t: Tick. rank: number of rows. X: `bar_inverse`, of which X[:rank, :3k] is read.
-        n_locked: number of rows of `carried`. Y: `bar_effects`, of which Y[:rank] is filled with
-            n_locked products, then n products.
+        t: Tick.
+        rank: number of rows, the rank of E.
+        inverse: `bar_inverse`, of which the rows of Σ⁻¹Yᵀ, [:rank, :3k], are read.
+        n_locked: number of rows of `carried`, forces that the arms carry without their motors.
+        effects: `bar_effects`, of which [:rank] is filled: n_locked products with the rows of
+            `carried`, then n with the force (N) at the grasp per torque (N m, N) of each joint.
     """
     work = t.work
     for row in range(rank):
         for c in range(n_locked):
-            Y[row, c] = dot3(X[row, 3 * work.owners[c] :], work.carried[c])
+            elements = inverse[row, 3 * work.owners[c] :]  # those of the arm on which it acts
+            effects[row, c] = dot3(elements, work.carried[c])
         for i in range(t.model.n_arms):
             for j in range(t.model.arms[i].first, t.model.arms[i].end):
-                force = rotated_back(work.axes[0], work.joints[j].J_bar)  # in world axes: L f̃
-                Y[row, n_locked + j] = dot3(X[row, 3 * i :], force)
+                # From energy coordinates to world axes, f = L f̃; the moment does not count.
+                force = rotated_back(work.axes[0], work.joints[j].J_bar)
+                effects[row, n_locked + j] = dot3(inverse[row, 3 * i :], force)
 
 
 @inner
 def _make_forces(s, count, bars, n, Z, Y, X):
-    """Compute the bar forces that torques cause: X[c] = Σ (y[:n]·Z[c]) y[n:] over the rows y of Y.
+    """Compute the bar forces that torques cause, Σ (y·z) b over the pairs (y, b) in the rows of Y.
+
+    y (n,) is a row of forces per unit torque of each joint, b (bars,) the forces in the bars that
+    belong to it, and z (n,) the torques in a row of Z.
 
     Args:
-        s: number of rows of Z. count: number of rows of Y. bars: number of bars. n: number of
-            joints.
-        Z: (s, n) torques (N m, N). Y: (count, n + bars) rows of forces per torque of a joint,
-            behind each the bar forces that belong to it. X: (s, bars), filled with bar forces (N).
+        s: number of rows of Z.
+        count: number of rows of Y.
+        bars: number of bars.
+        n: number of joints.
+        Z: (s, n) torques (N m, N).
+        Y: (count, n + bars) rows [y, b]: force (N) per torque of each joint, then the bar forces
+            that belong to a unit of it.
+        X: (s, bars), filled with the bar forces (N) by each row of Z.
     """
     for c in range(s):
         for bar in range(bars):
@@ -269,11 +311,15 @@ def _make_forces(s, count, bars, n, Z, Y, X):
 
 @inner
 def _keep(X, count, length, width, low, high):
-    """Move the rows of X to the front whose leading part y has above < |y|² ≤ most.
+    """Move those rows of X to the front whose first `length` elements y have low < |y|² ≤ high.
 
     Args:
-        X: matrix, whose rows are overwritten. count: number of rows. length: number of elements of
-            y. width: number of elements of a row that are moved. low, high: bounds of |y|².
+        X: matrix, whose rows are overwritten.
+        count: number of rows.
+        length: number of elements of y.
+        width: number of elements of a row that are moved.
+        low, high: bounds of |y|².
+        low: lower bound of |y|²; a negative one keeps rows of zeros.
 
     Returns:
         Number of these rows.
@@ -292,8 +338,9 @@ def _take_out(Q, count, length, x):
     """Subtract from a row its components along orthonormal rows.
 
     Args:
-        Q: matrix with orthonormal rows. count: number of its rows in use. length: number of
-            elements.
+        Q: matrix with orthonormal rows.
+        count: number of its rows in use.
+        length: number of elements.
         x: (length,), changed.
     """
     for c in range(count):
@@ -308,7 +355,9 @@ def _orthonormalise(X, count, length, tolerance):
     at most `tolerance` times the longest row count as dependent.
 
     Args:
-        X: matrix, overwritten. count: number of rows. length: number of elements of a row.
+        X: (count, length) or larger, overwritten.
+        count: number of rows.
+        length: number of elements of a row.
         tolerance: least remainder relative to the longest row.
 
     Returns:
@@ -316,7 +365,7 @@ def _orthonormalise(X, count, length, tolerance):
     """
     largest = 0.0
     for done in range(count):
-        longest = 0.0  # square of the length of the longest remaining row
+        longest = 0.0  # square of the norm of the longest remaining row
         selected = done
         for row in range(done, count):
             square = dot(X[row], X[row], length)
@@ -342,14 +391,21 @@ def _orthonormalise(X, count, length, tolerance):
 
 @inner
 def internal_rows(t, d):
-    """Fill the rows E of the settable bar forces and their right-hand sides; return their number.
+    """Fill the conditions on the torques for the bar forces that the motors can set.
 
-    Reads `commanded`, R and p of the joints, `resisted` of the arms, `inertial` and `rest` of the
-    joints, `goal` of the internal forces. Fills `points`, `carried`, `owners`, and rows of `extra`
-    (E) and `sides` (E τ less E τ_0).
+    Row e is E τ = side (N): E (s, n) is the force of the e-th combination of bars, a column of
+    `basis` (bars, s), per torque of each joint, and the side is the commanded force plus E times
+    the torques that move the arms, less E τ_0, where τ_0 are the torques without command. Reads
+    `commanded`, R and p of the joints, `resisted` of the arms, `inertial` and `rest` of the joints,
+    `goal` of the internal forces. Fills `points`, `carried`, `owners`, the fields of
+    `settable_bars`, rows of `extra` (E) and of `sides`.
 
     Args:
-        t: Tick. d: number of rows of `sides` before these.
+        t: Tick.
+        d: number of rows of `sides` before these.
+
+    Returns:
+        Number s of these rows; 0 if no internal force is commanded.
     """
     model = t.model
     work = t.work
@@ -384,10 +440,11 @@ def internal_rows(t, d):
 
 @inner
 def internal_forces(t):
-    """Compute the forces `bars` (N) between each two grasps from the torques of the joints.
+    """Compute the internal force (N) in the bar between each two grasps, from the joints' torques.
 
-    Reads `levers`, and `tau`, `friction` and `inertial` of the joints. The forces are zero if no
-    internal force is commanded.
+    It is `levers` (bars, n; force per torque of each joint) times the torques less those of
+    friction, of motion and of weight. Reads `levers`, and `tau`, `friction` and `inertial` of the
+    joints; fills `bars`, with zeros if no internal force is commanded.
 
     Args:
         t: Tick.

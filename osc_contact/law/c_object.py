@@ -53,10 +53,12 @@ def osc_law_rows(raw, at, arrays, sizes):
     """Run `rows.rows`, the law over many rows of inputs, as a function called from C.
 
     Args:
-        raw: address of the bytes of `records.Rows`. at: offset of the JOB in them (bytes).
+        raw: address of the bytes of `records.Rows`.
+        at: offset of the JOB in them (bytes).
         arrays: address of nine addresses, those of the float64 arrays of the argument `given` of
-            `rows.rows`, in its order. sizes: address of nine integers, the number of elements of
-            each array, or the number of its rows if it has two axes.
+            `rows.rows`, in its order.
+        sizes: address of nine integers, the number of elements of each array, or the number of its
+            rows if it has two axes.
 
     Returns:
         The value returned by `rows.rows`.
@@ -99,8 +101,10 @@ def osc_law_fill(raw, at, i, program):
     """Run `saturation.fill_program`, which fills the program of a saturated tick, called from C.
 
     Args:
-        raw: address of the bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated
-            tick. program: address of the bytes of PROGRAM.
+        raw: address of the bytes of `records.Rows`.
+        at: offset of the JOB.
+        i: row of the saturated tick.
+        program: address of the bytes of PROGRAM.
 
     Returns:
         k, the number of contact forces that must not pull.
@@ -114,7 +118,8 @@ def osc_law_prepare(program, slack):
     """Run `limits.prepare`, which makes the quadratic program of the motor limits, called from C.
 
     Args:
-        program: address of the bytes of PROGRAM. slack: number of slack variables.
+        program: address of the bytes of PROGRAM.
+        slack: number of slack variables.
 
     Returns:
         1, or 0 if the response of the chain to the motors is singular.
@@ -126,7 +131,8 @@ def osc_law_finish(program, slack):
     """Run `limits.finish`, which computes torques from the solver's answer, called from C.
 
     Args:
-        program: address of the bytes of PROGRAM. slack: number of slack variables.
+        program: address of the bytes of PROGRAM.
+        slack: number of slack variables.
 
     Returns:
         1 if the torques are finite, else 0.
@@ -138,11 +144,13 @@ def osc_law_settle(raw, at, i, program):
     """Run `saturation.settle`, which applies torques of a solved program to a row, called from C.
 
     Args:
-        raw: address of the bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated
-            tick. program: address of the bytes of PROGRAM.
+        raw: address of the bytes of `records.Rows`.
+        at: offset of the JOB.
+        i: row of the saturated tick.
+        program: address of the bytes of PROGRAM.
 
     Returns:
-        0.
+        0, since every entry returns an integer.
     """
     _settle(bytes_at(raw), at, i, bytes_at(program))
     return 0
@@ -222,8 +230,8 @@ def _object(show: Callable[[float], None], triple: str = "") -> bytes:
     """Content of law.o with all entries.
 
     Args:
-        show: called with the completed share of the work. triple: LLVM's name of another platform;
-            empty: this platform.
+        show: called with the completed share of the work.
+        triple: LLVM's name of another platform; empty: this platform.
     """
     from osc_contact.law import machine_code, platforms
 
@@ -244,21 +252,22 @@ class Progress:
     """
 
     def __init__(self, show: Callable[[float], None]) -> None:
-        """Start the clock of the compilation.
+        """Start the clock of the compilation, with no progress so far.
 
         Args:
-            show: called with the completed share of the work, 0 … 1.
+            show: called after each part and stage with the completed share of the time, 0 … 1.
         """
         self._show = show
-        self._began = perf_counter()
-        self._shown = 0.0
-        self._translated = 1.0  #: s until all parts were ready
+        self._began = perf_counter()  #: instant of the start (s)
+        self._shown = 0.0  #: largest share that was shown
+        self._translated = 1.0  #: s from the start until the last part was ready; updated by each
 
     def part_is_ready(self, share: float, kept: bool) -> None:
         """Show the progress after another part.
 
         Args:
-            share: share of the units with a finished part. kept: whether this one was cached.
+            share: share of the units with a finished part.
+            kept: whether this one was cached.
         """
         elapsed = perf_counter() - self._began
         self._translated = elapsed
@@ -317,7 +326,8 @@ class _Assistant:
         """Start the process once many parts are new, if a core is available for it.
 
         Args:
-            share: share of the units with a finished part. kept: whether the last one was cached.
+            share: share of the units with a finished part.
+            kept: whether the last one was cached.
         """
         self._new += not kept
         if self._new == _MANY and self._process is None and _cores() > 1:
@@ -361,6 +371,9 @@ def _assist() -> None:
 
 def _link(folder: Path) -> None:
     """Link the library from the object file in a folder.
+
+    Args:
+        folder: folder with the object file, in which the library is made.
 
     Raises:
         OscContactError: the C compiler fails.

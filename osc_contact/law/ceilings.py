@@ -87,7 +87,11 @@ def _stop(memory, reason, culprit, reached, ceiling):
     """Store culprit and values for the sentence of a reason in MEMORY; return the reason.
 
     Args:
-        memory: MEMORY. reason: code. culprit: column or arm. reached, ceiling: N or m/s.
+        memory: MEMORY.
+        reason: code of the reason to stop.
+        culprit: index of the column of N or of the arm that is above its ceiling.
+        reached: measured value above the ceiling (N or m/s).
+        ceiling: the ceiling (N or m/s).
     """
     memory.culprit = culprit
     memory.reached = reached
@@ -166,7 +170,8 @@ def carried_force(t, acceleration):
     Each arm is assumed to bear an equal share of the object's weight and inertia, and of the tare.
 
     Args:
-        t: Tick. acceleration: (3,) acceleration of the object's centre of mass (m/s²).
+        t: Tick.
+        acceleration: (3,) acceleration of the object's centre of mass (m/s²).
     """
     model = t.model
     mass = model.principal[0] / model.n_arms if model.held else 0.0
@@ -182,19 +187,20 @@ def _largest_load(t, acceleration):
     it and the object.
 
     Args:
-        t: Tick. acceleration: (3,) acceleration of the object's centre of mass (m/s²).
+        t: Tick.
+        acceleration: (3,) acceleration of the object's centre of mass (m/s²).
 
     Returns:
         Index of the arm, and the force (N).
     """
     model = t.model
-    carried = carried_force(t, acceleration)
+    weight_and_inertia = carried_force(t, acceleration)
     arm = 0
     largest = 0.0
     for k in range(model.n_arms):
         if model.arms[k].sensor_joint < 0:
             continue
-        force = minus3(t.work.arms[k].net, carried)
+        force = minus3(t.work.arms[k].net, weight_and_inertia)
         size = sqrt(dot3(force, force))
         if size > largest:
             arm = k

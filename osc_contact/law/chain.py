@@ -159,7 +159,8 @@ def _move_object(t, is_input):
     is an input.
 
     Args:
-        t: Tick after `move_arm` of all arms. is_input: whether the twist is an input of the tick.
+        t: Tick after `move_arm` of all arms.
+        is_input: whether the twist is an input of the tick.
 
     Returns:
         False if the grasps do not determine the twist.
@@ -180,14 +181,15 @@ def _move_object(t, is_input):
 def _combine_twists(t):
     """Combine the twists of the object by the joint speeds of all arms; rigid grasps only.
 
-    Errors of joint speeds are assumed to have the variance 1, so that V_i = J_i q̇_i + ε has the
-    covariance G_i = J_i J_iᵀ + ρ_i 1. ε is the error of the Jacobian; without it, no twist would
-    satisfy two arms with different locked directions. With P the covariance of the estimate from
-    the former arms,
+    Errors of joint speeds are assumed to have the variance 1, so that the twist V_i = J_i q̇_i + ε
+    of arm i has the covariance G_i = J_i J_iᵀ + ρ_i 1. ε is the error of the Jacobian J_i (6, n_i);
+    without it, no twist would satisfy two arms with different locked directions. With P (6, 6) the
+    covariance of the estimate V from the former arms,
 
         K = P (P + G_i)⁻¹,   V ← V + K (V_i − V),   P ← P − K P
 
-    Reads `axes`, V of the arms and J of the joints. Updates `V_C` and `V_O`.
+    All are in energy coordinates. Reads `axes`, V of the arms and J of the joints. Updates `V_C`
+    and `V_O`.
 
     Args:
         t: Tick.
@@ -219,13 +221,16 @@ def _combine_twists(t):
 
 @leaf
 def _add_covariance(t, k, G):
-    """Add the covariance J_k J_kᵀ + ρ 1 of the twist by arm k to G, ρ = `_GEOMETRY`² tr(J_k J_kᵀ).
+    """Add the covariance J_k J_kᵀ + ρ 1 of the twist of the object by arm k to a matrix.
 
-    The standard deviation of speeds is 1 rad/s for revolute joints, `SLIDES` (m/s) for prismatic
-    ones.
+    J_k (6, n) is the Jacobian in energy coordinates, ρ = `_GEOMETRY`² tr(J_k J_kᵀ) the variance by
+    errors of the geometry. The standard deviation of speeds is 1 rad/s for revolute joints,
+    `SLIDES` (m/s) for prismatic ones.
 
     Args:
-        t: Tick. k: arm. G: (6, 6) in energy coordinates, changed.
+        t: Tick.
+        k: index of the arm.
+        G: (6, 6) in energy coordinates, changed.
     """
     rho = 0.0
     for j in range(t.model.arms[k].first, t.model.arms[k].end):
@@ -246,10 +251,13 @@ def _add_arm(t, arm, arm_work, row):
     sensor to `out_T`, `bias_e` and `bias_links`.
 
     Args:
-        t: Tick. arm: ARM row. arm_work: its ARM_WORK. row: first free row of `locked_rows`.
+        t: Tick.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
+        row: first free row of `locked_rows`.
 
     Returns:
-        A reason, and the number of wrenches that the arm locks.
+        `NO_REASON`, `BAD_INERTIA` or `UNACTUATED`; and the number of wrenches that the arm locks.
     """
     model = t.model
     work = t.work
@@ -299,13 +307,18 @@ def _add_arm(t, arm, arm_work, row):
 
 @leaf
 def _add_outboard(t, arm, arm_work):
-    """Add the bodies beyond the wrist sensor of an arm to Λ_out (I J J̄) and the bias (−I J J̄ γ).
+    """Add the bodies beyond an arm's wrist sensor to inertia and bias of all such bodies.
 
-    Reads `bias` and `gamma` of the arm, J̄ and `outboard` (I J) of its joints; I J is converted to
-    energy coordinates in place. Adds to `out_T` (Λ_out transposed), `bias_links` and `bias_e`.
+    I J (6, n) has the wrench of these bodies per acceleration of each joint: their inertia I times
+    the Jacobian J. With the inertia-weighted inverse J̄ (n, 6) of the Jacobian and the drift γ (6,)
+    of the tip, the inertia Λ_out increases by I J J̄, and the bias by −I J J̄ γ. Reads `bias` and
+    `gamma` of the arm, J̄ and `outboard` (I J) of its joints; I J is converted to energy
+    coordinates in place. Adds to `out_T` (Λ_out transposed), `bias_links` and `bias_e`.
 
     Args:
-        t: Tick. arm: ARM row. arm_work: its ARM_WORK.
+        t: Tick.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
     """
     work = t.work
     fill(work.bias_links, plus(work.bias_links, arm_work.bias))
@@ -322,9 +335,11 @@ def _add_outboard(t, arm, arm_work):
 def _add_object(t):
     """Add the inertia and the bias of the object to those of the chain and of the outboard bodies.
 
-    In energy coordinates Λ_o = 1 and, along the principal axes of the object,
-    μ_o + p_o = [√m (ω × v − g); (ω × Iω)/√I]. Reads `axes`, `V_C`, `bias_links`. Adds to `Lambda`,
-    `chain_bias`, `out_T`, `bias_e`; fills `bias_out`.
+    In energy coordinates the inertia Λ_o is the identity, and the wrench that moves the object at
+    η̇ = 0 is, along its principal axes, [√m (ω × v − g); (ω × Iω)/√I] with its mass m, principal
+    moments I, twist (v, ω) and gravity g. Without an object only the bias of the bodies beyond the
+    wrist sensors is added. Reads `axes`, `V_C`, `bias_links`. Adds to `Lambda`, `chain_bias`,
+    `out_T`, `bias_e`; fills `bias_out`.
 
     Args:
         t: Tick.
@@ -358,7 +373,8 @@ def _intersect(t, count):
     along the locked axes at η̇ = 0 (energy coordinates, not yet turned).
 
     Args:
-        t: Tick. count: number of filled rows of `locked_rows`.
+        t: Tick.
+        count: number of filled rows of `locked_rows`.
     """
     locked = t.work.locked_rows
     work = t.work
@@ -376,6 +392,6 @@ def _intersect(t, count):
             work.locked += 1
     diagonal = local(6)
     qr_rows(work.reflectors, work.locked, 6, diagonal, work.beta)
-    for k in range(work.locked):
+    for k in range(work.locked):  # there `qr_rows` has left R, which is not needed
         for i in range(k):
             work.reflectors[k, i] = 0.0

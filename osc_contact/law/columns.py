@@ -102,11 +102,11 @@ def keep_columns(t):
             fill(work.N_e[j], column.energy)
             work.kept[j] = work.chosen[j]
     work.rank = count
-    dependent = count > 6
+    may_depend = count > 6
     if 1 < count <= 6:
         least_ratio = orthonormalise(work.N_e, count, 0, work.N_basis, work.N_factor)
-        dependent = not least_ratio > 10.0 * DEPENDENT  # also if NaN
-    if dependent:
+        may_depend = not least_ratio > 10.0 * DEPENDENT  # also if NaN
+    if may_depend:
         reason = _reduce(t)
         if reason != NO_REASON:
             return reason
@@ -121,11 +121,13 @@ def keep_columns(t):
 
 @inner
 def _reduce(t):
-    """Select a well-conditioned, independent subset of the active columns.
+    """Select a well-conditioned, independent subset of the active columns of N.
 
     Each step selects the first column whose part outside the span of the selected ones is at least
-    0.3 times the largest such part. Reads `energy` and `extent` of the columns. Fills `rank`,
-    `kept`, and `rest` and `share` of the columns.
+    `_PIVOT` times the largest such part; it ends when all these parts are below `DEPENDENT`. Reads
+    `energy` and `extent` of the columns. Fills `rank`, `kept` (in ascending order), and `rest` (6,;
+    the part outside the span) and `share` (r,; magnitudes of the kept columns with the same wrench)
+    of the columns.
 
     Args:
         t: Tick.
@@ -148,11 +150,11 @@ def _reduce(t):
         if sqrt(longest) <= DEPENDENT or rank == 6:
             break
         first = work.chosen[0]
-        for j in range(work.count - 1, -1, -1):
+        for j in range(work.count - 1, -1, -1):  # from the last one: the first one remains
             remainder = columns[work.chosen[j]].rest
             if dot6(remainder, remainder) >= _PIVOT * _PIVOT * longest:
                 first = work.chosen[j]
-        place = rank
+        place = rank  # insertion into `kept`, which stays in ascending order
         while place > 0 and work.kept[place - 1] > first:
             work.kept[place] = work.kept[place - 1]
             place -= 1
@@ -175,7 +177,8 @@ def _remove(t, first):
     The projection is done twice, for accuracy (energy coordinates).
 
     Args:
-        t: Tick. first: index of the column among all columns of the model.
+        t: Tick.
+        first: index of the column among all columns of the model.
     """
     columns = t.work.columns
     direction = columns[first].rest
@@ -191,9 +194,10 @@ def _remove(t, first):
 
 @inner
 def _express(t):
-    """Express each active column as a combination of the kept ones, N_all = N share.
+    """Express each active column of N as a combination of the kept ones, `energy` = Σ share_a N_a.
 
-    Reads `rank`, `kept`, and `energy` and `extent` of the columns; fills `share` (r,) of each.
+    `share` (r,) has the magnitudes of the r kept columns N_a with the same wrench as a unit of the
+    column. Reads `rank`, `kept`, and `energy` and `extent` of the columns; fills `share` of each.
 
     Args:
         t: Tick.
@@ -215,7 +219,7 @@ def _express(t):
         backward(factor, rank, column.share)
         for a in range(rank):
             column.share[a] /= columns[work.kept[a]].extent
-    for a in range(rank):
+    for a in range(rank):  # of the kept columns exactly, without rounding errors
         share = columns[work.kept[a]].share
         fill(share, ZERO)
         share[a] = 1.0
@@ -225,8 +229,10 @@ def _express(t):
 def _consistent(t):
     """Determine whether n_γ of every active column follows from the kept ones, except for rounding.
 
-    Reads `n_gamma`, `share`, `extent` of the columns. If one does not, fills `where` (the column)
-    and `reason_amount` (n_γ of this column as implied by the others).
+    n_γ is the normal acceleration (m/s², rad/s²) that keeps the contact. A column that is the sum Σ
+    share_a N_a of kept columns needs Σ share_a n_γa. Reads `n_gamma`, `share`, `extent` (norm in
+    energy coordinates) of the columns. If one does not agree, fills `where` (the column) and
+    `reason_amount` (n_γ of this column as implied by the others).
 
     Args:
         t: Tick.
@@ -256,8 +262,9 @@ def _consistent(t):
 def _same_body(t):
     """Require that dependent columns are on one body, or on unyielding bodies that move in unison.
 
-    Bodies are in unison if their inverse inertia is zero and their bias and twist are equal; then
-    the distribution of a force among them does not matter. Reads `answer` of the bodies.
+    Bodies are in unison if their inverse inertia Φ_e is zero and their bias and twist are equal;
+    then the distribution of a force among them does not matter. Reads `answer` of the bodies: Φ_e
+    by rows (36), bias b_e (6), twist V_e (6).
 
     Args:
         t: Tick.
@@ -274,7 +281,7 @@ def _same_body(t):
         for i in range(48):
             a = work.bodies[first].answer[i]
             b = work.bodies[other].answer[i]
-            if a != b or (i < 36 and a != 0.0):
+            if a != b or (i < 36 and a != 0.0):  # the first 36 are Φ_e
                 return DIFFERENT_BODIES
     return NO_REASON
 
@@ -283,9 +290,11 @@ def _same_body(t):
 def spread_magnitudes(t):
     """Distribute forces and speeds of the kept columns to all columns; inactive ones get zero.
 
-    The distribution of dependent columns has the least sum of squares: α_all = Rᵀ(RRᵀ)⁻¹α, where R
-    has the shares. The speeds are Rᵀ times those of the kept columns. Reads `alpha_meas`, `speed`
-    and `share`; fills `alpha` (N) and `speeds` (m/s).
+    R (r, count) has in each column the magnitudes (`share`) of the r kept columns with the same
+    wrench as a unit of one active column. Of the forces α_all with R α_all = α, those with the
+    least sum of squares are α_all = Rᵀ(RRᵀ)⁻¹α; the speeds are Rᵀ times those of the kept columns.
+    Reads `alpha_meas` (α), `speed` and `share`; fills `alpha` (N) and `speeds` (m/s) for all
+    columns.
 
     Args:
         t: Tick.
@@ -311,8 +320,12 @@ def spread_magnitudes(t):
 def square_shares(work, out):
     """Compute RRᵀ (r, r), where R (r, count) has the shares of the active columns.
 
+    A column of R has the magnitudes of the r kept columns of N with the same wrench as a unit of
+    one of the `count` active columns.
+
     Args:
-        work: WORK, of which `share` is read. out: (6, 6), filled.
+        work: WORK, of which `rank` r, `count`, `chosen` and `share` of the columns are read.
+        out: (6, 6), filled; zero beyond r.
     """
     out[:] = 0.0
     for j in range(work.count):
@@ -327,12 +340,16 @@ def square_shares(work, out):
 
 @inner
 def _body_response(kind, parameters, E, O, answer):
-    """Fill inverse inertia Φ_e, bias b_e and twist V_e of one touched body at O, in world axes.
+    """Fill inverse inertia, bias and twist of one touched body at O, in world axes.
+
+    The acceleration of the body is Φ_e f + b_e with the wrench f on it: Φ_e (6, 6) is its inverse
+    inertia, b_e (6,) its bias, the acceleration without contact; V_e (6,) is its twist.
 
     Args:
-        kind: CART, CONVEYOR or another kind of body. parameters: (8,) of a cart: direction u (0:3),
-            mass, stiffness, damping, preload, u·g. E: (28,) pose of the body by rows, its twist and
-            acceleration. O: (3,) point (m).
+        kind: CART, CONVEYOR or another kind of body.
+        parameters: (8,) of a cart: direction u (0:3), mass, stiffness, damping, preload, u·g.
+        E: (28,) X_WE (4, 4) by rows, V_E (6,) and A_E (6,) of the body.
+        O: (3,) operational point, to which the reference points are moved (m).
         answer: (48,), filled: Φ_e by rows (36), b_e (6), V_e (6).
     """
     Phi = answer[:36]
@@ -363,9 +380,10 @@ def _body_response(kind, parameters, E, O, answer):
 
 @inner
 def compute_body_responses(t):
-    """Compute inverse inertia Φ_e, bias b_e and twist V_e at O of every touched body.
+    """Compute inverse inertia, bias and twist at O of every touched body (see `_body_response`).
 
-    Reads `p_O` and `touched` of INPUT; fills `answer` of the bodies.
+    Bodies that several contacts touch are computed once. Reads `p_O` and `touched` of INPUT; fills
+    `answer` of the bodies.
 
     Args:
         t: Tick.
@@ -379,11 +397,14 @@ def compute_body_responses(t):
 
 @inner
 def project_bodies(t):
-    """Project inverse inertia, bias and twist of the touched bodies on the kept columns.
+    """Project inverse inertia, bias and twist of the touched bodies on the kept columns of N.
 
-    Reads `answer` of the bodies and `friction_wrenches`. Fills `Phi_mu` = NᵀΦ_eN_μ (r, r), `b_N` =
-    Nᵀb_e (r,), `V_N` = NᵀV_e (r,) and `yields` = NᵀΦ_e (r, 6) at O. Without measured motions of
-    bodies the first three are zero.
+    Φ_e (6, 6) is the acceleration of a body at O per wrench on it, b_e (6,) its acceleration
+    without contact, V_e (6,) its twist; N (6, r) are the kept columns, N_μ the same with friction.
+    A force on one body does not move another one. Reads `answer` of the bodies and
+    `friction_wrenches`. Fills `Phi_mu` = NᵀΦ_eN_μ (r, r), `b_N` = Nᵀb_e (r,; m/s²), `V_N` = NᵀV_e
+    (r,; m/s) and `yields` = NᵀΦ_e (r, 6) at O. Without measured motions of bodies the first three
+    are zero.
 
     Args:
         t: Tick.

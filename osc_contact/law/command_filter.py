@@ -69,7 +69,9 @@ _GONE = 1e-6  #: least mobility of the chain along a lost direction, relative to
 
 @inner
 def reflect_columns(t):
-    """Turn the columns of N and N_μ: fill `N_t` and `pushed_t` from `N_e` and `pushed`.
+    """Turn the kept columns of N, and those with friction, so that the locked axes come first.
+
+    Reads `N_e` and `pushed` (r, 6; energy coordinates); fills `N_t` and `pushed_t`.
 
     Args:
         t: Tick.
@@ -84,9 +86,11 @@ def reflect_columns(t):
 def require_reachable(t):
     """Require that the arms can push along every column of N (`response.require_reachable`).
 
-    Since 1 ≤ Λ_S ≤ trace, NᵀΦ₀N is between NᵀN / trace and NᵀN, so that for most contacts N alone
-    is sufficient. Reads `N_t`, `locked` (m), `Lambda`. Fills `N_factor_t` and `N_basis_t` of N_t,
-    over the elements m … 5.
+    The mobility is NᵀΦ₀N, with the columns N (6, r) along the free axes and the inverse inertia Φ₀
+    = Λ_S⁻¹ of the chain there. With an object 1 ≤ Λ_S ≤ trace(Λ_S) in energy coordinates, so the
+    mobility is between NᵀN / trace and NᵀN, and for most contacts N alone is sufficient. Reads
+    `N_t`, `locked` (m), `Lambda`. Fills `N_factor_t` and `N_basis_t` of N_t, over the elements m …
+    5.
 
     Args:
         t: Tick.
@@ -114,10 +118,12 @@ def require_reachable(t):
 
 @inner
 def _judge_reach(t):
-    """Determine from NᵀΦ₀N, Φ₀ = Λ_S⁻¹, whether the arms can push along every column of N.
+    """Determine from the mobility NᵀΦ₀N whether the arms can push along every column of N.
 
-    Reads `N_t`, `locked`, `Lambda`. Fills `where` (the column) and `reason_amount` (its relative
-    mobility, or the least part of a column outside the span of the others).
+    N (6, r) are the columns, Φ₀ = Λ_S⁻¹ is the inverse inertia of the chain along its free axes.
+    Reads `N_t`, `locked`, `Lambda`. Fills `where` (the column) and `reason_amount` (its mobility
+    relative to that of the free object, or the least part of a column outside the span of the
+    others).
 
     Args:
         t: Tick.
@@ -157,9 +163,10 @@ def _judge_reach(t):
 def permit_error(t):
     """Project the pose error at O on the motions that the contacts permit (4).
 
-    Reads `error`, the factors of `N_e` and `N_t`, and `B_inv_t`. Fills `motion_next`, Ω_m(B) times
-    the error over all six axes (m, rad); and `free_error`, the part that both contacts and arms
-    permit, projected in the metric of the object. For `free_error` the locked axes are removed
+    Reads `error`, the factors of `N_e` and `N_t`, and `B_inv_t`. Fills `motion_next`, the error
+    over all six axes projected by Ω_m(B), the projection on the motions without normal components
+    that changes least in the metric B⁻¹ (m, rad); and `free_error`, the part that both contacts and
+    arms permit, projected in the metric of the object. For `free_error` the locked axes are removed
     first, because Ω_m would turn a displacement along N (a yielding contact) into motions that the
     arms cannot execute.
 
@@ -174,9 +181,11 @@ def permit_error(t):
     e = local(6)
     zero = local(6)
     fill(zero, ZERO)
+    # The permitted part: without locked axes, in the metric of the object.
     fill_free(e, work, motion_to_energy(work, work.error))
     project_onto_constraint(work.N_basis_t, r, e, zero)
     fill(work.free_error, motion_to_world(work, turned_back(work, e)))
+    # Ω_m(B) times the error, over all six axes.
     fill(e, motion_to_energy(work, work.error))
     if t.model.metric == BY_OBJECT:
         project_onto_constraint(work.N_basis, r, e, zero)
@@ -193,12 +202,16 @@ def permit_error(t):
 def _project_weighted(t, B_inv, m, x, target):
     """Replace x by the vector with Nᵀx = target that is nearest in the metric B⁻¹.
 
-    With B⁻¹ = KKᵀ and y = Kᵀx this is the orthogonal projection of y on (K⁻¹N)ᵀy = target. The rows
-    of `N_t` are the columns of N, in reflected energy coordinates (x, too).
+    With the Cholesky factor K (d, d) of B⁻¹ = KKᵀ and y = Kᵀx this is the orthogonal projection of
+    y on (K⁻¹N)ᵀy = target. N (6, r) has the kept columns, the rows of `N_t`; x and N are in turned
+    energy coordinates.
 
     Args:
-        t: Tick. B_inv: (6, 6) metric. m: index of the first element in use; the elements before it
-            are excluded. x: (6,), overwritten. target: (r,), overwritten.
+        t: Tick.
+        B_inv: (6, 6) metric B⁻¹, symmetric.
+        m: index of the first element in use; the elements before it are excluded.
+        x: (6,), overwritten.
+        target: (r,), overwritten.
 
     Returns:
         False if B⁻¹ is not positive definite.
@@ -226,14 +239,16 @@ def _project_weighted(t, B_inv, m, x, target):
 def reduce_motion(t):
     """Reduce the motion command along lost directions of the arms, in favour of the posture task.
 
-    The joint acceleration of an arm along a lost direction u is (uᵀ(a − γ))/χ, unbounded as χ → 0.
-    A share φ of it is executed; the rest is replaced by the acceleration of the posture task, with
-    the least change Δ of the command (in Λ_o) that the contacts permit:
+    The joint acceleration of an arm along a lost direction u is uᵀ(a − γ)/χ, unbounded as χ → 0; a
+    (6,) is the command, γ (6,) the drift of the tip, χ the distance from the singular posture. A
+    share φ of it is executed; the rest is replaced by the acceleration q̈ of the posture task, with
+    the least change Δ (6,) of the command (in the metric of the object) that the contacts permit:
 
-        min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − t)²/|u|²,   NᵀΔ = 0,   t = χ vᵀKᵀq̈_posture − uᵀ(a − γ)
+        min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − y)²/|u|²,   NᵀΔ = 0,   y = χ vᵀKᵀq̈ − uᵀ(a − γ)
 
-    Reads the lost directions of the arms (`mode`, `chi`, `lost`, `share`, `gone`), their
-    `gamma`, and `N_t`. Updates `acceleration_t` (a).
+    The sum is over the lost directions of all arms; v is the direction's motion of the joints,
+    weighted with the factor K of M = KKᵀ. Reads the lost directions of the arms (`mode`, `chi`,
+    `lost`, `share`, `gone`), their `gamma`, and `N_t`. Updates `acceleration_t` (a).
 
     Args:
         t: Tick.
@@ -304,16 +319,23 @@ def set_metric(t):
 
 @inner
 def filter_motion(t):
-    """Filter the commanded acceleration a_u by eq. 24 to S η̇_c + σ, in turned coordinates.
+    """Filter the commanded acceleration a_u by eq. 24 to S η̇_c + σ, in turned energy coordinates.
 
         ρ = n_γ − κ(NᵀV_rel − v̄) + Nᵀ(b_e − σ + Φ_eN_μα_u)
         η̇_c = η̇_u − B_S N_S (N_SᵀB_S N_S)⁻¹ (N_Sᵀη̇_u − ρ),   N_S = SᵀN
 
-    Reads `a_u`, `sigma`, `alpha_u`, `brake`, `n_gamma`, `b_N`, `Phi_mu`, `N_t` and its factors,
-    `B_inv_t`. Fills `acceleration_t`; returns a reason.
+    S (6, d) are the motions that the arms permit, η̇_u = Sᵀ(a_u − σ) their commanded accelerations,
+    σ (6,) the acceleration at η̇ = 0. ρ (r,; m/s²) is the acceleration along the columns N that the
+    contacts require: by the shape of the surfaces (n_γ), the brake, the bias b_e of the touched
+    bodies and their response Φ_eN_μ to the commanded forces α_u. B_S is the inverse of the metric
+    in which the change is least. Reads `a_u`, `sigma`, `alpha_u`, `brake`, `n_gamma`, `b_N`,
+    `Phi_mu`, `N_t` and its factors, `B_inv_t`. Fills `acceleration_t`.
 
     Args:
         t: Tick.
+
+    Returns:
+        `NO_REASON`, or `BAD_METRIC` if the metric is not positive definite.
     """
     work = t.work
     r = work.rank

@@ -57,7 +57,10 @@ def rotation_vector(R):
 
 @inner
 def pose_error(X_WD, X_WO):
-    """Pose error [p_D − p_O; log₃(R_D R_Oᵀ)] (m, rad), six numbers.
+    """Compute the pose error [p_D − p_O; log₃(R_D R_Oᵀ)] (m, rad), six numbers in world axes.
+
+    p and R are position and rotation of the desired pose (D) and of the object (O); log₃ is the
+    rotation vector.
 
     Args:
         X_WD, X_WO: (4, 4) desired and actual pose.
@@ -70,10 +73,14 @@ def pose_error(X_WD, X_WO):
 
 @inner
 def command_motion(t):
-    """Fill `a_u` (6,), the commanded spatial acceleration of the object at O.
+    """Fill `a_u` (6,), the commanded spatial acceleration of the object at O (m/s², rad/s²).
 
-    a_u = a_D + K_d(V_D − V) + K_p e + K_i ∫Ω_m e dt − [ω × v; 0]. Reads `error` e and
-    `motion_next` ∫Ω_m e dt.
+        a_u = a_D + K_d(V_D − V) + K_p e + K_i ∫Ω_m e dt − [ω × v; 0]
+
+    a_D and V_D are the desired acceleration and twist, V = (v, ω) the measured twist, e the pose
+    error, ∫Ω_m e dt the integral of its part that contacts permit, and K_p (1/s²), K_d (1/s), K_i
+    (1/s³) the gains. The last summand converts the classical acceleration to the spatial one. Reads
+    `error` (e) and `motion_next` (the integral), `V_O`, and `V_D` and `A_D`.
 
     Args:
         t: Tick.
@@ -135,13 +142,17 @@ _SOFTEST = 20.0  #: largest estimate of s, as a multiple of s_0
 
 @inner
 def shape_steps(t, is_custom):
-    """Fill `goal` of the active columns with shaped forces α_s = α_d − w (N).
+    """Shape steps of desired forces: fill `goal` of the active columns with α_s = α_d − w (N).
 
-    Fills also `scale`, `shaped` and `to_come` of these columns, and `integral_scale` (0 … 1), the
-    factor of the integral gain, which is 0 while a large part of a step remains.
+    α_d is the desired force and w (N) the part of a step that is still to come, which falls to zero
+    in the rise time `step_time`. Fills also `scale` (size of the force, N), `shaped` and `to_come`
+    of these columns, `step_left` (remaining share of the rise time), `step_time`, and
+    `integral_scale` (0 … 1), the factor of the integral gain, which is 0 while a large part of a
+    step remains.
 
     Args:
-        t: Tick. is_custom: whether the force law is the user's own, for which steps are not shaped.
+        t: Tick.
+        is_custom: whether the force law is the user's own, for which steps are not shaped.
     """
     memory = t.memory
     work = t.work
@@ -151,17 +162,17 @@ def shape_steps(t, is_custom):
     remaining = 0.0 if is_custom else memory.step_left  # share 1 − x of the rise time
     if remaining > 0.0:
         remaining = max(remaining - dt / last_time, 0.0)
-    smooth = remaining > 0.0 or rise_time > 0.0
-    sudden = False
+    is_shaped = remaining > 0.0 or rise_time > 0.0
+    is_sudden = False
     for i in range(work.count):
         j = work.chosen[i]
         row = work.columns[j]
         last = memory.columns[j]
         goal = work.goal[j]
         row.goal = goal
-        row.scale = max(abs(goal), last.scale * (1.0 - _FADES * dt)) if smooth else 0.0
-        approached = smooth and contact_of(t, j).phase == APPROACHING
-        row.shaped = 0 if is_custom or approached else 1
+        row.scale = max(abs(goal), last.scale * (1.0 - _FADES * dt)) if is_shaped else 0.0
+        is_approached = is_shaped and contact_of(t, j).phase == APPROACHING
+        row.shaped = 0 if is_custom or is_approached else 1
         start = work.alpha[j] if memory.ticked else 0.0  # force from which the step begins
         if last.has_desired:
             start = last.desired
@@ -170,8 +181,8 @@ def shape_steps(t, is_custom):
             if body_of(t, j).pushes:
                 start = max(start, 0.0)  # a face does not pull
         row.to_come[0] = goal - start  # holds the step until the second loop
-        sudden = sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
-    sudden = sudden and rise_time > 0.0
+        is_sudden = is_sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
+    is_sudden = is_sudden and rise_time > 0.0
     stretch = rise_time / last_time if remaining > 0.0 else 1.0
     largest = 0.0
     for i in range(work.count):
@@ -179,17 +190,17 @@ def shape_steps(t, is_custom):
         row = work.columns[j]
         step = row.to_come[0] if row.shaped else 0.0
         to_come = (0.0, 0.0, 0.0)
-        if smooth and row.shaped and memory.columns[j].has_desired:
+        if is_shaped and row.shaped and memory.columns[j].has_desired:
             to_come = linear(memory.columns[j].to_come)
-        if sudden:
+        if is_sudden:
             to_come = _add_step(to_come, step, remaining, stretch)
         fill3(row.to_come, to_come)
-        w = _still_to_come(to_come, 1.0 if sudden else remaining)
+        w = _still_to_come(to_come, 1.0 if is_sudden else remaining)
         row.goal -= w
         if row.scale > 0.0 and contact_of(t, j).unloading == 0.0:
             largest = max(largest, abs(w) / row.scale)
-    work.step_left = 1.0 if sudden else remaining
-    work.step_time = rise_time if sudden else last_time
+    work.step_left = 1.0 if is_sudden else remaining
+    work.step_time = rise_time if is_sudden else last_time
     work.integral_scale = max(1.0 - largest / _RESTS, 0.0)
 
 
@@ -213,7 +224,7 @@ def shape_squeeze(t):
     remaining = memory.squeeze_left  # share 1 − x of the rise time
     if remaining > 0.0:
         remaining = max(remaining - dt / last_time, 0.0)
-    sudden = False
+    is_sudden = False
     for bar in range(t.model.n_bars):
         row = work.internal[bar]
         last = memory.internal[bar]
@@ -221,30 +232,33 @@ def shape_squeeze(t):
         start = last.desired if memory.ticked else desired
         row.goal = desired - start  # holds the step until the second loop
         row.scale = max(abs(desired), last.scale * (1.0 - _FADES * dt))
-        sudden = sudden or abs(row.goal) > _SUDDEN * dt * row.scale
-    sudden = sudden and rise_time > 0.0
+        is_sudden = is_sudden or abs(row.goal) > _SUDDEN * dt * row.scale
+    is_sudden = is_sudden and rise_time > 0.0
     stretch = rise_time / last_time if remaining > 0.0 else 1.0
     for bar in range(t.model.n_bars):
         row = work.internal[bar]
         to_come = (0.0, 0.0, 0.0)
         if remaining > 0.0:
             to_come = linear(memory.internal[bar].to_come)
-        if sudden:
+        if is_sudden:
             to_come = _add_step(to_come, row.goal, remaining, stretch)
         fill3(row.to_come, to_come)
-        row.goal = memory.squeeze[bar] - _still_to_come(to_come, 1.0 if sudden else remaining)
-    work.squeeze_left = 1.0 if sudden else remaining
-    work.squeeze_time = rise_time if sudden else last_time
+        row.goal = memory.squeeze[bar] - _still_to_come(to_come, 1.0 if is_sudden else remaining)
+    work.squeeze_left = 1.0 if is_sudden else remaining
+    work.squeeze_time = rise_time if is_sudden else last_time
     if work.squeeze_left > 0.0:
         work.commanded = 1
 
 
 @leaf
 def _still_to_come(to_come, remaining):
-    """Remainder w (N) of a step.
+    """Compute the remainder of a step (N), w = (1 − x)³(a + b x + c x²).
+
+    x is the elapsed share of its rise time.
 
     Args:
-        to_come: a, b, c of the quintic (N). remaining: remaining share 1 − x of the rise time.
+        to_come: (3,) a, b, c of the quintic (N).
+        remaining: remaining share 1 − x of the rise time.
     """
     a, b, c = to_come
     x = 1.0 - remaining
@@ -253,25 +267,37 @@ def _still_to_come(to_come, remaining):
 
 @inner
 def _add_step(to_come, step, remaining, stretch):
-    """Coefficients a, b, c (N) of the quintic for the remainder of a former step and a new step.
+    """Compute the quintic of a step's remainder after another step is added.
+
+    The remainder of a step is w = (1 − x)³(a + b x + c x²) (N) at the elapsed share x of its rise
+    time. A new step of size 1 has a = 1, b = 3, c = 6: slope and curvature of w are zero at x = 0.
 
     Args:
-        to_come: a, b, c of the former step (N). step: size of the new step (N).
-        remaining: remaining share of the former step's rise time.
+        to_come: (3,) a, b, c of the remainder of the former step (N).
+        step: size of the new step (N).
+        remaining: remaining share 1 − x of the former step's rise time.
         stretch: ratio of the new rise time to the former one.
+
+    Returns:
+        Coefficients a, b, c (N) of the sum, whose rise time begins now.
     """
     return add3(_continue(to_come, remaining, stretch), step, (1.0, 3.0, 6.0))
 
 
 @inner
 def _continue(to_come, remaining, stretch):
-    """Coefficients a, b, c (N) of a quintic that continues another one with a new rise time.
+    """Compute the quintic that continues the remainder of a step with a new rise time.
 
+    The remainder is w = (1 − x)³(a + b x + c x²) (N) at the elapsed share x of the rise time.
     Value, slope and curvature of w are continuous.
 
     Args:
-        to_come: a, b, c of the former quintic (N). remaining: its remaining share 1 − x.
+        to_come: (3,) a, b, c of the former remainder (N).
+        remaining: its remaining share 1 − x.
         stretch: ratio of the new rise time to the former one.
+
+    Returns:
+        Coefficients a, b, c (N) of the new remainder, whose rise time begins now.
     """
     a, b, c = to_come
     x = 1.0 - remaining
@@ -311,13 +337,15 @@ def holds_at_zero(t, j):
 
 @inner
 def brake_contacts(t):
-    """Multiply `brake` κ (r,) by the speed to be braked: NᵀV_rel − v̄, or that of a yielding face.
+    """Replace the gains `brake` κ (1/s) of the kept columns by the decelerations of the brake.
 
-    The result is a deceleration, in m/s² for columns that are forces. On a yielding face it is
-    b = κ(u + (K_i − w) p) − s α̈_s, with u and p from `_deflection`. Reads `speed`, and `drift`
-    (v̄) of the columns in MEMORY. On a yielding face whose motion is not measured, the normal is
-    not turned in this tick (`slides`, `turned`). Of contacts that hold without a desired force the
-    whole speed is braked.
+    The deceleration, in m/s² for columns that are forces, is κ(NᵀV_rel − v̄): the speed of the
+    contact less its lasting part v̄. Of contacts that hold without a desired force the whole speed
+    is braked. On a yielding face it is κ(u + (K_i − w) p) − s α̈_s, with the unexplained speed u
+    (m/s) and its integral p (m) from `_deflection`, the force gain K_i and the rate w of `_washout`
+    (1/s), the compliance s (m/N) and the second derivative of the commanded force α_s. Reads
+    `speed`, and `drift` (v̄) of the columns in MEMORY. On a yielding face whose motion is not
+    measured, the normal is not turned in this tick (`slides`, `turned`).
 
     Args:
         t: Tick.
@@ -341,7 +369,10 @@ def brake_contacts(t):
 
 @leaf
 def _washout(t):
-    """Compute the rate w (1/s) of v̄ and of the high-passes in the estimate of the compliance.
+    """Compute the rate w (1/s) with which lasting signals of a contact are forgotten.
+
+    It is that of v̄, the lasting part of a contact's speed, and of the high-passes in the estimate
+    of a face's compliance.
 
     Args:
         t: Tick.
@@ -353,7 +384,10 @@ def _washout(t):
 def _compliance(t, j):
     """Estimate the compliance s (m/N) of the yielding face that a column presses on.
 
-    s = (∫x̃ α̃_s + w_0 s_0) / (∫α̃ α̃_s + w_0), within 0 and `_SOFTEST` s_0.
+        s = (∫x̃ α̃_s dt + w_0 s_0) / (∫α̃ α̃_s dt + w_0),   0 ≤ s ≤ `_SOFTEST` s_0
+
+    x̃ (m), α̃ and α̃_s (N) are position, force and commanded force after a high-pass, s_0 is the
+    declared compliance, and w_0 (N² s) its weight in the estimate.
 
     Args:
         t: Tick, with `correlation`, `excitation` and `scale` of the column in MEMORY.
@@ -364,8 +398,8 @@ def _compliance(t, j):
     weight = _PRIOR * row.scale * row.scale
     if weight == 0.0:
         return s
-    learned = (row.correlation + weight * s) / (max(row.excitation, 0.0) + weight)
-    return min(max(learned, 0.0), _SOFTEST * s)
+    estimate = (row.correlation + weight * s) / (max(row.excitation, 0.0) + weight)
+    return min(max(estimate, 0.0), _SOFTEST * s)
 
 
 @leaf
@@ -373,11 +407,15 @@ def _deflection(t, a, j):
     """Compute the variables of the brake on a yielding face in this tick.
 
     u = NᵀV − v̂ − s α̇_s is the speed of the contact that neither the motion of the face nor the
-    commanded force explains. While the contact is approached, u is NᵀV_rel and p is 0.
+    commanded force explains: NᵀV is the speed of the object along the column, v̂ the low-passed
+    speed of the face, s (m/N) its compliance, α̇_s (N/s) the rate of the commanded force. p is the
+    integral of u, with forgetting. While the contact is approached, u is NᵀV_rel and p is 0.
 
     Args:
-        t: Tick. a: index of the column among the kept ones, with `V_N` = 0 where the motion of the
-            face is not measured. j: its index among all columns of the model.
+        t: Tick.
+        a: index of the column among the kept ones, with `V_N` = 0 where the motion of the face is
+            not measured.
+        j: its index among all columns of the model.
 
     Returns:
         u (m/s), p (m), v̂ (m/s) and α̇_s (N/s).
@@ -397,15 +435,16 @@ def _deflection(t, a, j):
 
 @leaf
 def _keep_deflections(t):
-    """Advance the states v̂, p, α̇_s of the brake on yielding faces, and the estimate of s.
+    """Advance the states of the brake on yielding faces, and the estimate of their compliance.
 
-    High-passes with the rate w give x̃, α̃ and α̃_s of position, force and commanded force; s is
-    the ratio of the forgetting integrals `correlation` ∫x̃ α̃_s and `excitation` ∫α̃ α̃_s
-    (`_compliance`), which are not changed during an approach.
+    High-passes with the rate w of `_washout` give x̃ (m), α̃ and α̃_s (N) of position, force and
+    commanded force; the compliance is the ratio of the forgetting integrals `correlation` ∫x̃ α̃_s
+    dt and `excitation` ∫α̃ α̃_s dt (`_compliance`), which are not changed during an approach.
 
-    Reads `V_N`, `speed`, `alpha_meas`, and `goal` (α_s) and `shaped` of the columns. Changes of the
-    columns in MEMORY `driven` (v̂, m/s), `deflection` (p, m), `eased` (α_s, N), `eased_rate` (α̇_s,
-    N/s), `yielded` (x̃, m), `alpha_mean`, `eased_mean` (N), `correlation` and `excitation`.
+    Reads `V_N`, `speed`, `alpha_meas`, and `goal` (commanded force α_s) and `shaped` of the
+    columns. Changes of the columns in MEMORY `driven` (speed of the driven face, m/s), `deflection`
+    (integral of the unexplained speed, m), `eased` (α_s, N), `eased_rate` (its rate, N/s),
+    `yielded` (x̃, m), `alpha_mean`, `eased_mean` (N), `correlation` and `excitation`.
 
     Args:
         t: Tick.
@@ -460,11 +499,12 @@ def _keep_squeeze(t):
 
 @inner
 def keep_steps(t):
-    """Update the steps of forces, v̄ and the turn of the normal of each column in MEMORY.
+    """Update steps of forces, lasting speed and turn of the normal of each column in MEMORY.
 
     Columns that are not in N are reset. Where active contacts are named by the user, the turn and
-    its covariance are retained for the next contact with the same face. v̄ follows the speed of a
-    contact that presses only as far as it is not attributed to the normal.
+    its covariance are retained for the next contact with the same face. The lasting speed v̄
+    (`drift`) follows the speed of a contact that presses only as far as it is not attributed to the
+    normal.
 
     Args:
         t: Tick whose torques have been computed.

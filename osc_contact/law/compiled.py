@@ -69,7 +69,8 @@ def _made(call: Any, *nothing: Any) -> Any:
     """Return the callable of an entry; numba compiles it by a call with empty arguments.
 
     Args:
-        call: the entry. nothing: arguments of the right types without content.
+        call: the entry.
+        nothing: arguments of the right types without content.
     """
     if isinstance(call, jit.Entry):
         return call.call
@@ -84,9 +85,9 @@ def _made(call: Any, *nothing: Any) -> Any:
 def announced() -> Iterator[Callable[[float], None]]:
     """Log (INFO) that the law is compiled in this block, and the time it took.
 
-    Yields a function that shows the completed share of the work; at the end 1 is shown. Garbage
-    collection runs less often in the block: numba makes millions of lasting objects, and a tenth
-    of the time would be spent on them.
+    The block gets a function that shows the completed share of the work; at the end 1 is shown.
+    Garbage collection runs less often in the block: numba makes millions of lasting objects, and a
+    tenth of the time would be spent on them.
     """
     began = perf_counter()
     thresholds = gc.get_threshold()
@@ -122,8 +123,8 @@ def report_to(say: Callable[[str], None], show: Callable[[float], None] = _nowhe
     """Set the listeners of messages and progress.
 
     Args:
-        say: called with each line of a message. show: called with the completed share, 0 … 1, and
-            with 1 at the end in any case.
+        say: called with each line of a message.
+        show: called with the completed share, 0 … 1, and with 1 at the end in any case.
     """
     _log.handlers = [_Listener(say)]
     _log.setLevel(logging.INFO)

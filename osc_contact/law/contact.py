@@ -104,7 +104,9 @@ def _place_points(t, pair, X_WE):
     The points of GIVEN and FUNCTION pairs are filled elsewhere.
 
     Args:
-        t: Tick. pair: row of MODEL. X_WE: (4, 4) pose of the touched body.
+        t: Tick.
+        pair: PAIR row.
+        X_WE: (4, 4) pose of the touched body.
     """
     columns = t.work.columns
     for j in range(pair.count):
@@ -191,7 +193,8 @@ def _face_twist(t, j):
     """Twist of the body that column j touches, at O in world axes (six numbers; m/s, rad/s).
 
     Args:
-        t: Tick. j: index of the column among all columns of the model.
+        t: Tick.
+        j: index of the column among all columns of the model.
     """
     if not t.work.moving:
         return ZERO
@@ -207,8 +210,10 @@ def _slide(measured, commanded, mu, slip, column):
     as measured.
 
     Args:
-        measured, commanded: (6,) twists of the object relative to the body, at O (m/s, rad/s).
-        mu: coefficient of friction μ. slip: v_0 (m/s), below which friction is regularised.
+        measured: (6,) measured twist of the object relative to the body, at O (m/s, rad/s).
+        commanded: (6,) the commanded one.
+        mu: coefficient of friction μ.
+        slip: v_0 (m/s), below which friction is regularised.
         column: COLUMN_WORK, of which N and `point` are read.
     """
     v_t = tangential_part(velocity_at(measured, column.point), column.N)

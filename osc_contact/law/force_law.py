@@ -17,7 +17,8 @@ def integral_room(setting, desired):
     """Bound of a force integral: `_WINDUP` times the desired force, at least `setting`.
 
     Args:
-        setting: setting `integral_force` (N). desired: desired force (N).
+        setting: setting `integral_force` (N).
+        desired: desired force (N).
 
     Returns:
         Bound (N).
@@ -34,7 +35,8 @@ def last_integral(t, a):
     `force_rank`, `by_column` and `integral` of the columns of MEMORY, and `share`.
 
     Args:
-        t: Tick. a: index of the column among the kept ones.
+        t: Tick.
+        a: index of the column among the kept ones.
     """
     memory = t.memory
     work = t.work
@@ -49,10 +51,14 @@ def last_integral(t, a):
 
 @inner
 def command_force(t):
-    """Evaluate the force law α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ min(α_min, α_d/10).
+    """Evaluate the force law: fill the commanded forces α_u (N) of the kept columns.
 
-    The magnitude of the integral is limited to `integral_force` (N) or `_WINDUP` |α_d|, whichever
-    is larger. The second bound of the floor permits a force to rise from zero. Reads `alpha_d`,
+        α_u = α_d + K_i ∫(α_d − α_meas) dt − K_v NᵀV_rel ≥ min(α_min, `_LEAST` α_d)
+
+    α_d is the desired and α_meas (`felt`) the measured force (N), K_i (1/s) and K_v (N s/m) are
+    gain and damping, NᵀV_rel (m/s) is the speed into the contact, α_min the least command. The
+    magnitude of the integral is limited to `integral_force` (N) or `_WINDUP` |α_d|, whichever is
+    larger. The second bound of the floor permits a force to rise from zero. Reads `alpha_d`,
     `felt`, `speed`, `gain`, `damping`, `least`. Fills `alpha_u` (N) and `force_next`, the integral
     after this tick (N).
 
@@ -113,6 +119,9 @@ def column_law(t, j):
     Args:
         t: Tick.
         j: index among all columns.
+
+    Returns:
+        K_i (1/s), K_v (N s/m) and κ (1/s).
     """
     law = contact_of(t, j)
     if holds_at_zero(t, j):

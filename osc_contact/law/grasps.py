@@ -62,8 +62,10 @@ def grasp_rows(arm, work, C, axes, out):
     """Fill N and T of a grasp in energy coordinates.
 
     Args:
-        arm: ARM row. work: its ARM_WORK, of which `tip` is read (axes and point of the tip).
-        C: (3,) centre of mass of the object (m). axes: energy coordinates, from `set_axes`.
+        arm: ARM row.
+        work: its ARM_WORK, of which `tip` is read (axes and point of the tip).
+        C: (3,) centre of mass of the object (m).
+        axes: energy coordinates, from `set_axes`.
         out: (6, 6), filled with m rows of N, then 6 − m rows of T.
     """
     tip = work.tip
@@ -80,13 +82,15 @@ def grasp_rows(arm, work, C, axes, out):
 def find_twist(t, is_given):
     """Compute orthonormal N and T of every grasp, and the twist of the object at C.
 
-    With a leader (an arm that holds rigidly) the object moves with its tip. Without one, the twist
-    is the solution of the velocity conditions of all grasps. Reads `axes`, `p_C`, R and p of the
-    joints, V of the arms. Fills `tip` and `passed` of each arm whose grasp permits motions, and
-    `V_C` unless it is given.
+    N (m, 6) are the wrenches that a grasp transmits, T (6 − m, 6) the motions that it permits. With
+    a leader (an arm that holds rigidly) the object moves with its tip. Without one, the twist V
+    fulfils the velocity conditions NᵀV = NᵀV_tip of all grasps by least squares, in energy
+    coordinates. Reads `axes`, `p_C`, R and p of the joints, V of the arms. Fills `tip` and `passed`
+    (N, then T) of each arm whose grasp permits motions, and `V_C` unless it is given.
 
     Args:
-        t: Tick. is_given: whether the twist is given in `V_C`.
+        t: Tick.
+        is_given: whether the twist is given in `V_C`.
 
     Returns:
         False if the grasps do not determine the twist.
@@ -133,8 +137,10 @@ def _add_condition(row, s, A, x):
     A ← A + r rᵀ and x ← x + s r.
 
     Args:
-        row: (6,) r, dimensionless in energy coordinates. s: right side of the condition.
-        A: (6, 6) matrix of the normal equations, changed. x: (6,) their right side, changed.
+        row: (6,) r, dimensionless in energy coordinates.
+        s: right side of the condition.
+        A: (6, 6) matrix of the normal equations, changed.
+        x: (6,) their right side, changed.
     """
     add_square(1.0, row, A)
     accumulate(x, s, row)
@@ -144,10 +150,13 @@ def _add_condition(row, s, A, x):
 def add_slip(V, V_C, gamma):
     """Add V × V_C to the drift γ of an arm, for an object that slips in its grasp.
 
-    The wrenches of the grasp move with the tip, not with the object.
+    The wrenches of the grasp move with the tip, of twist V, not with the object, of twist V_C. Of
+    the spatial cross product each term is added separately.
 
     Args:
-        V: (6,) twist of the tip at C. V_C: (6,) twist of the object at C. gamma: (6,), changed.
+        V: (6,) twist of the tip at C.
+        V_C: (6,) twist of the object at C.
+        gamma: (6,) drift of the tip at C (m/s², rad/s²), changed.
     """
     linear = plus3(plus3(gamma, cross(V[3:], V_C)), cross(V, V_C[3:]))
     fill(gamma, join(linear, plus3(gamma[3:], cross(V[3:], V_C[3:]))))
@@ -157,15 +166,19 @@ def add_slip(V, V_C, gamma):
 def filter_outboard(t, arm, arm_work, bias):
     """Add the inertia Λ_out (transposed) and the bias of a gripper that can move by itself.
 
-    P has the wrenches of the outboard bodies per joint acceleration. A motion of the joints that
-    does not move the object adds E = P(1 − J̄J) to the wrist reading; the filter
-    F = 1 − E(T E)⁺T removes it. Reads `passed` and `gamma` of the arm, J, J̄ and `outboard` (P) of
-    its joints; P is converted to energy coordinates in place. Fills `filter` (F) of the arm; adds
-    to `out_T` and `bias_e`.
+    P (6, n) has the wrenches of the outboard bodies per joint acceleration. A motion of the joints
+    that does not move the object adds E = P(1 − J̄J) (6, n) to the wrist reading, with the Jacobian
+    J (6, n) and its inertia-weighted inverse J̄ (n, 6). The filter F = 1 − E(T E)⁺T (6, 6) removes
+    it: T (6 − m, 6) are the motions that the grasp permits, along which no force of the object
+    acts, so T E shows the gripper's own motion. Reads `passed` (T behind m rows) and `gamma` of the
+    arm, J, J̄ and `outboard` (P) of its joints; P is converted to energy coordinates in place.
+    Fills `filter` (F) of the arm; adds to `out_T` and `bias_e`.
 
     Args:
-        t: Tick. arm: ARM row. arm_work: its ARM_WORK. bias: (6,) wrench of the outboard bodies at
-            q̈ = 0, at C, overwritten.
+        t: Tick.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
+        bias: (6,) wrench of the outboard bodies at q̈ = 0, at C, overwritten.
     """
     work = t.work
     F = arm_work.filter
@@ -217,8 +230,9 @@ def filter_reading(axes, F, reading):
     """Wrist reading without the gripper's own motion: F times the reading, six numbers at C.
 
     Args:
-        axes: energy coordinates, from `set_axes`. F: (6, 6) filter of the grasp, in energy
-            coordinates. reading: (6,) wrench at C, world axes.
+        axes: energy coordinates, from `set_axes`.
+        F: (6, 6) filter of the grasp from `filter_outboard`, in energy coordinates.
+        reading: (6,) wrench at C, world axes.
     """
     return world_wrench(axes, times6(F, energy_wrench(axes, reading)))
 
@@ -231,7 +245,8 @@ def rotate(X, w):
     """Rotate the rotation matrix R in X by a rotation vector w: R ← exp([w×]) R (Rodrigues).
 
     Args:
-        X: at least (3, 3), changed in its first three rows and columns. w: (3,) rad, world axes.
+        X: at least (3, 3), changed in its first three rows and columns.
+        w: (3,) rad, world axes.
     """
     angle = sqrt(dot3(w, w))
     a = 1.0  # sin φ/φ and (1 − cos φ)/φ², or their limits at φ = 0
@@ -271,9 +286,13 @@ def _square_up(X):
 def _miss(arm, tip, X, out):
     """Fill the position error of the object in a hinge or a ball joint, along the rows of N.
 
+    N (m, 6) are the wrenches that the grasp transmits, in the axes of the tip.
+
     Args:
-        arm: ARM row. tip: (4, 3) axes and point of the tip. X: (4, 4) pose of the object.
-        out: filled with three distances (m), and for a hinge two angles (rad).
+        arm: ARM row.
+        tip: (4, 3) axes and point of the tip.
+        X: (4, 4) pose of the object.
+        out: (6,), filled with three distances (m), and for a hinge with two angles (rad), too.
     """
     fill3(out, rotated_back(tip, transformed(minus3(origin(X), tip[3]), X, arm.point)))
     if arm.kind == BALL:
@@ -293,11 +312,13 @@ def _miss_of_group(arm, tip, X, out):
     """Fill the position error of the object in a grasp with the permitted motions T.
 
     The permitted part of the displacement is removed iteratively, along the rows of T in
-    `arm.grasp[m:]`. They are orthonormal in metres and radians; these units affect the
-    iteration, but not a result of zero.
+    `arm.grasp[m:]`. They are orthonormal in metres and radians; these units affect the iteration,
+    but not a result of zero.
 
     Args:
-        arm: ARM row. tip: (4, 3) axes and point of the tip. X: (4, 4) pose of the object.
+        arm: ARM row.
+        tip: (4, 3) axes and point of the tip.
+        X: (4, 4) pose of the object.
         out: (6,), filled along the rows of N (m, rad).
     """
     R = local(3, 3)
@@ -324,10 +345,16 @@ def _miss_of_group(arm, tip, X, out):
 
 @inner
 def _remaining(p, R):
-    """Logarithm of a displacement, as a twist about the tip's origin (six numbers, m and rad).
+    """Logarithm of a displacement (R, p): the twist that causes it in unit time.
+
+    The reference point of the twist is the tip's origin.
 
     Args:
-        p: (3,) translation (m). R: (3, 3) rotation matrix.
+        p: (3,) translation (m).
+        R: (3, 3) rotation matrix.
+
+    Returns:
+        Six numbers (m, rad).
     """
     w = rotation_vector(R)
     square = dot3(w, w)
@@ -343,8 +370,12 @@ def _remaining(p, R):
 def _take_off(R, p, twist):
     """Multiply a displacement by an exponential: (R, p) ← (R, p) exp(twist).
 
+    The exponential is the displacement by a twist in unit time, about the tip's origin.
+
     Args:
-        R: (3, 3) rotation matrix, changed. p: (3,) translation (m), changed. twist: (6,) m, rad.
+        R: (3, 3) rotation matrix, changed.
+        p: (3,) translation (m), changed.
+        twist: (6,) m, rad.
     """
     w = angular(twist)
     square = dot3(w, w)
@@ -365,7 +396,8 @@ def centre_object(t, X):
     """Fill operational point `p_O`, centre of mass `p_C` and `axes` of energy coordinates.
 
     Args:
-        t: Tick. X: (4, 4) pose of the object.
+        t: Tick.
+        X: (4, 4) pose of the object.
     """
     model = t.model
     work = t.work
@@ -380,11 +412,13 @@ def centre_object(t, X):
 def find_object(t, X):
     """Find the pose of the object that fits all grasps, by Gauss–Newton in the energy metric.
 
-    Reads R and p of the joints. Fills `p_O`, `p_C`, `axes`, and `tip` of the arms; `passed` of the
-    arms is that of the last iteration.
+    Each step is the motion that removes the position errors along the wrenches of all grasps, by
+    least squares in energy coordinates. Reads R and p of the joints. Fills `p_O`, `p_C`, `axes`,
+    and `tip` of the arms; `passed` of the arms is that of the last iteration.
 
     Args:
-        t: Tick. X: (4, 4) pose from which the search starts, overwritten with the result.
+        t: Tick.
+        X: (4, 4) pose from which the search starts, overwritten with the result.
 
     Returns:
         False if the grasps do not determine the pose, or if the iteration does not converge.
@@ -394,7 +428,7 @@ def find_object(t, X):
     factor = local(6, 6)
     A = local(6, 6)  # normal equations A y = x; x becomes their solution
     x = local(6)
-    r = local(6)
+    r = local(6)  # position errors of one grasp along the wrenches that it transmits
     for k in range(t.model.n_arms):
         arm_work = work.arms[k]
         place_frame(work.joints[arms[k].tip_joint], arms[k].tip, arm_work.tip, arm_work.tip[3])
@@ -416,7 +450,7 @@ def find_object(t, X):
                 not orthonormalise(arm_work.passed, arm.m, 0, arm_work.passed, factor) > 0.0
             ):  # also if NaN
                 return False
-            forward(factor, arm.m, r)
+            forward(factor, arm.m, r)  # along the orthonormal rows
             for a in range(arm.m):
                 _add_condition(arm_work.passed[a], -r[a], A, x)
         if not cholesky(A, 0, 6, factor) > KNOWN:  # also if NaN
@@ -424,7 +458,7 @@ def find_object(t, X):
         cholesky_solve(factor, 6, x)
         step = carry_motion(world_motion(work.axes, x), work.p_C, work.p_O)
         rotate(X, step[3:])
-        size = 0.0
+        size = 0.0  # largest element of the step (m, rad)
         for i in range(6):
             size = max(size, abs(step[i]))
             if i < 3:

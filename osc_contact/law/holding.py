@@ -52,16 +52,20 @@ _SHAKES = 0.02  #: s, time constant of the low-pass of the load of a wrist
 
 @inner
 def hold_posture(t):
-    """Compute torques that brake the arms and hold them: τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw.
+    """Compute torques that brake the arms and hold them, without the control law.
 
-    w is the wrench for each arm's share of the object's weight and inertia. While joints are
-    braked, q_hold moves with them, at most by the braking distance; a joint beyond it is pushed by
-    an error of the modelled weight or by an object that another arm has let go of. No acceleration
-    is commanded to joints without a motor, since a freely swinging joint must not drive others
-    through the object. If motors cannot exert the braking torques, these are reduced as a whole,
-    and q_hold follows the joints, so that the torques dissipate energy. Torques move in a straight
-    line from the last ones, at the rate `BRAKE_RATE`, or faster if a joint is above its speed limit
-    or its motor at its torque limit.
+        τ = h + M(−2ω q̇ − ω²(q − q_hold)) + Jᵀw
+
+    h (n,) is the torque of velocities and gravity, M (n, n) the joint-space inertia of an arm, ω =
+    `hold_rate` (1/s), q and q̇ positions and speeds of the joints, q_hold the positions where they
+    are held, J the Jacobian, and w the wrench for each arm's share of the object's weight and
+    inertia. While joints are braked, q_hold moves with them, at most by the braking distance; a
+    joint beyond it is pushed by an error of the modelled weight or by an object that another arm
+    has let go of. No acceleration is commanded to joints without a motor, since a freely swinging
+    joint must not drive others through the object. If motors cannot exert the braking torques,
+    these are reduced as a whole, and q_hold follows the joints, so that the torques dissipate
+    energy. Torques move in a straight line from the last ones, at the rate `BRAKE_RATE`, or faster
+    if a joint is above its speed limit or its motor at its torque limit.
 
     Reads q and v of MEMORY. Fills `tau`, `step` and the holds of the joints.
 
@@ -117,9 +121,10 @@ def _take_share(t, arm, share, rate):
 
     Args:
         t: Tick, with the torques of `_split_torques` in `tau` (carrying) and `rest` (braking).
-        arm: ARM row. share: part of the braking torques that the motors can exert; below 1 the
-            positions to be held follow the joints. rate: largest rate of the torques (1/s, in
-            torque limits).
+        arm: ARM row.
+        share: part of the braking torques that the motors can exert; below 1 the positions to be
+            held follow the joints.
+        rate: largest rate of the torques (1/s, in torque limits).
     """
     model = t.model
     memory = t.memory
@@ -140,9 +145,10 @@ def _take_share(t, arm, share, rate):
 
 @inner
 def _move_holds(t):
-    """Move q_hold of braked joints to their positions, at most by the braking distance.
+    """Move the held positions of braked joints to where they are, at most by the braking distance.
 
-    Sets `settled` to SETTLED when all joints are at rest, or have been braked for `_BRAKING`.
+    Sets `hold` (rad, m) of the joints, and `settled` to SETTLED when all joints are at rest, or
+    have been braked for `_BRAKING`.
 
     Args:
         t: Tick.
@@ -210,14 +216,16 @@ def _weigh(t, k, world, outboard):
     An arm whose load is below `_LIGHT` times its share of the object's weight for `LET_GO_TIME` has
     let go; this is not revoked until the next stop as long as other arms hold the object, because
     vibrations or errors of the sensor may look like a load later. The load of an arm that holds
-    passes zero, too, as braking shakes the object: in a few milliseconds. Wrists are no evidence
-    if motor torques have contradicted one of them, as an error of scale, range or wiring concerns
-    all; nor is a wrist whose reading repeats. Fills `load`, `light`, `weighed` and `let_go` of the
-    arm in MEMORY.
+    passes zero, too, as braking shakes the object: in a few milliseconds. Wrists are no evidence if
+    motor torques have contradicted one of them, as an error of scale, range or wiring concerns all;
+    nor is a wrist whose reading repeats. Fills `load`, `light`, `weighed` and `let_go` of the arm
+    in MEMORY.
 
     Args:
-        t: Tick after `move_arm`. k: arm. world: (3,) origin of the world, reference point of the
-            wrenches. outboard: (6,) wrench there of the bodies outboard of the wrist.
+        t: Tick after `move_arm`.
+        k: arm.
+        world: (3,) origin of the world, reference point of the wrenches.
+        outboard: (6,) wrench there of the bodies outboard of the wrist.
     """
     model = t.model
     arm = model.arms[k]
@@ -242,18 +250,22 @@ def _weigh(t, k, world, outboard):
 
 
 @inner
-def _split_torques(t, arm, part, R, centre, weight):
+def _split_torques(t, arm, object_share, R, centre, weight):
     """Compute the torques of one arm and its share of the object, split in carrying and braking.
 
-    Fills of its joints `tau`, which carries both at rest, and `rest`, which accelerates both by q̈.
-    If the motors cannot exert the sum, `rest` is reduced as a whole, or limited joint by joint if
-    this extracts more power −restᵀq̇ from the joints, so that one motor near its limit does not
-    weaken the brakes of the others. In this case q̈ is along −q̇, because q_hold follows q.
+    Fills of its joints `tau` (N m, N), which carries both at rest, and `rest`, which accelerates
+    both by `acceleration` q̈ of the joints. If the motors cannot exert the sum, `rest` is reduced
+    as a whole, or limited joint by joint if this extracts more power −restᵀq̇ from the joints, so
+    that one motor near its limit does not weaken the brakes of the others. In this case q̈ is along
+    −q̇, because the held positions follow the joints.
 
     Args:
-        t: Tick. arm: ARM row. part: share of the object (0 … 1). R: (3, 3) principal axes of the
-            object in the world. centre: (3,) its centre of mass in the world (m). weight: (6,)
-            wrench that carries the object, at the world's origin (N, N m).
+        t: Tick.
+        arm: ARM row.
+        object_share: share of the object that this arm carries (0 … 1).
+        R: (3, 3) principal axes of the object in the world.
+        centre: (3,) its centre of mass in the world (m).
+        weight: (6,) wrench that carries the object, at the world's origin (N, N m).
 
     Returns:
         Share of `rest` that can be exerted.
@@ -262,9 +274,9 @@ def _split_torques(t, arm, part, R, centre, weight):
     joints = t.work.joints
     lo = arm.first
     share = 1.0
-    object_wrench = _inertial_wrench(t, arm, part, R, centre)
+    object_wrench = _inertial_wrench(t, arm, object_share, R, centre)
     for j in range(lo, arm.end):
-        carrying = joints[j].h + part * dot6(joints[j].column, weight)
+        carrying = joints[j].h + object_share * dot6(joints[j].column, weight)
         brake = dot6(joints[j].column, object_wrench)
         for i in range(lo, arm.end):
             brake += joints[j].M[i - lo] * joints[i].acceleration
@@ -289,7 +301,7 @@ def _split_torques(t, arm, part, R, centre, weight):
 
 @leaf
 def _clip_brake(joint, limit):
-    """Limit the braking torque of a joint so that its sum with the carrying torque is within ±most.
+    """Limit the braking torque of a joint so that its sum with the carrying torque is in ±`limit`.
 
     Args:
         joint: JOINT_WORK, of which `rest` (braking) and `tau` (carrying) are read (N m, N).
@@ -304,29 +316,33 @@ def _clip_brake(joint, limit):
 
 
 @inner
-def _inertial_wrench(t, arm, part, R, centre):
-    """Inertial wrench of a share of the object at the accelerations q̈ of an arm's joints.
+def _inertial_wrench(t, arm, object_share, R, centre):
+    """Wrench that gives a share of the object the acceleration that q̈ of an arm's joints causes.
 
-    Reads `acceleration` (q̈) and `column` (Jacobian at the world's origin) of the joints; products
-    of speeds are not included.
+    The object is accelerated along this wrench: force = mass × acceleration, not its opposite. The
+    acceleration is J q̈, where q̈ is `acceleration` and J consists of `column` (Jacobian at the
+    world's origin) of the joints; products of speeds are neglected.
 
     Args:
-        t: Tick. arm: ARM row. part: share of the object (0 … 1). R: (3, 3) principal axes of the
-            object in the world. centre: (3,) its centre of mass in the world (m).
+        t: Tick.
+        arm: ARM row.
+        object_share: share of the object that this arm accelerates (0 … 1).
+        R: (3, 3) principal axes of the object in the world.
+        centre: (3,) its centre of mass in the world (m).
 
     Returns:
         Wrench (six numbers: N, N m) at the world's origin, in world axes.
     """
+    if object_share == 0.0:
+        return ZERO
     work = t.work
     a = ZERO
     for j in range(arm.first, arm.end):
         a = add(a, work.joints[j].acceleration, work.joints[j].column)
-    if part == 0.0:
-        return ZERO
-    (x, y, z) = rotated_back(R, angular(a))
-    I = t.model.principal
-    couple = scaled3(part, rotated(R, (I[1] * x, I[2] * y, I[3] * z)))
-    force = scaled3(part * I[0], velocity_at(a, centre))
+    (x, y, z) = rotated_back(R, angular(a))  # angular acceleration along the principal axes
+    I = t.model.principal  # mass, then the principal moments
+    couple = scaled3(object_share, rotated(R, (I[1] * x, I[2] * y, I[3] * z)))
+    force = scaled3(object_share * I[0], velocity_at(a, centre))  # acceleration of the centre
     return join(force, plus3(couple, cross(centre, force)))
 
 
@@ -337,8 +353,10 @@ def _carry_weight(t, R, centre, weight):
     Reads R and p of the joints, or `X_WO` of MEMORY if no arm holds the object rigidly.
 
     Args:
-        t: Tick. R: (3, 3), filled with the principal axes. centre: (3,), filled with the centre of
-            mass (m). weight: (6,), filled with the wrench; zero without an object.
+        t: Tick.
+        R: (3, 3), filled with the principal axes.
+        centre: (3,), filled with the centre of mass (m).
+        weight: (6,), filled with the wrench; zero without an object.
 
     Returns:
         False if no object is held, or if its pose is unknown.

@@ -49,8 +49,8 @@ def watch_hops(t):
     for a in range(work.rank):
         j = work.kept[a]
         row = memory.columns[j]
-        approached = model.phased != 0 and contact_of(t, j).phase == APPROACHING
-        _note_force(row, work.alpha_meas[a], work.alpha_d[a], approached, work.dt)
+        is_approached = model.phased != 0 and contact_of(t, j).phase == APPROACHING
+        _note_force(row, work.alpha_meas[a], work.alpha_d[a], is_approached, work.dt)
         hops = row.hop_share >= model.hop_share and row.hop_rate >= model.hop_rate
         if hops and row.hop_share > largest_share:
             largest_share = row.hop_share
@@ -74,23 +74,26 @@ def _forget(row):
 
 
 @inner
-def _note_force(row, force, command, approached, dt):
+def _note_force(row, force, command, is_approached, dt):
     """Take a measured force into the share and the rate of hops of a column.
 
     Args:
-        row: COLUMN_MEMORY. force: α_meas (N). command: α_d (N). approached: whether the contact is
-            being approached, at first or after a loss. dt: time since the last tick (s).
+        row: COLUMN_MEMORY.
+        force: α_meas (N).
+        command: α_d (N).
+        is_approached: whether the contact is being approached, at first or after a loss.
+        dt: time since the last tick (s).
     """
     size = abs(command)
     pressing = force if command > 0.0 else -force
-    judged = size > _LIGHT or approached
-    is_gone = approached or pressing < _LOW * size
-    low = judged and is_gone and row.pressing != _UNMET
+    is_judged = size > _LIGHT or is_approached
+    is_gone = is_approached or pressing < _LOW * size
+    is_low = is_judged and is_gone and row.pressing != _UNMET
     k = dt / (_WINDOW + dt)
-    row.hop_share += k * ((1.0 if low else 0.0) - row.hop_share)
+    row.hop_share += k * ((1.0 if is_low else 0.0) - row.hop_share)
     row.hop_rate -= k * row.hop_rate
-    if low and row.pressing == _PRESSING:
+    if is_low and row.pressing == _PRESSING:
         row.pressing = _GONE
         row.hop_rate += 1.0 / (_WINDOW + dt)
-    elif judged and not is_gone and pressing > _FIRM * size:
+    elif is_judged and not is_gone and pressing > _FIRM * size:
         row.pressing = _PRESSING

@@ -126,7 +126,8 @@ def _uses_constant(code: CodeType, place: int) -> bool:
     """Whether the instructions of a function load one of the constants in its table.
 
     Args:
-        code: code object. place: index of the constant in `code.co_consts`.
+        code: code object.
+        place: index of the constant in `code.co_consts`.
     """
     return any(
         step.opname == "LOAD_CONST" and step.arg == place for step in dis.get_instructions(code)

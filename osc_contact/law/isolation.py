@@ -38,14 +38,15 @@ def isolate_joint(t, j):
     All speeds come from the same estimator, so those of all joints are marked with the first.
 
     Args:
-        t: Tick; `faulty` of the joints in MEMORY is changed. j: index of the joint.
+        t: Tick; `faulty` of the joints in MEMORY is changed.
+        j: index of the joint.
     """
     joint_memory = t.memory.joints
     joint = joint_memory[j]
     distance = _DISTANCE * t.model.position_drift  # rad, m
     position_constant = abs(joint.due) > distance or joint.stuck != 0
-    changed = position_constant or abs(joint.moved) > distance
-    speed_constant = joint.same_speed > DEAD and changed
+    has_changed = position_constant or abs(joint.moved) > distance
+    speed_constant = joint.same_speed > DEAD and has_changed
     if position_constant:
         joint.faulty |= FAULTY_POSITION
         if speed_constant or t.memory.derived:

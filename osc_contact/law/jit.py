@@ -52,7 +52,7 @@ def _find_units() -> Any:
     """Module `units`, or None if numba compiles in its usual way."""
     if os.environ.get("OSC_CONTACT_LAW") == "jit":
         return None
-    reason: object = library.obstacle()
+    reason: object = library.missing_tool()
     try:
         if not reason:
             return import_module(f"{__package__}.units")
@@ -81,7 +81,8 @@ def inner(function: Any, inlined: bool = False) -> Any:
     """Decorator of a function of the law that is called by compiled functions only.
 
     Args:
-        function: the function. inlined: whether it is inlined in its callers.
+        function: the function.
+        inlined: whether it is inlined in its callers.
 
     Returns:
         The function itself in plain Python; else a callable of numba, translated once for all
@@ -204,7 +205,9 @@ def _reshape(x: Any, start: int, rows: int, columns: int) -> Any:
     """View elements of a row as a matrix, in plain Python.
 
     Args:
-        x: row. start: index of the first element. rows, columns: size of the matrix.
+        x: row.
+        start: index of the first element.
+        rows, columns: size of the matrix.
 
     Returns:
         Matrix (rows, columns) that shares its memory with x.
@@ -216,7 +219,9 @@ def _no_prefetch(raw: Any, start: int, count: int) -> None:
     """Do nothing in place of a prefetch, in plain Python.
 
     Args:
-        raw: array of bytes. start: index of the first byte. count: number of bytes.
+        raw: array of bytes.
+        start: index of the first byte.
+        count: number of bytes.
     """
 
 
@@ -269,7 +274,16 @@ else:
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
-            """Generate code that reserves the memory, once for each call of the function."""
+            """Generate code that reserves the memory, once for each call of the function.
+
+            The memory is reserved at the function's entry: in a loop it would grow the stack.
+
+            Args:
+                context: target context of numba.
+                builder: builder of LLVM instructions.
+                signature: types of the call.
+                values: the sizes, which are not needed at run time.
+            """
             with builder.goto_entry_block():
                 place = builder.alloca(ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))
             array = context.make_array(kind)(context, builder)
@@ -294,13 +308,21 @@ else:
         """Convert an address (an integer) to a pointer, in compiled code.
 
         Args:
-            typing: typing context of numba. address: numba type of the address.
+            typing: typing context of numba.
+            address: numba type of the address.
         """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, arguments: Values
         ) -> Value:
-            """Generate the conversion."""
+            """Generate code that converts the integer to a pointer to bytes.
+
+            Args:
+                context: target context of numba.
+                builder: builder of LLVM instructions.
+                signature: types of the conversion.
+                arguments: the address alone.
+            """
             return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
 
         return types.voidptr(types.uintp), generate
@@ -320,7 +342,8 @@ else:
         """View numbers (float64) at an address as an array.
 
         Args:
-            address: address of the first number. shape: size, or tuple of sizes.
+            address: address of the first number.
+            shape: size, or tuple of sizes.
         """
         return carray(_pointer(address), shape, np.float64)
 
@@ -329,7 +352,8 @@ else:
         """View integers (int64) at an address as an array.
 
         Args:
-            address: address of the first integer. count: number of integers.
+            address: address of the first integer.
+            count: number of integers.
         """
         return carray(_pointer(address), count, np.int64)
 
@@ -338,7 +362,9 @@ else:
         """View elements of a row as a matrix, in compiled code.
 
         Args:
-            x: row of numbers. start: index of the first element. rows, columns: size of the matrix.
+            x: row of numbers.
+            start: index of the first element.
+            rows, columns: size of the matrix.
 
         Returns:
             Matrix (rows, columns) that shares its memory with x.
@@ -352,14 +378,22 @@ else:
         """Call the C function at an address with six addresses, in compiled code.
 
         Args:
-            typing: typing context of numba. at: type of the function's address. a, b, c, d, e, f:
-                types of its six arguments, unsigned integers.
+            typing: typing context of numba.
+            at: type of the function's address.
+            a, b, c, d, e, f: types of its six arguments, unsigned integers.
         """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
-            """Generate the call."""
+            """Generate code that converts the first address to a function and calls it.
+
+            Args:
+                context: target context of numba.
+                builder: builder of LLVM instructions.
+                signature: types of the call.
+                values: address of the function, then its six arguments.
+            """
             kind = ir.FunctionType(ir.VoidType(), [ir.IntType(64)] * 6)
             builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])
             return context.get_dummy_value()
@@ -382,13 +416,21 @@ else:
         """Prefetch the cache line at an address, in compiled code.
 
         Args:
-            typing: typing context of numba. address: type of the address.
+            typing: typing context of numba.
+            address: type of the address.
         """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, arguments: Values
         ) -> Value:
-            """Generate LLVM's intrinsic for a line that is read soon."""
+            """Generate LLVM's intrinsic for a line that is read soon.
+
+            Args:
+                context: target context of numba.
+                builder: builder of LLVM instructions.
+                signature: types of the call.
+                arguments: the address alone.
+            """
             line = ir.IntType(8).as_pointer()
             flag = ir.IntType(32)
             kind = ir.FunctionType(ir.VoidType(), [line, flag, flag, flag])
@@ -404,7 +446,9 @@ else:
         """Prefetch bytes to the processor's cache, one access for each line of 64 bytes.
 
         Args:
-            raw: array of bytes. start: index of the first byte. count: number of bytes.
+            raw: array of bytes.
+            start: index of the first byte.
+            count: number of bytes.
         """
         for at in range(start, start + count, 64):
             _prefetch(_place(raw) + np.uintp(at))

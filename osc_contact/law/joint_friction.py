@@ -110,16 +110,21 @@ _ACCELERATION = FRICTION  #: element of `smooth`, which has the acceleration in 
 
 @inner
 def observe_arm(t, arm, arm_work, sound, dt):
-    """Update `residual` (N m, N) of the motors from the base to the wrist sensor of an arm.
+    """Update `residual` of the motors from the base to the wrist sensor of an arm.
 
-    All terms pass the same low-pass. Loads are averaged over this tick and the last one, because
-    the motor torques were held constant between them. Reads h, M, columns and offsets of the joints
-    and `reading` of the arm; fills `net` of the arm and the means of the joints, and updates the
+    The residual (N m, N) is the torque of a motor that neither the model nor the reading of the
+    wrist explains, low-passed. All terms pass the same low-pass. Loads are averaged over this tick
+    and the last one, because the motor torques were held constant between them. Reads h, M, columns
+    and offsets of the joints and `reading` of the arm. Fills `net` of the arm, its reading less
+    weight and inertia of the bodies beyond the wrist, and the means of the joints; updates the
     estimate of friction if it is enabled.
 
     Args:
-        t: Tick. arm: ARM. arm_work: its ARM_WORK. sound: whether no fault of its wrist sensor has
-            been detected. dt: time since the last computed tick (s).
+        t: Tick.
+        arm: ARM.
+        arm_work: its ARM_WORK.
+        sound: whether no fault of its wrist sensor has been detected.
+        dt: time since the last computed tick (s).
     """
     work = t.work
     joints = work.joints
@@ -154,15 +159,19 @@ def observe_arm(t, arm, arm_work, sound, dt):
 def _observe_joint(t, arm, j, wrench, bias, inertia_force, k, dt):
     """Update the low-passed signals `means`, `load` and `residual` of a joint with a motor.
 
-    A single wrong reading changes the residual by no more than `_OUTLIER` torque limits. Reads h,
-    M and `column` of the joint, and its former signals if wrenches are delayed.
+    A single wrong reading changes the residual by no more than `_OUTLIER` torque limits. Reads h, M
+    and `column` of the joint, and its former signals if wrenches are delayed.
 
     Args:
-        t: Tick. arm: ARM row. j: index of the joint. wrench: reading of the arm's wrist.
+        t: Tick.
+        arm: ARM row.
+        j: index of the joint.
+        wrench: reading of the arm's wrist.
         bias: negative of the wrench that moves the bodies beyond the wrist at q̈ = 0.
         inertia_force: wrench that accelerates them by q̈. All three are at C in world axes (six
-            numbers; N, N m). k: share of one step in the low-pass. dt: time since the last computed
-            tick (s).
+            numbers; N, N m).
+        k: share of one step in the low-pass.
+        dt: time since the last computed tick (s).
 
     Returns:
         Acceleration of the joint (rad/s², m/s²) and torque M q̈ − Jᵀ w_out (N m, N), of the instant
@@ -230,98 +239,110 @@ def _align(t, row, signals, ticks):
 
 @leaf
 def _learn(t, j, sound, rate, inertial, dt):
-    """Update e of a joint and, every few ticks, its friction θ by recursive least squares.
+    """Update the estimates of a joint's friction: the unidentified part and, every few ticks, θ.
 
-    With `errors` both begin at once, else when residuals have exceeded rounding for some time, so
-    that an exact model remains unchanged. A model without friction keeps F = D = 0 until friction
-    is detected.
+    θ = (F, D, A, bias, μ) has Coulomb and viscous friction, inertia of the rotor, bias and error of
+    the masses; `unlearned` is the friction that θ does not explain yet. With `friction_errors` both
+    begin at once, else when residuals have exceeded rounding for some time, so that an exact model
+    remains unchanged. A model without friction keeps F = D = 0 until friction is detected.
+    Contradicted friction is discarded.
 
     Args:
-        t: Tick. j: joint. sound: whether no fault of the arm's wrist sensor has been detected.
-        rate: acceleration of the joint (rad/s², m/s²). inertial: M q̈ − Jᵀ w_out (N m, N); both of
-            the instant of the wrench. dt: time since the last computed tick (s).
+        t: Tick.
+        j: joint.
+        sound: whether no fault of the arm's wrist sensor has been detected.
+        rate: acceleration of the joint (rad/s², m/s²).
+        inertial: M q̈ − Jᵀ w_out (N m, N); both of the instant of the wrench.
+        dt: time since the last computed tick (s).
     """
     row = t.memory.joints[j]
-    learned = t.memory.friction[j]
+    friction_row = t.memory.friction[j]
     missing = row.residual - row.means[FRICTION]
     state = _begin_estimate(t, j, missing, dt)
-    if state == LEARNED and learned.applied < 1.0:
-        learned.applied = min(learned.applied + (dt / _RISE if _all_closed(t) else 1.0), 1.0)
+    if state == LEARNED and friction_row.applied < 1.0:
+        friction_row.applied = min(
+            friction_row.applied + (dt / _RISE if _all_closed(t) else 1.0), 1.0
+        )
     if state == LEARNED or (state == SUSPECTED and t.model.friction_errors):
         aim = missing if row.unbalanced == 0.0 else 0.0  # an error of the wrist sensor is suspected
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
-    _take_in_rotor(row, learned, t.model.priors[j], state == LEARNED, dt)
+    _take_in_rotor(row, friction_row, t.model.priors[j], state == LEARNED, dt)
     k = dt / (_SMOOTH + dt)
-    _smooth_regressors(row, learned, rate, inertial, k)
-    smooth = learned.smooth
+    _smooth_regressors(row, friction_row, rate, inertial, k)
+    smooth = friction_row.smooth
     threshold = _MOVES * (SLIDES if t.model.joints[j].slides else 1.0)
     permitted = smooth[SPEED]
     moves = min(abs(row.speed), abs(permitted)) > threshold
     moves = moves and smooth[V] * permitted > _FOLLOWS * permitted * permitted
     rests = abs(smooth[V]) < min(_FOLLOWS * abs(permitted), _RESTS * threshold)
     rests = rests and (abs(permitted) > threshold or state == LEARNED)
-    learned.rested = learned.rested + dt if rests else 0.0
+    friction_row.rested = friction_row.rested + dt if rests else 0.0
     if state == LEARNED and _is_contradicted(t, j, missing, moves, dt):
         t.memory.friction_known[j] = UNKNOWN
-        learned.evidence = learned.applied = row.unlearned = 0.0
+        friction_row.evidence = friction_row.applied = row.unlearned = 0.0
         return
     if (t.memory.balanced + j) % _TURNS or state == MODEL_ONLY or not sound:
         return
-    settled = t.memory.balanced * dt > _SETTLED
-    if t.model.friction_learning and settled and abs(smooth[SIGN]) > _FULL:
+    is_settled = t.memory.balanced * dt > _SETTLED
+    if t.model.friction_learning and is_settled and abs(smooth[SIGN]) > _FULL:
         _estimate(t, j, moves, min(_TURNS * k, 1.0), _TURNS * dt)
 
 
 @inner
 def _begin_estimate(t, j, missing, dt):
-    """Update the state of θ of a joint from UNKNOWN up to the beginning of its identification.
+    """Update the state of a joint's friction estimate θ until its identification begins.
 
-    UNKNOWN becomes MODEL_ONLY, where estimate and covariance are those of the model and the prior.
-    MODEL_ONLY becomes SUSPECTED (the estimate has to differ from the model first) or LEARNED once
-    residuals have exceeded rounding for `_EVIDENCE`.
+    UNKNOWN becomes MODEL_ONLY, where θ (friction, rotor inertia, bias, error of the masses) and its
+    covariance are those of the model and the prior. MODEL_ONLY becomes SUSPECTED (the estimate has
+    to differ from the model first) or LEARNED once residuals have exceeded rounding for
+    `_EVIDENCE`.
 
     Args:
-        t: Tick. j: index of the joint. missing: residual less compensated friction (N m, N).
+        t: Tick.
+        j: index of the joint.
+        missing: residual less compensated friction (N m, N).
         dt: time since the last computed tick (s).
 
     Returns:
         The new state, which is stored in `friction_known` of MEMORY.
     """
     prior = t.model.priors[j]
-    learned = t.memory.friction[j]
+    friction_row = t.memory.friction[j]
     state = t.memory.friction_known[j]
     if state == UNKNOWN:
         state = MODEL_ONLY
-        learned.noise = prior.noise * prior.noise
-        learned.P[:] = 0.0
+        friction_row.noise = prior.noise * prior.noise
+        friction_row.P[:] = 0.0
         for i in range(_SIZE):
-            learned.theta[i] = learned.estimate[i] = t.model.joints[j].theta[i]
-            learned.P[i, i] = prior.doubt[i] * prior.doubt[i]
+            friction_row.theta[i] = friction_row.estimate[i] = t.model.joints[j].theta[i]
+            friction_row.P[i, i] = prior.doubt[i] * prior.doubt[i]
         deviation = _MASSES * t.work.joints[j].h
-        learned.P[3, 3] += deviation * deviation
+        friction_row.P[3, 3] += deviation * deviation
     if state == MODEL_ONLY:
         change = dt if abs(missing) > prior.rounding else -dt
-        learned.evidence = max(learned.evidence + change, 0.0)
-        if learned.evidence > (0.0 if t.model.friction_errors else _EVIDENCE):
+        friction_row.evidence = max(friction_row.evidence + change, 0.0)
+        if friction_row.evidence > (0.0 if t.model.friction_errors else _EVIDENCE):
             state = SUSPECTED if prior.sure > 0.0 else LEARNED
     t.memory.friction_known[j] = state
     return state
 
 
 @inner
-def _smooth_regressors(row, learned, rate, inertial, k):
+def _smooth_regressors(row, friction_row, rate, inertial, k):
     """Pass residual and regressors of a joint through the second low-pass, to `smooth`.
 
-    The torque of the inertia that M has beside the model's (`rotor`) is added to the residual and
-    subtracted from the load, so that the estimate of A is that of the whole rotor.
+    The torque of `rotor`, the inertia of the rotor that M has beside the model's, is added to the
+    residual and subtracted from the load, so that the estimate of A is that of the whole rotor.
 
     Args:
-        row: JOINT_MEMORY, of which `residual`, `rotor` and `means` are read. learned: its FRICTION,
-            of which `smooth` is changed. rate: acceleration (rad/s², m/s²).
-        inertial: M q̈ − Jᵀ w_out (N m, N). k: share of one step in the low-pass.
+        row: JOINT_MEMORY, of which `residual`, `rotor` and `means` are read.
+        friction_row: its FRICTION, of which `smooth` is changed.
+        rate: acceleration (rad/s², m/s²).
+        inertial: M q̈ − Jᵀ w_out (N m, N).
+        k: share of one step in the low-pass.
     """
     means = row.means
-    smooth = learned.smooth
+    smooth = friction_row.smooth
     rotor = row.rotor * rate
     torque = row.residual + rotor
     load = means[WEIGHT] + inertial - rotor
@@ -331,24 +352,27 @@ def _smooth_regressors(row, learned, rate, inertial, k):
 
 
 @leaf
-def _take_in_rotor(row, learned, prior, is_learned, dt):
-    """Update the inertia that M has of a joint beside the model's by what is certain of A.
+def _take_in_rotor(row, friction_row, prior, is_learned, dt):
+    """Update `rotor`, the inertia of a joint's rotor that is in M beside the model's.
 
-    Gains of forces and motions are of accelerations: a rotor that M lacks reduces them all, and the
-    brake of a contact below what its integral needs. Certain is A less two standard deviations,
-    once these are a small share of the prior's.
+    M is the joint-space inertia. `rotor` follows the certain part of the identified inertia A, with
+    `_TAKEN_IN` as time constant. Gains of forces and motions are of accelerations: a rotor that M
+    lacks reduces them all, and the brake of a contact below what its integral needs. Certain is A
+    less `_CERTAIN` standard deviations, once these are a small share of the prior's.
 
     Args:
-        row: JOINT_MEMORY. learned: its FRICTION. prior: its PRIOR.
+        row: JOINT_MEMORY.
+        friction_row: its FRICTION.
+        prior: its PRIOR.
         is_learned: whether its estimate is in use.
         dt: time since the last computed tick (s).
     """
     certain = 0.0
-    deviation = sqrt(max(learned.P[2, 2], 0.0))
+    deviation = sqrt(max(friction_row.P[2, 2], 0.0))
     if is_learned and deviation <= _MEASURED * prior.doubt[2]:
-        A = learned.applied * learned.theta[2]
+        A = friction_row.applied * friction_row.theta[2]
         doubt = _CERTAIN * deviation
-        certain = A - min(max(A, -doubt), doubt)
+        certain = A - min(max(A, -doubt), doubt)  # 0 within ±doubt, else nearer to 0 by it
     row.rotor += dt / (_TAKEN_IN + dt) * (certain - row.rotor)
 
 
@@ -360,19 +384,21 @@ def _is_contradicted(t, j, missing, moves, dt):
     case the caller discards the whole estimate.
 
     Args:
-        t: Tick. j: joint. missing: residual less compensated friction (N m, N), of one instant.
-        moves: whether the joint moves; a joint at rest may need less than F. dt: time since the
-            last computed tick (s).
+        t: Tick.
+        j: joint.
+        missing: residual less compensated friction (N m, N), of one instant.
+        moves: whether the joint moves; a joint at rest may need less than F.
+        dt: time since the last computed tick (s).
     """
-    learned = t.memory.friction[j]
+    friction_row = t.memory.friction[j]
     row = t.memory.joints[j]
     excess = row.friction - _friction_along(row, t.model.joints[j].theta)  # beyond the model
     is_clear = moves and abs(excess) > t.model.priors[j].noise and abs(row.sign) > _FULL
     contradicts = is_clear and missing * excess < -_LESS * excess * excess
-    learned.contradicted = max(learned.contradicted + (dt if contradicts else -dt), 0.0)
-    if learned.contradicted <= _CONTRADICTED:
+    friction_row.contradicted = max(friction_row.contradicted + (dt if contradicts else -dt), 0.0)
+    if friction_row.contradicted <= _CONTRADICTED:
         return False
-    learned.contradicted = 0.0
+    friction_row.contradicted = 0.0
     return True
 
 
@@ -393,65 +419,78 @@ def _all_closed(t):
 def _estimate(t, j, moves, k, dt):
     """Update θ of a joint that moves, or that rests although it is commanded to move.
 
-    The residual of a resting joint is compared with `estimate`, not with `theta`, which attributes
-    the residual to the bias as long as the joint may be frictionless. A joint that rests for long
-    is certain to have friction.
+    θ = (F, D, A, bias, μ) has Coulomb and viscous friction, inertia of the rotor, bias and error of
+    the masses. The residual of a resting joint is compared with `estimate`, not with `theta`, which
+    attributes the residual to the bias as long as the joint may be frictionless. A joint that rests
+    for long is certain to have friction.
 
     Args:
-        t: Tick. j: joint. moves: whether it moves. k: share of this update in the low-passed
-            residual. dt: time since the last update (s).
+        t: Tick.
+        j: joint.
+        moves: whether it moves.
+        k: share of this update in the low-passed residual.
+        dt: time since the last update (s).
     """
     prior = t.model.priors[j]
-    learned = t.memory.friction[j]
+    friction_row = t.memory.friction[j]
     states = t.memory.friction_known
-    smooth = learned.smooth
+    smooth = friction_row.smooth
     a = smooth[_ACCELERATION]
-    estimate = learned.estimate  # F, D, A, bias, μ
+    estimate = friction_row.estimate  # F, D, A, bias, μ
     friction = smooth[TORQUE] - estimate[2] * a - estimate[3] - estimate[4] * smooth[WEIGHT]
     expected = max(estimate[0], 0.0) + max(estimate[1], 0.0) * abs(t.memory.joints[j].speed)
     excess = friction * smooth[SIGN] - expected
-    uncertainty = _SEEN * sqrt(learned.noise + learned.P[2, 2] * a * a)
-    sticks = learned.rested > _STANDS and excess > uncertainty
-    holds = learned.rested > _HOLDS and friction * smooth[SIGN] > uncertainty
+    uncertainty = _SEEN * sqrt(friction_row.noise + friction_row.P[2, 2] * a * a)
+    sticks = friction_row.rested > _STANDS and excess > uncertainty
+    holds = friction_row.rested > _HOLDS and friction * smooth[SIGN] > uncertainty
     if not (moves or sticks or holds):
         return
     phi = (smooth[SIGN], smooth[V], a, 1.0, smooth[WEIGHT])
     if sticks:  # gives a lower bound of F, so the covariance stays
         estimate[0] += min(excess, max(prior.high[0] - estimate[0], 0.0))
     elif moves:
-        _regress(prior, learned, phi, smooth[TORQUE], k, dt)
+        _regress(prior, friction_row, phi, smooth[TORQUE], k, dt)
     C = local(_SIZE, _SIZE)
-    _keep_bounds(prior, learned, C)
+    _keep_bounds(prior, friction_row, C)
     if states[j] == SUSPECTED and (
-        sticks or holds or _test_and_reset_friction(prior, t.model.joints[j].theta, learned, phi, C)
+        sticks
+        or holds
+        or _test_and_reset_friction(prior, t.model.joints[j].theta, friction_row, phi, C)
     ):
         states[j] = LEARNED
-        _keep_bounds(prior, learned, C)
+        _keep_bounds(prior, friction_row, C)
 
 
 @leaf
-def _regress(prior, learned, phi, r, k, dt):
-    """θ ← θ + k(r − φᵀθ), k = Pφ/(R + φᵀPφ), P ← (1 − kφᵀ)P.
+def _regress(prior, friction_row, phi, r, k, dt):
+    """Update the estimate of θ of a joint and its covariance P by recursive least squares.
 
-    R follows the mean square of r − φᵀθ, and is increased for outliers beyond three standard
-    deviations. Old residuals are forgotten exponentially, as long as P stays below its bound.
+        θ ← θ + g(r − φᵀθ),   g = Pφ/(R/k + φᵀPφ),   P ← (1 − g φᵀ)P
+
+    θ (5,) has F, D, A, bias and μ, φ (5,) their regressors in the residual r (N m, N), and R is the
+    variance of r that θ does not explain. R follows the mean square of r − φᵀθ; it is increased for
+    outliers beyond three standard deviations. Old residuals are forgotten exponentially, as long as
+    P stays below its bound.
 
     Args:
-        prior: PRIOR of a joint. learned: its FRICTION, of which `estimate`, `P` and `noise` are
-            changed. phi: (5,) regressor. r: residual (N m, N). k: share of one update in r.
+        prior: PRIOR of a joint.
+        friction_row: its FRICTION, of which `estimate`, `P` and `noise` are changed.
+        phi: (5,) regressors φ: sign, speed, acceleration, 1, load.
+        r: residual (N m, N).
+        k: share of one update in r.
         dt: time since the last update (s).
     """
     gain = local(_SIZE)
     growth = local(_SIZE)
-    estimate = learned.estimate
-    P = learned.P
+    estimate = friction_row.estimate
+    P = friction_row.P
     miss = r - dot(estimate, phi, _SIZE)
     noise = prior.noise
     bound = 10.0 * noise
     bounded = min(max(miss, -bound), bound)
     square = bounded * bounded
-    learned.noise += dt / (_SCATTER + dt) * (square - learned.noise)
-    R = max(learned.noise, (_QUIET * noise) * (_QUIET * noise))
+    friction_row.noise += dt / (_SCATTER + dt) * (square - friction_row.noise)
+    R = max(friction_row.noise, (_QUIET * noise) * (_QUIET * noise))
     for i in range(_SIZE):
         gain[i] = dot(P[i], phi, _SIZE)
     variance = dot(gain, phi, _SIZE)  # φᵀPφ
@@ -470,20 +509,23 @@ def _regress(prior, learned, phi, r, k, dt):
 
 
 @leaf
-def _keep_bounds(prior, learned, C):
-    """Fill `theta` with the most likely values within the bounds, given the unbounded estimate.
+def _keep_bounds(prior, friction_row, C):
+    """Fill `theta` with the most likely friction parameters within their bounds.
 
-    Elements beyond a bound are fixed there, and the others are conditioned on them. `estimate` is
-    not changed, since it would drift otherwise.
+    `estimate` (5,) has friction, rotor inertia, bias and error of masses without bounds, with the
+    covariance P (5, 5). Elements beyond a bound are fixed there, and the others are conditioned on
+    them. `estimate` is not changed, since it would drift otherwise.
 
     Args:
-        prior: PRIOR of a joint. learned: its FRICTION. C: (5, 5), filled with the covariance of θ.
+        prior: PRIOR of a joint, of which the bounds `low` and `high` are read.
+        friction_row: its FRICTION, of which `theta` is filled.
+        C: (5, 5), filled with the covariance of θ.
     """
-    theta = learned.theta
+    theta = friction_row.theta
     for i in range(_SIZE):
-        theta[i] = learned.estimate[i]
+        theta[i] = friction_row.estimate[i]
         for j in range(_SIZE):
-            C[i, j] = learned.P[i, j]
+            C[i, j] = friction_row.P[i, j]
     for step in range(2 * _SIZE):  # each element twice: conditioning on a later one may move it
         i = step % _SIZE
         bound = min(max(theta[i], prior.low[i]), prior.high[i])
@@ -494,22 +536,25 @@ def _keep_bounds(prior, learned, C):
 
 
 @leaf
-def _test_and_reset_friction(prior, model_theta, learned, phi, C):
-    """Test F, D and A against the model by χ², and reset them to the model's values.
+def _test_and_reset_friction(prior, model_theta, friction_row, phi, C):
+    """Test friction and rotor of a joint against the model's values, and reset them to these.
 
-    χ² = Σ (θ_i − known_i)²/C_ii over i = F, D, A, where each term is conditioned on those before
-    it. After the test F, D and A of `theta` are the model's, and the bias and μ are conditioned on
-    them; the caller restores `theta` where the test shows friction.
+    χ² = Σ (θ_i − known_i)²/C_ii over i = F, D, A (Coulomb and viscous friction, inertia of the
+    rotor), with the model's values `known` and the covariance C, where each term is conditioned on
+    those before it. After the test F, D and A of `theta` are the model's, and the bias and μ are
+    conditioned on them; the caller restores `theta` where the test shows friction.
 
     Args:
-        prior: PRIOR of a joint. model_theta: (5,) θ of its model. learned: its FRICTION; `theta`
-            changed.
-        phi: (5,) regressor. C: (5, 5) covariance of `theta`, overwritten.
+        prior: PRIOR of a joint.
+        model_theta: (5,) θ of its model.
+        friction_row: its FRICTION; `theta` changed.
+        phi: (5,) regressor.
+        C: (5, 5) covariance of `theta`, overwritten.
 
     Returns:
         True if χ² exceeds the prior's bound and φᵀ(θ − known) is large enough to matter.
     """
-    theta = learned.theta
+    theta = friction_row.theta
     torque = 0.0
     distance = 0.0
     for i in range(3):
@@ -525,11 +570,17 @@ def _test_and_reset_friction(prior, model_theta, learned, phi, C):
 
 @leaf
 def _condition(theta, C, i, value):
-    """Condition a Gaussian on θ_i = value: θ ← θ − C_i (θ_i − value)/C_ii, C ← C − C_i C_iᵀ/C_ii.
+    """Condition a Gaussian with mean θ and covariance C on θ_i = value.
+
+        θ ← θ − C_i (θ_i − value)/C_ii,   C ← C − C_i C_iᵀ/C_ii
+
+    C_i (5,) is column i of C.
 
     Args:
-        theta: (5,) mean, changed. C: (5, 5) covariance, changed; C_i is its column i. i: index of
-            the element that becomes certain. value: value that it takes.
+        theta: (5,) mean, changed.
+        C: (5, 5) covariance, changed; row and column i become zero.
+        i: index of the element that becomes certain.
+        value: value that it takes.
     """
     change = (theta[i] - value) / C[i, i]
     add_scaled(-change, C[i], _SIZE, theta)
@@ -543,14 +594,16 @@ def _condition(theta, C, i, value):
 
 @inner
 def permit_speeds(t):
-    """Compute the permitted speeds J̄ P V_D of the joints (rad/s, m/s).
+    """Compute the permitted speeds s = J̄ P V_D of the joints (rad/s, m/s).
 
-    Along N the speed is that of the touched face, plus the speed of the approach for contacts that
-    are being approached. A_D is not added, because a step of it would change contact forces at
-    once.
+    V_D is the desired twist of the object, P the projection on the motions that the contacts
+    permit, J̄ (n, 6) maps motions of the object to those of the joints. Along N, the columns of
+    contact forces, the speed is that of the touched face, plus the speed of the approach for
+    contacts that are being approached. A_D is not added, because a step of it would change contact
+    forces at once.
 
     Reads `V_D`, `V_N`, `alpha_d`, `damping`, the factors of `N_t`, and J̄ of the joints. Fills in
-    MEMORY of each joint `speed`, its rate `turn` since the last tick, and its mean sign `sign`.
+    MEMORY of each joint `speed` s, its rate `turn` since the last tick, and its mean sign `sign`.
 
     Args:
         t: Tick.
@@ -561,8 +614,8 @@ def permit_speeds(t):
     fill_free(x, work, motion_to_energy(work, work.V_D))
     for a in range(work.rank):
         normal[a] = work.V_N[a]
-        approached = contact_of(t, work.kept[a]).phase == APPROACHING
-        if approached and work.damping[a] > 0.0:
+        is_approached = contact_of(t, work.kept[a]).phase == APPROACHING
+        if is_approached and work.damping[a] > 0.0:
             normal[a] += work.alpha_d[a] / work.damping[a]
     if work.rank > 0:
         project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, normal)
@@ -581,12 +634,13 @@ def permit_speeds(t):
         # mean of s/√(s² + s_0²) while s goes to s_1: (√(s_1² + s_0²) − √(s² + s_0²))/(s_1 − s)
         next_s = s + t.model.period * row.turn
         roots = sqrt(s * s + slip * slip) + sqrt(next_s * next_s + slip * slip)
+        # = (s + s_1)/(√(s_1² + s_0²) + √(s² + s_0²)), which has no quotient 0/0 at s_1 = s
         row.sign = (s + next_s) / roots
 
 
 @inner
 def compensate_friction(t):
-    """Add the compensated friction f + g clip(e) (N m, N) to `tau` of the joints with motors.
+    """Add the compensated friction of `_compensation` (N m, N) to `tau` of the joints with motors.
 
     Fills `friction` of these joints, and `speed`, `turn` and `sign` of all joints in MEMORY.
 
@@ -605,12 +659,17 @@ def compensate_friction(t):
 def _compensation(t, j):
     """Compute the compensated friction f + g clip(e) of one joint.
 
-    A sticking joint keeps e while s reverses. If e then has the sign of the new f, it is set to
-    zero, because more than F would act on the joint. With `errors` it is kept, as it contains
-    errors of the links' masses. Changes `friction` f and `unlearned` e of the joint in MEMORY.
+    f is the friction that is identified or modelled (`believed_friction`), e = `unlearned` the
+    friction that is not identified yet, g = `friction_share` its compensated share, and clip the
+    limit to F + D |s| (Coulomb and viscous friction at the permitted speed s), and to `wrist_error`
+    times the torque limit. A sticking joint keeps e while s reverses. If e then has the sign of the
+    new f, it is set to zero, because more than F would act on the joint. With `friction_errors` it
+    is kept, as it contains errors of the links' masses. Changes `friction` f and `unlearned` e of
+    the joint in MEMORY.
 
     Args:
-        t: Tick. j: index of the joint.
+        t: Tick.
+        j: index of the joint.
 
     Returns:
         Torque or force (N m, N).
@@ -633,10 +692,12 @@ def _compensation(t, j):
 def _theta(t, j):
     """Return F, D and A of a joint: the identified ones, as far as phased in, or the model's.
 
-    The part of A that is in M already (`rotor`) is subtracted.
+    F is Coulomb friction, D viscous friction, A the inertia of the rotor beyond the model's; the
+    part of A that is in the joint-space inertia already (`rotor`) is subtracted.
 
     Args:
-        t: Tick. j: index of the joint.
+        t: Tick.
+        j: index of the joint.
 
     Returns:
         F (N m, N), D (N m s/rad, N s/m) and A (kg m², kg).
@@ -644,17 +705,22 @@ def _theta(t, j):
     model_theta = t.model.joints[j].theta
     theta = linear(model_theta)
     if t.memory.friction_known[j] == LEARNED:
-        learned = t.memory.friction[j]
-        theta = add3(theta, learned.applied, minus3(learned.theta, model_theta))
+        friction_row = t.memory.friction[j]
+        theta = add3(theta, friction_row.applied, minus3(friction_row.theta, model_theta))
     return theta[0], theta[1], theta[2] - t.memory.joints[j].rotor
 
 
 @leaf
 def _friction_along(row, theta):
-    """Friction F sign s + D s + A ṡ of a joint in this tick (N m, N).
+    """Compute the friction F sign s + D s + A ṡ of a joint in this tick (N m, N).
+
+    F is Coulomb friction, D viscous friction, A the rotor inertia that the model lacks, s the speed
+    of the joint that the contacts permit.
 
     Args:
-        row: JOINT_MEMORY with `sign`, `speed` s and `turn` ṡ. theta: F, D, A.
+        row: JOINT_MEMORY, of which `sign` (of s, averaged), `speed` s (rad/s, m/s) and `turn` ṡ are
+            read.
+        theta: F (N m, N), D (N m s/rad, N s/m), A (kg m², kg).
     """
     return theta[0] * row.sign + theta[1] * row.speed + theta[2] * row.turn
 
@@ -663,12 +729,13 @@ def _friction_along(row, theta):
 def believed_friction(t, j):
     """Compute the friction of one joint in this tick (N m, N), identified or modelled.
 
-    The identified friction may differ from the model's by the bound of e (`wrist_error` τ_max) plus
+    The identified friction may differ from the model's by `wrist_error` times the torque limit plus
     the friction that has been identified for a long time (`trusted`). A larger difference may be an
     object that drags at the arm or an error of the wrist sensor.
 
     Args:
-        t: Tick, with `speed`, `sign` and `turn` of the joint in MEMORY. j: index of the joint.
+        t: Tick, with `speed`, `sign` and `turn` of the joint in MEMORY.
+        j: index of the joint.
     """
     row = t.memory.joints[j]
     friction = model_friction = _friction_along(row, t.model.joints[j].theta)

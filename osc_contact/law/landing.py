@@ -26,11 +26,14 @@ _LANDED = 3.0  #: time since contact was made after which it has landed, as a mu
 
 @inner
 def oppose_landings(t):
-    """Add to `reaction` of the closed contacts what landing ones take from their forces.
+    """Add to `reaction` of the closed contacts the forces that landing contacts take from them.
 
-    Nothing is added where columns are dependent, or without an approached or new contact beside a
-    closed one. Reads `N_t`, `pushed_t`, `Lambda`, `Phi_mu`, `alpha_meas`, `alpha_u`, `alpha_d`;
-    changes `reaction` (r,) in N.
+    The error α_k − α_u,k (N) of the measured force of a landing contact k changes the force of the
+    closed contacts by D_CC⁻¹D_Ck times it, where D_ab (1/kg) is the normal acceleration at the
+    column a per unit force of the column b, through the chain and the touched bodies. Nothing is
+    added where columns are dependent, or without an approached or new contact beside a closed one.
+    Reads `N_t`, `pushed_t`, `Lambda`, `Phi_mu`, `alpha_meas`, `alpha_u`, `alpha_d`; changes
+    `reaction` (r,) in N, at most by `_OPPOSED` times the desired force.
 
     Args:
         t: Tick.
@@ -57,7 +60,7 @@ def oppose_landings(t):
         fill(response, work.N_t[a])
         cholesky_solve(factor, d, response[m:])
         x[0, n] = 0.0
-        column = 0
+        column = 0  # index of b among the closed ones
         for b in range(r):
             D_ab = work.Phi_mu[a, b] + dot(response[m:], work.pushed_t[b, m:], d)
             share = _landing_share(t, b)
@@ -85,7 +88,8 @@ def _landing_share(t, a):
     It is 0 for contacts that were closed from the start, and for those that have landed.
 
     Args:
-        t: Tick. a: index of a column of the contact among the kept ones.
+        t: Tick.
+        a: index of a column of the contact among the kept ones.
     """
     contact = contact_of(t, t.work.kept[a])
     if contact.phase == APPROACHING:

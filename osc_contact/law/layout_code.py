@@ -17,8 +17,9 @@ def layout_word(builder: Builder, record: Value, slot: int) -> Value:
     """Generate code that loads a word of a record's layout, as an invariant that is loaded once.
 
     Args:
-        builder: builder of LLVM instructions. record: pointer to the record. slot: index of the
-            word.
+        builder: builder of LLVM instructions.
+        record: pointer to the record.
+        slot: index of the word.
     """
     words = builder.bitcast(record, WORD.as_pointer())
     word = builder.load(builder.gep(words, [WORD(slot)]))
@@ -30,8 +31,9 @@ def table_address(builder: Builder, record: Value, slot: int) -> Value:
     """Generate code for the address of a table, whose offset in the record is a word of its layout.
 
     Args:
-        builder: builder of LLVM instructions. record: pointer to the record. slot: index of the
-            word.
+        builder: builder of LLVM instructions.
+        record: pointer to the record.
+        slot: index of the word.
     """
     start = layout_word(builder, record, slot)
     return builder.gep(builder.bitcast(record, BYTE.as_pointer()), [start])

@@ -26,9 +26,8 @@ def level_approaches(t):
 
     The mean of the commands is kept; shares are such that all columns get the same acceleration.
     While a column begins to touch, the commands return to equal ones, because each column then has
-    to press by itself.
-    Reads `N_t`, `Lambda`, and `net` of MEMORY. Changes `alpha_u` of contacts with two columns or
-    more, all of which are kept.
+    to press by itself. Reads `N_t`, `Lambda`, and `net` of MEMORY. Changes `alpha_u` of contacts
+    with two columns or more, all of which are kept.
 
     Args:
         t: Tick.
@@ -39,7 +38,7 @@ def level_approaches(t):
     if work.rank != work.count or d == 0:
         return
     factor = local(6, 6)
-    factored = False
+    has_factor = False
     for a in range(work.rank):
         j = work.kept[a]
         contact = t.model.columns[j].contact
@@ -51,19 +50,26 @@ def level_approaches(t):
             end += 1
         if end - a < 2:
             continue
-        if not factored:
-            factored = cholesky(work.Lambda, m, d, factor) > 0.0
-        if factored:
+        if not has_factor:
+            has_factor = cholesky(work.Lambda, m, d, factor) > 0.0
+        if has_factor:
             _level(t, factor, a, end)
 
 
 @inner
 def _level(t, factor, first, end):
-    """Distribute the mean of the force commands of the kept columns `first` to `end` − 1.
+    """Distribute the mean force command of one contact so that its columns move alike.
+
+    Columns with the mobility D (n, n; acceleration along each per unit force of each) accelerate
+    alike if their forces are in the ratios D⁻¹[1 … 1]ᵀ. While a column begins to touch, its force
+    approaches `_TOUCHED` times `force_on`, and the commands return to equal ones. Reads `N_t` and
+    `net` of MEMORY; changes `alpha_u` (N).
 
     Args:
-        t: Tick. factor: (6, 6) Cholesky factor of Λ without the locked coordinates. first, end:
-            kept columns of one contact.
+        t: Tick.
+        factor: (6, 6) Cholesky factor of the inertia Λ along the free axes.
+        first: index of the contact's first column among the kept ones.
+        end: index behind its last one.
     """
     work = t.work
     m = work.locked
@@ -73,20 +79,22 @@ def _level(t, factor, first, end):
     share = local(1, 6)
     response = local(6)
     mean = 0.0
-    touching = 0.0
+    touch_force = 0.0
     for a in range(n):
         share[0, a] = 1.0
         mean += work.alpha_u[first + a] / n
-        touching = max(touching, t.memory.columns[work.kept[first + a]].net)
+        touch_force = max(touch_force, t.memory.columns[work.kept[first + a]].net)
         fill(response, work.N_t[first + a])
         cholesky_solve(factor, d, response[m:])
         for b in range(n):
             D[a, b] = dot(response[m:], work.N_t[first + b, m:], d)
-    free = 1.0 - touching / (_TOUCHED * t.model.force_on)
-    if free <= 0.0 or not lu_solve(D, n, share, 1):
+    untouched_share = 1.0 - touch_force / (_TOUCHED * t.model.force_on)
+    if untouched_share <= 0.0 or not lu_solve(D, n, share, 1):
         return
     total = 0.0
     for a in range(n):
         total += share[0, a]
     for a in range(n):
-        work.alpha_u[first + a] += min(free, 1.0) * mean * (n * share[0, a] / total - 1.0)
+        work.alpha_u[first + a] += (
+            min(untouched_share, 1.0) * mean * (n * share[0, a] / total - 1.0)
+        )

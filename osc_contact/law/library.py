@@ -48,8 +48,14 @@ def law_hash() -> str:
     return hash_sum.hexdigest()
 
 
-def obstacle() -> str:
-    """Sentence on a tool that is missing to make the library; empty if none is."""
+def missing_tool() -> str:
+    """Describe the tool without which the library cannot be made here; empty if none is missing.
+
+    Tools are the C compiler `COMPILER` and the header Python.h in `HEADERS`.
+
+    Returns:
+        Clause for a message, such as `there is no C compiler 'cc' here`.
+    """
     if shutil.which(COMPILER) is None:
         return f"there is no C compiler {COMPILER!r} here"
     if not (Path(HEADERS) / "Python.h").is_file():
@@ -64,7 +70,7 @@ def cache_folder() -> Path:
 
 
 def is_quick() -> bool:
-    """Whether the user requests the library whose functions are compiled one by one."""
+    """Return whether the user requests the library whose functions are compiled one by one."""
     return os.environ.get("OSC_CONTACT_LAW") == QUICK
 
 

@@ -63,7 +63,7 @@ PROGRAM = Nested(
     beta="w",
     bend="w",
     mix="w",
-    t="w",
+    offset="w",
     normals=("k1", "v"),
     reduced=("v", "w"),
     free=(np.int64, "v"),
@@ -99,45 +99,60 @@ _SLACK = 1e-9  # relative tolerance of the limits, for rounding errors
 
 
 @inner
-def _mobility(p, X, P, D, extent, K):
-    """Compute the mobility UDUᵀ of the contacts, with U such that the rows of UNᵀ are orthogonal.
+def _compute_mobility(p, X, accelerations, mobility, row_maximum, factor):
+    """Compute the mobility D of the contacts for rotated contact forces, U D Uᵀ.
+
+    D = NᵀΛ⁻¹N_μ + Φ_μ (r, r; 1/kg) is the normal acceleration of the contacts per unit of their
+    forces, summed over the chain and the touched bodies: N (6, r) are the wrenches of the r contact
+    forces, N_μ those with their friction, Λ (6, 6) is the inertia of the chain, and Φ_μ (r, r) the
+    mobility NᵀΦ_eN_μ of the touched bodies. The rotation U (r, r) makes the rows of UNᵀ orthogonal
+    along the d free axes, so that nearly dependent columns of N differ in magnitude only. All are
+    in energy coordinates, whose last d axes are free.
 
     Args:
-        p: PROGRAM, of which `Lambda`, `N`, `pushed`, `Phi_e` are read.
-        X: (r, 18), filled with the rows of UNᵀ (6, free motions first), U(N_μ − N)ᵀ (d), U (r).
-        P: (r, d), filled with UN_μᵀΛ⁻¹. D: (r, r), filled with UDUᵀ, each row divided by its
-            `extent`. extent: (r,), filled with the largest magnitude in each row of UDUᵀ.
-        K: (d, d), filled with the factor of Λ in the free motions.
+        p: PROGRAM, of which `d`, `r`, `Lambda` (Λ), `N` (Nᵀ by rows), `pushed` (N_μᵀ by rows) and
+            `Phi_e` (Φ_μ) are read.
+        X: (r, 18), filled: in each row 6 elements of UNᵀ, free axes first; d of U(N_μ − N)ᵀ, free
+            axes only; and r of U.
+        accelerations: (r, d), filled with the rows of UN_μᵀΛ⁻¹, the acceleration of the chain along
+            the free axes per unit of each rotated force.
+        mobility: (r, r), filled with UDUᵀ, each row divided by its element of `row_maximum`.
+        row_maximum: (r,), filled with the largest magnitude in each row of UDUᵀ.
+        factor: (d, d), filled with the Cholesky factor of Λ along the free axes.
 
     Returns:
         False if Λ is not positive definite.
     """
     d = p.d
     r = p.r
-    U_at = 6 + d
+    first_of_U = 6 + d
     for a in range(r):
-        for i in range(6):  # the last d elements, which are free, come first
+        # The d free elements, which are the last ones of N, come first: `one_sided_jacobi` makes
+        # the leading elements of rows orthogonal.
+        for i in range(6):
             X[a, (i + d) % 6] = p.N[a, i]
-        for i in range(d):
+        for i in range(d):  # element 6 − d + i of six is free axis i
             X[a, 6 + i] = p.pushed[a, 6 - d + i] - p.N[a, 6 - d + i]
         for b in range(r):
-            X[a, U_at + b] = 1.0 if a == b else 0.0
+            X[a, first_of_U + b] = 1.0 if a == b else 0.0
+    # Behind the d leading elements 6 − d locked ones, d of friction and r of U are rotated, too.
     one_sided_jacobi(X, r, d, 6 + r)
-    if not cholesky(p.Lambda, 6 - d, d, K) > 0.0:  # also if NaN
+    if not cholesky(p.Lambda, 6 - d, d, factor) > 0.0:  # also if NaN
         return False
     for b in range(r):
-        for i in range(d):
-            P[b, i] = X[b, i] + X[b, 6 + i]
-        cholesky_solve(K, d, P[b])
+        for i in range(d):  # UN_μᵀ = UNᵀ + U(N_μ − N)ᵀ
+            accelerations[b, i] = X[b, i] + X[b, 6 + i]
+        cholesky_solve(factor, d, accelerations[b])
     for a in range(r):
-        extent[a] = 0.0
+        row_maximum[a] = 0.0
         for b in range(r):
-            D[a, b] = dot(X[a], P[b], d)
-            for c in range(r):
-                D[a, b] += X[a, U_at + c] * dot(p.Phi_e[c], X[b, U_at:], r)
-            extent[a] = max(extent[a], abs(D[a, b]))
+            mobility[a, b] = dot(X[a], accelerations[b], d)
+            for c in range(r):  # UΦ_μUᵀ
+                mobility[a, b] += X[a, first_of_U + c] * dot(p.Phi_e[c], X[b, first_of_U:], r)
+            row_maximum[a] = max(row_maximum[a], abs(mobility[a, b]))
+        # Rows may differ by many powers of ten; with equal magnitudes pivots are comparable.
         for b in range(r):
-            D[a, b] /= extent[a]
+            mobility[a, b] /= row_maximum[a]
     return True
 
 
@@ -145,9 +160,14 @@ def _mobility(p, X, P, D, extent, K):
 def _respond(p):
     """Compute the motion and the contact force caused by `scale` units of each motor's torque.
 
-    Reads `G`, `Lambda`, `N`, `pushed`, `Phi_e` and `scale` of PROGRAM. Fills `motion` (a, 6), δη̇
-    along the d free axes; `force` (a, 6), δα of the r columns; and in `rows` the square roots of
-    their energies.
+    For each column g of G times `scale`, the wrench of a motor in energy coordinates, the rotated
+    contact forces ψ solve UDUᵀψ = UNᵀΛ⁻¹g, with U and D of `_compute_mobility`; then δα = Uᵀψ and
+    δη̇ = Λ⁻¹(g − N_μδα) (eqs. 17, 18).
+
+    Reads `G`, `Lambda`, `N`, `pushed`, `Phi_e` and `scale`. Fills `motion` (a, 6), δη̇ (energy
+    coordinates) along the d free axes; `force` (a, 6), δα (N) of the r columns; and the first 6 + d
+    elements of each row of `rows`: δη̇, then N δα weighted by the root of `_FORCE`, whose squares
+    are energies (N²/kg).
 
     Args:
         p: PROGRAM.
@@ -157,31 +177,31 @@ def _respond(p):
     """
     d = p.d
     r = p.r
-    n = len(p.scale)
-    X = local(6, 18)
-    P = local(6, 6)
-    D = local(6, 6)
-    extent = local(6)
-    K = local(6, 6)
-    if not _mobility(p, X, P, D, extent, K):
+    n_motors = len(p.scale)
+    X = local(6, 18)  # rows of UNᵀ, U(N_μ − N)ᵀ and U
+    accelerations = local(6, 6)  # rows of UN_μᵀΛ⁻¹
+    mobility = local(6, 6)
+    row_maximum = local(6)
+    factor = local(6, 6)
+    if not _compute_mobility(p, X, accelerations, mobility, row_maximum, factor):
         return False
-    for j in range(n):
+    for j in range(n_motors):
         for i in range(d):
             p.motion[j, i] = p.G[j, 6 - d + i] * p.scale[j]
-        cholesky_solve(K, d, p.motion[j])
-        for a in range(r):
-            p.force[j, a] = dot(X[a], p.motion[j], d) / extent[a]
-    if not lu_solve(D, r, p.force, n):
+        cholesky_solve(factor, d, p.motion[j])  # Λ⁻¹g, the motion without contacts
+        for a in range(r):  # the rows of `mobility` are divided by the same numbers
+            p.force[j, a] = dot(X[a], p.motion[j], d) / row_maximum[a]
+    if not lu_solve(mobility, r, p.force, n_motors):
         return False
-    for j in range(n):
+    for j in range(n_motors):
         motion = p.motion[j]
         force = p.force[j]
         row = p.rows[j]
         row[:] = 0.0
-        psi = six(force)
+        psi = six(force)  # copied, since `force` becomes δα = Uᵀψ
         fill(force, ZERO)
         for a in range(r):
-            add_scaled(-psi[a], P[a], d, motion)
+            add_scaled(-psi[a], accelerations[a], d, motion)
             add_scaled(psi[a], X[a, 6 + d :], r, force)
             add_scaled(sqrt(_FORCE) * psi[a], X[a], 6, row[d:])
         add_scaled(1.0, motion, d, row)
@@ -192,13 +212,16 @@ def _respond(p):
 def prepare(raw, slack):
     """Fill the program min |rowsᵀz|² with lower ≤ (z, Az) ≤ upper, z = (δτ/scale, slack).
 
-    H is (v, v), A is (k, v), with v = n_a + slack variables. Each row of `rows` has the roots of
-    the energies that one variable causes: of motion and force (`_respond`), squeeze, joint motions
-    of redundant arms, and, on a diagonal, of each variable itself.
+    z (v,) has the n_a changes of torques δτ in units of `scale`, then the slack variables. Each of
+    the v rows of `rows` has the roots of the energies that one variable causes: of motion and force
+    (`_respond`), squeeze, joint motions of redundant arms, and, on a diagonal, of each variable
+    itself. H = rows rowsᵀ (v, v) is the Hessian; the k rows of A (k, v) are the sums of variables
+    that the contact forces depend on. Reads all operands; fills `rows`, `H`, `A`, `lower`, `upper`
+    (v bounds of z, then k of Az) and the fields of `_scale_torques`, `_respond`, `_add_energies`.
 
     Args:
-        raw: bytes of PROGRAM. slack: number of slack variables: 0, or k, if the k forces may leave
-            their ranges at a cost.
+        raw: bytes of PROGRAM.
+        slack: number of slack variables: 0, or k, if the k forces may leave their ranges at a cost.
 
     Returns:
         False if the response of the chain to the motors is singular.
@@ -208,11 +231,12 @@ def prepare(raw, slack):
     v = n + slack
     rows = p.rows
     H = matrix(p.H, 0, v, v)
-    w = 6 + p.d + p.s + len(p.idle)
+    w = 6 + p.d + p.s + len(p.idle)  # elements of a row before the diagonal
     _scale_torques(p)
     if not _respond(p):
         return False
     energy = _add_energies(p, w)
+    # Energies relative to their mean over the motors: then H has elements of about 1.
     size = sqrt(energy / n) if energy > 0.0 else 1.0
     for j in range(v):
         weight = _TORQUE if j < n else _BEYOND
@@ -230,8 +254,9 @@ def prepare(raw, slack):
 def _scale_torques(p):
     """Fill `scale` (a,), the torque of a unit of z (N m, N), and the bounds of z for the motors.
 
-    The scale of a motor is its limit; that of a motor without a limit is the largest limit. Reads
-    `tau_max` and `desired`; fills the first elements of `lower` and `upper`, too.
+    The scale of a motor is its limit; that of a motor without a limit is the largest limit, or 1.
+    Reads `tau_max` and `desired` (a,); fills the first a elements of `lower` and `upper`, too, with
+    the bounds (±tau_max − desired)/scale.
 
     Args:
         p: PROGRAM.
@@ -253,11 +278,15 @@ def _scale_torques(p):
 def _add_energies(p, w):
     """Fill the roots of the energies of squeeze and of redundant joint motions in `rows`.
 
-    Reads `E`, `carried`, `motion`, `mass`, `idle` and `scale`; fills `squeeze` (s, a), the squeeze
-    (N) by a unit of z.
+    A unit of z is `scale` of one motor's torque. Its squeeze is E scale less the squeeze `carried`
+    that goes into the inertial forces of the motion that it causes; its energy is squeeze²/mass.
+    Its joint motion νᵀδτ of a redundant arm has the energy (νᵀδτ)², with ν in `idle`. Reads `E`,
+    `carried`, `motion`, `mass`, `idle` and `scale`; fills `squeeze` (s, a), the squeeze (N) by a
+    unit of z.
 
     Args:
-        p: PROGRAM after `_respond`. w: number of elements of a row that are energies.
+        p: PROGRAM after `_respond`.
+        w: number of elements of a row that are energies.
 
     Returns:
         Sum of the energies that units of all torques cause (N²/kg).
@@ -266,9 +295,9 @@ def _add_energies(p, w):
     begin = 6 + p.d  # behind the elements of `_respond`
     energy = 0.0
     for j in range(len(p.scale)):
-        for c in range(p.s):
-            carried = dot(p.carried[c, 6 - p.d :], p.motion[j], p.d)
-            p.squeeze[c, j] = p.E[c, j] * p.scale[j] - carried
+        for c in range(p.s):  # `motion` begins with the d free axes, `carried` ends with them
+            inertial = dot(p.carried[c, 6 - p.d :], p.motion[j], p.d)
+            p.squeeze[c, j] = p.E[c, j] * p.scale[j] - inertial
             rows[j, begin + c] = sqrt(_SQUEEZE / p.mass) * p.squeeze[c, j]
         for c in range(len(p.idle)):
             rows[j, begin + p.s + c] = sqrt(_POSTURE) * p.idle[c, j] * p.scale[j]
@@ -280,11 +309,16 @@ def _add_energies(p, w):
 def _bound_contacts(p, slack):
     """Fill A and the bounds of the contact forces that must not pull, and of the slack variables.
 
-    A force may fall from its command to its floor, and must not rise. Each row of A is divided by
-    its norm. Reads `share`, `force`, `floor` and `alpha`.
+    Row c of A (k, v) is the change of the c-th such force per unit of each variable of z (v,),
+    divided by its norm. The force may fall from its command to its floor, and must not rise. Its
+    slack variable, if there is one, has the coefficient 1 and no bounds. Reads `share` (k, 6; the
+    forces as combinations of the r contact forces), `force` (a, 6; change of these by a unit of z),
+    `floor` (k,) and `alpha` (6,; commands), both in N. Fills `A`, and in `lower` and `upper` the
+    bounds of the slack variables and, from element v on, of A z.
 
     Args:
-        p: PROGRAM after `_respond`. slack: number of slack variables, 0 or k.
+        p: PROGRAM after `_respond`.
+        slack: number of slack variables, 0 or k.
     """
     lower = p.lower
     upper = p.upper
@@ -308,12 +342,16 @@ def _bound_contacts(p, slack):
 
 @entry
 def finish(raw, slack):
-    """Compute torques from the solver's z (v,) and multipliers (v + k,).
+    """Compute torques from the solver's answer, and the losses that they cause.
 
-    Fills `tau`, `at_limit`, `lost_force`, `lost_motion`, `lost_squeeze` and `short`.
+    Reads `z` (v,), the changes of torques in units of `scale`, then the slack variables, and `lam`
+    (v + k,), the multipliers of their bounds and of the bounds of A z. Fills `tau` and `at_limit`
+    (a,), `lost_force`, `lost_motion`, `lost_squeeze` (commanded less resulting values), and
+    `short`, 1 if a force leaves its range.
 
     Args:
-        raw: bytes of PROGRAM. slack: number of slack variables, as in `prepare`.
+        raw: bytes of PROGRAM.
+        slack: number of slack variables, as in `prepare`.
 
     Returns:
         Whether the torques are finite.
@@ -352,14 +390,18 @@ class TorqueLimits:
             pull, and of squeeze rows in use.
         desired, tau_max: (n_a,) desired torques; limits (inf: none).
         G: (n_a, 6) wrench on the object per unit of each motor's torque.
-        Lambda: (6, 6) inertia of the chain. mass: of the object (kg).
-        N, pushed: (6, 6) columns of N and, with friction, N_μ as rows. Phi_e: (6, 6) NᵀΦ_eN_μ.
-        alpha: (6,) force command. share: (k_max, 6) forces that must not pull, as combinations
-            of α. floor: (k_max,) their least values, not larger than the commanded ones.
-        E: (s_max, n_a) rows of the squeeze. carried: (s_max, 6) squeeze by the inertial forces of
-            a motion.
+        Lambda: (6, 6) inertia of the chain.
+        mass: of the object (kg).
+        N, pushed: (6, 6) columns of N and, with friction, N_μ as rows.
+        Phi_e: (6, 6) NᵀΦ_eN_μ.
+        alpha: (6,) force command.
+        share: (k_max, 6) forces that must not pull, as combinations of α.
+        floor: (k_max,) their least values, not larger than the commanded ones.
+        E: (s_max, n_a) rows of the squeeze.
+        carried: (s_max, 6) squeeze by the inertial forces of a motion.
         idle: (p, n_a) joint motions ν of redundant arms, νᵀMν = 1, restricted to their motors.
-        tau: (n_a,) resulting torques. at_limit: (n_a,) 1 for each motor at its limit.
+        tau: (n_a,) resulting torques.
+        at_limit: (n_a,) 1 for each motor at its limit.
         lost_force: (6,), lost_motion: (6,), lost_squeeze: (s_max,) commanded less resulting values;
             zero beyond r, and in locked axes.
     """

@@ -23,7 +23,8 @@ class Nested:
     """Declaration of a record: fields of its head, and tables with their sizes.
 
     Attributes:
-        dtype: type of the head. tables: for each name the dtype of a row (or element), and sizes.
+        dtype: type of the head.
+        tables: for each name the dtype of a row (or element), and sizes.
         counts: names of the sizes that are known at run time.
         at: function (bytes, offset) that returns the record, for compiled code, and for plain
             Python if nothing is compiled.
@@ -33,9 +34,9 @@ class Nested:
         """Declare a record.
 
         Args:
-            head: type with the fields of the head. tables: for a table of numbers name = size or
-                (size, …), where each size is a number or the name of a count; for a table of
-                another type name = (dtype, size, …).
+            head: type with the fields of the head.
+            tables: for a table of numbers name = size or (size, …), where each size is a number or
+                the name of a count; for a table of another type name = (dtype, size, …).
         """
         self.tables: dict[str, tuple[np.dtype[Any], list[Any]]] = {}
         for name, declared in tables.items():
@@ -94,7 +95,9 @@ class Nested:
         """Table of a record, as an array that shares its memory.
 
         Args:
-            raw: bytes of the record. layout: words of its layout. name: name of the table.
+            raw: bytes of the record.
+            layout: words of its layout.
+            name: name of the table.
         """
         kind, sizes = self.tables[name]
         start = layout[self.start(name)]
@@ -132,7 +135,8 @@ class Table(np.ndarray[Any, Any]):
         """Set all elements of a column, or an attribute of the array.
 
         Args:
-            name: name of a field of the rows, or of an attribute. value: new value or values.
+            name: name of a field of the rows, or of an attribute.
+            value: new value or values.
         """
         if name in (self.dtype.names or ()):
             self[name] = value
@@ -159,7 +163,8 @@ class View:
         """Bind the view to bytes, which it shares.
 
         Args:
-            kind: declaration of the record. raw: bytes that begin with the record.
+            kind: declaration of the record.
+            raw: bytes that begin with the record.
         """
         head = raw[: kind.dtype.itemsize].view(kind.dtype)[0]
         self.__dict__.update(kind=kind, raw=raw, head=head)
@@ -190,7 +195,8 @@ class View:
         """Set a field of the head.
 
         Args:
-            name: name of the field. value: new value; an array field is overwritten in place.
+            name: name of the field.
+            value: new value; an array field is overwritten in place.
         """
         self.__dict__["head"][name] = value
 

@@ -26,13 +26,14 @@ if TYPE_CHECKING:
 _public: Any = numba  #: its type hints leave out `from_dtype`
 
 
-def lower_tables(record: type[Type], kind: Layout) -> None:
+def lower_tables(record: type[Type], record_layout: Layout) -> None:
     """Register the tables of a record as array attributes of its numba type.
 
     Args:
-        record: numba type of the record (a class). kind: declaration of the record, a `Nested`.
+        record: numba type of the record (a class).
+        record_layout: declaration of the record, a `Nested`.
     """
-    tables = {name: _Table(kind, name) for name in kind.tables}
+    tables = {name: _Table(record_layout, name) for name in record_layout.tables}
 
     @infer_getattr
     class Tables(AttributeTemplate):
@@ -44,7 +45,8 @@ def lower_tables(record: type[Type], kind: Layout) -> None:
             """Return the array type of a table, or None if the record has no such table.
 
             Args:
-                value: numba type of the record. attr: name of the attribute.
+                value: numba type of the record.
+                attr: name of the attribute.
             """
             return tables[attr].array if attr in tables else None
 
@@ -59,25 +61,30 @@ class _Table:
         array: numba type of the array.
     """
 
-    def __init__(self, kind: Layout, name: str) -> None:
+    def __init__(self, record_layout: Layout, name: str) -> None:
         """Set element type and layout of one table of a record.
 
         Args:
-            kind: layout of the record. name: name of the table.
+            record_layout: declaration of the record, a `Nested`.
+            name: name of the table.
         """
-        dtype, sizes = kind.tables[name]
+        dtype, sizes = record_layout.tables[name]
         self.array = types.Array(_public.from_dtype(dtype), len(sizes), "C")
         self._item = dtype.itemsize
-        self._start = kind.start(name)
+        self._start = record_layout.start(name)
         # each size is the index of a word of the layout, or a constant
-        self._sizes = [kind.slot(size) if isinstance(size, str) else WORD(size) for size in sizes]
+        self._sizes = [
+            record_layout.slot(size) if isinstance(size, str) else WORD(size) for size in sizes
+        ]
 
     def lower(self, context: CPUContext, builder: Builder, record: Type, value: Value) -> Value:
         """Generate code for the array, in the form of `numba.extending.lower_getattr`.
 
         Args:
-            context: target context of numba. builder: builder of LLVM instructions. record: type
-                of the record. value: pointer to the record.
+            context: target context of numba.
+            builder: builder of LLVM instructions.
+            record: type of the record.
+            value: pointer to the record.
         """
         shape = [
             size if isinstance(size, ir.Constant) else layout_word(builder, value, size)

@@ -48,7 +48,8 @@ class _Pointer(models.PrimitiveModel):
         """Set the pointer's type: bytes of the size of the record's head.
 
         Args:
-            manager: manager of numba's data models. record: numba type of the record.
+            manager: manager of numba's data models.
+            record: numba type of the record.
         """
         super().__init__(manager, record, ir.ArrayType(BYTE, record.size).as_pointer())
 
@@ -70,13 +71,15 @@ def record_named(name: str) -> Type:
     return _records[name]
 
 
-def _record_class(kind: Layout) -> Any:
-    """Class of the numba type of a record; tables become further attributes in `pointer_to`.
+def _record_class(record_layout: Layout) -> Any:
+    """Make the class of the numba type of a record.
 
-    Each record has a class of its own, because numba registers attributes by class.
+    The type has the fields of the record's head, the part of fixed size at its front. Its tables,
+    arrays whose sizes are known at run time, are registered by `pointer_to` as attributes of the
+    class; each record has a class of its own, because numba registers attributes by class.
 
     Args:
-        kind: declaration of the record, a `Nested`.
+        record_layout: declaration of the record, a `Nested`: fields of its head, and tables.
     """
 
     class Record(types.Record):
@@ -87,11 +90,11 @@ def _record_class(kind: Layout) -> Any:
 
         def __init__(self) -> None:
             """Make the type from the fields of the head; name it after head and tables."""
-            head: Any = _public.from_dtype(kind.dtype)
+            head: Any = _public.from_dtype(record_layout.dtype)
             fields = [(name, field._asdict()) for name, field in head.fields.items()]
             super().__init__(fields, head.size, head.aligned)
-            layout = f"{kind.dtype} {kind.tables}"
-            self.name = f"record_{sha256(layout.encode()).hexdigest()[:16]}"
+            declared = f"{record_layout.dtype} {record_layout.tables}"
+            self.name = f"record_{sha256(declared.encode()).hexdigest()[:16]}"
 
         def __reduce__(self) -> tuple[Callable[[str], Type], tuple[str]]:
             """Reduce the type to its name for pickle."""
@@ -104,36 +107,44 @@ def _record_class(kind: Layout) -> Any:
     return Record
 
 
-def pointer_to(kind: Layout) -> Any:
+def pointer_to(record_layout: Layout) -> Any:
     """Compiled function (bytes, offset) that returns the record at an offset.
 
     Args:
-        kind: declaration of the record, a `Nested`.
+        record_layout: declaration of the record, a `Nested`: fields of its head, and tables.
     """
-    Record = _record_class(kind)
+    Record = _record_class(record_layout)
     register_model(Record)(_Pointer)
     record = Record()
     _records[record.name] = record
     if jit.UNITS is None:
-        for name in kind.tables:
+        for name in record_layout.tables:
             _public.extending.overload_attribute(Record, name, jit_options=VIEW)(
-                _attribute(kind, name)
+                _attribute(record_layout, name)
             )
     else:
-        jit.UNITS.lower_tables(Record, kind)
+        jit.UNITS.lower_tables(Record, record_layout)
 
     @intrinsic
     def point(typing: TypingContext, address: Type) -> Intrinsic:
         """Convert an address to the record there, in compiled code.
 
         Args:
-            typing: typing context of numba. address: type of the address, an unsigned integer.
+            typing: typing context of numba.
+            address: type of the address, an unsigned integer.
         """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
-            """Generate the conversion of the integer to a pointer."""
+            """Generate code that converts the integer to a pointer to the record.
+
+            Args:
+                context: target context of numba.
+                builder: builder of LLVM instructions.
+                signature: types of the conversion.
+                values: the address alone.
+            """
             return builder.inttoptr(values[0], context.get_value_type(record))
 
         return record(types.uintp), generate
@@ -143,33 +154,38 @@ def pointer_to(kind: Layout) -> Any:
         """Return the record at an offset of an array of bytes.
 
         Args:
-            raw: array of bytes. start: offset of the record.
+            raw: array of bytes.
+            start: offset of the record.
         """
         return point(raw.ctypes.data + np.uintp(start))
 
     return at
 
 
-def _attribute(kind: Layout, name: str) -> Callable[[Type], Implementation]:
+def _attribute(record_layout: Layout, name: str) -> Callable[[Type], Implementation]:
     """Implementation of a table for `numba.extending.overload_attribute`.
 
     Args:
-        kind: declaration of the record, a `Nested`. name: name of the table.
+        record_layout: declaration of the record, a `Nested`: fields of its head, and tables.
+        name: name of the table.
     """
-    dtype, sizes = kind.tables[name]
-    start = _start(kind.start(name))
-    shape = [_count(kind.slot(size)) if isinstance(size, str) else _fixed(size) for size in sizes]
+    dtype, sizes = record_layout.tables[name]
+    start = _start(record_layout.start(name))
+    shape = [
+        _count(record_layout.slot(size)) if isinstance(size, str) else _fixed(size)
+        for size in sizes
+    ]
     rows = shape[0]
     columns = shape[-1]
     carray = _public.carray
 
     # numba compares the parameters of `choose` with those of its results, annotations included
     def one_size(record: Any) -> NDArray[Any]:
-        """Return a table with one size as an array, in compiled code."""
+        """Return the table of a record as an array with one axis, in compiled code."""
         return carray(start(record), (rows(record),), dtype)
 
     def two_sizes(record: Any) -> NDArray[Any]:
-        """Return a table with two sizes as an array, in compiled code."""
+        """Return the table of a record as an array with two axes, in compiled code."""
         return carray(start(record), (rows(record), columns(record)), dtype)
 
     def choose(record: Any) -> Implementation:
@@ -191,13 +207,21 @@ def _start(slot: int) -> Any:
         """Return the address of the table of a record.
 
         Args:
-            typing: typing context of numba. record: type of the record.
+            typing: typing context of numba.
+            record: type of the record.
         """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
-            """Generate code for the address."""
+            """Generate code that adds the offset of the table to the address of the record.
+
+            Args:
+                context: target context of numba.
+                builder: builder of LLVM instructions.
+                signature: types of the call.
+                values: pointer to the record alone.
+            """
             return table_address(builder, values[0], slot)
 
         return types.voidptr(record), generate
@@ -217,13 +241,21 @@ def _count(slot: int) -> Any:
         """Return the size from the layout of a record.
 
         Args:
-            typing: typing context of numba. record: type of the record.
+            typing: typing context of numba.
+            record: type of the record.
         """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
-            """Generate code that loads the size."""
+            """Generate code that loads the size from the layout at the front of the record.
+
+            Args:
+                context: target context of numba.
+                builder: builder of LLVM instructions.
+                signature: types of the call.
+                values: pointer to the record alone.
+            """
             return layout_word(builder, values[0], slot)
 
         return types.intp(record), generate
@@ -243,7 +275,8 @@ def _fixed(size: int) -> Any:
         """Return the size for any record.
 
         Args:
-            typing: typing context of numba. record: type of the record.
+            typing: typing context of numba.
+            record: type of the record.
         """
         return types.intp(record), lambda context, builder, signature, given: WORD(size)
 

@@ -55,7 +55,7 @@ _SLIDES = 0.01  #: v_1 (m/s), sliding speed at which half of v is attributed to 
 
 @inner
 def load_normal_estimates(t):
-    """Copy v̄ and the turns of the assumed normals from MEMORY to the columns of WORK.
+    """Copy lasting speeds and turns of the assumed normals from MEMORY to the columns of WORK.
 
     Fills `drift` (m/s), `turn` and `turned` (equal to `turn`: no change yet), and zeroes `slides`,
     `lever` and `prior`, which `follow_face` fills.
@@ -76,21 +76,24 @@ def load_normal_estimates(t):
 
 @inner
 def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
-    """Turn the assumed normal of a face by the speed along it while a point slides.
+    """Turn the assumed normal n of a face by the speed along it while a point slides.
 
         n ← n − κ (NᵀV_rel − v̄) v_t / v_t²,   σ = v_t⁴ / (v_t⁴ + v_1⁴)
 
-    v_t is the desired velocity of the point along the face, so neither measurement noise nor a
+    NᵀV_rel (m/s) is the measured speed along the normal, v̄ its lasting part, which an error of the
+    normal does not explain, κ the gain of this tick with the factor σ, and v_1 = `_SLIDES`. v_t
+    (3,) is the desired velocity of the point along the face, so neither measurement noise nor a
     point at rest turns the normal. n stays within the angle `tilt` of the declared normal, in the
     axes of the object or body that carries the face; a larger deviation changes v̄ instead. On a
     curved face n is the normal at the point touched: an error δ of a ball's position turns it by
     −δ/R everywhere.
 
-    Fills `turned` (the normal after this tick less the declared one), `slides` (σλ, 0 … 1),
-    `shown`, `lever`, `prior` and `unexplained` of the column.
+    Fills `turned` (the normal after this tick less the declared one), `slides` (σλ, 0 … 1: share of
+    the speed that turns the normal), `shown`, `lever`, `prior` and `unexplained` of the column.
 
     Args:
-        t: Tick. pair: PAIR row with one column, whose N, `turn` and `drift` are filled.
+        t: Tick.
+        pair: PAIR row with one column, whose N, `turn` and `drift` are filled.
         X_WO: (4, 4) pose of the object.
         X_WE: (4, 4) pose of the touched body.
         V_rel: (6,) measured twist of the object relative to the body, at O.
@@ -138,15 +141,17 @@ def tangential_part(v, N):
 
 @inner
 def _shown_by_edges(row, X_WO, X_WE, column, v):
-    """Sensitivity g (m/s) of NᵀV_rel to a turn δ of the body's edge f: NᵀV_rel changes by gᵀδ.
+    """Sensitivity g (three numbers, m/s) of a contact's speed to a turn of the body's edge.
 
-    g = ±(v_t × e)/|e × f|, with e the edge of the object.
+    The speed NᵀV_rel along the column N changes by gᵀδ if the direction f of the body's edge
+    changes by δ: g = ±(v_t × e)/|e × f|, with the direction e of the object's edge and the velocity
+    v_t along the face.
 
     Args:
         row: (16,) shape of the edges, see `_edges`.
         X_WO, X_WE: (4, 4) poses of the object and the touched body.
         column: COLUMN_WORK, of which N and `turn` are read.
-        v: velocity of the crossing along the face (m/s).
+        v: (3,) v_t, velocity of the crossing along the face (m/s).
     """
     e = rotated(X_WO, row[3:])
     m = cross(e, turned_edge(row, X_WE, column.turn))
@@ -161,12 +166,21 @@ def _quadratic(P, u):
 
 @leaf
 def learn_normal(share, last, column):
-    """Update the covariance P, `normal_std` and the mean square `residual` of an assumed normal.
+    """Update the estimate of an assumed normal: its covariance, deviation and unexplained speed.
+
+        P ← (1 − κ ĝĝᵀ) P (1 − κ ĝĝᵀ) + κ²/(c dt) r/|g|² ĝĝᵀ
+
+    P (3, 3; rad²) is the covariance of the turn of the normal, ĝ the unit vector `shown` along
+    which sliding shows an error and |g|² = `lever` (m²/s²) the square of the sliding speed, κ = c
+    dt times `slides` the gain, r = `residual` (m²/s²) the mean square of the speed along the normal
+    that an error of it does not explain. Updates `covariance` (P), `unexplained`, `residual` and
+    `normal_std`, the largest standard deviation (rad).
 
     Args:
-        share: c dt, the share of a tick in the estimate; 0 where it is not updated.
+        share: c dt, the share of a tick in the estimate; 0: it is not updated.
         last: COLUMN_MEMORY, changed.
-        column: COLUMN_WORK after `follow_face`.
+        column: COLUMN_WORK after `follow_face`, of which `shown`, `lever`, `slides`, `unexplained`
+            and `prior` are read.
     """
     P = last.covariance
     u = column.shown
@@ -201,8 +215,10 @@ def _tracked(pair, shapes, X_WO, X_WE, column):
     carries the face. The normals of a SURFACE, a GIVEN and a FUNCTION pair are filled elsewhere.
 
     Args:
-        pair: PAIR row. shapes: SHAPE rows of the model. X_WO, X_WE: (4, 4) poses of the object and
-            the touched body. column: COLUMN_WORK, changed.
+        pair: PAIR row.
+        shapes: SHAPE rows of the model.
+        X_WO, X_WE: (4, 4) poses of the object and the touched body.
+        column: COLUMN_WORK, changed.
     """
     if pair.kind == GIVEN or pair.kind == FUNCTION:
         return linear(column.point)

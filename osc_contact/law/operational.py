@@ -45,17 +45,22 @@ _DEFINITE = 1e-12  #: least relative pivot of an effort metric
 def arm_terms(t, first, n, m, arm, row):
     """Compute J̄, Λ and the locked wrenches of one arm in energy coordinates.
 
-    Reads J and M of its joints, and `passed` of the arm unless m = 6. Fills J̄ of the joints and,
-    of the arm, `Lambda`, `passed`, `kept` (orthonormal wrenches that the joints resist), `n_kept`
-    and `n_locked`; rows of `locked_rows`.
+    Reads J (6, n) and M (n, n) of its joints, and `passed`, the rows N (m, 6) of wrenches that the
+    grasp transmits, unless m = 6. Fills the inertia-weighted inverse J̄ (n, 6) of the joints and,
+    of the arm, its inertia `Lambda` (6, 6), `passed`, `kept` (orthonormal wrenches that the joints
+    resist), `n_kept` and `n_locked`; rows of `locked_rows`.
 
-    With M = KKᵀ and N J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ². Directions
-    with σ²(1 + σ_max²) ≤ tolerance² σ_max² count as locked, for an object of any mass. The faster
-    QR of `_decompose` is used if the bound 1/trace(Λ) of the least σ² is above this threshold.
+    With M = KKᵀ and N J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ² along a
+    column of U, with its singular value σ. Directions with σ²(1 + σ_max²) ≤ `rank_tolerance`²
+    σ_max² count as locked, for an object of any mass. The faster QR of `_decompose` is used if the
+    bound 1/trace(Λ) of the least σ² is above this threshold.
 
     Args:
-        t: Tick. first: first joint of the arm. n: number of its joints. m: number of
-            independent wrenches that its grasp transmits. arm: ARM_WORK row.
+        t: Tick.
+        first: first joint of the arm.
+        n: number of its joints.
+        m: number of independent wrenches that its grasp transmits.
+        arm: ARM_WORK row.
         row: first row of `locked_rows` for the locked wrenches of this arm.
 
     Returns:
@@ -74,11 +79,17 @@ def arm_terms(t, first, n, m, arm, row):
 
 @leaf
 def _weigh_inverse(joints, lo, n, K, Lambda):
-    """Compute Λ = A⁺ᵀA⁺ and J̄ = K⁻ᵀA⁺ from A⁺, the pseudo-inverse of A = J K⁻ᵀ.
+    """Compute the inertia Λ and the inverse J̄ of an arm's Jacobian from a pseudo-inverse A⁺ (n, 6).
+
+    A⁺ is that of A = J K⁻ᵀ (6, n), with the Jacobian J (6, n) and the factor K (n, n) of the
+    joint-space inertia M = KKᵀ; then Λ = A⁺ᵀA⁺ (6, 6) and J̄ = K⁻ᵀA⁺ (n, 6), by back substitution.
 
     Args:
         joints: JOINT_WORK rows, whose `J_bar` contains the rows of A⁺ and is overwritten with those
-            of J̄. lo: first joint. n: number of joints. K: (n, n) factor of M from `cholesky`.
+            of J̄.
+        lo: index of the first joint of the arm.
+        n: number of its joints.
+        K: (n, n) factor of M from `cholesky`, reciprocals on its diagonal.
         Lambda: (6, 6), filled.
     """
     Lambda[:] = 0.0
@@ -95,9 +106,14 @@ def _weigh_inverse(joints, lo, n, K, Lambda):
 def weigh_joints(joints, lo, n, K, weighed):
     """Compute the factor K of the joint-space inertia M = KKᵀ of an arm, and K⁻¹Jᵀ.
 
+    M (n, n) is read from the joints, as are the columns (6,) of the Jacobian J (6, n) in energy
+    coordinates.
+
     Args:
-        joints: JOINT_WORK rows, of which J and M are read. lo: first joint of the arm.
-        n: number of its joints. K: (n, n), filled with the factor in the form of `cholesky`.
+        joints: JOINT_WORK rows, of which J and M are read.
+        lo: first joint of the arm.
+        n: number of its joints.
+        K: (n, n), filled with the factor in the form of `cholesky`.
         weighed: (n, 6), filled with K⁻¹Jᵀ.
 
     Returns:
@@ -118,14 +134,19 @@ def weigh_joints(joints, lo, n, K, weighed):
 def _decompose(t, lo, n, arm, row):
     """Compute J̄ and Λ of an arm of full rank by QR, in energy coordinates.
 
-    With up to six joints J = QR, J̄ᵀ = QR⁻ᵀ and Λ = J̄ᵀMJ̄, whose accuracy does not depend on the
-    condition of M. With more joints A = J K⁻ᵀ with M = KKᵀ, Aᵀ = QR and A⁺ = QR⁻ᵀ.
+    J (6, n) is the Jacobian, J̄ (n, 6) its inverse weighted with the joint-space inertia M (n, n),
+    Λ (6, 6) the inertia at the tip. With up to six joints J = QR, J̄ᵀ = QR⁻ᵀ and Λ = J̄ᵀMJ̄, whose
+    accuracy does not depend on the condition of M. With more joints A = J K⁻ᵀ with M = KKᵀ, Aᵀ =
+    QR, and A⁺ = QR⁻ᵀ is converted by `_weigh_inverse`.
 
     Reads J and M of the joints. Fills J̄ of the joints and, of the arm, `Lambda`, `kept`, `n_kept`
     and `n_locked`; rows of `locked_rows`.
 
     Args:
-        t: Tick. lo: first joint of the arm. n: number of its joints. arm: ARM_WORK row.
+        t: Tick.
+        lo: first joint of the arm.
+        n: number of its joints.
+        arm: ARM_WORK row.
         row: first row of `locked_rows` for the locked wrenches of this arm.
 
     Returns:
@@ -178,10 +199,14 @@ def _decompose(t, lo, n, arm, row):
 
 @inner
 def _congruence_of_inertia(joints, lo, n, Lambda):
-    """Compute Λ = J̄ᵀMJ̄, exactly symmetric.
+    """Compute the inertia Λ = J̄ᵀMJ̄ (6, 6) of an arm at its tip, exactly symmetric.
+
+    J̄ (n, 6) is the inverse of its Jacobian, M (n, n) its joint-space inertia.
 
     Args:
-        joints: JOINT_WORK rows, of which J̄ and M are read. lo: first joint. n: number of joints.
+        joints: JOINT_WORK rows, of which J̄ and M are read.
+        lo: index of the first joint of the arm.
+        n: number of its joints.
         Lambda: (6, 6), filled.
     """
     Lambda[:] = 0.0
@@ -192,18 +217,23 @@ def _congruence_of_inertia(joints, lo, n, Lambda):
             x = add(x, joints[lo + j].M[k], joints[lo + k].J_bar)
         for i in range(6):
             accumulate(Lambda[i], bar[i], x)
-    for i in range(1, 6):
+    for i in range(1, 6):  # the upper triangle is the lower one, without its rounding errors
         for j in range(i):
             Lambda[j, i] = Lambda[i, j]
 
 
 @inner
 def _qr_tall(A, rows, columns, Q, L):
-    """Factorise A = Q Lᵀ by Householder reflections; return False if columns are dependent.
+    """Factorise A = Q Lᵀ by reflections 1 − β v vᵀ; return False if columns are dependent.
+
+    All six elements of a row are processed at once, which a compiler keeps in registers. The
+    vectors v take the places of the columns of A.
 
     Args:
-        A: (rows, 6), destroyed. rows: number of rows, at least six. columns: number of columns of
-            A that are factorised. Q: (rows, 6), filled.
+        A: (rows, 6), destroyed.
+        rows: number of rows, at least six.
+        columns: number of columns of A that are factorised.
+        Q: (rows, 6), filled.
         L: (columns, columns), filled: lower triangular, with the reciprocals of its diagonal in
             place of the diagonal, the form of `cholesky`.
     """
@@ -216,9 +246,9 @@ def _qr_tall(A, rows, columns, Q, L):
         fill(products, t)  # inner products of column k with all columns
         if not products[k] > 0.0:  # also if NaN
             return False
-        (alpha, b) = reflector(products[k], A[k, k])
+        (alpha, b) = reflector(products[k], A[k, k])  # α, the diagonal of R, and β
         fill(products, scaled(b, add(t, -alpha, A[k])))
-        for c in range(k + 1):
+        for c in range(k + 1):  # columns up to k are finished: they must not change
             products[c] = 0.0
         A[k, k] -= alpha
         beta[k] = b
@@ -244,16 +274,22 @@ def _qr_tall(A, rows, columns, Q, L):
 
 @inner
 def _separate(t, lo, n, m, arm, row):
-    """Compute J̄ and Λ of any rank and for any grasp, by the SVD A = N J K⁻ᵀ = UΣVᵀ.
+    """Compute J̄ and Λ of any rank and for any grasp, by a singular value decomposition.
 
-    J̄ = K⁻ᵀA⁺N and Λ = NᵀA⁺ᵀA⁺N, where A⁺ omits the directions that count as locked (see
-    `arm_terms`). Reads J and M of the joints, and `passed` (N). Fills J̄ of the joints and, of the
-    arm, `Lambda`, `kept`, `n_kept` and `n_locked`; rows of `locked_rows`. All in energy
-    coordinates.
+        A = N J K⁻ᵀ = UΣVᵀ,   J̄ = K⁻ᵀA⁺N,   Λ = NᵀA⁺ᵀA⁺N
+
+    N (m, 6) are the wrenches that the grasp transmits, J (6, n) is the Jacobian, K (n, n) the
+    factor of the joint-space inertia M = KKᵀ, J̄ (n, 6) the inverse of J and Λ (6, 6) the inertia
+    at the tip. A⁺ omits the directions that count as locked (see `arm_terms`). Reads J and M of the
+    joints, and `passed` (N). Fills J̄ of the joints and, of the arm, `Lambda`, `kept`, `n_kept` and
+    `n_locked`; rows of `locked_rows`. All are in energy coordinates.
 
     Args:
-        t: Tick. lo: first joint of the arm. n: number of its joints. m: number of independent
-            wrenches that its grasp transmits. arm: ARM_WORK row.
+        t: Tick.
+        lo: first joint of the arm.
+        n: number of its joints.
+        m: number of independent wrenches that its grasp transmits.
+        arm: ARM_WORK row.
         row: first row of `locked_rows` for the locked wrenches of this arm.
 
     Returns:
@@ -296,7 +332,10 @@ def multiply_rows(rows, count, Y, n, out):
     """Fill `out` with the product rows Yᵀ, followed in each row by the row itself.
 
     Args:
-        rows: (count, 6). count: number of rows. Y: (n, 6). n: number of rows of Y.
+        rows: (count, 6).
+        count: number of rows.
+        Y: (n, 6).
+        n: number of rows of Y.
         out: (count, n + 6), filled.
     """
     for a in range(count):
@@ -307,11 +346,15 @@ def multiply_rows(rows, count, Y, n, out):
 
 @inner
 def null_motions(arm_work, Y, n, motions):
-    """Compute an orthonormal basis of joint motions v; from row `n_kept` on U Yᵀv = 0.
+    """Compute an orthonormal basis of joint motions v; those from row `n_kept` on have U Yᵀv = 0.
+
+    U (n_kept, 6), `kept` of the arm, are the wrenches that the joints resist, and Yᵀ (6, n) maps
+    joint motions to those of the tip, so the last n − n_kept motions do not move the object.
 
     Args:
         arm_work: ARM_WORK, of which `kept` is read, U, the wrenches that the joints resist.
-        Y: (n, 6), for example Jᵀ or K⁻¹Jᵀ. n: number of joints of the arm.
+        Y: (n, 6), for example Jᵀ or K⁻¹Jᵀ.
+        n: number of joints of the arm.
         motions: (n, n), filled with one motion in each row.
     """
     X = local(6, JOINTS_AND_SIX)
@@ -326,13 +369,18 @@ def null_motions(arm_work, Y, n, motions):
 def effort_metric(t, lo, n, m, arm, out):
     """Compute the inverse metric of the least effort Σ τ²/τ_max² with which an arm exerts a wrench.
 
-    It is J̄ᵀ τ_max² J̄ for an arm with at most m joints, whose torques are unique; for an arm with
-    more joints it is Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, where the rows of U (`kept` of the arm) are the
-    wrenches that it can exert.
+    It is J̄ᵀ τ_max² J̄ for an arm with at most m joints, whose torques are unique: J̄ (n, 6) is the
+    inverse of the Jacobian J (6, n), τ_max² the diagonal matrix of the squared torque limits. For
+    an arm with more joints it is Uᵀ(U J τ_max⁻² JᵀUᵀ)⁻¹U, where the rows of U (`kept` of the arm)
+    are the wrenches that it can exert.
 
     Args:
-        t: Tick. lo: first joint of the arm. n: number of its joints. m: number of independent
-            wrenches that its grasp transmits. arm: ARM_WORK row. out: (6, 6), filled.
+        t: Tick.
+        lo: first joint of the arm.
+        n: number of its joints.
+        m: number of independent wrenches that its grasp transmits.
+        arm: ARM_WORK row.
+        out: (6, 6), filled.
 
     Returns:
         False if the motors of the arm cannot exert all of these wrenches.
@@ -381,12 +429,19 @@ _SMALL = 1e-9  #: χ below which a direction does not determine a motion of the 
 
 @leaf
 def may_be_singular(t, arm, arm_work):
-    """Test whether a χ of an arm may be below FULL, by a conservative bound.
+    """Test whether an arm may be near a singular posture, by a conservative bound.
 
-    ΣΣ Λ_ij²/(Λ_ii Λ_jj)_ref ≥ 1/χ⁴ for every χ, in energy coordinates.
+    χ is the distance of a direction from its singular posture. For the least one, Σ_ij
+    Λ_ij²/(Λ_ref,ii Λ_ref,jj) ≥ 1/χ⁴ in energy coordinates, where the reference inertia Λ_ref is
+    diagonal.
 
     Args:
-        t: Tick. arm: ARM row. arm_work: its ARM_WORK.
+        t: Tick.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
+
+    Returns:
+        False if no χ of the arm is below `FULL`.
     """
     if arm_work.n_kept < arm.full_rank:
         return True
@@ -401,15 +456,18 @@ def may_be_singular(t, arm, arm_work):
 
 @inner
 def find_lost(t, arm, arm_work):
-    """Find all directions of an arm whose χ is below FULL.
+    """Find all directions of an arm along which it is about to lose its motion.
 
-    Reads `passed`, `n_kept`, and J and M of the joints. Fills `n_lost` of the arm and, for each
-    direction, `chi`, `share` (the share of the command that is executed), `gone` (1 if the chain
-    counts the direction as locked), `lost` (its wrench Lu) and `mode` (its joint motion K⁻ᵀv); adds
-    to `n_lost` of WORK.
+    With Λ_ref = LLᵀ the reference inertia, M = KKᵀ and the Jacobian J (6, n), LᵀJK⁻ᵀ = U diag(χ)
+    Vᵀ; a direction u with χ below `FULL` is about to be lost. Reads `passed`, `n_kept`, and J and M
+    of the joints. Fills `n_lost` of the arm and, for each direction, `chi` (χ, dimensionless),
+    `share` (the share of the command that is executed), `gone` (1 if the chain counts the direction
+    as locked), `lost` (its wrench Lu) and `mode` (its joint motion K⁻ᵀv); adds to `n_lost` of WORK.
 
     Args:
-        t: Tick. arm: ARM row. arm_work: its ARM_WORK.
+        t: Tick.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
     """
     work = t.work
     n = arm.end - arm.first
@@ -453,20 +511,21 @@ def find_lost(t, arm, arm_work):
 
 @inner
 def _sort_rows(X, m, n):
-    """Sort rows by falling length of their leading parts.
+    """Sort the rows of a matrix by descending norm of their first n elements.
 
     Args:
-        X: matrix, whose rows are exchanged. m: number of rows. n: number of leading elements whose
-            length counts; n + 6 elements of each row are moved.
+        X: (m, n + 6), whose rows are exchanged as a whole.
+        m: number of rows.
+        n: number of leading elements of a row whose norm counts.
     """
     for a in range(m):
         selected = a
-        longest = -1.0
+        largest_square = -1.0
         for b in range(a, m):
             square = dot(X[b], X[b], n)
-            if square > longest:
+            if square > largest_square:
                 selected = b
-                longest = square
+                largest_square = square
         if selected != a:
             for j in range(n + 6):
                 X[a, j], X[selected, j] = X[selected, j], X[a, j]
@@ -477,7 +536,9 @@ def _unit_row(X, k, n, chi):
     """Normalise the row X[k, :n]; replace a zero row by a unit vector orthogonal to those before.
 
     Args:
-        X: matrix. k: index of the row. n: number of elements that are normalised.
+        X: matrix.
+        k: index of the row.
+        n: number of elements that are normalised.
         chi: norm of these elements.
     """
     norm = chi
@@ -493,7 +554,7 @@ def _unit_row(X, k, n, chi):
                 largest = remainder
         for j in range(n):
             X[k, j] = 1.0 if j == axis else 0.0
-        for _ in range(2):
+        for _ in range(2):  # twice: the first pass leaves rounding errors
             for b in range(k):
                 add_scaled(-dot(X[b], X[k], n), X[b], n, X[k])
         norm = sqrt(dot(X[k], X[k], n))
@@ -503,12 +564,19 @@ def _unit_row(X, k, n, chi):
 
 @inner
 def retreat(t, arm, i, damping):
-    """Compute the torque of joint i by the posture law: row i of M q̈, q̈ = k_p (q₀ − q) − k_d q̇.
+    """Compute the torque of joint i of an arm by the posture law, row i of M q̈.
 
-    Reads `posture_stiffness` k_p (1/s²) and `posture` q₀ of MODEL, q and q̇ of INPUT, and M.
+        q̈ = k_p (q₀ − q) − k_d q̇
+
+    M (n, n) is the joint-space inertia of the arm, q and q̇ are positions and speeds of its joints,
+    q₀ the posture. Reads `posture_stiffness` k_p (1/s²) and `posture` q₀ of MODEL, q and q̇ of
+    INPUT, and M.
 
     Args:
-        t: Tick. arm: ARM row. i: index of the joint. damping: k_d (1/s).
+        t: Tick.
+        arm: ARM row.
+        i: index of the joint.
+        damping: k_d (1/s).
 
     Returns:
         Torque or force (N m, N).
@@ -529,12 +597,15 @@ def retreat(t, arm, i, damping):
 def operational_space(raw, q, v, out):
     """Compute the operational-space terms of one arm for many states.
 
-    A row of `out` contains Λ (6, 6), Φ (6, 6), J (6, n), J̄ (n, 6), μ (6,), p (6,), J̇v (6,), h
-    (n,) and the rank, in this order, matrices by rows.
+    A row of `out` contains the inertia Λ (6, 6) at the tip and its inverse Φ (6, 6), the Jacobian J
+    (6, n) and its inertia-weighted inverse J̄ (n, 6), the wrenches μ (6,) and p (6,) of velocity
+    and weight, J̇v (6,), the torques h (n,) of velocity and gravity, and the rank, in this order,
+    matrices by rows.
 
     Args:
-        raw: bytes of `records.Rows` with one arm alone. q, v: (rows · n,) joint positions and
-            velocities. out: (rows, size), filled.
+        raw: bytes of `records.Rows` with one arm alone.
+        q, v: (rows · n,) joint positions and velocities.
+        out: (rows, size), filled.
 
     Returns:
         Number of rows that were filled before the first state that is not finite or whose M is not
@@ -554,14 +625,18 @@ def operational_space(raw, q, v, out):
 
 @inner
 def _arm_at_tip(t, n, q, v, out):
-    """Compute Λ, Φ, J, J̄, μ, p, J̇v, h and the rank of an arm at its tip, in world axes.
+    """Compute the operational-space terms of an arm at its tip, in world axes.
 
-    The rank is determined in energy coordinates of the reference object of the model, whose
-    principal axes are taken along the world's.
+    They are the inertia Λ (6, 6) and its inverse Φ, the Jacobian J (6, n) and its inertia-weighted
+    inverse J̄ (n, 6), the wrenches μ and p (6,) of velocity and weight, J̇v (6,), the torques h
+    (n,) of velocity and gravity, and the rank. The rank is determined in energy coordinates of the
+    reference object of the model, whose principal axes are taken along the world's.
 
     Args:
-        t: Tick. n: number of joints. q, v: (n,) joint positions and velocities. out: row of
-            `operational_space`, filled.
+        t: Tick.
+        n: number of joints.
+        q, v: (n,) joint positions and velocities.
+        out: row of `operational_space`, filled.
 
     Returns:
         False if M is not positive definite.
@@ -615,7 +690,11 @@ def _write_terms(t, n, Phi, mu, p, out):
 
     Args:
         t: Tick, with Λ, J̇v and the rank of its arm 0, and J, J̄ and h of the joints.
-        n: number of joints. Phi: (6, 6). mu: (6,), without Λ J̇v yet. p: (6,). out: row, filled.
+        n: number of joints.
+        Phi: (6, 6).
+        mu: (6,), without Λ J̇v yet.
+        p: (6,).
+        out: row, filled.
     """
     arm_work = t.work.arms[0]
     joints = t.work.joints

@@ -70,8 +70,13 @@ def fill_line(N, p, n):
 def place_pair(pair, shapes, columns, motion):
     """Fill N and n_γ of one pair's columns.
 
+    N (6,) is the wrench at O of a unit contact force, n_γ (m/s², rad/s²) the normal acceleration by
+    the rotation of N, both by the rule for the kind of the pair.
+
     Args:
-        pair: PAIR row. shapes: SHAPE rows. columns: COLUMN_WORK rows.
+        pair: PAIR row.
+        shapes: SHAPE rows.
+        columns: COLUMN_WORK rows.
         motion: `Motion` of the object and the touched body.
 
     Returns:
@@ -114,7 +119,9 @@ def _point_on_plane(row, motion, column):
 
 @inner
 def _normal_acceleration(p, n, motion):
-    """Normal acceleration n_γ = −ṄᵀV_rel of N = [n; p × n] (m/s²).
+    """Normal acceleration n_γ = −ṄᵀV_rel (m/s²) of a column N = [n; p × n] of contact force.
+
+    Ṅ is the rate of the column, V_rel the twist of the object relative to the touched body.
 
     Args:
         p: point of contact, fixed to the object: its position from O (m), world axes.
@@ -137,8 +144,10 @@ def point_of_contact(kind, row, X_WO, X_WE, N):
 
     Args:
         kind: kind of the pair (`records.POINTS`, `records.FACE_ON_VERTEX`, `records.EDGES` or
-            `records.SURFACE`). row: (16,) SHAPE of the column. X_WO, X_WE: (4, 4) poses of the
-            object and the touched body. N: (6,) column [n; p × n] at O, in world axes; n is read.
+            `records.SURFACE`).
+        row: (16,) SHAPE of the column.
+        X_WO, X_WE: (4, 4) poses of the object and the touched body.
+        N: (6,) column [n; p × n] at O, in world axes; n is read.
     """
     if kind == FACE_ON_VERTEX:
         return add3(vertex(row, X_WO, X_WE), -row[6], N)
@@ -158,7 +167,10 @@ def _rate(p, n, p_dot, n_dot):
     """Time derivative of a line of force N = [n; p × n]: Ṅ = [ṅ; ṗ × n + p × ṅ], six numbers.
 
     Args:
-        p: (3,) point from O (m). n: (3,) unit vector. p_dot: (3,) ṗ (m/s). n_dot: (3,) ṅ (1/s).
+        p: (3,) point from O (m).
+        n: (3,) unit vector.
+        p_dot: (3,) ṗ (m/s).
+        n_dot: (3,) ṅ (1/s).
     """
     return join(n_dot, plus3(cross(p_dot, n), cross(p, n_dot)))
 
@@ -170,7 +182,9 @@ def _on_surface(shapes, at, motion, column):
     n rotates with the body and changes along the surface with the velocity of the ball.
 
     Args:
-        shapes: SHAPE rows. at: the first one of this surface, see below. motion: `Motion`.
+        shapes: SHAPE rows.
+        at: index of the first SHAPE row of this surface, see `surfaces`.
+        motion: `Motion`.
         column: COLUMN_WORK, filled (`believed`, too).
     """
     X_WO, _, X_WE, _, V_rel, _ = motion
@@ -222,8 +236,13 @@ def _face_on_vertex(row, motion, column):
 def _along_first(a, e, m, mm):
     """Solve s e_A − t e_E = a for s, in the plane perpendicular to m = e_A × e_E.
 
+    e_A and e_E are the directions of two edges, s and t the distances along them.
+
     Args:
-        a: (3,) vector (m or m/s). e: (3,) unit vector e_E. m: (3,) e_A × e_E. mm: m · m.
+        a: (3,) vector (m or m/s).
+        e: (3,) unit vector e_E.
+        m: (3,) e_A × e_E.
+        mm: m · m.
 
     Returns:
         s (m or m/s).
@@ -250,8 +269,9 @@ def crossing(row, X_WO, X_WE, f):
 
     Args:
         row: (16,) SHAPE with a point and the direction of the object's edge (0:3, 3:6) and a point
-            of the body's edge (6:9). X_WO, X_WE: (4, 4) poses of object and body. f: direction of
-            the body's edge, in world axes.
+            of the body's edge (6:9).
+        X_WO, X_WE: (4, 4) poses of object and body.
+        f: direction of the body's edge, in world axes.
 
     Returns:
         The point of the object's edge that is nearest to the body's edge (m, from O), and the
@@ -273,8 +293,8 @@ def _edges(row, motion, column):
 
     Args:
         row: (16,) point and direction of the object's edge (0:3, 3:6), of the body's edge (6:9,
-            9:12), side (12), outward normal of the body (13:16). A side of ±1 gives the sign of
-            n = ±e × f; with 0 the outward normal determines it.
+            9:12), side (12), outward normal of the body (13:16). A side of ±1 gives the sign of n =
+            ±e × f; with 0 the outward normal determines it.
         motion: `Motion`.
         column: COLUMN_WORK, filled.
     """
@@ -308,7 +328,8 @@ def permitted_motion(row, X_WO, X_WE):
         row: point of the object (0:3), axis (3:6), kind (6): TURN about an axis of the object;
             SLIDE along an axis of the body; SCREW, a turn about the object's axis with a
             translation by the pitch (10, m/rad) along the body's axis 7:10.
-        X_WO: (4, 4) pose of the object. X_WE: (4, 4) pose of the touched body.
+        X_WO: (4, 4) pose of the object.
+        X_WE: (4, 4) pose of the touched body.
     """
     if row[6] == SLIDE:
         return join(rotated(X_WE, row[3:]), ZERO_3)
@@ -321,16 +342,19 @@ def permitted_motion(row, X_WO, X_WE):
 
 @inner
 def _tangents(pair, shapes, motion, columns):
-    """Fill N and n_γ = NᵀṪβ of a pair that is declared by its permitted motions T.
+    """Fill N and n_γ of a pair that is declared by its permitted motions T.
+
+    N (6, count) are the columns of contact forces, T (6, freedoms) the permitted motions with the
+    speeds β of the object along them; n_γ = NᵀṪβ is the normal acceleration by the rotation of T.
 
     Args:
         pair: PAIR row. Its shapes are those of the columns of N, then those of its freedoms (see
             `permitted_motion`).
         shapes: SHAPE rows. That of a column of N has a point of the object (0:3), a direction of
-            the body (3:6) and a kind (6): FORCE along the direction through the point; COUPLE
-            about the cross product of an arm of the object (0:3) and a direction of the body;
-            THREAD, a force along the direction with a couple −pitch / cos about it, where 7:10
-            is the object's axis, 10 the pitch (m/rad) and cos the cosine between both axes.
+            the body (3:6) and a kind (6): FORCE along the direction through the point; COUPLE about
+            the cross product of an arm of the object (0:3) and a direction of the body; THREAD, a
+            force along the direction with a couple −pitch / cos about it, where 7:10 is the
+            object's axis, 10 the pitch (m/rad) and cos the cosine between both axes.
         motion: `Motion`.
         columns: COLUMN_WORK rows, filled.
     """
@@ -354,7 +378,7 @@ def _tangents(pair, shapes, motion, columns):
             fill(N, join(ZERO_3, cross(p, d)))
         else:
             fill_line(N, p, d)
-        if row[6] == THREAD:
+        if row[6] == THREAD:  # the force along the thread's flank turns the object, too
             f = row[10] / dot3(d, rotated(X_WO, row[7:]))
             fill(N, join(linear(N), add3(N[3:], -f, d)))
         column.n_gamma = dot6(N, Tdot_beta)

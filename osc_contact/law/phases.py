@@ -45,9 +45,10 @@ _GENTLE = 0.5  #: share of `force_on` with which an approach at the speed v_a ac
 def low_pass(t, independent):
     """Low-pass the measured forces and speeds of the columns; estimate `net` contact forces.
 
-    The filter of fig. 5 assumes Nᵀa_rel = n_γ. While an object leaves its face or moves freely
-    towards it, Nᵀa_rel = n_γ + d(NᵀV_rel)/dt, and the filter returns a spurious force, that of the
-    inertia outboard of the sensors, D⁻¹ d(NᵀV_rel)/dt. It is subtracted; both terms pass the same
+    The filter of fig. 5 assumes that the normal acceleration Nᵀa_rel is n_γ, that of a contact that
+    holds. While an object leaves its face or moves freely towards it, d(NᵀV_rel)/dt is added, the
+    rate of its normal speed, and the filter returns a spurious force, that of the inertia outboard
+    of the sensors, D⁻¹ d(NᵀV_rel)/dt with `mobility` D. It is subtracted; both terms pass the same
     first-order low-pass, so that the derivative is computed from measured speeds. A contact cannot
     pull, so a negative remainder is attributed to noise, whose estimate is twice as large.
 
@@ -74,7 +75,7 @@ def low_pass(t, independent):
         row = columns[j]
         b[0, a] = k * (work.speeds[j] - row.filtered_speed) / dt if row.known else 0.0
         fill(D[a], work.mobility[a])
-    solved = lu_solve(D, r, b, 1)
+    is_solved = lu_solve(D, r, b, 1)
     for j in range(t.model.n_columns):
         row = columns[j]
         if row.known == 0:
@@ -90,7 +91,7 @@ def low_pass(t, independent):
         row.explained = row.explained + k * (explained - row.explained) if row.known else explained
         row.known = 1 if work.here[j] else 0
         row.net = row.force if work.here[j] else 0.0
-    if solved:
+    if is_solved:
         for a in range(r):
             columns[work.chosen[a]].net -= b[0, a]
     for j in range(t.model.n_columns):
@@ -106,13 +107,16 @@ def predict_force(t, row, commanded, limited, dt):
     It is the smaller one of the commanded force and of that force after a first-order lag `rise`.
 
     Args:
-        t: Tick. row: COLUMN_MEMORY of a column in N. commanded: α_s of this tick (N).
+        t: Tick.
+        row: COLUMN_MEMORY of a column in N.
+        commanded: α_s of this tick (N).
         limited: whether motors were at their limits; then no more than the force of an approach is
-            expected. dt: time since the last tick (s).
+            expected.
+        dt: time since the last tick (s).
     """
     model = t.model
-    delayed = row.predicted + dt / (model.rise + dt) * (commanded - row.predicted)
-    row.predicted = min(commanded, delayed)
+    lagging_force = row.predicted + dt / (model.rise + dt) * (commanded - row.predicted)
+    row.predicted = min(commanded, lagging_force)
     if limited:
         row.predicted = min(row.predicted, model.approach_damping * model.approach_speed)
 
@@ -121,21 +125,23 @@ def predict_force(t, row, commanded, limited, dt):
 def monitor(limits, row, force, speed, dt, dwell, margin):
     """Detect contact, its loss and collisions from projected force and power (figs. 6, 7).
 
-    While a contact holds, the power of the projected force is zero: α_k (NᵀV_rel)_k = 0. A
-    collision is a burst of power. The force is compared with two thresholds (hysteresis); the power
-    is evaluated only shortly after contact is made, so that noisy velocities cause no false alarm
-    later.
+    While a contact holds, its force α times its speed NᵀV_rel, the power of the projected force, is
+    zero. A collision is a burst of power. The force is compared with two thresholds (hysteresis);
+    the power is evaluated only shortly after contact is made, so that noisy velocities cause no
+    false alarm later.
 
     Args:
         limits: MODEL, of which are read `force_on` and `force_off` (N): contact is made above the
             first and lost below the second plus `margin`; `power` (W): a larger magnitude is a
             collision; `window` (s): time after contact is made in which collisions are detected;
-            `patience` (s): time of low force until contact is lost; `leaving` (m/s): a contact
-            that separates faster is lost at any force.
+            `patience` (s): time of low force until contact is lost; `leaving` (m/s): a contact that
+            separates faster is lost at any force.
         row: COLUMN_MEMORY, of which are changed `low_for` and `high_for` (s): time of low and of
             high force; `burst` (W): largest power of this contact; `armed_for` (s): remaining part
             of `window`; `closed`; `collision`: whether one begins in this tick.
-        force: N. speed: NᵀV_rel (m/s). dt: time since the last tick (s).
+        force: N.
+        speed: NᵀV_rel (m/s).
+        dt: time since the last tick (s).
         dwell: time of high force until contact is made (s).
         margin: N, added to `force_off`.
     """
@@ -169,7 +175,7 @@ def advance_phases(t):
     Returns:
         True if the set of contacts in N differs from that of the last tick.
     """
-    changed = False
+    set_changes = False
     for c in range(t.model.n_contacts):
         contact = t.memory.contacts[c]
         pushes = t.model.bodies[c].pushes != 0
@@ -185,9 +191,9 @@ def advance_phases(t):
             phase = APPROACHING
         contact.since = contact.since + t.work.dt if phase == last_phase else 0.0
         contact.phase = phase
-        changed = changed or (phase != OPEN) != (contact.active != 0)
+        set_changes = set_changes or (phase != OPEN) != (contact.active != 0)
         _measure_gap(t, c, last_phase, phase)
-    return changed
+    return set_changes
 
 
 @inner
@@ -200,7 +206,8 @@ def _monitor_contact(t, c):
     `held` of the contact, which is 1 once a steady force was measured since it was OPEN.
 
     Args:
-        t: Tick. c: index of the contact.
+        t: Tick.
+        c: index of the contact.
 
     Returns:
         Whether a force is desired of it; and whether contact is made: at least one column is
@@ -251,8 +258,10 @@ def _measure_gap(t, c, last_phase, phase):
     column remains in N without returning to an earlier phase.
 
     Args:
-        t: Tick. c: index of the contact. last_phase: its phase in the last tick. phase: its phase
-            now.
+        t: Tick.
+        c: index of the contact.
+        last_phase: its phase in the last tick.
+        phase: its phase now.
     """
     model = t.model
     contact = t.memory.contacts[c]
@@ -274,8 +283,9 @@ def set_goals(t):
     """Fill the force gains of each contact from its phase, and `goal` (N) of its columns.
 
     Fills `active`, `gain`, `damping`, `brake` and `least` of each contact in MEMORY. The goal of an
-    approaching contact is K_a v; that of a closed one rises from there to the desired force within
-    `rise`.
+    approaching contact is the damping K_a (N s/m) of the speed law times the speed at which it
+    approaches, less while it still accelerates; that of a closed one rises from there to the
+    desired force within `rise`.
 
     Args:
         t: Tick.
@@ -284,32 +294,33 @@ def set_goals(t):
     goal = t.work.goal
     for c in range(model.n_contacts):
         contact = t.memory.contacts[c]
-        approaching = contact.phase == APPROACHING
+        is_approaching = contact.phase == APPROACHING
         contact.active = contact.phase != OPEN
-        contact.gain = 0.0 if approaching else model.force_gain
-        contact.damping = model.approach_damping if approaching else model.force_damping
-        contact.brake = 0.0 if approaching else model.force_brake
+        contact.gain = 0.0 if is_approaching else model.force_gain
+        contact.damping = model.approach_damping if is_approaching else model.force_damping
+        contact.brake = 0.0 if is_approaching else model.force_brake
         pushes = model.bodies[c].pushes != 0
-        contact.least = model.least_force if pushes and not approaching else -inf
+        contact.least = model.least_force if pushes and not is_approaching else -inf
     for j in range(model.n_columns):
         contact = contact_of(t, j)
         row = t.memory.columns[j]
         pushes = body_of(t, j).pushes != 0
         speed = model.approach_speed
-        approaching = contact.phase == APPROACHING
-        if approaching:
+        is_approaching = contact.phase == APPROACHING
+        if is_approaching:
             speed = max(speed, min(speed + _RETURN * row.gap, model.return_speed))
         start = model.approach_damping * speed if pushes else goal[j]
-        if approaching:
+        if is_approaching:
+            # A force little above that of the present speed limits the acceleration.
             gentle = _GENTLE * model.force_on * speed / model.approach_speed
             slowest = slowest_column(t, model.columns[j].contact)
             start = min(start, gentle + model.approach_damping * slowest)
             if contact.since * model.approach_speed >= model.travel:
                 start = 0.0  # no face within `travel`: the approach ends
-        risen = 0.0
+        risen_share = 0.0
         if pushes and contact.phase == CLOSED:
-            risen = min(contact.since / model.rise, 1.0)
-        goal[j] = start + risen * (goal[j] - start)
+            risen_share = min(contact.since / model.rise, 1.0)
+        goal[j] = start + risen_share * (goal[j] - start)
 
 
 @inner
@@ -320,7 +331,8 @@ def slowest_column(t, contact):
     the own speed, columns that are faster would be pushed more, and the object would turn.
 
     Args:
-        t: Tick. contact: index of the contact.
+        t: Tick.
+        contact: index of the contact.
     """
     least_speed = inf
     for j in range(t.model.n_columns):
@@ -352,7 +364,8 @@ def torque_rate(t, share):
     also while a contact is unloaded or approached.
 
     Args:
-        t: Tick. share: largest ratio of a joint's speed to its limit, from `max_speed_ratio`.
+        t: Tick.
+        share: largest ratio of a joint's speed to its limit, from `max_speed_ratio`.
     """
     model = t.model
     rate = model.torque_rate
@@ -395,7 +408,8 @@ def slew(tau, last, step, has_last):
     Both `tau` and `last` become the result.
 
     Args:
-        tau: (a,) desired torques (N m, N). last: (a,) torques of the last tick (N m, N).
+        tau: (a,) desired torques (N m, N).
+        last: (a,) torques of the last tick (N m, N).
         step: (a,) largest changes (N m, N), > 0.
         has_last: whether torques of a last tick exist; without them `tau` is not limited.
     """
@@ -416,7 +430,8 @@ def collect(seconds, dt, violated):
     A short disturbance therefore causes no stop, but a repeated one does.
 
     Args:
-        seconds: time of evidence before this tick (s). dt: time since the last tick (s).
+        seconds: time of evidence before this tick (s).
+        dt: time since the last tick (s).
         violated: whether the condition is violated in this tick.
 
     Returns:

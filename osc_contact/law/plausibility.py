@@ -110,8 +110,8 @@ def find_jumps(t):
 
     Fills `jumps`, `jumped`, `speed_jumps` and `speed_jumped` of WORK, `barred` of the joints
     (NOT_BARRED, JUMP or EXCHANGED), and `mixed`, the time (s) for which positions or speeds of
-    several joints have jumped. Only the reading of a joint that jumps alone is discarded. Without
-    a new or a former reading nothing is detected.
+    several joints have jumped. Only the reading of a joint that jumps alone is discarded. Without a
+    new or a former reading nothing is detected.
 
     Args:
         t: Tick.
@@ -131,7 +131,7 @@ def find_jumps(t):
         n_read += 1
         joint_memory = memory.joints[j]
         if joint_memory.barred != NOT_BARRED or abs(position - joint_memory.q) > _NOISE:
-            joint_memory.barred = _jump(t, j, position)
+            joint_memory.barred = _judge_position(t, j, position)
             if joint_memory.barred != NOT_BARRED:
                 work.jumps += 1
                 work.jumped = j
@@ -158,7 +158,8 @@ def _expected(t, j):
     """Predict the position of a joint from its estimated position and speed of the last tick.
 
     Args:
-        t: Tick, of which `q`, `v` of MEMORY are read. j: index of the joint.
+        t: Tick, of which `q`, `v` of MEMORY are read.
+        j: index of the joint.
 
     Returns:
         Position (m, rad).
@@ -167,28 +168,37 @@ def _expected(t, j):
 
 
 @leaf
-def _jump(t, j, position):
-    """Detect whether joint j has moved faster than possible since its position was last read.
+def _judge_position(t, j, position):
+    """Return whether the position read of joint j is credible, a jump, or another joint's.
 
-    After a jump, readings are compared with the predicted position, so that they do not become
-    plausible with time.
+    A credible joint jumps if it has moved farther since its position was last read than it can at
+    `plausible_speed` times its rated speed. A joint that has jumped is credible again once its
+    reading is that near to the estimated position of the last tick, and not to its last reading,
+    which would become plausible with time. A joint whose reading `_find_exchange` has attributed to
+    another one is credible again once the reading is near its prediction.
 
     Args:
-        t: Tick. j: joint. position: position read in this tick (m, rad).
+        t: Tick, of which `barred` (state of the joint in the last tick), `q` (position last read;
+            m, rad) and `unread_q` (ticks without a reading) of the joint, and `q` (estimated
+            positions) in MEMORY are read.
+        j: index of the joint.
+        position: position read in this tick (m, rad).
 
     Returns:
-        NOT_BARRED, JUMP or EXCHANGED.
+        NOT_BARRED (credible), JUMP, or EXCHANGED (the reading of another joint).
     """
     joint_memory = t.memory.joints[j]
-    room = _NOISE + t.model.plausible_speed * t.model.joints[j].rated * t.model.period
-    displacement = abs(position - joint_memory.q)
     if joint_memory.barred == EXCHANGED:
-        return EXCHANGED if abs(position - _expected(t, j)) > 0.5 * _EXCHANGED else NOT_BARRED
+        is_away = abs(position - _expected(t, j)) > 0.5 * _EXCHANGED
+        return EXCHANGED if is_away else NOT_BARRED
+    bound = _NOISE + t.model.plausible_speed * t.model.joints[j].rated * t.model.period
     if joint_memory.barred == JUMP:
         displacement = abs(position - t.memory.q[j])
     else:
-        room += (room - _NOISE) * joint_memory.unread_q
-    return JUMP if displacement > room else NOT_BARRED
+        displacement = abs(position - joint_memory.q)
+        # As far again for each tick without a reading; noise does not grow with time.
+        bound += (bound - _NOISE) * joint_memory.unread_q
+    return JUMP if displacement > bound else NOT_BARRED
 
 
 @inner
@@ -199,7 +209,8 @@ def _find_exchange(t, n_deviating):
     encoders may look exchanged by chance; then further joints deviate, and no exchange is reported.
 
     Args:
-        t: Tick. n_deviating: number of joints whose positions deviate from their predictions.
+        t: Tick.
+        n_deviating: number of joints whose positions deviate from their predictions.
     """
     n = t.model.n_joints
     n_crossed = 0
@@ -220,13 +231,14 @@ def _find_exchange(t, n_deviating):
 
 @leaf
 def _cross(t, i, j):
-    """Whether the position readings of two joints are exchanged.
+    """Determine whether the position readings of two joints are exchanged.
 
     Each is then near the position predicted for the other joint, and at least one is farther than
     `_EXCHANGED` from its own prediction.
 
     Args:
-        t: Tick. i, j: indices of the joints.
+        t: Tick.
+        i, j: indices of the joints.
     """
     q = t.input.q
     is_deviating = min(abs(q[i] - _expected(t, i)), abs(q[j] - _expected(t, j))) > _EXCHANGED
@@ -235,10 +247,11 @@ def _cross(t, i, j):
 
 @leaf
 def _is_near_other(x, y, expected_x, expected_y):
-    """Whether two readings are each near the prediction of the other one, and not near their own.
+    """Determine whether two readings are each near the prediction of the other, not near their own.
 
     Args:
-        x, y: readings (rad, m). expected_x, expected_y: their predictions (rad, m).
+        x, y: readings (rad, m).
+        expected_x, expected_y: their predictions (rad, m).
     """
     tolerance = _SAME * abs(x - expected_x)
     return abs(x - expected_y) < tolerance and abs(y - expected_x) < tolerance
@@ -249,7 +262,8 @@ def _find_exchanged_speeds(t, n_deviating):
     """Detect pairs of joints whose speeds are exchanged, as `_find_exchange` does of positions.
 
     Args:
-        t: Tick. n_deviating: number of joints whose speeds deviate from their predictions.
+        t: Tick.
+        n_deviating: number of joints whose speeds deviate from their predictions.
     """
     n_crossed = 0
     last_found = 0
@@ -271,8 +285,8 @@ def _expected_speed(t, j):
     """Predict the speed of a joint from its speed and its commanded acceleration of the last tick.
 
     Args:
-        t: Tick, of which `v` of MEMORY is read, and `acceleration` of the joint. j: index of the
-            joint.
+        t: Tick, of which `v` of MEMORY is read, and `acceleration` of the joint.
+        j: index of the joint.
 
     Returns:
         Speed (m/s, rad/s).
@@ -287,7 +301,8 @@ def _speed_room(t, j):
     It is `speed_error` times the speed limit, for each tick since the position was last read.
 
     Args:
-        t: Tick. j: index of the joint.
+        t: Tick.
+        j: index of the joint.
 
     Returns:
         Change of speed (m/s, rad/s).
@@ -304,7 +319,8 @@ def _changes_speed(t, j):
     positions are not checked, because they jump together with the positions.
 
     Args:
-        t: Tick. j: index of the joint.
+        t: Tick.
+        j: index of the joint.
     """
     if t.memory.derived:
         return False
@@ -321,7 +337,8 @@ def _speed_jumps(t, j):
     speed less than commanded.
 
     Args:
-        t: Tick. j: index of the joint.
+        t: Tick.
+        j: index of the joint.
     """
     room = _speed_room(t, j)
     last_speed = t.memory.v[j]
@@ -338,7 +355,8 @@ def is_measurable(t, k):
     """Determine whether the reading of a wrist is finite and within the range of its sensor.
 
     Args:
-        t: Tick, of which `wrenches` of INPUT are read. k: index of the arm.
+        t: Tick, of which `wrenches` of INPUT are read.
+        k: index of the arm.
     """
     fits = True
     for i in range(6):

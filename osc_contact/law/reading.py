@@ -66,8 +66,10 @@ _NOTHING = 1e-9  #: Λ_out relative to the reference inertia that counts as zero
 
 @inner
 def add_friction(t):
-    """Add friction to the kept columns, N_μ = N + (friction wrenches of all columns) share.
+    """Add friction to the r kept columns of N, the wrenches of unit contact forces: N_μ.
 
+    Column a of N_μ is that of N plus Σ_j share_ja F_j, where F_j is the friction wrench of a unit
+    force of the active column j, and share_ja the magnitude of the kept column a in a unit of j.
     Reads `N_e`, and `share` and `friction_wrench` of the active columns. Fills `friction_wrenches`
     (r, 6; at O, in world axes) and `pushed`, N_μ in energy coordinates (r, 6).
 
@@ -105,8 +107,9 @@ def object_wrench(t, k, reading):
     """Wrench (six numbers) at the object's centre of mass, in world axes, of a wrist's reading.
 
     Args:
-        t: Tick. k: number of an arm with a wrist sensor. reading: (6,) in the axes and at the
-            origin of the sensor (N, N m).
+        t: Tick.
+        k: number of an arm with a wrist sensor.
+        reading: (6,) in the axes and at the origin of the sensor (N, N m).
     """
     work = t.work
     arm = t.model.arms[k]
@@ -118,10 +121,11 @@ def object_wrench(t, k, reading):
 
 @inner
 def sum_readings(t):
-    """Sum the readings of all wrists, and subtract tare and bias: f_meas − bias_out.
+    """Sum the wrenches that all wrists read, and subtract tare and bias.
 
-    Reads `wrenches` of INPUT, `filter` of the arms and `bias_e`. Fills `f_meas` (the sum less tare,
-    at O, in world axes) and `reading_e`, f_meas − bias_out in energy coordinates.
+    The bias is the wrench that moves the bodies beyond the sensors at q̈ = 0. Reads `wrenches` of
+    INPUT, `filter` of the arms and `bias_e`. Fills `f_meas` (the sum less tare, at O, in world
+    axes; N, N m) and `reading_e`, f_meas less bias in energy coordinates.
 
     Args:
         t: Tick.
@@ -137,12 +141,17 @@ def sum_readings(t):
 
 @inner
 def measure_magnitudes(t):
-    """Compute α by the filter Ω_f(Λ_out): α = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N], D = NᵀΛ_out⁻¹N_μ + Φ_μ.
+    """Compute the contact forces α by the filter of fig. 5, which subtracts inertial forces.
 
-    f is the reading less bias. Reads `N_basis` and `N_factor` of N, `out_T`, `reading_e`, `pushed`,
-    `Phi_mu`, `n_gamma`, `b_N`. Fills `alpha_meas` (r,), `mobility` (D) and `weightless`, which is 1
-    if no inertia is between sensors and contacts. An arm without an object is handled by
-    `_measure_at_tip`.
+        α = D⁻¹[NᵀΛ_out⁻¹f − n_γ − b_N],   D = NᵀΛ_out⁻¹N_μ + Φ_μ
+
+    f (6,) is the wrench of the wrist sensors less bias, Λ_out (6, 6) the inertia of the bodies
+    beyond them, N and N_μ (6, r) the wrenches of unit contact forces without and with friction, Φ_μ
+    (r, r) = NᵀΦ_eN_μ the mobility of the touched bodies, n_γ and b_N (r,; m/s²) the normal
+    accelerations by the shape of the surfaces and by the motion of the touched bodies. Reads
+    `N_basis` and `N_factor` of N, `out_T`, `reading_e`, `pushed`, `Phi_mu`, `n_gamma`, `b_N`. Fills
+    `alpha_meas` (r,), `mobility` (D) and `weightless`, which is 1 if no inertia is between sensors
+    and contacts. An arm without an object is handled by `_measure_at_tip`.
 
     Args:
         t: Tick.
@@ -157,9 +166,10 @@ def measure_magnitudes(t):
         return _measure_at_tip(t)
     out_T = local(6, 6)
     response = local(6, 6)
-    copy_rows(work.out_T, out_T)
+    copy_rows(work.out_T, out_T)  # overwritten by `lu_solve`
     for a in range(r):
         fill(response[a], work.N_basis[a])
+    # Λ_outᵀx = q for each row q of the basis: the rows of QᵀΛ_out⁻¹.
     if not lu_solve(out_T, 6, response, r):
         return False
     bias_acceleration = local(6)
@@ -169,18 +179,24 @@ def measure_magnitudes(t):
 
 @inner
 def _solve_magnitudes(t, response, f, bias_acceleration, inertial):
-    """Solve for α along an orthonormal basis Q of the contact forces, N = Q L.
+    """Solve for α (r,; N) along an orthonormal basis Q (6, r) of the contact forces, N = Q Lᵀ.
 
-    With Q, nearly dependent columns do not reduce the accuracy of the force N α:
+    With Q, nearly dependent columns of N do not reduce the accuracy of the force N α:
 
         D_Q = QᵀΛ_out⁻¹N_μ + L⁻¹Φ_μ,   D = L D_Q,
         (D_Q L⁻ᵀ) Lᵀα = QᵀΛ_out⁻¹f + Qᵀσ − L⁻¹(n_γ + b_N)
 
-    Reads `N_factor`, `pushed`, `Phi_mu`, `n_gamma` and `b_N`; fills `alpha_meas` and `mobility`.
+    L (r, r) is the triangular factor, Λ_out the inertia beyond the sensors, N_μ (6, r) is N with
+    friction, Φ_μ (r, r) the mobility of the touched bodies, n_γ + b_N (r,; m/s²) the normal
+    acceleration at α = 0 that the contacts require. Reads `N_factor`, `pushed`, `Phi_mu`, `n_gamma`
+    and `b_N`; fills `alpha_meas` and `mobility`.
 
     Args:
-        t: Tick. response: (r, 6) rows of QᵀΛ_out⁻¹. f: wrench, six numbers. bias_acceleration: (r,)
-            Qᵀσ, the acceleration along Q that does not depend on f. All are in energy coordinates.
+        t: Tick.
+        response: (r, 6) rows of QᵀΛ_out⁻¹.
+        f: wrench, six numbers.
+        bias_acceleration: (r,) Qᵀσ, the acceleration along Q that does not depend on f. All are in
+            energy coordinates.
         inertial: 1, or 0 if no inertia is between sensors and contacts, so that N α = f.
 
     Returns:
@@ -194,6 +210,7 @@ def _solve_magnitudes(t, response, f, bias_acceleration, inertial):
     required = local(6)
     alpha = local(1, 6)
     for a in range(r):
+        # Without inertia `inertial` = 0 leaves out what accelerations add.
         required[a] = inertial * (work.n_gamma[a] + work.b_N[a])
         for b in range(r):
             yielding[b, a] = inertial * work.Phi_mu[a, b]
@@ -217,10 +234,12 @@ def _solve_magnitudes(t, response, f, bias_acceleration, inertial):
 
 @inner
 def _measure_at_tip(t):
-    """Compute α of an arm that holds no object, from the motions S of its tip alone.
+    """Compute α (r,; N) of an arm that holds no object, from the motions S of its tip alone.
 
-    S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹, and f − Λ_outσ that of f, since a = Sη̇ + σ. Without
-    inertia outboard of the sensor, the reading is the contact wrench. Reads `sigma` and `locked`,
+    The tip accelerates by a = Sη̇ + σ, where S (6, d) are its free motions and σ (6,) the
+    acceleration by the rotation of S. Hence S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹ in
+    `measure_magnitudes`, and f − Λ_outσ that of the wrench f, with the inertia Λ_out beyond the
+    sensor. Without inertia there, the reading is the contact wrench. Reads `sigma` and `locked`,
     and the fields that `measure_magnitudes` reads; fills the same fields.
 
     Args:
@@ -298,11 +317,15 @@ _NOISE = 0.01  #: noise of a wrist's force (N), in the metric of the object's in
 
 @inner
 def weigh_magnitudes(t):
-    """Compute α by least squares, α = (HᵀR⁻¹H)⁻¹HᵀR⁻¹f, with H = N_μ + Λ_outN⁺Φ_μ.
+    """Compute the contact forces α by least squares, α = (HᵀR⁻¹H)⁻¹HᵀR⁻¹f.
 
-    f is the reading less bias and less Λ_out a; the second summand of H is the inertial force of
-    an object that moves with a yielding body. Reads `reading_e`, `pushed`, `Phi_mu`, and the fields
-    that `desired_inertia_force` and `_likely_errors` read. Fills `alpha_meas` (r,), `reading_rest`
+    f (6,) is the reading less bias and less the inertial force Λ_out a of the permitted
+    acceleration. H = N_μ + Λ_outN⁺Φ_μ (6, r) is the reading of unit contact forces: N_μ with
+    friction, and the inertial force of an object that moves with a yielding body, where Φ_μ (r, r)
+    is the mobility of the touched bodies and N⁺ (6, r) the motion of least kinetic energy with a
+    unit normal acceleration. R (6, 6) is the covariance of the errors of f. All are in energy
+    coordinates. Reads `reading_e`, `pushed` (N_μ), `Phi_mu`, and the fields that
+    `desired_inertia_force` and `_likely_errors` read. Fills `alpha_meas` α (r,; N), `reading_rest`
     R⁻¹(f − Hα) (6,), `weightless` and, with contact phases, `mobility`.
 
     Args:
@@ -355,13 +378,17 @@ def weigh_magnitudes(t):
 def _find_mobility(t, weighed, normal):
     """Compute the `mobility` D of least squares: normal acceleration per force that it simulates.
 
-    A normal acceleration x = d(NᵀV_rel)/dt of an object in free flight adds Λ_outN⁺x to the
-    reading, where N⁺x is the motion of least kinetic energy, and therefore
-    D⁻¹x = (HᵀR⁻¹H)⁻¹HᵀR⁻¹Λ_outN⁺x to α. Reads `N_basis`, `N_factor`, `out_T`. Fills `mobility`
-    (r, r); sets `weightless` to 1 if D does not exist.
+    A normal acceleration x = d(NᵀV_rel)/dt (r,; m/s²) of an object in free flight adds the inertial
+    force Λ_outN⁺x to the reading, and therefore D⁻¹x = (HᵀR⁻¹H)⁻¹HᵀR⁻¹Λ_outN⁺x to α. N (6, r) are
+    the columns of contact forces, V_rel the twist relative to the touched bodies, N⁺x the motion of
+    least kinetic energy with Nᵀa = x, Λ_out the inertia beyond the sensors; H and R are those of
+    `weigh_magnitudes`. Reads `N_basis`, `N_factor`, `out_T`. Fills `mobility` (r, r; (m/s²)/N);
+    sets `weightless` to 1 if D does not exist.
 
     Args:
-        t: Tick. weighed: (r, 6) rows of HᵀR⁻¹. normal: (r, r) HᵀR⁻¹H.
+        t: Tick.
+        weighed: (r, 6) rows of HᵀR⁻¹.
+        normal: (r, r) HᵀR⁻¹H.
     """
     work = t.work
     r = work.rank
@@ -384,15 +411,18 @@ def _find_mobility(t, weighed, normal):
 def learn_friction(t):
     """Update the coefficient of friction μ by the tangential forces measured along the slip.
 
-        dμ/dt = k Σw_j s_jᵀβ_j / Σw_j²,   β_j = C_jT_jᵀR⁻¹(f − N_μα)
+        dμ/dt = k e,   e = Σw_j s_jᵀβ_j / Σw_j²,   with the sums of `_sum_friction_errors`
 
-    Contacts at rest (s_j = 0) do not change μ. In the beginning k = 1/(T_1 + T), more than
-    `learning`, so that μ is the mean of all readings; T = ∫Σw_jα_j(1 − ρ_j)/Σw_j² dt is the time of
-    sliding under the desired forces, with ρ_j = `rests`. This faster start is not used while
-    normals are estimated, because a tilted face initially causes the same forces as friction.
+    e is the error of μ by which the measured tangential forces β_j differ from the modelled ones,
+    with the slip s_j and the desired forces w_j of the contacts j as weights. The rate k (1/s) is
+    `learning` of MODEL, or 1/(`_FIRST` + `slid`) in the beginning, when this is more, so that μ is
+    the mean of all readings; `slid` (s) is the time of sliding under the desired forces. This
+    faster start is not used while normals are estimated, because a tilted face initially causes the
+    same forces as friction, nor while columns of N are dependent, because the force of a single
+    contact is unknown then.
 
-    Reads `alpha_meas`, `reading_rest` and `slip`, `rests`, `prior` of the active columns. Updates
-    `more_friction` and `slid` (T).
+    Reads `rank`, `count`, `dt` and the fields that `_sum_friction_errors` reads. Updates
+    `more_friction`, which is μ less the assumed coefficient, and `slid`.
 
     Args:
         t: Tick.
@@ -401,8 +431,47 @@ def learn_friction(t):
     work = t.work
     if model.learning == 0.0:
         return
-    dependent = work.rank < work.count
-    friction = sliding = square = normal_variance = 0.0
+    columns_depend = work.rank < work.count
+    (errors, sliding, weights, normal_variance) = _sum_friction_errors(t, columns_depend)
+    if not weights > 0.0:  # also if NaN
+        return
+    k = model.learning
+    if not normal_variance > 0.0 and not columns_depend:  # also if NaN
+        k = max(k, 1.0 / (_FIRST + work.slid))
+        work.slid += work.dt * sliding / weights
+    excess = work.more_friction + min(k * work.dt, 1.0) * errors / weights
+    work.more_friction = min(max(excess, -model.mu), _MOST_FRICTION - model.mu)
+
+
+@inner
+def _sum_friction_errors(t, columns_depend):
+    """Sum over the active contacts j the forces by which the coefficient of friction is corrected.
+
+    The slip s_j (3,) is the direction of sliding, shorter than 1 where the contact hardly slides;
+    with s_j = 0 it does not change μ. w_j is the typical force of the contact (N). The tangential
+    force beyond the modelled friction is β_j = C_jT_jᵀR⁻¹(f − Hα) (3,; N) with the covariance C_j
+    (3, 3; N²) of tangential forces, the map T_j (6, 3) from a force at the contact to the reading,
+    and R⁻¹(f − Hα) (6,) in `reading_rest`, the weighted part of the reading that contact forces α
+    along N do not explain. As n_jᵀs_j = 0 for the normal n_j, C_j of `_likely_errors` gives
+
+        s_jᵀC_j = w_j² variance_j s_jᵀ,   variance_j = σ_t² + (σ_s² − σ_t²)|s_j|²
+
+    with the typical coefficients of friction σ_s = `_ALONG` along the slip and σ_t = `_ACROSS`
+    across it. Reads `chosen`, `goal`, `alpha_meas`, `reading_rest`, and `slip`, `rests` and `prior`
+    of the columns.
+
+    Args:
+        t: Tick.
+        columns_depend: whether active columns of N are dependent, so that `alpha_meas` is not in
+            the order of `chosen`.
+
+    Returns:
+        Σw_j s_jᵀβ_j (N²); Σw_j α_j(1 − ρ_j) (N²) with ρ_j = `rests` and α_j between 0 and w_j, 0
+        with dependent columns; Σw_j² (N²); and the sum of the variances of the contact normals
+        before any sliding (rad²).
+    """
+    work = t.work
+    errors = sliding = weights = normal_variance = 0.0
     for j in range(work.count):
         index = work.chosen[j]
         if not has_point(t, index):
@@ -411,21 +480,15 @@ def learn_friction(t):
         s = column.slip
         w = _likely_force(work, index)
         slip_square = dot3(s, s)
-        share = (_ALONG**2 - _ACROSS**2) * slip_square + _ACROSS**2
+        variance = (_ALONG**2 - _ACROSS**2) * slip_square + _ACROSS**2
         multiplier = dot6(reading_of_force(t, linear(s), index), work.reading_rest)  # sᵀTᵀR⁻¹(…)
-        friction += w * w * w * share * multiplier
-        pressing = 0.0 if dependent else min(max(work.alpha_meas[j], 0.0), w)
+        errors += w * w * w * variance * multiplier  # w sᵀβ = w³ variance sᵀTᵀR⁻¹(…)
+        pressing = 0.0 if columns_depend else min(max(work.alpha_meas[j], 0.0), w)
         sliding += w * pressing * (1.0 - column.rests)
-        square += w * w
+        weights += w * w
+        # Trace of the covariance (3, 3) of the turn of the normal, which is stored by rows.
         normal_variance += column.prior[0] + column.prior[4] + column.prior[8]
-    if not square > 0.0:  # also if NaN
-        return
-    k = model.learning
-    if not normal_variance > 0.0 and not dependent:  # also if NaN
-        k = max(k, 1.0 / (_FIRST + work.slid))
-        work.slid += work.dt * sliding / square
-    excess = work.more_friction + min(k * work.dt, 1.0) * friction / square
-    work.more_friction = min(max(excess, -model.mu), _MOST_FRICTION - model.mu)
+    return errors, sliding, weights, normal_variance
 
 
 @leaf
@@ -435,21 +498,25 @@ def _likely_force(work, index):
     It is the unit in which friction forces of the contact are weighted in least squares.
 
     Args:
-        work: WORK, of which `goal` is read. index: index of the column among all columns of the
-            model.
+        work: WORK, of which `goal` is read.
+        index: index of the column among all columns of the model.
     """
     return max(abs(work.goal[index]), _LEAST_FORCE)
 
 
 @inner
 def oppose_friction(t):
-    """Compute `reaction`, the contact force D⁻¹Nᵀ(Φ_0 + Φ_e)f_t caused by tangential forces f_t.
+    """Compute `reaction`, the contact force that tangential forces f_t cause through the chain.
 
-    D = Nᵀ(Φ_0 + Φ_e)N_μ. f_t = Σ ρ_jT_jβ_j, with ρ_j = `rests`, has the tangential forces of
-    contacts that stick or hardly slide, as far as μ does not explain them:
-    β_j = C_jT_jᵀR⁻¹(f − N_μα), measured up to the last tick and low-passed. f_t itself is not
-    compensated, because that would push on contacts that stick. The reaction is limited to half of
-    the desired force.
+        reaction = D⁻¹Nᵀ(Φ_0 + Φ_e) f_t,   D = Nᵀ(Φ_0 + Φ_e)N_μ
+
+    N and N_μ (6, r) are the wrenches of unit contact forces without and with friction, Φ_0 = Λ⁻¹
+    along the free axes and Φ_e the inverse inertias of chain and touched bodies. f_t (6,) is the
+    sum over the contacts j of ρ_j = `rests` (0 … 1) times the wrench of the force β_j (3,; N),
+    `tangential` of the last tick: the low-passed tangential force that the identified friction does
+    not explain. ρ_j is 0 where a contact slides, so only contacts that stick or hardly slide count.
+    f_t itself is not compensated, because that would push on contacts that stick. The reaction is
+    limited to half of the desired force.
 
     Reads `N_t`, `pushed_t`, `Lambda`, `Phi_mu`, `yields`, `reading_rest`, `alpha_d`, and
     `tangential` of MEMORY. Fills `reaction` (r,) in N, and `tangential` of the columns for the next
@@ -503,13 +570,20 @@ def oppose_friction(t):
 
 @inner
 def _find_tangential(t, column, index, last_force):
-    """Low-pass the tangential force β_j of a contact.
+    """Low-pass the tangential force β of a contact that the identified friction does not explain.
 
-    Reads `reading_rest`; fills `tangential` of the column (N, world axes).
+        β = C Tᵀ`reading_rest`,   C = w²(σ_t²(1 − n nᵀ) + (σ_s² − σ_t²) s sᵀ)
+
+    T (6, 3) is the reading of a force at the contact, C (3, 3; N²) the covariance of tangential
+    forces of `_likely_errors`, with the typical force w (N), the normal n and the slip s (3,), and
+    the coefficients σ_s = `_ALONG` and σ_t = `_ACROSS`. Reads `goal` and `reading_rest`; fills
+    `tangential` of the column (3,; N, world axes).
 
     Args:
-        t: Tick. column: COLUMN_WORK. index: index of the column. last_force: (3,) `tangential` of
-            the last tick (N).
+        t: Tick.
+        column: COLUMN_WORK.
+        index: index of the column.
+        last_force: (3,) `tangential` of the last tick (N).
     """
     work = t.work
     multiplier = local(3)
@@ -527,8 +601,9 @@ def _find_tangential(t, column, index, last_force):
 def desired_inertia_force(t):
     """Inertial force Λ_out a (six numbers, energy coordinates) of the permitted acceleration a.
 
-    a is the desired acceleration, projected on the motions that the contacts permit. Reads `A_D`,
-    `V_O`, `n_gamma`, `b_N`, `N_factor`, `N_basis`, `out_T`.
+    Λ_out (6, 6) is the inertia of the bodies beyond the wrist sensors. a is the desired
+    acceleration `A_D`, made spatial and projected on the motions with Nᵀa = n_γ + b_N that the
+    contacts permit. Reads `A_D`, `V_O`, `n_gamma`, `b_N`, `N_factor`, `N_basis`, `out_T`.
 
     Args:
         t: Tick.
@@ -550,23 +625,32 @@ def desired_inertia_force(t):
 def _likely_errors(t, R):
     """Fill R with the covariance of the reading's errors; return the largest w_j (N).
 
-    R = σ_a²m Λ_out(1 − QᵀQ)Λ_outᵀ + ΣT_jC_jT_jᵀ + the noise of the wrists, with
-    C_j = w_j²(σ_t²(1 − nnᵀ) + (σ_s² − σ_t²) ssᵀ), where s is the direction of slip, shorter than 1
-    where the contact hardly slides. Reads `out_T`, `N_basis` (Q), `goal`, and `N`, `slip`, `point`
-    of the active columns.
+        R = σ_a²m Λ_out(1 − QᵀQ)Λ_outᵀ + Σ_j T_jC_jT_jᵀ + the noise of the wrists,
+        C_j = w_j²(σ_t²(1 − n nᵀ) + (σ_s² − σ_t²) s sᵀ)
+
+    The first summand is the inertial force by a deviation from the desired acceleration: σ_a =
+    `_DEPARTURE` (m/s²) is its typical size, m the object's mass, Λ_out (6, 6) the inertia beyond
+    the sensors, and the rows of Q (r, 6) an orthonormal basis of the contact forces. The second has
+    the tangential forces of the contacts j: T_j (6, 3) is the reading of a force at the contact,
+    C_j (3, 3; N²) the covariance of that force, w_j its typical size (N), n (3,) the normal, and s
+    (3,) the direction of slip, shorter than 1 where the contact hardly slides; σ_s = `_ALONG` and
+    σ_t = `_ACROSS` are typical coefficients of friction along the slip and across it. A pair
+    without known points of contact adds `_add_hold` instead. Reads `out_T`, `N_basis` (Q), `goal`,
+    and `N`, `slip`, `point` of the active columns.
 
     Args:
-        t: Tick. R: (6, 6) in energy coordinates, filled.
+        t: Tick.
+        R: (6, 6) in energy coordinates, filled.
     """
     work = t.work
     mass = t.model.principal[0]
-    share = _DEPARTURE * _DEPARTURE * mass
+    variance = _DEPARTURE * _DEPARTURE * mass  # σ_a²m, of the acceleration in energy coordinates
     largest = 0.0
-    for i in range(6):
-        fill(R[i], scaled(share, outboard_times(work, work.out_T[:, i])))
+    for i in range(6):  # σ_a²m Λ_outΛ_outᵀ by rows; column i of `out_T` is row i of Λ_out
+        fill(R[i], scaled(variance, outboard_times(work, work.out_T[:, i])))
         R[i, i] += _NOISE * _NOISE / mass
-    for a in range(work.rank):
-        add_square(-share, outboard_times(work, work.N_basis[a]), R)
+    for a in range(work.rank):  # less the motions that the contacts prevent
+        add_square(-variance, outboard_times(work, work.N_basis[a]), R)
     for j in range(work.count):
         index = work.chosen[j]
         column = work.columns[index]
@@ -585,10 +669,15 @@ def _likely_errors(t, R):
 
 @inner
 def _add_hold(t, index, w, R):
-    """Add to R the likely friction along the freedoms of a pair without known points of contact.
+    """Add the likely friction of a pair without known points of contact to a covariance.
+
+    Along each of the pair's freedoms a friction force of `_ALONG` times the typical force is
+    likely, as if its normal force were known and its coefficient of friction typical.
 
     Args:
-        t: Tick. index: index of a column of N of the pair. w: typical size of its force (N).
+        t: Tick.
+        index: index of a column of N of the pair.
+        w: typical size of its force (N).
         R: (6, 6) covariance of wrist readings in energy coordinates, changed.
     """
     c = t.model.columns[index].contact

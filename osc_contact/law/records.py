@@ -44,8 +44,11 @@ def _record(
     """Record type with named fields.
 
     Args:
-        whole: names of integers. number: names of numbers. vector: names of vectors of six numbers.
-        matrix: names of 6 × 6 matrices. shapes: shapes of other arrays of numbers by their names.
+        whole: names of integers.
+        number: names of numbers.
+        vector: names of vectors of six numbers.
+        matrix: names of 6 × 6 matrices.
+        shapes: shapes of other arrays of numbers by their names.
     """
     fields: list[Any] = [(name, _INT) for name in whole] + [(name, _FLOAT) for name in number]
     fields += [(name, _FLOAT, shape) for name, shape in shapes.items()]
@@ -747,8 +750,10 @@ WORK = Nested(
     carried=("6k", 3),  # forces that the structures of the arms carry without motors
     levers=("bars", "n"),  # E⁺J̄ᵀ, force in the bars per torque
     basis=("bars", "bars"),  # settable combinations of bar forces, as columns
-    bar_inverse=("bars", "bar_row"),  # E⁺ by rows
-    bar_effects=("bars", "effect_row"),  # forces in the bars by locked wrenches and by joints
+    # E⁺ = UΣ⁻¹Yᵀ, E (3k, bars): in each row one of Σ⁻¹Yᵀ, then one of Uᵀ
+    bar_inverse=("bars", "bar_row"),
+    # rows of Σ⁻¹Yᵀ times locked wrenches and forces by joints, then rows of Uᵀ
+    bar_effects=("bars", "effect_row"),
     bar_torques=("bars", "n"),  # torques that change bar forces
     moving_torques=(_FLOAT, 6, "n"),  # torques that move the object
 )
@@ -805,7 +810,9 @@ def row_of(raw, at, i):
     """Records of one row, as compiled functions take them.
 
     Args:
-        raw: bytes of `Rows`. at: offset of the JOB of a thread. i: index of the row.
+        raw: bytes of `Rows`.
+        at: offset of the JOB of a thread.
+        i: index of the row.
     """
     job = _job(raw, at)
     model = _model(raw, job.model + i * job.model_step)
@@ -818,7 +825,8 @@ def contact_of(t, column):
     """Return the state of the contact that a column of N belongs to.
 
     Args:
-        t: Tick. column: index of the column among all columns of the model.
+        t: Tick.
+        column: index of the column among all columns of the model.
 
     Returns:
         Row of CONTACT_MEMORY.
@@ -831,7 +839,8 @@ def body_of(t, column):
     """Return the body that the contact of a column of N touches.
 
     Args:
-        t: Tick. column: index of the column among all columns of the model.
+        t: Tick.
+        column: index of the column among all columns of the model.
 
     Returns:
         Row of BODY.
@@ -914,8 +923,9 @@ class Rows:
         """Copy models and memories into one array.
 
         Args:
-            model: (rows, size) bytes of MODEL. memory: (rows, size) bytes of MEMORY; None: initial
-                state. threads: number of threads that share the rows.
+            model: (rows, size) bytes of MODEL.
+            memory: (rows, size) bytes of MEMORY; None: initial state.
+            threads: number of threads that share the rows.
         """
         model = np.atleast_2d(model)
         head = MODEL.view(model[0])
@@ -965,8 +975,9 @@ def views(rows: Rows, i: int = 0, thread: int = 0) -> Any:
     """Records of one row, for use in Python.
 
     Args:
-        rows: records of controllers. i: index of the row. thread: thread whose WORK and INPUT are
-            taken.
+        rows: records of controllers.
+        i: index of the row.
+        thread: thread whose WORK and INPUT are taken.
     """
     return Tick(
         MODEL.view(rows.model[i]),

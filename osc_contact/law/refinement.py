@@ -13,34 +13,39 @@ _ROOM = 1e-7  # relative tolerance of the bounds for a refined solution
 def refine(p, slack):
     """Compute the solution `point` again, with the active limits as equations.
 
-    The least-squares problem in `rows` has the square root of H's condition number, so `point` is
-    more accurate than the solver's z. Limits are active where the solver's multipliers are not 0.
-    Variables at a limit are fixed, active limits of A are eliminated one by one by a reflection of
-    the free variables, and the rest is solved by QR.
+    The program is min |rowsᵀz|² with lower ≤ (z, A z) ≤ upper, with v variables z, of which `rows`
+    (v, w) and A (k, v) have the coefficients. This least-squares problem has the square root of the
+    condition number of the Hessian H = rows rowsᵀ, so `point` is more accurate than the solver's z.
+    Limits are active where the solver's multipliers are not 0. Variables at a limit are fixed,
+    active limits of A z are eliminated one by one by a reflection of the free variables, and the
+    rest is solved by QR. Fills `point` (v,); the other tables that this module fills are scratch.
 
     Args:
-        p: PROGRAM with the solver's multipliers `lam`. slack: number of slack variables, as in
-            `prepare`.
+        p: PROGRAM with the solver's multipliers `lam` (v + k,) of z and A z: > 0 at an upper bound,
+            < 0 at a lower bound, 0 between them.
+        slack: number of slack variables, as in `prepare`.
 
     Returns:
         False if `point` violates another limit, or if the active limits are dependent.
     """
     k = p.k
     v = len(p.tau) + slack
-    w = 6 + p.d + p.s + len(p.idle) + v
+    w = 6 + p.d + p.s + len(p.idle) + v  # length of a row of `rows`: energies, then a diagonal
     A = matrix(p.A, 0, k, v)
     y = p.y
-    target = p.t
+    target = p.offset
     f = _fix_variables(p, A, v, w)
     eliminated = _eliminate_limits(p, v, w, f)
     remaining = p.reduced[eliminated:]
     if not qr_rows(remaining, f - eliminated, w, p.diagonal, p.beta):
         return False
+    # The remaining variables x minimise |remainingᵀx + target|²: x = −R⁻¹Qᵀtarget.
     for c in range(f - eliminated):
         reflect(remaining[c, c:], p.beta[c], w - c, target[c:])
     back_substitute(remaining, f - eliminated, 1, p.diagonal, matrix(target, 0, len(target), 1))
     for c in range(f - eliminated):
         y[eliminated + c] = -target[c]
+    # Reflections are their own inverses; they are applied in the opposite order.
     for b in range(eliminated - 1, -1, -1):
         reflect(p.normals[b], p.bend[b], f - b, y[b:])
     for j in range(f):
@@ -52,19 +57,27 @@ def refine(p, slack):
 def _fix_variables(p, A, v, w):
     """Fix the variables whose limits are active, and list the others.
 
-    Reads `rows`, `lam`, `lower`, `upper`. Fills `point` of the fixed variables; `t` (w + k,), the
-    products of their values with `rows` and with A; `free`, the indices of the other variables, and
-    their rows of `rows` and columns of A in `reduced` (f, w + k).
+    Reads `rows` (v, w), the bounds `lower` and `upper` (v + k,), and the solver's multipliers `lam`
+    (v + k,): a variable is fixed at its upper bound if its multiplier is > 0, at its lower bound if
+    < 0, and free if 0. Fills `point` (v,) with the values of the fixed variables, 0 for free ones;
+    `offset` (w + k,), the products of these values with `rows` and with A; `free` (f,), the indices
+    of the free variables; and `reduced` (f, w + k), their rows of `rows`, followed by their columns
+    of A.
 
     Args:
-        p: PROGRAM. A: (k, v) limits of sums. v: number of variables. w: length of a row of `rows`.
+        p: PROGRAM.
+        A: (k, v) coefficients of the sums of variables that have limits, too.
+        v: number of variables.
+        w: length of a row of `rows`.
 
     Returns:
         Number f of free variables.
     """
     f = 0
-    p.t[:] = 0.0
+    p.offset[:] = 0.0
     for j in range(v):
+        # Row f is the next row for a free variable; for a fixed one it is scratch only, since f
+        # does not advance and the next variable overwrites it.
         for i in range(w + p.k):
             p.reduced[f, i] = p.rows[j, i] if i < w else A[i - w, j]
         if p.lam[j] == 0.0:
@@ -73,7 +86,7 @@ def _fix_variables(p, A, v, w):
             f += 1
         else:
             p.point[j] = p.upper[j] if p.lam[j] > 0.0 else p.lower[j]
-            add_scaled(p.point[j], p.reduced[f], w + p.k, p.t)
+            add_scaled(p.point[j], p.reduced[f], w + p.k, p.offset)
     return f
 
 
@@ -81,12 +94,17 @@ def _fix_variables(p, A, v, w):
 def _eliminate_limits(p, v, w, f):
     """Eliminate one free variable by each active limit of A.
 
-    A reflector maps the limit's coefficients to the first of the remaining variables, whose value
-    follows from the bound. Dependent limits are skipped. Fills `normals` and `bend` (vectors and β
-    of the reflectors), `y` (values of the eliminated variables); changes `reduced` and `t`.
+    A limit c is active if its multiplier `lam[v + c]` is not 0: at its upper bound if > 0, at its
+    lower one if < 0. A reflector 1 − β n nᵀ of the free variables maps the coefficients of the
+    limit to the first of the remaining variables, whose value then follows from the bound alone.
+    Dependent limits are skipped. Fills `normals` (rows n, each followed by scratch) and `bend` (β)
+    of the reflectors, and `y` (values of the eliminated variables); applies the reflectors to
+    `reduced` (f, w + k), and adds the products of the eliminated values to `offset` (w + k,).
 
     Args:
-        p: PROGRAM after `_fix_variables`. v: number of variables. w: length of a row of `rows`.
+        p: PROGRAM after `_fix_variables`.
+        v: number of variables.
+        w: length of a row of `rows`.
         f: number of free variables.
 
     Returns:
@@ -95,9 +113,9 @@ def _eliminate_limits(p, v, w, f):
     k = p.k
     eliminated = 0
     for c in range(k):
-        normal = p.normals[eliminated]
+        normal = p.normals[eliminated]  # overwritten by the next limit unless this one is active
         remaining = p.reduced[eliminated:]
-        for j in range(f - eliminated):
+        for j in range(f - eliminated):  # behind w elements of `rows` follow those of A
             normal[j] = remaining[j, w + c]
         if p.lam[v + c] == 0.0 or eliminated == f:
             continue
@@ -105,14 +123,14 @@ def _eliminate_limits(p, v, w, f):
         mirrored = qr_rows(p.normals[eliminated:], 1, f - eliminated, p.diagonal, bend)
         if not mirrored or abs(p.diagonal[0]) <= _DEPENDENT:
             continue
-        p.mix[:] = 0.0
+        p.mix[:] = 0.0  # becomes β nᵀremaining
         for j in range(f - eliminated):
             add_scaled(bend[0] * normal[j], remaining[j], w + k, p.mix)
         for j in range(f - eliminated):
             add_scaled(-normal[j], p.mix, w + k, remaining[j])
         bound = p.upper[v + c] if p.lam[v + c] > 0.0 else p.lower[v + c]
-        p.y[eliminated] = (bound - p.t[w + c]) / p.diagonal[0]
-        add_scaled(p.y[eliminated], remaining[0], w + k, p.t)
+        p.y[eliminated] = (bound - p.offset[w + c]) / p.diagonal[0]
+        add_scaled(p.y[eliminated], remaining[0], w + k, p.offset)
         eliminated += 1
     return eliminated
 
@@ -122,8 +140,9 @@ def _is_within_bounds(p, A, v):
     """Determine whether `point` and A `point` are within all bounds, up to `_ROOM`.
 
     Args:
-        p: PROGRAM, of which `point`, `lower` and `upper` are read. A: (k, v). v: number of
-            variables.
+        p: PROGRAM, of which `point`, `lower` and `upper` are read.
+        A: (k, v) coefficients of the sums of variables that have limits.
+        v: number of variables.
     """
     for j in range(v + p.k):
         x = p.point[j] if j < v else dot(A[j - v], p.point, v)

@@ -23,8 +23,10 @@ def _copy(x, start, fits, out):
     """Copy elements of x to `out`, or fill it with NaN if x has a wrong size.
 
     Args:
-        x: numbers of all rows in sequence. start: index of the first element. fits: False if x has
-            a wrong size. out: filled.
+        x: (rows · len(out),) numbers of all rows in sequence.
+        start: index of the first element.
+        fits: False if x has a wrong size.
+        out: array of numbers, filled.
     """
     for i in range(len(out)):
         out[i] = x[start + i] if fits else nan
@@ -35,8 +37,10 @@ def _sizes_fit(head, arrays, count, flags):
     """Determine whether the input arrays have the sizes of the model, except for alpha_d.
 
     Args:
-        head: MODEL of any row. arrays: input arrays of `rows`. count: number of rows. flags: with
-            MOVING, the array of the touched bodies is checked, too.
+        head: MODEL of any row.
+        arrays: the nine input arrays of `rows`, in its order.
+        count: number of rows.
+        flags: with MOVING, the array of the touched bodies is checked, too.
     """
     q, v, wrenches, X_WD, V_D, A_D, _, touched, active = arrays
     fits = q.size == count * head.n_joints and v.size == count * head.n_joints
@@ -58,7 +62,10 @@ def _load_input(t, arrays, count, i, flags):
     and `chosen_set`, too.
 
     Args:
-        t: Tick. arrays: input arrays of `rows`. count: number of rows. i: index of the row.
+        t: Tick.
+        arrays: the nine input arrays of `rows`, in its order.
+        count: number of rows.
+        i: index of the row.
         flags: MOVING, MISFIT and NO_FORCES are read.
     """
     q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active = arrays

@@ -86,9 +86,10 @@ _OVERFORCE = 3.0  #: multiple of its command above which a contact is overloaded
 def watch_joints(t):
     """Return a reason if a joint is too fast for too long, or cannot stop before its end stop.
 
-    The stopping distance of a joint is |q̇|(t_r + |q̇|/(2a)), where t_r is the time until the
-    brakes act. Joints beyond the end of their range are excluded, because braking cannot keep them
-    in it. Reads q and v of INPUT. Updates `overspeed` (weighted ticks) and `ending` (s) of MEMORY;
+    The stopping distance of a joint with the speed q̇ is |q̇|(t_r + |q̇|/(2a)), where t_r =
+    `reaction` is the time until the brakes act and a the deceleration of the stop (1/(2a) =
+    `brake`). Joints beyond the end of their range are excluded, because braking cannot keep them in
+    it. Reads q and v of INPUT. Updates `overspeed` (weighted ticks) and `ending` (s) of MEMORY;
     fills `culprit`.
 
     Args:
@@ -132,12 +133,13 @@ def watch_joints(t):
 def watch_contacts(t):
     """Return a reason if a contact takes too much power, is lost, or is overloaded.
 
-    The power is P = Σ α_k (NᵀV_rel)_k over the contacts that move into their faces. A contact is
-    lost (or its sensor is faulty) if less than a fifth of its command is measured or if its force
-    integral is at its bound; with contact phases, if it is not regained within `regain_time`. A
-    column without a command, such as one of a hole that holds a peg at zero force, has no force to
-    lose: its integral is at its bound where a force remains that the bound cannot cancel, for
-    example at a wedged peg. It is overloaded above three times its command or above
+    The power is Σ α_k v_k over the contacts k that are pressed and move into their faces, with the
+    measured force α_k (N) and the speed v_k = (NᵀV_rel)_k (m/s). A contact is lost (or its sensor
+    is faulty) if less than `_SHARE` times its command is measured or if its force integral is at
+    its bound; with contact phases, if it is not regained within `regain_time`. A column without a
+    command, such as one of a hole that holds a peg at zero force, has no force to lose: its
+    integral is at its bound where a force remains that the bound cannot cancel, for example at a
+    wedged peg. A contact is overloaded above `_OVERFORCE` times its command or above
     `contact_force`, whichever is larger.
 
     Reads `alpha_meas`, `alpha_d` and `speed`. Updates in MEMORY `underforce` and `overforce` (s) of
@@ -207,7 +209,8 @@ def guard(t, reason):
     ticks that were not computed), `state`, `cause`, and the counts that belong to them.
 
     Args:
-        t: Tick. reason: reason of the tick so far, NO_REASON if it was computed.
+        t: Tick.
+        reason: reason of the tick so far, NO_REASON if it was computed.
 
     Returns:
         The same reason.
@@ -245,7 +248,8 @@ def _note_computed(t, sensor_reason):
     The torques of this tick are valid in any case; a stop begins with the next one.
 
     Args:
-        t: Tick. sensor_reason: reason of `check_sensors`, or NO_REASON.
+        t: Tick.
+        sensor_reason: reason of `check_sensors`, or NO_REASON.
     """
     work = t.work
     memory = t.memory
@@ -272,7 +276,12 @@ def _choose_state(t, reason, sensor_reason):
     `lost` and `cause` of MEMORY.
 
     Args:
-        t: Tick. reason: reason of the tick. sensor_reason: reason of `check_sensors`, or NO_REASON.
+        t: Tick.
+        reason: reason of the tick.
+        sensor_reason: reason of `check_sensors`, or NO_REASON.
+
+    Returns:
+        `SAFE_STOP`, `HOLD` or `DEGRADED_STATE`.
     """
     memory = t.memory
     if memory.state == SAFE_STOP:
@@ -325,7 +334,8 @@ def _enter(t, state):
     SAFE_STOP the holds are no longer settled, and the load of each arm is weighed anew.
 
     Args:
-        t: Tick. state: new state, such as `records.HOLD`.
+        t: Tick.
+        state: new state, such as `records.HOLD`.
     """
     memory = t.memory
     if memory.state == state:

@@ -19,11 +19,16 @@ _FLOOR = 1.0  #: N, least force of contacts that must not pull, unless less is c
 
 @inner
 def _shares(t, alpha, share, floor):
-    """Express the forces that must not pull as least-squares combinations of α.
+    """Express the forces that must not pull as combinations of the kept columns' forces.
+
+    With R (r, count) the shares of the active columns, the force of a column with the share x (r,)
+    is xᵀ(RRᵀ)⁻¹α. Reads `share` of the columns, and `pushes` of their bodies.
 
     Args:
-        t: Tick. alpha: (r,) force commands of the kept columns (N). share: (k, 6), filled with the
-            coefficients. floor: (k,), filled with least values (N).
+        t: Tick.
+        alpha: (r,) force commands of the kept columns (N).
+        share: (k, 6), filled with the coefficients (RRᵀ)⁻¹x in each row.
+        floor: (k,), filled with least values (N): `_FLOOR`, or the commanded force if that is less.
 
     Returns:
         Number of these forces.
@@ -48,11 +53,17 @@ def _shares(t, alpha, share, floor):
 
 @inner
 def _idle_motions(t, arm, arm_work, idle, count):
-    """Append the joint motions ν = K⁻ᵀv of a redundant arm with N J ν = 0 and νᵀMν = 1.
+    """Append the joint motions ν of a redundant arm that do not move the object.
+
+    ν (n,) = K⁻ᵀv satisfies N J ν = 0 and νᵀMν = 1, with the wrenches N (m, 6) that the grasp
+    transmits, the Jacobian J (6, n), the joint-space inertia M = KKᵀ and orthonormal v (n,).
 
     Args:
-        t: Tick. arm: ARM row. arm_work: its ARM_WORK. idle: (p, a), of which rows from `count` on
-            are filled. count: number of rows that are filled already.
+        t: Tick.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
+        idle: (p, a) motions of the motors, of which rows from `count` on are filled.
+        count: number of rows that are filled already.
 
     Returns:
         Number of filled rows.
@@ -78,15 +89,19 @@ def _idle_motions(t, arm, arm_work, idle, count):
 
 @entry
 def fill_program(raw, at, i, program):
-    """Fill the operands of the program from the records of a saturated tick.
+    """Fill the operands of the torque program from the records of a saturated tick.
 
-    Copies torques and limits of the motors, J̄ (G), Λ, N, N_μ, Φ_μ and α_u in turned energy
-    coordinates; adds the rows of the squeeze with the squeeze that inertial forces cause (E M J̄ᵀ),
-    the joint motions of redundant arms, and the forces that must not pull.
+    Copies torques and limits of the motors, J̄ (as G, the wrench on the object per torque), and in
+    turned energy coordinates the inertia Λ of the chain, the columns N, those with friction N_μ,
+    the mobility Φ_μ of the touched bodies, and the commanded forces α_u. Adds the rows E of the
+    squeeze, with the squeeze E M J̄ᵀ that inertial forces of a motion cause, the joint motions of
+    redundant arms, and the forces that must not pull.
 
     Args:
-        raw: bytes of `records.Rows`. at: offset of the JOB. i: row whose tick has just ended
-            SATURATED. program: bytes of PROGRAM.
+        raw: bytes of `records.Rows`.
+        at: offset of the JOB.
+        i: row whose tick has just ended SATURATED.
+        program: bytes of PROGRAM.
     """
     t = row_of(raw, at, i)
     p = _program(program, 0)
@@ -112,14 +127,14 @@ def fill_program(raw, at, i, program):
         fill(p.pushed[a], work.pushed_t[a])
         fill(p.Phi_e[a], work.Phi_mu[a])
     for e in range(work.n_internal):
-        carried = ZERO
+        inertial_squeeze = ZERO
         for k in range(model.n_arms):
             first = model.arms[k].first
             end = model.arms[k].end
             for j in range(first, end):
                 inertia = dot(rows[e, first:], joints[j].M, end - first)
-                carried = add(carried, inertia, joints[j].J_bar)
-        fill(p.carried[e], turned(work, carried))
+                inertial_squeeze = add(inertial_squeeze, inertia, joints[j].J_bar)
+        fill(p.carried[e], turned(work, inertial_squeeze))
     count = 0
     if len(p.idle) > 0:
         for k in range(model.n_arms):
@@ -134,11 +149,14 @@ def fill_program(raw, at, i, program):
 def settle(raw, at, i, program):
     """Apply the solution of the program to the records: torques, force integrals, internal forces.
 
-    Torques are limited in their rate; the lost force is excluded from the integral of the force
-    law. Changes `tau` of WORK, `torques` and `force_sum` of MEMORY, and `bars`.
+    The program finds the torques within the motors' limits that lose least force and motion. They
+    are limited in their rate; the lost force is excluded from the integral of the force law.
+    Changes `tau` and `bars` of WORK, and `torques` and `force_sum` of MEMORY.
 
     Args:
-        raw: bytes of `records.Rows`. at: offset of the JOB. i: row of the saturated tick.
+        raw: bytes of `records.Rows`.
+        at: offset of the JOB.
+        i: row of the saturated tick.
         program: bytes of the solved PROGRAM.
     """
     t = row_of(raw, at, i)

@@ -94,12 +94,13 @@ def check_sensors(t):
     exceeds a share of the limit, or its integral d exceeds `position_drift` and the effects of a
     small error of scale and delay of q̇,
 
-        d ← d + (q̇ − Δq/Δt − d/T) Δt.
+        d ← d + (q̇ − Δq/Δt − d/T) Δt
 
-    The integral is not checked if speeds are estimated from positions, because it would contain
-    lasting errors of the model. WRIST_FROZEN: a wrist in contact is constant for too long. FROZEN:
-    the readings of all joints are, which were noisy before; and those of the wrists are, too, or
-    the noise was in most readings of the joints. MIXED: several joints jump in one packet.
+    with the position q, the speed q̇ that was read, and the time T = `_FORGET` of forgetting. The
+    integral is not checked if speeds are estimated from positions, because it would contain lasting
+    errors of the model. WRIST_FROZEN: a wrist in contact is constant for too long. FROZEN: the
+    readings of all joints are, which were noisy before; and those of the wrists are, too, or the
+    noise was in most readings of the joints. MIXED: several joints jump in one packet.
 
     Δt is the time since the position was last read. Missing, repeated and implausible readings do
     not change the evidence. If positions of several joints jump in one packet, none of its readings
@@ -168,7 +169,8 @@ def _check_joints(t, is_new, speeds_jump, same_wrenches):
     readings `q` and `v`, `pending`, `unread_q`, `unread_v`, and what `_check_joint` changes.
 
     Args:
-        t: Tick. is_new: whether the packet has new readings of joints that can be used.
+        t: Tick.
+        is_new: whether the packet has new readings of joints that can be used.
         speeds_jump: whether speeds of several joints jump, so that no speed is used.
         same_wrenches: whether the readings of all wrists equal those of the last tick.
 
@@ -233,9 +235,11 @@ def _note_packet(t, all_same, same_wrenches, changed, elapsed):
     joints that are held are tested.
 
     Args:
-        t: Tick. all_same: whether all positions and speeds equal those of the last packet.
+        t: Tick.
+        all_same: whether all positions and speeds equal those of the last packet.
         same_wrenches: whether the readings of all wrists equal those of the last tick.
-        changed: number of positions that changed. elapsed: time since the last packet (s).
+        changed: number of positions that changed.
+        elapsed: time since the last packet (s).
     """
     memory = t.memory
     memory.compared = 1
@@ -281,10 +285,13 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
     """Update the evidence of faults of a joint by a new reading of its position and speed.
 
     Args:
-        t: Tick. joint_memory: JOINT_MEMORY, changed. limit: speed limit (rad/s, m/s). step: change
-            of the position since it was last read (rad, m). v: speed read (rad/s, m/s). dt: time
-            since the position was last read (s). shares: shares of dt in the low-passes, from
-            `_shares`.
+        t: Tick.
+        joint_memory: JOINT_MEMORY, changed.
+        limit: speed limit (rad/s, m/s).
+        step: change of the position since it was last read (rad, m).
+        v: speed read (rad/s, m/s).
+        dt: time since the position was last read (s).
+        shares: shares of dt in the low-passes, from `_shares`.
 
     Returns:
         `STUCK` if the joint does not follow commands, `DISAGREE` if position and speed contradict
@@ -319,14 +326,19 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
 def _note_changes(t, joint_memory, limit, step, v, dt, share):
     """Update the evidence of a constant position or speed of a joint.
 
-    Fills `same_speed`, `moved`, `due`, `rested`, `gained`, `changes`, `halted`, `turning` and
-    `step` of the joint.
+    Fills of the joint in MEMORY the times (s) and displacements since position or speed last
+    changed (`same_speed`, `moved`, `due`, `rested`), `gained` (speed that was commanded meanwhile),
+    `changes`, `halted` (deceleration of a sudden stop), `turning` (share of changes that reverse
+    the one before) and `step` (last change).
 
     Args:
-        t: Tick. joint_memory: JOINT_MEMORY with the last reading `v`, changed. limit: speed limit
-            (rad/s, m/s). step: change of the position since it was last read (rad, m). v: speed
-            read (rad/s, m/s). dt: time since the position was last read (s). share: share of dt in
-            the low-pass of reversals.
+        t: Tick.
+        joint_memory: JOINT_MEMORY with the last reading `v`, changed.
+        limit: speed limit (rad/s, m/s).
+        step: change of the position since it was last read (rad, m).
+        v: speed read (rad/s, m/s).
+        dt: time since the position was last read (s).
+        share: share of dt in the low-pass of reversals.
     """
     same_v = v == joint_memory.v
     joint_memory.same_speed = joint_memory.same_speed + dt if same_v else 0.0
@@ -358,9 +370,12 @@ def _compare_with_predictions(joint_memory, slope, v, dt, shares, forgetting):
     the position. Fills `model_v`, `model_q`, `surprise_v`, `surprise_q` and `blame` of the joint.
 
     Args:
-        joint_memory: JOINT_MEMORY, changed. slope: speed from positions (rad/s, m/s). v: speed read
-            (rad/s, m/s). dt: time since the position was last read (s). shares: shares of dt in the
-            low-passes, from `_shares`. forgetting: factor of `blame` in this step, ≤ 1.
+        joint_memory: JOINT_MEMORY, changed.
+        slope: speed from positions (rad/s, m/s).
+        v: speed read (rad/s, m/s).
+        dt: time since the position was last read (s).
+        shares: shares of dt in the low-passes, from `_shares`.
+        forgetting: factor of `blame` in this step, ≤ 1.
     """
     joint_memory.model_v += joint_memory.pending
     joint_memory.model_q += joint_memory.pending
@@ -418,7 +433,8 @@ def _exceeds(t, k):
     """Determine whether the reading of a wrist is beyond the range of its sensor; false for NaN.
 
     Args:
-        t: Tick, of which `wrenches` of INPUT are read. k: index of the arm.
+        t: Tick, of which `wrenches` of INPUT are read.
+        k: index of the arm.
     """
     exceeds = False
     for i in range(6):
@@ -454,7 +470,8 @@ def _test_encoders(t, dt):
     contact never follows; it remains at rest even if its encoder is dead.
 
     Args:
-        t: Tick. dt: time since the last readings (s).
+        t: Tick.
+        dt: time since the last readings (s).
     """
     memory = t.memory
     memory.tested += dt
@@ -509,7 +526,8 @@ def _dry_friction_bound(t, j):
     may also be compensated with the wrong sign.
 
     Args:
-        t: Tick. j: index of the joint.
+        t: Tick.
+        j: index of the joint.
 
     Returns:
         Torque or force (N m, N).
@@ -526,7 +544,8 @@ def exceeds_dry_friction(t, j):
     for a joint that has moved, friction is then limited to twice the value shown by that motion.
 
     Args:
-        t: Tick. j: index of the joint.
+        t: Tick.
+        j: index of the joint.
 
     Returns:
         True if the joint has to move under the command, whatever its dry friction.

@@ -22,7 +22,8 @@ def _digest(key: str, content: bytes) -> bytes:
     """Checksum (SHA-256) of a key and the bytes stored under it, with which a file begins.
 
     Args:
-        key: key of the result. content: bytes of the result.
+        key: key of the result.
+        content: bytes of the result.
     """
     return sha256(key.encode() + content).digest()
 
@@ -66,7 +67,8 @@ class Store:
         """Store a result under a key; without success it is made again next time.
 
         Args:
-            key: key of the result, the name of its file. content: bytes of the result.
+            key: key of the result, the name of its file.
+            content: bytes of the result.
         """
         with suppress(OSError):
             for folder in (self.folder.parent, self.folder):

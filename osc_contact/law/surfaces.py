@@ -33,7 +33,7 @@ _EXACT = 1e-28  #: m²; square of a Newton step that ends the iteration
 
 @leaf
 def is_near(step):
-    """Whether a Newton step (three numbers, m) is small enough to end the iteration."""
+    """Determine whether a Newton step (three numbers, m) is small enough to end the iteration."""
     return dot3(step, step) < _EXACT
 
 
@@ -44,7 +44,8 @@ def _cell(x, count):
     The outermost cells extend to infinity, so that the coordinate may be beyond 0 … 1 there.
 
     Args:
-        x: coordinate in cells. count: number of cells.
+        x: coordinate in cells.
+        count: number of cells.
     """
     i = int(min(max(floor(x), 0.0), count - 1.0))
     return i, x - i
@@ -55,7 +56,8 @@ def _height(shapes, at, x, y):
     """Height of a gridded surface and its derivatives at a place, by bicubic interpolation.
 
     Args:
-        shapes: SHAPE rows. at: index of the first row of the surface.
+        shapes: SHAPE rows.
+        at: index of the first row of the surface.
         x, y: place in the axes of the surface (m).
 
     Returns:
@@ -86,14 +88,18 @@ def _height(shapes, at, x, y):
 
 @inner
 def nearest(shapes, at, p):
-    """Foot of a point on a surface, found by Newton's method.
+    """Foot of a point p on a surface F = 0, found by Newton's method.
+
+    The foot solves p = foot + λ∇F(foot), F(foot) = 0.
 
     Args:
-        shapes: SHAPE rows. at: the first one of the surface. p: point in the surface's axes S (m).
+        shapes: SHAPE rows.
+        at: index of the first row of the surface.
+        p: (3,) the point in the surface's axes S (m).
 
     Returns:
-        λ, with p = foot + λ∇F; ∇F at the foot; the Hessian H there, as (xx, xy, yy, zz);
-        (1 + λH)⁻¹, as (xx, xy, yy, zz).
+        λ, with p = foot + λ∇F; ∇F at the foot; the Hessian H there, as (xx, xy, yy, zz); (1 +
+        λH)⁻¹, as (xx, xy, yy, zz).
     """
     row = shapes[at].row
     foot = p
@@ -127,7 +133,8 @@ def _times(M, v):
     """Multiply a symmetric matrix with a vector whose z axis is not coupled to x and y.
 
     Args:
-        M: four elements (xx, xy, yy, zz) of the matrix; xz and yz are zero. v: (3,).
+        M: four elements (xx, xy, yy, zz) of the matrix; xz and yz are zero.
+        v: (3,).
 
     Returns:
         Three numbers.
@@ -139,13 +146,18 @@ def _times(M, v):
 def normal_at(shapes, at, p, v):
     """Gradient magnitude |∇F|, normal n and its rate dn/dt at the foot of a moving point.
 
-    With g = ∇F, λ and the Hessian H from `nearest`, the foot moves with (1 + λH)⁻¹(v − λ̇g), where
-    λ̇ keeps it on the surface, and dn/dt = (1 − nnᵀ) Hv_foot/|g|. All vectors are in the axes of
-    the touched body.
+    The foot is the nearest point of the surface F = 0. With g = ∇F, λ and the Hessian H (3, 3) of F
+    from `nearest`, the foot moves with (1 + λH)⁻¹(v − λ̇g), where λ̇ keeps it on the surface, and
+    dn/dt = (1 − nnᵀ) Hv_foot/|g|. All vectors are in the axes of the touched body.
 
     Args:
-        shapes: SHAPE rows. at: the first one of the surface. p: the point (m). v: its velocity
-            (m/s).
+        shapes: SHAPE rows.
+        at: index of the first row of the surface.
+        p: (3,) the point (m).
+        v: (3,) its velocity (m/s).
+
+    Returns:
+        |∇F|; n (three numbers); dn/dt (three numbers, 1/s).
     """
     seat = shapes[at + 1].row
     _, g, H, inverse = nearest(shapes, at, rotated9_back(seat, minus3(p, seat[9:])))

@@ -40,7 +40,8 @@ def has_point(t, column):
     """Determine whether a column of N is a force at a known point of contact.
 
     Args:
-        t: Tick. column: index of the column among all columns of the model.
+        t: Tick.
+        column: index of the column among all columns of the model.
     """
     return t.model.pairs[t.model.columns[column].contact].has_friction != 0
 
@@ -52,8 +53,8 @@ def across(N, k):
     It is the part of the world's axis k along the face.
 
     Args:
-        N: (6,) column of N, whose linear part is along the normal n. k: axis of the world (0, 1,
-            2).
+        N: (6,) column of N, whose linear part is along the normal n.
+        k: axis of the world (0, 1, 2).
 
     Returns:
         Three numbers, dimensionless.
@@ -67,8 +68,9 @@ def reading_of_force(t, force, index):
     """Reading of the wrist sensors that a force at one contact causes.
 
     Args:
-        t: Tick. force: (3,) force at the point of contact, in world axes (N). index: index of a
-            column of N of the contact.
+        t: Tick.
+        force: (3,) force at the point of contact, in world axes (N).
+        index: index of a column of N of the contact.
 
     Returns:
         Six numbers: the wrench at C in energy coordinates.
@@ -84,8 +86,9 @@ def reading_of_wrench(t, f, index):
     moves with the body.
 
     Args:
-        t: Tick. f: wrench (six numbers) at O, in world axes (N, N m). index: index of a column of
-            N of a contact on the body.
+        t: Tick.
+        f: wrench (six numbers) at O, in world axes (N, N m).
+        index: index of a column of N of a contact on the body.
 
     Returns:
         Six numbers: the wrench at C in energy coordinates.
@@ -107,8 +110,10 @@ def rub_along(t, size, k, c):
     """Reading that friction along one permitted motion of a contact (a column of its T) causes.
 
     Args:
-        t: Tick. size: magnitude of the friction force (N); about an axis it acts with the lever
-            `_LEVER`. k: index of the permitted motion. c: index of the contact.
+        t: Tick.
+        size: magnitude of the friction force (N); about an axis it acts with the lever `_LEVER`.
+        k: index of the permitted motion.
+        c: index of the contact.
 
     Returns:
         Six numbers in energy coordinates.
@@ -133,7 +138,8 @@ def outboard_times(work, x):
     """Multiply the inertia Λ_out beyond the wrist sensors with a motion, in energy coordinates.
 
     Args:
-        work: WORK, of which `out_T` (Λ_out transposed) is read. x: (6,) motion.
+        work: WORK, of which `out_T` (Λ_out transposed) is read.
+        x: (6,) motion.
 
     Returns:
         Wrench Λ_out x (six numbers).
@@ -145,11 +151,14 @@ def outboard_times(work, x):
 def add_yield(work, f, acceleration):
     """Add to f the inertial force of an object that moves with a yielding body: f + Λ_out N⁺ s.
 
-    N⁺s is the acceleration of least kinetic energy with Nᵀa = s; with N = L Q (rows) it is QᵀL⁻¹s.
+    N⁺s is the acceleration of least kinetic energy with Nᵀa = s, where N (6, r) are the columns of
+    contact forces in energy coordinates; with their factors Nᵀ = L Q it is QᵀL⁻¹s. Λ_out (6, 6) is
+    the inertia beyond the wrist sensors.
 
     Args:
-        work: WORK, of which `N_factor` L, `N_basis` Q and `out_T` are read. f: wrench (six numbers,
-            energy coordinates). acceleration: (r,) s (m/s²), overwritten.
+        work: WORK, of which `N_factor` L (r, r), `N_basis` Q (r, 6) and `out_T` are read.
+        f: wrench (six numbers, energy coordinates).
+        acceleration: (r,) s, normal acceleration of the body (m/s²), overwritten.
 
     Returns:
         Wrench (six numbers, energy coordinates).

@@ -145,11 +145,12 @@ _BEYOND = 1e302  #: makes forces above 2 MN overflow; rounding errors would rema
 def look(t, flags):
     """Check the input, advance the phases of contacts, solve the closed chain; return a reason.
 
-    Fills `status`, `dt`, `commanded`, `moving`, and the fields that `take_in`, `choose_columns`
-    and `solve_chain` fill.
+    Fills `status`, `dt`, `commanded`, `moving`, and the fields that `take_in`, `choose_columns` and
+    `solve_chain` fill.
 
     Args:
-        t: Tick. flags: COMMANDED, PARTIAL, MISFIT and NO_FORCES are read.
+        t: Tick.
+        flags: COMMANDED, PARTIAL, MISFIT and NO_FORCES are read.
     """
     model = t.model
     memory = t.memory
@@ -161,12 +162,12 @@ def look(t, flags):
     work.count = 0
     lost_ticks = memory.gap if memory.ticked else 0  # no time passes before the first tick
     work.dt = model.period * (1 + min(lost_ticks, MOST_LOST))
-    engaged = memory.engaged != 0 and model.n_contacts > 0
-    lacks_forces = engaged and flags & NO_FORCES != 0
-    engaged = engaged and not lacks_forces
+    has_contacts = memory.engaged != 0 and model.n_contacts > 0
+    lacks_forces = has_contacts and flags & NO_FORCES != 0
+    has_contacts = has_contacts and not lacks_forces
     # while the number of columns is not known (PARTIAL), alpha_d may have another size
     misfit = flags & MISFIT != 0 or (lacks_forces and flags & PARTIAL == 0)
-    if misfit or not is_finite(t, engaged, work.moving):
+    if misfit or not is_finite(t, has_contacts, work.moving):
         return BAD_INPUT
     if memory.state == SAFE_STOP:
         return STOPPED
@@ -176,8 +177,8 @@ def look(t, flags):
             return reason
     if model.leader < 0 and memory.located == 0:
         return OBJECT_UNKNOWN
-    take_in(t, engaged, work.moving != 0)
-    if engaged and (model.phased or t.input.chosen_set or memory.chosen_set):
+    take_in(t, has_contacts, work.moving != 0)
+    if has_contacts and (model.phased or t.input.chosen_set or memory.chosen_set):
         update_contacts(t)
     choose_columns(t)
     return solve_chain(t)
@@ -188,7 +189,8 @@ def is_finite(t, engaged, moving):
     """Test whether all values of INPUT and the desired squeeze are finite.
 
     Args:
-        t: Tick. engaged: whether the law includes contacts; if not, alpha_d is not checked.
+        t: Tick.
+        engaged: whether the law includes contacts; if not, alpha_d is not checked.
         moving: whether motions of the touched bodies are measured.
     """
     model = t.model
@@ -221,7 +223,8 @@ def take_in(t, engaged, moving):
     the bodies, `alpha_d` of the columns.
 
     Args:
-        t: Tick. engaged: whether the law includes contacts; if not, the goals are zero.
+        t: Tick.
+        engaged: whether the law includes contacts; if not, the goals are zero.
         moving: whether motions of the touched bodies are measured.
     """
     model = t.model
@@ -252,8 +255,8 @@ def measure(t):
 
     Reads the measured state and wrist readings of INPUT, and the active contacts (`chosen`,
     `count`). Fills in WORK the coefficient of friction `mu`, `more_friction` and `slid` of MEMORY,
-    `speed` (NᵀV_rel of the kept columns; m/s, rad/s) and `f_c` = N α_meas (at O, world axes; N,
-    N m). The functions called here state the fields that they fill: N and n_γ of each column, the
+    `speed` (NᵀV_rel of the kept columns; m/s, rad/s) and `f_c` = N α_meas (at O, world axes; N, N
+    m). The functions called here state the fields that they fill: N and n_γ of each column, the
     kept columns, motion of the touched bodies along N, readings, and α_meas.
 
     Args:
@@ -315,7 +318,8 @@ def set_desired_forces(t, flags):
     `damping`.
 
     Args:
-        t: Tick. flags: OWN_FORCE or 0.
+        t: Tick.
+        flags: OWN_FORCE or 0.
     """
     work = t.work
     columns = work.columns
@@ -323,7 +327,7 @@ def set_desired_forces(t, flags):
     shape_steps(t, users_own)
     shape_squeeze(t)
     brake_contacts(t)
-    independent = work.rank == work.count
+    are_independent = work.rank == work.count
     for a in range(work.rank):
         s = 0.0
         for j in range(work.count):
@@ -332,12 +336,12 @@ def set_desired_forces(t, flags):
         work.alpha_d[a] = s
         work.gain[a] *= work.integral_scale
         work.brake[a] = 0.0 if users_own else work.brake[a]
-        approached = contact_of(t, work.kept[a]).phase == phases.APPROACHING
+        is_approached = contact_of(t, work.kept[a]).phase == phases.APPROACHING
         work.felt[a] = work.alpha_meas[a]
-        if approached and independent:
+        if is_approached and are_independent:
             work.gain[a] = phases.APPROACH_GAIN
             work.felt[a] = work.damping[a] * work.speed[a]
-        if users_own and not approached:  # the user's force law includes its own damping
+        if users_own and not is_approached:  # the user's force law includes its own damping
             work.damping[a] = 0.0
 
 
@@ -368,11 +372,13 @@ def compare_poses(t):
 def transfer_integral(t):
     """Convert the motion integral along free directions into a constant wrench.
 
-    The wrench S⁻ᵀΛ_S P_T K_i∫e is added to `f_bias`, so that weight errors stay balanced in
-    directions that are no longer controlled by the motion law.
+    The wrench S⁻ᵀΛ_S P_T K_i ∫e dt is added to `f_bias`, so that weight errors stay balanced in
+    directions that are no longer controlled by the motion law: K_i (1/s³) is the gain of the
+    integral of the pose error e, P_T the projection on the motions that contacts and arms permit,
+    Λ_S the inertia along these, and S⁻ᵀ leads from there to a wrench on the object.
 
-    Reads `Lambda`, `N_t` and its factors in WORK. Changes in MEMORY `f_bias` (at C in world axes;
-    N, N m), and `motion_sum` (∫e), which is reset to zero.
+    Reads `Lambda`, `N_t` and its factors in WORK. Changes in MEMORY `f_bias` (at O in world axes;
+    N, N m), and `motion_sum` (∫e dt), which is reset to zero.
 
     Args:
         t: Tick.
@@ -407,8 +413,9 @@ def command(t, flags):
     fields that the functions called here fill.
 
     Args:
-        t: Tick. flags: sum of OWN_FORCE, if α_u is already given in `alpha_u`, and of OWN_MOTION,
-            if a_u is already given.
+        t: Tick.
+        flags: sum of OWN_FORCE, if α_u is already given in `alpha_u`, and of OWN_MOTION, if a_u is
+            already given.
 
     Returns:
         `NO_REASON`, or the reason of `filter_motion`.
@@ -499,9 +506,9 @@ def finish(t):
     if model.rubs:
         compensate_friction(t)
     internal_forces(t)
-    excess, finite = limit_torques(t)
+    excess, is_finite_result = limit_torques(t)
     s = finiteness(work.motion_next, 6) + finiteness(work.force_next, work.rank)
-    if not (finite and isfinite(s)):
+    if not (is_finite_result and isfinite(s)):
         return NOT_FINITE
     if excess:
         work.status = SATURATED
@@ -560,9 +567,10 @@ def run_parts(t, flags, begin, stop):
     is kept in WORK. Fills `status` and `reason` of WORK, and `reason` of MEMORY.
 
     Args:
-        t: Tick. flags: sum of MOVING, COMMANDED, OWN_FORCE, OWN_MOTION, PARTIAL, MISFIT and
-            NO_FORCES.
-        begin: first part, LOOK … ALLOCATE, or HAND_OVER. stop: part before which to stop, or END.
+        t: Tick.
+        flags: sum of MOVING, COMMANDED, OWN_FORCE, OWN_MOTION, PARTIAL, MISFIT and NO_FORCES.
+        begin: first part, LOOK … ALLOCATE, or HAND_OVER.
+        stop: part before which to stop, or END.
 
     Returns:
         Status of the tick: OK, SATURATED, HELD or DEGRADED.

@@ -30,7 +30,8 @@ def clamped(x, most):
     """Clamp a number x to the range −most … most.
 
     Args:
-        x: number. most: bound, ≥ 0.
+        x: number.
+        most: bound, ≥ 0.
     """
     return min(max(x, -most), most)
 
@@ -52,7 +53,8 @@ def add3(y, s, x):
     """Sum y + s x of vectors of three numbers.
 
     Args:
-        y, x: (3,). s: factor.
+        y, x: (3,).
+        s: factor.
     """
     return (y[0] + s * x[0], y[1] + s * x[1], y[2] + s * x[2])
 
@@ -143,7 +145,8 @@ def add(y, s, x):
     """Sum y + s x of vectors of six numbers.
 
     Args:
-        y, x: (6,). s: factor.
+        y, x: (6,).
+        s: factor.
     """
     return join(add3(y, s, x), add3(angular(y), s, angular(x)))
 
@@ -153,7 +156,9 @@ def accumulate(x, s, y):
     """Add s y to an array x of six numbers.
 
     Args:
-        x: (6,), changed. s: factor. y: (6,).
+        x: (6,), changed.
+        s: factor.
+        y: (6,).
     """
     fill(x, add(x, s, y))
 
@@ -163,7 +168,9 @@ def add_square(s, x, A):
     """Add s x xᵀ to a matrix A.
 
     Args:
-        s: factor. x: (6,). A: (6, 6), changed.
+        s: factor.
+        x: (6,).
+        A: (6, 6), changed.
     """
     for i in range(6):
         accumulate(A[i], s * x[i], x)
@@ -174,7 +181,9 @@ def combined(s, X, n):
     """Linear combination Σ s_k X_k of n rows of six numbers.
 
     Args:
-        s: (n,) factors. X: (n, 6). n: number of rows.
+        s: (n,) factors.
+        X: (n, 6).
+        n: number of rows.
     """
     x = ZERO
     for k in range(n):
@@ -233,7 +242,8 @@ def reflector(square, head):
     """Return α and β of the reflection 1 − β v vᵀ that maps a vector x to α e, v = x − α e.
 
     Args:
-        square: xᵀx > 0. head: eᵀx, the component of x along the unit vector e.
+        square: xᵀx > 0.
+        head: eᵀx, the component of x along the unit vector e.
     """
     norm = sqrt(square)
     return (-norm if head >= 0.0 else norm, 1.0 / (norm * (norm + abs(head))))
@@ -244,7 +254,8 @@ def finiteness(x, n):
     """Return 0 if all of x[:n] are finite, else NaN, since 0 · x is NaN for infinity and NaN.
 
     Args:
-        x: array of numbers. n: number of elements that are checked.
+        x: array of numbers.
+        n: number of elements that are checked.
     """
     s = 0.0
     for i in range(n):
@@ -262,13 +273,14 @@ def copy_rows(X, out):
 
 @inner
 def reflect_sides(work, A):
-    """Transform a symmetric matrix A to H A Hᵀ, with H of `turned`; fill both triangles.
+    """Transform a symmetric matrix A to H A Hᵀ, with the reflections H of `turned`.
 
-    For each reflector (1 − β v vᵀ) A (1 − β v vᵀ) = A − v wᵀ − w vᵀ, w = p − ½β(vᵀp) v, p = β A v.
+    Both triangles are filled. Each reflector 1 − β v vᵀ in H, with a vector v (6,), changes A to (1
+    − β v vᵀ) A (1 − β v vᵀ) = A − v wᵀ − w vᵀ, w = p − ½β(vᵀp) v, p = β A v.
 
     Args:
-        work: WORK, of which `locked`, `reflectors` and `beta` are read. A: (6, 6) in energy
-            coordinates, overwritten.
+        work: WORK, of which `locked`, `reflectors` and `beta` are read.
+        A: (6, 6) in energy coordinates, overwritten.
     """
     for k in range(work.locked):
         v = six(work.reflectors[k])
@@ -284,7 +296,8 @@ def row3(R, i):
     """Return the first three numbers of row i of a matrix.
 
     Args:
-        R: at least (i + 1, 3), such as a rotation matrix or a pose. i: index of the row.
+        R: at least (i + 1, 3), such as a rotation matrix or a pose.
+        i: index of the row.
     """
     return (R[i, 0], R[i, 1], R[i, 2])
 
@@ -294,7 +307,8 @@ def column3(R, i):
     """Return the first three numbers of column i of a matrix.
 
     Args:
-        R: at least (3, i + 1), such as a rotation matrix or a pose. i: index of the column.
+        R: at least (3, i + 1), such as a rotation matrix or a pose.
+        i: index of the column.
     """
     return (R[0, i], R[1, i], R[2, i])
 
@@ -316,7 +330,8 @@ def rotated9(R, x):
     """Product R x of a rotation, given by rows as nine numbers, and a vector.
 
     Args:
-        R: array with the nine elements at its front. x: (3,).
+        R: array with the nine elements at its front.
+        x: (3,).
     """
     return (dot3(R, x), dot3(R[3:], x), dot3(R[6:], x))
 
@@ -326,7 +341,8 @@ def rotated9_back(R, x):
     """Product Rᵀ x with the inverse of a rotation that is given by rows as nine numbers.
 
     Args:
-        R: array with the nine elements at its front. x: (3,).
+        R: array with the nine elements at its front.
+        x: (3,).
     """
     return add3(add3(scaled3(x[0], R), x[1], R[3:]), x[2], R[6:])
 
@@ -342,7 +358,9 @@ def transformed(p, R, x):
     """Position p + R x of a point that is given in a frame.
 
     Args:
-        p: (3,) origin of the frame. R: (3, 3) its axes. x: (3,) point in the frame.
+        p: (3,) origin of the frame.
+        R: (3, 3) its axes.
+        x: (3,) point in the frame.
     """
     sum_xy = add3(add3(p, x[0], column3(R, 0)), x[1], column3(R, 1))
     return add3(sum_xy, x[2], column3(R, 2))
@@ -353,7 +371,8 @@ def velocity_at(V, p):
     """Velocity (three numbers) of a point of a body, V_linear + ω × p.
 
     Args:
-        V: (6,) twist of the body at a reference point. p: (3,) point from the reference point (m).
+        V: (6,) twist of the body at a reference point.
+        p: (3,) point from the reference point (m).
     """
     return plus3(V, cross(V[3:], p))
 
@@ -363,8 +382,8 @@ def cross_motion(V, x):
     """Spatial cross product V × x (six numbers): rate of a motion vector x that moves with a body.
 
     Args:
-        V: (6,) twist of the body. x: (6,) motion vector that is constant in its axes; both at one
-            point.
+        V: (6,) twist of the body.
+        x: (6,) motion vector that is constant in its axes; both at one point.
     """
     return join(plus3(cross(V[3:], x), cross(V, x[3:])), cross(V[3:], x[3:]))
 
@@ -426,7 +445,8 @@ def carry_motion(V, start, end):
     """Change the reference point of a motion V (6,), a twist or an acceleration.
 
     Args:
-        V: (6,) at `start`. start, end: old and new reference point (m).
+        V: (6,) at `start`.
+        start, end: old and new reference point (m).
     """
     return join(velocity_at(V, minus3(end, start)), angular(V))
 
@@ -436,7 +456,8 @@ def carry_wrench(f, start, end):
     """Change the reference point of a wrench f (6,).
 
     Args:
-        f: (6,) at `start`. start, end: old and new reference point (m).
+        f: (6,) at `start`.
+        start, end: old and new reference point (m).
     """
     return join(linear(f), plus3(f[3:], cross(minus3(start, end), f)))
 
@@ -446,7 +467,8 @@ def motion_to_energy(work, x):
     """Convert a motion at O in world axes to energy coordinates.
 
     Args:
-        work: WORK, of which `axes`, `p_O` and `p_C` are read. x: (6,) motion.
+        work: WORK, of which `axes`, `p_O` and `p_C` are read.
+        x: (6,) motion.
 
     Returns:
         Six numbers.
@@ -459,7 +481,8 @@ def wrench_to_energy(work, f):
     """Convert a wrench at O in world axes to energy coordinates.
 
     Args:
-        work: WORK, of which `axes`, `p_O` and `p_C` are read. f: (6,) wrench (N, N m).
+        work: WORK, of which `axes`, `p_O` and `p_C` are read.
+        f: (6,) wrench (N, N m).
 
     Returns:
         Six numbers.
@@ -472,7 +495,8 @@ def motion_to_world(work, x):
     """Convert a motion in energy coordinates to world axes at O.
 
     Args:
-        work: WORK, of which `axes`, `p_O` and `p_C` are read. x: (6,) motion.
+        work: WORK, of which `axes`, `p_O` and `p_C` are read.
+        x: (6,) motion.
 
     Returns:
         Six numbers.
@@ -485,7 +509,8 @@ def wrench_to_world(work, f):
     """Convert a wrench in energy coordinates to world axes at O.
 
     Args:
-        work: WORK, of which `axes`, `p_O` and `p_C` are read. f: (6,) wrench.
+        work: WORK, of which `axes`, `p_O` and `p_C` are read.
+        f: (6,) wrench.
 
     Returns:
         Six numbers (N, N m).
@@ -495,13 +520,13 @@ def wrench_to_world(work, f):
 
 @leaf
 def turned(work, x):
-    """Turn energy coordinates so that their first m axes are those that the arms lock.
+    """Turn energy coordinates so that their first m axes are those that the arms lock: return H x.
 
-    H x with H = H_m … H_1, the product of the reflectors H_k = 1 − β_k v_k v_kᵀ.
+    H = H_m … H_1 (6, 6) is the product of the reflectors H_k = 1 − β_k v_k v_kᵀ.
 
     Args:
-        work: WORK, of which `locked` (m), `reflectors` (v_k) and `beta` are read. x: (6,) motion or
-            wrench in energy coordinates.
+        work: WORK, of which `locked` (m), `reflectors` (v_k) and `beta` are read.
+        x: (6,) motion or wrench in energy coordinates.
 
     Returns:
         Six numbers.
@@ -518,7 +543,8 @@ def fill_free(x, work, y):
     """Fill x with y in turned energy coordinates, with zeros along the locked axes.
 
     Args:
-        x: (6,), filled. work: WORK, of which `locked`, `reflectors` and `beta` are read.
+        x: (6,), filled.
+        work: WORK, of which `locked`, `reflectors` and `beta` are read.
         y: (6,) motion or wrench in energy coordinates.
     """
     fill(x, turned(work, y))
@@ -528,10 +554,13 @@ def fill_free(x, work, y):
 
 @leaf
 def turned_back(work, x):
-    """Convert turned coordinates back to energy coordinates: Hᵀx, the inverse of `turned`.
+    """Convert turned coordinates back to energy coordinates: return Hᵀx, the inverse of `turned`.
+
+    Each reflector is its own inverse, so they are applied in the opposite order.
 
     Args:
-        work: WORK, of which `locked`, `reflectors` and `beta` are read. x: (6,) motion or wrench.
+        work: WORK, of which `locked`, `reflectors` and `beta` are read.
+        x: (6,) motion or wrench.
 
     Returns:
         Six numbers.
@@ -547,25 +576,31 @@ def turned_back(work, x):
 #
 # `work` is a WORK record after a tick, or after its first part.
 
+# Index in `axes` of the first of two maps, whose transposes are those from energy coordinates:
+_WRENCH_MAPS = 0  # √m R and R√I: the maps of motions, transposed, are those of wrenches
+_MOTION_MAPS = 2  # R/√m and R/√I
+
 
 def motions(work: View) -> NDArray[np.float64]:
-    """Matrix L⁻ᵀ (6, 6) from energy coordinates to motions at O in world axes.
+    """Matrix L⁻ᵀ (6, 6) that maps motions in energy coordinates to motions at O in world axes.
 
     Args:
         work: WORK after the first part of a tick.
     """
-    out = _blocks(work, 2)
+    out = _blocks(work, _MOTION_MAPS)
+    # The velocity of O is that of C plus r × ω, r from O to C.
     out[:3, 3:] = _lever(work) @ out[3:, 3:]
     return out
 
 
 def wrenches(work: View) -> NDArray[np.float64]:
-    """Matrix L (6, 6) from energy coordinates to wrenches at O in world axes.
+    """Matrix L (6, 6) that maps wrenches in energy coordinates to wrenches at O in world axes.
 
     Args:
         work: WORK after the first part of a tick.
     """
-    out = _blocks(work, 0)
+    out = _blocks(work, _WRENCH_MAPS)
+    # A force at C has the moment r × f about O, r from O to C.
     out[3:, :3] = _lever(work) @ out[:3, :3]
     return out
 
@@ -574,8 +609,8 @@ def _blocks(work: View, k: int) -> NDArray[np.float64]:
     """Block-diagonal matrix (6, 6) of two transposed maps of `axes`: linear, then angular part.
 
     Args:
-        work: WORK after the first part of a tick. k: index of the first of both maps in `axes` (0
-            for wrenches, 2 for motions).
+        work: WORK after the first part of a tick.
+        k: index of the first of both maps in `axes`: `_WRENCH_MAPS` or `_MOTION_MAPS`.
     """
     out = np.zeros((6, 6))
     out[:3, :3] = work["axes"][k].T

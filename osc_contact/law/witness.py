@@ -58,10 +58,10 @@ def measure_approached_forces(t):
     """Compute the measured force of each approached column, and the part that may be none of it.
 
     Reads `alpha_meas`, `reading_e`, `N`, `pushed`, `V_O`, `out_T`, `filtered_twist`, and the fields
-    that `reading_of_force` reads. Fills, of the active columns (N), `touch` (α_n of the reading
-    alone), `touch_inertia` (gᵀΛ_out V̇_O) and `explained` (e, and what of 3σ is above `force_on`).
-    All are 0 unless one contact is approached while friction may act at another one, and all
-    columns are independent.
+    that `reading_of_force` reads. Fills the fields of `_explain` (N) of the active columns:
+    `touch`, the force by the reading alone; `touch_inertia`, the inertial force in it; and
+    `explained`, the part that friction of other contacts or noise may cause. All are 0 unless one
+    contact is approached while friction may act at another one, and all columns are independent.
 
     Args:
         t: Tick.
@@ -83,25 +83,27 @@ def _beside(t, column):
     """Determine whether friction may act at another contact than that of a column of N.
 
     Args:
-        t: Tick. column: index of the column among all columns of the model.
+        t: Tick.
+        column: index of the column among all columns of the model.
     """
-    rubs = False
+    may_rub = False
     for i in range(t.work.count):
         other = t.work.chosen[i]
         same_contact = t.model.columns[other].contact == t.model.columns[column].contact
-        rubs = rubs or (not same_contact and _may_rub(t, other))
-    return rubs
+        may_rub = may_rub or (not same_contact and _may_rub(t, other))
+    return may_rub
 
 
 @inner
 def _explain(t):
     """Fill `touch`, `touch_inertia` and `explained` (N) of approached columns.
 
-    `touch` is gᵀ times the reading less bias, with gᵀ the row of (NᵀR⁻¹N)⁻¹NᵀR⁻¹ for the column;
-    `touch_inertia` is gᵀ times the inertial force of the measured acceleration; `explained` is the
-    bound μ_b Σα_j‖gᵀT_j‖ of what friction of other contacts contributes, and the part of three
-    standard deviations of the noise of α_n that is above `force_on`. R is the covariance of
-    friction and 3² times that of noise.
+    N (6, r) are the columns of contact forces with friction, R (6, 6) is the covariance of the
+    friction of other contacts and 3² times that of noise, and g (6,) the row of (NᵀR⁻¹N)⁻¹NᵀR⁻¹ for
+    an approached column, which picks its force from a reading. `touch` is gᵀ times the reading less
+    bias; `touch_inertia` is gᵀ times the inertial force of the measured acceleration; `explained`
+    is the bound of `_bound_friction` on what friction of other contacts contributes, plus the part
+    of three standard deviations of the noise in gᵀ times the reading that is above `force_on`.
 
     Args:
         t: Tick.
@@ -114,7 +116,7 @@ def _explain(t):
     H = local(6, 6)
     weighed = local(6, 6)
     normal = local(6, 6)
-    solved = local(1, 6)
+    row_of_inverse = local(1, 6)
     inertia = local(6)
     g = local(6)
     fill(inertia, _measured_inertia_force(t))
@@ -122,7 +124,7 @@ def _explain(t):
     _add_friction(t, noise, R)
     if not cholesky(R, 0, 6, factor) > 0.0:  # also if NaN
         return
-    for a in range(r):  # rows of HᵀR⁻¹, then (HᵀR⁻¹H)
+    for a in range(r):  # H = N by rows; `weighed` becomes HᵀR⁻¹, `normal` HᵀR⁻¹H
         fill(H[a], work.pushed[a])
         fill(weighed[a], H[a])
         cholesky_solve(factor, 6, weighed[a])
@@ -131,13 +133,13 @@ def _explain(t):
         column = work.chosen[a]
         if contact_of(t, column).phase != APPROACHING or not _beside(t, column):
             continue
-        for b in range(r):
-            solved[0, b] = 1.0 if a == b else 0.0
+        for b in range(r):  # H is not needed any more: `lu_solve` destroys a copy of `normal` in it
+            row_of_inverse[0, b] = 1.0 if a == b else 0.0
             for c in range(r):
                 H[b, c] = normal[b, c]
-        if not lu_solve(H, r, solved, 1):
+        if not lu_solve(H, r, row_of_inverse, 1):
             return
-        fill(g, combined(solved[0], weighed, r))
+        fill(g, combined(row_of_inverse[0], weighed, r))
         row = work.columns[column]
         row.touch = dot6(g, work.reading_e)
         row.touch_inertia = dot6(g, inertia)
@@ -148,11 +150,18 @@ def _explain(t):
 
 @inner
 def _add_friction(t, noise, R):
-    """Fill the covariance R = Σ(μ_b α_j)² T_jT_jᵀ + 3² cov ν of what the reading has beside N α.
+    """Fill the covariance of what closed contacts' friction and noise add to a reading.
+
+        R = Σ_j (μ_b α_j)² T_jT_jᵀ + 3² cov ν
+
+    μ_b = `friction_bound` is a bound of the coefficient of friction, α_j the measured force of a
+    contact j (N), T_j (6, 3) the readings of unit tangential forces there, ν the noise of a
+    reading.
 
     Args:
-        t: Tick, of which `alpha_meas` is read. noise: (6, 6) cov ν. R: (6, 6), filled; both in
-            energy coordinates.
+        t: Tick, of which `alpha_meas` is read.
+        noise: (6, 6) covariance of ν.
+        R: (6, 6), filled; as `noise` in energy coordinates.
     """
     work = t.work
     for i in range(6):
@@ -167,11 +176,15 @@ def _add_friction(t, noise, R):
 
 @inner
 def _bound_friction(t, a, g):
-    """Bound the share of α_n that friction of other contacts may cause: e = μ_b Σα_j‖gᵀT_j‖ (N).
+    """Bound the part of an approached column's force that friction of other contacts may cause (N).
+
+    The bound is μ_b Σ_j α_j‖gᵀT_j‖ over the other contacts j, with μ_b = `friction_bound`, their
+    measured forces α_j (N), and the readings T_j (6, 3) of unit tangential forces.
 
     Args:
-        t: Tick, of which `alpha_meas` is read. a: index of the approached column n among the kept
-            ones. g: (6,) row of (NᵀR⁻¹N)⁻¹NᵀR⁻¹ for this column, in energy coordinates.
+        t: Tick, of which `alpha_meas` is read.
+        a: index of the approached column n among the kept ones.
+        g: (6,) row of (NᵀR⁻¹N)⁻¹NᵀR⁻¹ for this column, in energy coordinates.
     """
     work = t.work
     bound = 0.0
@@ -209,13 +222,16 @@ def _measured_inertia_force(t):
 
 @inner
 def _add_noise(t, noise):
-    """Fill the covariance (6, 6) of what sensors and points of contact add to the reading.
+    """Fill the covariance of the errors of a reading by sensors and by misplaced points of contact.
 
     Args:
-        t: Tick. noise: of a reading in energy coordinates, low-passed with `lag`; filled.
+        t: Tick.
+        noise: (6, 6) in energy coordinates, filled; of a reading that is low-passed with the time
+            constant `lag`.
     """
     work = t.work
     f = local(6)
+    # A low-pass leaves the share dt/(2 lag) of the variance of white noise.
     averaging = sqrt(min(0.5 * work.dt / t.model.lag, 1.0)) if t.model.lag > 0.0 else 1.0
     for i in range(6):
         fill(noise[i], ZERO)
@@ -239,7 +255,8 @@ def _may_rub(t, column):
     """Determine whether friction of a contact may act: it is closed, or returns after its loss.
 
     Args:
-        t: Tick. column: index of a column of N of the contact.
+        t: Tick.
+        column: index of a column of N of the contact.
     """
     phase = contact_of(t, column).phase
     is_lost = t.memory.columns[column].time_since_loss > 0.0
@@ -254,7 +271,8 @@ def _ways(t, column):
     motions that the pair permits.
 
     Args:
-        t: Tick. column: index of a column of N of the contact.
+        t: Tick.
+        column: index of a column of N of the contact.
     """
     if has_point(t, column):
         return 3
@@ -266,8 +284,10 @@ def _friction(t, column, k, size):
     """Reading (six numbers, energy coordinates) of a friction force at a contact.
 
     Args:
-        t: Tick. column: column of N of the contact. k: axis of the world, along whose projection
-            on the face the force acts; of a pair without points of contact, number of its freedom.
+        t: Tick.
+        column: column of N of the contact.
+        k: axis of the world, along whose projection on the face the force acts; of a pair without
+            points of contact, number of its freedom.
         size: magnitude of the force before projection (N).
     """
     if has_point(t, column):
@@ -280,7 +300,8 @@ def _pressed(t, a):
     """Measured force (N) of a kept column, as a magnitude; 0 if it can only push and reads below 0.
 
     Args:
-        t: Tick, of which `alpha_meas` is read. a: index of the column among the kept ones.
+        t: Tick, of which `alpha_meas` is read.
+        a: index of the column among the kept ones.
     """
     alpha = t.work.alpha_meas[a]
     return max(alpha, 0.0) if body_of(t, t.work.chosen[a]).pushes else abs(alpha)
