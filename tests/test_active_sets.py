@@ -227,6 +227,21 @@ def test_a_contact_that_is_named_again_while_it_is_unloaded_stays():
     assert steps.max() < 2.5 * 6.0 / 100  # of a quintic: 1.9 times its mean slope
 
 
+def test_force_integrals_go_on_while_the_force_of_a_new_contact_rises():
+    """They hold the forces of the others, from which the landing takes."""
+    controller, measured, X = vertices(3, rise=0.1)
+    work = controller.records.work
+    goal, integral_scale = [], []
+    for k in range(330):
+        active = np.array([1.0, 1.0, k >= 200])
+        controller.tick(measured, osc.Reference(X, alpha_d=6.0 * active, active=active))
+        goal.append(work.columns.goal[2])
+        integral_scale.append(work.integral_scale)
+    assert abs(goal[200] - 6.0) > 0.5 and goal[-1] == approx(6.0)
+    assert min(integral_scale[:100]) == 0.0  # a step of all forces
+    assert_array_equal(integral_scale[150:], 1.0)
+
+
 def test_a_contact_leaves_at_once_where_another_one_takes_its_place():
     controller, measured, X = vertices(3, rise=0.1)
     for k in range(300):

@@ -105,8 +105,8 @@ def command_motion(t):
 # of w. Slow changes of α_d pass unchanged. A contact that becomes active starts from its measured
 # force; in the very first tick it starts from zero, because no force has been measured under
 # control yet. While |w| is a large part of the force the integral is paused: it would treat w as
-# an error. It goes on while a contact is unloaded that leaves the active set, because the forces of
-# those that stay are wanted as before.
+# an error. It goes on while a contact is unloaded that leaves the active set, and while the force
+# of a new one rises, because the forces of those that stay are wanted as before.
 #
 # Internal forces are shaped in the same way with a timer of their own, so that tightening a grasp
 # leaves the contact forces unchanged. In the very first tick they equal the desired ones, because
@@ -197,7 +197,9 @@ def shape_steps(t, is_custom):
         fill3(row.to_come, to_come)
         w = _still_to_come(to_come, 1.0 if is_sudden else remaining)
         row.goal -= w
-        if row.scale > 0.0 and contact_of(t, j).unloading == 0.0:
+        contact = contact_of(t, j)
+        is_new = memory.chosen_set and contact.since < rise_time
+        if row.scale > 0.0 and contact.unloading == 0.0 and not is_new:
             largest = max(largest, abs(w) / row.scale)
     work.step_left = 1.0 if is_sudden else remaining
     work.step_time = rise_time if is_sudden else last_time
