@@ -61,6 +61,11 @@ myst_heading_anchors = 4
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_type_aliases = {"Array": "Array", "npt.ArrayLike": "ArrayLike", "Outward": "ArrayLike"}
+autodoc_type_aliases |= dict.fromkeys(("Direction", "Place", "Points"), "ArrayLike")
+for quantity in ("Angle", "Force", "Frequency", "Length", "Number", "Time", "Torque"):
+    autodoc_type_aliases[quantity] = "float"
+for quantity in ("Velocity", "AngularVelocity", "Positive[Time]", "Positive[Force]"):
+    autodoc_type_aliases[quantity] = "float"
 autodoc_default_options = {"members": True}
 autoclass_content = "both"
 napoleon_google_docstring = True

@@ -11,12 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from osc_contact.control.status import Phase
 from osc_contact.errors import InvalidInputError
+from osc_contact.plan.arguments import Direction, Place
 from osc_contact.plan.sensed import Sensed
 from osc_contact.recognition.recogniser import SURE
+from osc_contact.settings.quantities import AngularVelocity, Force, Length, Time, Velocity
 from osc_contact.spatial import Array, as_array, unit_vector
 
 #: Condition under way: whether it is met, by the signals of a tick and the control period (s).
@@ -136,7 +137,7 @@ def as_end(condition: End | Callable[[Sensed], bool]) -> End:
     return when(condition)
 
 
-def made(*contacts: str, lasting: float = MADE_FOR) -> End:
+def made(*contacts: str, lasting: Time = MADE_FOR) -> End:
     """Condition that all these contacts are closed.
 
     Args:
@@ -152,7 +153,7 @@ def made(*contacts: str, lasting: float = MADE_FOR) -> End:
     return End(end.begin, f"{' and '.join(contacts)} made", contacts)
 
 
-def lost(*contacts: str, lasting: float = MADE_FOR) -> End:
+def lost(*contacts: str, lasting: Time = MADE_FOR) -> End:
     """Condition that one of these contacts is not closed, or closed for moments only.
 
     Args:
@@ -204,10 +205,10 @@ def unexpected() -> End:
 
 
 def moved(
-    distance: float,
-    direction: ArrayLike | None = None,
+    distance: Length,
+    direction: Direction | None = None,
     *,
-    point: ArrayLike = ORIGIN,
+    point: Place = ORIGIN,
     since: str | None = None,
 ) -> End:
     """Condition that a point of the object has moved.
@@ -233,7 +234,7 @@ def moved(
     return when(has_moved, f"moved by {1e3 * distance:g} mm")
 
 
-def pressed(force: float, on: str | ArrayLike) -> End:
+def pressed(force: Force, on: str | Direction) -> End:
     """Condition that the object presses with at least some force.
 
     Args:
@@ -248,7 +249,7 @@ def pressed(force: float, on: str | ArrayLike) -> End:
     return when(lambda now: float(axis @ now.wrench[:3]) >= force, f"{force:g} N")
 
 
-def at_rest(speed: float = 1e-3, rate: float = 0.02) -> End:
+def at_rest(speed: Velocity = 1e-3, rate: AngularVelocity = 0.02) -> End:
     """Condition that the object rests.
 
     Args:
@@ -265,7 +266,7 @@ def at_rest(speed: float = 1e-3, rate: float = 0.02) -> End:
     return when(rests, "at rest")
 
 
-def after(seconds: float) -> End:
+def after(seconds: Time) -> End:
     """Condition that some time (s) has passed since the stage began, without pauses."""
     return when(lambda now: now.t >= seconds, f"after {seconds:g} s")
 

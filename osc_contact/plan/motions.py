@@ -19,7 +19,18 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from osc_contact.errors import InvalidInputError
+from osc_contact.plan.arguments import Direction, Points
 from osc_contact.plan.sensed import Sensed
+from osc_contact.settings.quantities import (
+    Angle,
+    AngularVelocity,
+    Force,
+    Frequency,
+    Length,
+    Number,
+    Torque,
+    Velocity,
+)
 from osc_contact.spatial import Array, as_array, unit_vector
 
 LINEAR_ACCELERATION = 0.1  #: m/s², with which motions begin and end
@@ -104,12 +115,12 @@ def dwell() -> Motion:
 
 
 def along(
-    direction: ArrayLike,
-    speed: float,
-    distance: float = inf,
+    direction: Direction,
+    speed: Velocity,
+    distance: Length = inf,
     *,
     axes: Axes = "world",
-    yields: float | None = None,
+    yields: Force | None = None,
 ) -> Motion:
     """Motion of the object's origin along a direction.
 
@@ -134,12 +145,12 @@ def along(
 
 
 def about(
-    axis: ArrayLike,
-    rate: float,
-    angle: float = inf,
+    axis: Direction,
+    rate: AngularVelocity,
+    angle: Angle = inf,
     *,
     axes: Axes = "world",
-    yields: float | None = None,
+    yields: Torque | None = None,
 ) -> Motion:
     """Rotation of the object about an axis through its origin.
 
@@ -164,7 +175,9 @@ def about(
 
 
 def turn_to(
-    axis: ArrayLike, direction: ArrayLike | Callable[[Sensed], ArrayLike], rate: float
+    axis: Direction,
+    direction: Direction | Callable[[Sensed], ArrayLike],
+    rate: AngularVelocity,
 ) -> Motion:
     """Rotation that brings an axis of the object to a direction of the world, the shortest way.
 
@@ -203,7 +216,9 @@ def turn_to(
     return Motion(begin, f"turn {_written(object_axis)} at {largest_rate:g} rad/s")
 
 
-def to(pose: pin.SE3 | Callable[[Sensed], pin.SE3], speed: float, rate: float = 0.5) -> Motion:
+def to(
+    pose: pin.SE3 | Callable[[Sensed], pin.SE3], speed: Velocity, rate: AngularVelocity = 0.5
+) -> Motion:
     """Straight way of the object's origin to a pose, and the shortest rotation meanwhile.
 
     Args:
@@ -239,7 +254,7 @@ def to(pose: pin.SE3 | Callable[[Sensed], pin.SE3], speed: float, rate: float = 
     return Motion(begin, f"to a pose at {1e3 * largest_speed:g} mm/s")
 
 
-def through(points: ArrayLike, speed: float, *, relative: bool = False) -> Motion:
+def through(points: Points, speed: Velocity, *, relative: bool = False) -> Motion:
     """Way of the object's origin through points, straight from one to the next.
 
     The part of the way along contact normals is left to the contacts.
@@ -281,7 +296,12 @@ def through(points: ArrayLike, speed: float, *, relative: bool = False) -> Motio
 
 
 def raster(
-    along: ArrayLike, across: ArrayLike, length: float, width: float, pitch: float, speed: float
+    along: Direction,
+    across: Direction,
+    length: Length,
+    width: Length,
+    pitch: Length,
+    speed: Velocity,
 ) -> Motion:
     """Parallel lines, to and fro, from where the stage begins.
 
@@ -308,7 +328,7 @@ def raster(
     return through(points, speed, relative=True)
 
 
-def spiral(axis: ArrayLike, pitch: float, speed: float, radius: float) -> Motion:
+def spiral(axis: Direction, pitch: Length, speed: Velocity, radius: Length) -> Motion:
     """Spiral of Archimedes of the object's origin, from where the stage begins.
 
     Args:
@@ -352,7 +372,12 @@ def spiral(axis: ArrayLike, pitch: float, speed: float, radius: float) -> Motion
 
 
 def rock(
-    axis: ArrayLike, angle: float, frequency: float, cycles: float = inf, *, axes: Axes = "world"
+    axis: Direction,
+    angle: Angle,
+    frequency: Frequency,
+    cycles: Number = inf,
+    *,
+    axes: Axes = "world",
 ) -> Motion:
     """Sinusoidal rotation of the object to and fro about an axis through its origin.
 

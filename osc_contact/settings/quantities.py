@@ -179,7 +179,9 @@ def refuse(text: str) -> PydanticCustomError:
 
 
 def meaning(owner: type, key: str) -> str | None:
-    """Docstring of a key of a group in one line, read from the source; None: it has none.
+    """Docstring of a key of a group in one line, or its description; None: it has neither.
+
+    Docstrings are read from the source; keys of models made at run time have descriptions.
 
     Args:
         owner: class of the group. key: name of the key.
@@ -187,7 +189,8 @@ def meaning(owner: type, key: str) -> str | None:
     for base in (*owner.__mro__, getattr(owner, "describes", object)):
         if key in inspect.get_annotations(base) and key in (texts := _docstrings_of_keys(base)):
             return texts[key]
-    return None  # made without a file, or for a quantity, and no ancestor has the source
+    field = owner.model_fields.get(key) if issubclass(owner, BaseModel) else None
+    return field.description if field else None
 
 
 @functools.cache  # a class's source is found by parsing its whole file

@@ -1,7 +1,7 @@
 """Description of a state of contact in words: d, r, free motions, controllable forces."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -17,6 +17,8 @@ from osc_contact.lab.rig.references import gain_in_words, known_to
 from osc_contact.lab.rig.rig import Rig, landings
 from osc_contact.lab.visual.screws import common_perpendicular, echelon
 from osc_contact.law.joint_friction import LAG
+from osc_contact.plan.ends import End
+from osc_contact.plan.stage import Stage
 from osc_contact.robots.summary import friction_warnings, joint_losses, loss_words
 from osc_contact.spatial import Array, norm
 
@@ -76,7 +78,7 @@ def inspect_rig(rig: Rig) -> Inspection:
             for arm in rig.chain.arms
         ),
         *_friction(rig),
-        *_stages(rig),
+        *(_stages(rig) if rig.scenario.plan is None else _plan_stages(rig)),
         *_contact_lines(rig),
         *(f"{one.sentence} (v √(k m))." for one in landings(rig)),
         *_skew(rig),
@@ -117,6 +119,41 @@ def _stages(rig: Rig) -> Iterator[str]:
         )
         free = f"(r = {r}, {rig.state.d - r} motions free)"
         yield f"active from {begin:.4g} s to {end:.4g} s: {names} {free}{inactive_text}"
+
+
+def _plan_stages(rig: Rig) -> Iterator[str]:
+    """Sentences on the stages of a plan: contacts and forces, motion, ends, stages that follow."""
+    assert rig.scenario.plan is not None
+    plan = rig.scenario.plan.made()
+    for k, stage in enumerate(plan.stages):
+        pairs = [pair for pair in rig.pairs if pair.name in stage.forces]
+        r = contact_at(pairs, rig.state.X_WO).r
+        forces = ", ".join(f"'{name}' {_force_words(f)} N" for name, f in stage.forces.items())
+        last = k + 1 == len(plan.stages)
+        then = stage.then or ("end" if last else plan.stages[k + 1].name)
+        fails = stage.fails or "end, failed"
+        yield (
+            f"stage '{stage.name}': {forces or 'no contacts'} (r = {r}, {rig.state.d - r} motions "
+            f"free), {stage.motion.words}; ends by: {_end_words(stage.until)} → {then}; "
+            f"fails after {stage.within:g} s{_failure_words(stage)} → {fails}."
+        )
+
+
+def _end_words(condition: object) -> str:
+    """Words of a condition, which a stage has made an `End`."""
+    assert isinstance(condition, End)
+    return condition.words
+
+
+def _force_words(force: float | Sequence[float]) -> str:
+    """Forces of a contact in words, with + between several (N)."""
+    return " + ".join(f"{value:g}" for value in np.atleast_1d(force))
+
+
+def _failure_words(stage: Stage) -> str:
+    """Conditions besides time with which a stage fails, in words."""
+    words = "" if stage.unless is None else f", or by: {_end_words(stage.unless)}"
+    return words + ("" if stage.largest == np.inf else f", or above {stage.largest:g} N")
 
 
 def _friction(rig: Rig) -> Iterator[str]:

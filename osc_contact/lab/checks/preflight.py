@@ -40,6 +40,7 @@ from osc_contact.loop.reference_rules import pulls
 from osc_contact.loop.robot_task import task_of_robot
 from osc_contact.loop.rules import Finding, Task, Values, doubt, findings, rounded, rule
 from osc_contact.loop.start_rules import judge_motion, judge_robot
+from osc_contact.plan.checks import require_plan
 from osc_contact.spatial import Array, norm
 
 MOST_TICKS = 100_000  #: largest number of references that are taken from an iterator
@@ -223,6 +224,18 @@ def springs(rig: Rig) -> Values:
     """Find springs of flexible joints, or a joint torque loop, that cannot be made."""
     try:
         hardware.torque_loop(rig.scenario, rig.chain, rig.springs)
+    except OscContactError as error:
+        yield 1.0, {"why": error}
+
+
+@rule("plan: {why}")
+def planned(rig: Rig) -> Values:
+    """Find stages of a plan that the controller cannot carry out; the value is 1 for such a one."""
+    if rig.scenario.plan is None:
+        return
+    plan = rig.scenario.plan.made()
+    try:
+        require_plan(plan.stages, plan.largest, rig.controller(), rig.state.X_WO)
     except OscContactError as error:
         yield 1.0, {"why": error}
 
@@ -533,6 +546,7 @@ PLACE_RULES = (normals, inverted, inside, start, beside)  #: rules on the places
 RIG_RULES = (
     sensors,
     springs,
+    planned,
     swinging,
     *PLACE_RULES,
     friction,

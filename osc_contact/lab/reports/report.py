@@ -18,6 +18,7 @@ from osc_contact.lab.runs.verdict import metrics
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.lab.visual.run_figures import RECORDING, FigureProcess, draw_figures
 from osc_contact.loop.realtime import latency
+from osc_contact.plan.stage import StageVerdict
 from osc_contact.recorder import Recording
 from osc_contact.recorder.judged import SETTLE_S
 from osc_contact.robots import RobotSummary
@@ -72,6 +73,8 @@ def verdict_table(verdict: Json) -> Table:
     if words := gain_in_words(verdict["force_per_normal"], largest_std):
         table.add_row("", words)
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
+    for stage in (verdict.get("plan") or {}).get("stages", ()):
+        table.add_row(f"stage {stage['name']}", str(StageVerdict(**stage)).partition(": ")[2])
     if verdict.get("loop"):
         table.add_row("measurement to torques", latency(verdict["loop"]))
     table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))

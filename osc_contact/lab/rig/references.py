@@ -22,6 +22,7 @@ from osc_contact.jerk_limits import rise
 from osc_contact.lab.scenarios.contact_keys import magnitude_names
 from osc_contact.lab.scenarios.schema import MotionSpec, Scenario, SurfaceMove
 from osc_contact.lab.scenarios.signals import Sine, Step, product, total
+from osc_contact.plan.sensed import forces_of
 from osc_contact.settings.control import Dither
 from osc_contact.settings.quantities import Length
 from osc_contact.spatial import Array, Poses, as_array, axial, cross, norm, rotated, rotations
@@ -145,10 +146,34 @@ class References:
 
     def forces(self, t: Array) -> Array:
         """Desired force magnitudes (r, k) at times t (k,) (s), in N."""
+        if self.planned is not None:
+            return self.planned[0][self._stage_at(t)].T
         names = force_names(self.scenario)
         signals = self.scenario.force
         magnitudes = [total(signals[name], t)[0] for name in names]
         return np.reshape(magnitudes, (len(names), len(t)))
+
+    @cached_property
+    def planned(self) -> tuple[Array, Array] | None:
+        """Forces (k, r) of the stages of a plan (N), and their active contacts (k, contacts).
+
+        For the checks before a run, the k stages share its duration evenly.
+        """
+        plan = self.scenario.plan
+        if plan is None:
+            return None
+        contacts = self.scenario.contacts
+        names = [contact.name for contact in contacts]
+        owners = np.repeat(np.arange(len(contacts)), [contact.forces for contact in contacts])
+        rows = [forces_of(stage.forces, names, owners) for stage in plan.made().stages]
+        alpha_d, active = zip(*rows, strict=True)
+        return np.array(alpha_d), np.array(active)
+
+    def _stage_at(self, t: Array) -> npt.NDArray[np.intp]:
+        """Indices (k,) of the stages of the plan at times t (k,) (s), which share the duration."""
+        assert self.planned is not None
+        count = len(self.planned[0])
+        return np.clip((t * count / self.scenario.duration).astype(np.intp), 0, count - 1)
 
     def commands(self, t: Array) -> Array:
         """Desired force magnitudes (r, k) at times t (k,) (s), 0 for inactive contacts (N)."""
@@ -165,6 +190,10 @@ class References:
 
         Empty if none are named.
         """
+        if self.planned is not None:
+            active_sets = self.planned[1]
+            length = self.scenario.duration / len(active_sets)
+            return [(k * length, active) for k, active in enumerate(active_sets)]
         spans = chain.from_iterable(self.scenario.active.values())
         ends = {end for end in chain.from_iterable(spans) if 0.0 < end < self.scenario.duration}
         times = np.array(sorted({0.0, *ends}))
@@ -180,6 +209,8 @@ class References:
 
         None: the scenario states no times, so that all contacts are active.
         """
+        if self.planned is not None:
+            return self.planned[1][self._stage_at(t)]
         spans = self.scenario.active
         if not spans:
             return None

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from osc_contact.loop.judge import Plant
 from osc_contact.loop.loop import run_loop
 from osc_contact.loop.protocols import Shows
 from osc_contact.loop.recorder import Recorder
+from osc_contact.plan.plan import Plan
 from osc_contact.recorder import Recording
 from osc_contact.spatial import Array
 
@@ -91,12 +93,58 @@ def run(
     )
     robot = rig.robot(simulated, controller)
     taring = controller if scenario.tare is None else Taring(rig, controller)
-    plan = rig.references.each(ticks, controller.dt)
+    if scenario.plan is not None:
+        plan = scenario.plan.made()
+        with _recorded_to_the_end(recorder, ticks, controller.dt):
+            run_loop(
+                robot,
+                controller,
+                plan,
+                recorder=recorder,
+                viewer=viewer,
+                progress=_aborting(plan, scenario.duration, progress),
+                check=False,
+            )
+        return recorder.recording({"plan": _course(plan)})
+    references = rig.references.each(ticks, controller.dt)
     with _recorded_to_the_end(recorder, ticks, controller.dt):
         run_loop(
-            robot, taring, plan, recorder=recorder, viewer=viewer, progress=progress, check=False
+            robot,
+            taring,
+            references,
+            recorder=recorder,
+            viewer=viewer,
+            progress=progress,
+            check=False,
         )
     return recorder.recording()
+
+
+def _aborting(plan: Plan, duration: float, progress: Progress | None) -> Progress:
+    """Make a function of the simulated time that aborts a plan at the end of the duration.
+
+    Args:
+        plan: plan of the run. duration: longest time of the run (s). progress: function that is
+            called with the simulated time, too; None: none.
+    """
+
+    def note(t: float) -> None:
+        """Abort the plan if the time (s) is over."""
+        if t >= duration:
+            plan.abort(f"duration = {duration:g} s is over; give a longer one, or faster motions")
+        if progress is not None:
+            progress(t)
+
+    return note
+
+
+def _course(plan: Plan) -> Json:
+    """Outcome of a plan with the verdicts on the stages passed, for a recording's `meta`."""
+    return {
+        "outcome": plan.outcome.value,
+        "reason": plan.reason,
+        "stages": [asdict(verdict) for verdict in plan.verdicts],
+    }
 
 
 @contextmanager

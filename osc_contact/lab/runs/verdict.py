@@ -67,6 +67,13 @@ RULES = (
         "it had stopped (SAFE_STOP) at the end; first reason, {reason}",
     ),
     Rule(
+        "NOT DONE",
+        "run",
+        "plan_failed",
+        0.0,
+        "the plan is {plan_outcome}: {plan_reason}",
+    ),
+    Rule(
         "RUN AWAY",
         "run",
         "distance",
@@ -206,7 +213,8 @@ def metrics(recording: Recording) -> Json:
     power {total_rms_W, projected_rms_W, ratio};
     tick_us {p50, p99, p99_9, max}; loop, as `LoopReport.as_dict` (null: not in real time);
     status {name: ticks}; at_limit [[joint, ticks], …] of motors that were at their limit, in order
-    of decreasing numbers of ticks.
+    of decreasing numbers of ticks; plan {outcome, reason, stages: [fields of `StageVerdict`, …]}
+    (null: the scenario has none).
 
     Names under force are those of the contacts; the magnitudes of a contact with several are called
     contact.1, contact.2, … rms_error is the rms of true force minus command; sensing is the
@@ -392,6 +400,7 @@ def _numbers(recording: Recording, sums: _Sums) -> Json:
         "learned_friction": _learned(losses, meta),
         "normals": dict(zip(recording.magnitude_names, meta.get("normal_std", []), strict=False)),
         "force_per_normal": meta.get("force_per_normal", 0.0),
+        "plan": meta.get("plan"),
     }
 
 
@@ -463,11 +472,15 @@ def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[J
     """
     meta = recording.meta
     landed = sums.ticks.landed
+    plan = meta.get("plan", {})
     distance, angle = sums.away.peak()
     run = {
         **verdict["status"],
         "ticks": verdict["ticks"],
         "stopped": meta.get("end_state") == "SAFE_STOP",
+        "plan_failed": plan.get("outcome", "done") != "done",
+        "plan_outcome": plan.get("outcome"),
+        "plan_reason": plan.get("reason"),
         "reason": meta.get("first_reason") or meta.get("end_reason") or "not recorded",
         "distance": distance,
         "off": sums.off.peak()[0],

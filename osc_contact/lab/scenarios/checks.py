@@ -33,7 +33,8 @@ def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
     if arms is not None:
         example = "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"
         yield from _entries("grasps", "arm", data.get("grasps"), dict.fromkeys(arms, 1), example)
-    if contact_names is not None:
+    yield from _plan_problems(data, contact_names)
+    if contact_names is not None and data.get("plan") is None:
         forces = dict(zip(contact_names, map(_forces, contacts), strict=True))
         example = "[{type: constant, value: 0 N}]"
         yield from _entries("force", "contact", data.get("force", {}), forces, example)
@@ -53,6 +54,35 @@ def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
     yield from _plant_problems(control, plant)
     if plant.type == "drake":
         yield from _drake_problems(plant, len(arms or ()))
+
+
+#: Keys of a scenario that a plan replaces.
+_OF_PLANS = ("force", "active", "motion", "squeeze", "tare")
+
+
+def _plan_problems(data: Mapping[str, Any], contacts: list[str] | None) -> Iterator[Problem]:
+    """Yield keys beside a plan that it replaces, and contacts of its stages that do not exist.
+
+    Args:
+        data: keys of a scenario. contacts: names of its contacts; None: they are not valid.
+    """
+    plan = data.get("plan")
+    if plan is None:
+        return
+    for key in _OF_PLANS:
+        if data.get(key):
+            text = "the stages of the plan have their own; leave it out, or leave out plan"
+            yield (key,), text
+    stages = _value(plan, "stages")
+    if contacts is None or not isinstance(stages, list | tuple):
+        return
+    for index, stage in enumerate(stages):
+        forces = _value(stage, "forces")
+        for name in forces if isinstance(forces, Mapping) else ():
+            if name not in contacts:
+                hint = did_you_mean(name, contacts)
+                place = ("plan", "stages", index, "forces", name)
+                yield place, f"no contact has this name; {hint}"
 
 
 def _body_problems(bodies: list[str], touched: list[Any]) -> Iterator[Problem]:

@@ -24,6 +24,7 @@ from osc_contact.lab.scenarios.bodies import ArmSpec, BodySpec, GraspSpec, Name,
 from osc_contact.lab.scenarios.checks import problems_across
 from osc_contact.lab.scenarios.contact_keys import AnyContact
 from osc_contact.lab.scenarios.hardware import PlantSpec, SensorsSpec
+from osc_contact.lab.scenarios.plan_keys import PlanKeys
 from osc_contact.lab.scenarios.signals import (
     AngleSignal,
     ForceSignal,
@@ -240,6 +241,9 @@ class Scenario(Spec):
     active while a force is desired of them"""
     motion: tuple[MotionSpec, ...] = ()
     """moves away from the start pose"""
+    plan: PlanKeys | None = None
+    """a [plan](plans.md#in-a-scenario) in place of `force`, `active` and `motion`, with which the
+    run ends; at `duration` it is aborted"""
     squeeze: Force = 0.0
     """internal force along the line between two grasps, > 0 compresses; with three arms or more
     along every such line, 0 for [least effort](theory.md#torques)"""
