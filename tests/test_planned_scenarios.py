@@ -11,6 +11,8 @@ from samples import parametrize
 import osc_contact as osc
 from osc_contact.lab.checks.inspection import inspect_rig
 from osc_contact.lab.reports.report import verdict_table
+from osc_contact.lab.reports.web_page import write_web_page
+from osc_contact.lab.runs.tape import build
 from osc_contact.lab.scenarios.plan_keys import CONDITIONS, MOTIONS, PlanKeys
 from osc_contact.plan import ends, motions
 
@@ -171,6 +173,20 @@ def test_a_plan_that_is_not_done_fails_the_run():
     task = osc.metrics(osc.run(with_plan(PRESS, slow)))["task"]
     assert (task["word"], task["failed"]) == ("NOT DONE", True)
     assert "the plan is failed: stage 'slide': 0.9 s without: moved by 50 mm" in task["why"][0]
+
+
+@parametrize(
+    "words, call",
+    {
+        "a recording to replay in C": lambda scenario, folder: build(
+            osc.build_rig(scenario), folder
+        ),
+        "a page": lambda scenario, folder: write_web_page(scenario, folder),
+    },
+)
+def test_uses_that_need_all_references_refuse_plans(words, call, tmp_path):
+    with scenario_error(f"plan: {words} needs the references of all times"):
+        call(with_plan(PRESS), tmp_path)
 
 
 def test_a_plan_is_aborted_at_the_end_of_the_duration():

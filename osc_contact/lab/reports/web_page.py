@@ -28,6 +28,7 @@ from osc_contact.lab.reports.mujoco_web import mujoco_files
 from osc_contact.lab.reports.one_page import licences, packed_files
 from osc_contact.lab.reports.viewing import content_of
 from osc_contact.lab.rig.contacts import environment_bodies, rails
+from osc_contact.lab.rig.references import require_known_times
 from osc_contact.lab.rig.rig import Rig, build_rig
 from osc_contact.lab.runs.run import run
 from osc_contact.lab.scenarios.schema import Scenario
@@ -226,7 +227,9 @@ def _references(rig: Rig) -> Array:
 
     Raises:
         InvalidInputError: the task is too long for a page.
+        ScenarioError: the scenario has a plan.
     """
+    require_known_times(rig.scenario, "a page")
     period = 1.0 / rig.scenario.control.rate
     ticks = round(rig.scenario.duration / period)
     if ticks > TICKS:

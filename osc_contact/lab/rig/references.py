@@ -67,6 +67,22 @@ def force_steps(scenario: Scenario) -> list[float]:
     return sorted(steps)
 
 
+def require_known_times(scenario: Scenario, use: str) -> None:
+    """Refuse a plan where the references of all times are needed before a run.
+
+    Args:
+        scenario: scenario of the run. use: what needs them, such as "a page", for the message.
+
+    Raises:
+        ScenarioError: the scenario has a plan.
+    """
+    if scenario.plan is not None:
+        raise ScenarioError(
+            f"plan: {use} needs the references of all times, which a plan gives in the run only; "
+            "run the scenario, or give force and motion in place of plan"
+        )
+
+
 _WHOLE = np.array([[1.0], [0.0], [0.0]])  #: the constant 1 with its derivatives, (3, 1)
 _AT_ONCE = 1000  #: number of references that are computed together
 _COMPARED = 100_000  #: number of ticks whose forces are compared together

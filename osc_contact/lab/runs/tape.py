@@ -14,6 +14,7 @@ from osc_contact.control.without_python import write_library
 from osc_contact.files import write_whole
 from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.checks.preflight import require_ready
+from osc_contact.lab.rig.references import require_known_times
 from osc_contact.lab.rig.rig import Rig
 from osc_contact.lab.runs.run import Taring, start
 from osc_contact.law.records import Bytes
@@ -133,7 +134,9 @@ def build(rig: Rig, folder: Path, ticks: int = 10_000, seed: int = 0) -> Tape:
     Raises:
         InvalidInputError: a pair, body or law can only be evaluated by Python.
         OscContactError: the law is not compiled to objects here, or the task cannot run.
+        ScenarioError: the scenario has a plan.
     """
+    require_known_times(rig.scenario, "a recording to replay in C")
     require_ready(rig)
     plant, controller = start(rig, seed)
     content = controller_bytes(controller)

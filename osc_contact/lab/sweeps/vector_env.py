@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from osc_contact.control.status import SafetyState
 from osc_contact.errors import InvalidInputError
+from osc_contact.lab.rig.references import require_known_times
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.lab.sweeps.fleet import Fleet, Start
 from osc_contact.lab.sweeps.rows import RigBuilder, without_logged_doubts
@@ -66,6 +67,7 @@ def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
     def make(number: int) -> Episode:
         """Make the episode of a sample: its rig, and its references at the ends of the steps."""
         rig = rigs.rig(study.scenario(study.sample(number)))
+        require_known_times(rig.scenario, "an environment")
         steps = np.floor(rig.scenario.duration / period + 1e-9)
         plan = rig.references.over(np.arange(steps + 1) * period)
         places = np.array([pin.XYZQUATToSE3(x).homogeneous for x in plan.X_WD])
