@@ -275,7 +275,7 @@ def test_overrides(override):
 
 BAD_OVERRIDES = {
     "plant.frction=0.1": "plant.frction: unknown key; did you mean 'friction' or 'joint_friction'?",
-    "plnt.friction=0.1": "plnt: unknown key; did you mean 'plant'?",
+    "plnt.friction=0.1": "plnt: unknown key; did you mean 'plant' or 'plan'?",
     "contacts.edn.radius=1": "contacts has no item 'edn'; did you mean 'end'? known: end",
     "contacts.1.radius=1": "contacts has no item '1'; known: end",
     "arms.left.posture.5=1": "arms.left.posture has no item '5'; items are 0 to 1",
