@@ -137,7 +137,8 @@ def write_whole(content: str | bytes, path: StrPath) -> Path:
     """Write a file (text as UTF-8) that appears complete or not at all; return its path.
 
     Args:
-        content: text or bytes. path: name of the file; its folder is made, an older file replaced.
+        content: text or bytes.
+        path: name of the file; its folder is made, an older file replaced.
 
     Raises:
         OSError: the file cannot be written.

@@ -150,8 +150,8 @@ class Measurement:
         """Convert and store the readings of one tick.
 
         Args:
-            q, v: (n,) joint positions (rad, m) and velocities (rad/s, m/s). wrenches: (arms, 6) of
-                the wrist sensors (N, N m).
+            q, v: (n,) joint positions (rad, m) and velocities (rad/s, m/s).
+            wrenches: (arms, 6) of the wrist sensors (N, N m).
             touched, joint_torques, stamps, seen, wrench_valid, sequence, estimated: see the class.
         """
         self.__dict__.update(
@@ -372,7 +372,8 @@ def _number_or_command(name: str, value: float | ArrayLike) -> float | Array:
     """Convert a number to a float, several numbers to an array of doubles.
 
     Args:
-        name: name of the field of the reference, for messages. value: a number, or several.
+        name: name of the field of the reference, for messages.
+        value: a number, or several.
 
     Raises:
         InvalidInputError: see `_command`.

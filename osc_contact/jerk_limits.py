@@ -61,13 +61,20 @@ class JerkLimits:
                 raise InvalidInputError(f"{key} limit {value}; give finite numbers > 0")
 
     def each(self, n: int) -> Bounds:
-        """Limits of velocity, acceleration and jerk as lists of `n` numbers.
+        """Limits for each of n coordinates; a limit with one number holds for all of them.
+
+        Args:
+            n: number of coordinates.
+
+        Returns:
+            Three lists of n numbers: limits of velocity, acceleration and jerk, in this order (m or
+            rad, over s, s², s³).
 
         Raises:
             InvalidInputError: a limit has neither one nor n numbers.
         """
         bounds = []
-        for key, value in vars(self).items():
+        for key, value in vars(self).items():  # in the order of the fields of this class
             bound = np.asarray(value, dtype=np.float64)
             if bound.shape not in ((), (1,), (n,)):
                 raise InvalidInputError(
@@ -85,9 +92,13 @@ def from_rest_to_rest(distance: float, v: float, a: float, j: float) -> Pieces:
     stays at its limit; the deceleration rises, stays and falls.
 
     Args:
-        distance: length of the path, ≥ 0.
-        v, a, j: limits of velocity, acceleration and jerk along the path.
+        distance: length of the path, ≥ 0 (m or rad).
+        v, a, j: limits of velocity, acceleration and jerk along the path, > 0.
+
+    Returns:
+        Durations (s) and jerks of the pieces; no pieces if the distance is zero.
     """
+    # `rise` is the time for which the acceleration rises: each limit and the distance bounds it
     rise = min(cbrt(0.5 * distance / j), sqrt(v / j), a / j)
     stay = 0.0
     if rise == a / j:  # the acceleration reaches its limit
@@ -106,33 +117,43 @@ def _to_rest(v0: float, a0: float, a: float, j: float) -> Pieces:
     """Time-optimal motion from velocity v0 and acceleration a0 to rest, at any position.
 
     Args:
-        v0, a0: velocity and acceleration at the beginning.
-        a, j: limits of acceleration and jerk.
+        v0, a0: velocity and acceleration at the beginning (m/s and m/s², or rad/s and rad/s²).
+        a, j: limits of acceleration and jerk, > 0.
+
+    Returns:
+        Durations (s) and jerks of three pieces.
     """
+    # velocity at the time at which the acceleration has been brought to zero with the largest jerk;
+    # if it is negative, the mirrored motion is computed, so that below the motion must slow down
     velocity_at_no_acceleration = v0 + a0 * abs(a0) / (2.0 * j)
     if velocity_at_no_acceleration < 0.0:
         return tuple((duration, -jerk) for duration, jerk in _to_rest(-v0, -a0, a, j))
+    # three pieces: the acceleration changes from a0 to −deceleration, stays there if that is its
+    # limit, and rises to zero
     deceleration = min(a, sqrt(max(0.0, j * v0 + 0.5 * a0 * a0)))
-    first = abs(a0 + deceleration) / j
+    first_duration = abs(a0 + deceleration) / j
     stay = 0.0
     if deceleration == a:
-        stay = max(0.0, (v0 + 0.5 * first * (a0 - a)) / a - 0.5 * a / j)
+        stay = max(0.0, (v0 + 0.5 * first_duration * (a0 - a)) / a - 0.5 * a / j)
     first_jerk = -j if a0 > -deceleration else j
-    return ((first, first_jerk), (stay, 0.0), (deceleration / j, j))
+    return ((first_duration, first_jerk), (stay, 0.0), (deceleration / j, j))
 
 
 def follow(
     pieces: Pieces, t: float, x: float = 0.0, v: float = 0.0, a: float = 0.0
 ) -> tuple[float, float, float]:
-    """Position, velocity and acceleration at the time t of a motion.
+    """Compute the state of a coordinate at the time t of a motion with pieces of constant jerk.
 
     Args:
         pieces: duration (s) and jerk of each phase.
         t: time since the beginning of the first phase (s).
-        x, v, a: position, velocity and acceleration at the beginning.
+        x, v, a: position, velocity and acceleration at the beginning (m or rad, over s, s²).
+
+    Returns:
+        Position, velocity and acceleration at the time t.
     """
     for duration, jerk in pieces:
-        h = min(t, duration)
+        h = min(t, duration)  # time within this piece; 0 in pieces after t
         x += h * (v + h * (a / 2.0 + h * jerk / 6.0))
         v += h * (a + h * jerk / 2.0)
         a += h * jerk
@@ -146,7 +167,8 @@ def rise(t: Any, start: float, duration: float) -> tuple[Any, Any, Any]:
     A rise of zero duration is a step whose derivatives are zero.
 
     Args:
-        t: time (s), or several times (k,). start, duration: beginning and duration of the rise (s).
+        t: time (s), or several times (k,).
+        start, duration: beginning and duration of the rise (s).
 
     Returns:
         Value, first derivative (1/s) and second derivative (1/s²), each a number or (k,).
@@ -189,6 +211,7 @@ class _StopAndGo:
             goal: (n,) position at the end.
             limits: (3, n) of velocity, acceleration and jerk.
         """
+        # first part: every coordinate is brought to rest independently, the last one at `_stopped`
         self._begin = (x, v, a)
         _, most_acceleration, most_jerk = limits
         self._stops = [
@@ -197,6 +220,9 @@ class _StopAndGo:
         ]
         self._ends = [_duration(stop) for stop in self._stops]
         self._stopped = max(self._ends)
+
+        # second part: a straight line to the goal; s is the distance of the coordinate with the
+        # longest way, and the limits along s are those of the coordinate that reaches them first
         self._corner = self._stopping(self._stopped)[0]
         line = np.nan_to_num(goal - self._corner)
         length = float(np.abs(line).max())
@@ -254,6 +280,7 @@ class _Fastest:
         """
         ruckig = _ruckig()
         n = len(x)
+        # from the origin and in units of the velocity limits, ruckig's tolerances suit any motion
         unit = limits[0]
         self._origin = x
         self._unit = unit
@@ -310,12 +337,14 @@ class Trajectory:
     """
 
     def __init__(self, x: Array, v: Array, a: Array, goal: Array, bounds: Bounds) -> None:
-        """Compute the trajectory and set its clock to zero.
+        """Compute the fastest trajectory to rest at the goal, and set its clock to zero.
 
         Args:
-            x, v, a: (n,) position, velocity and acceleration at the beginning.
-            goal: (n,) position at the end.
-            bounds: limits of velocity, acceleration and jerk, n numbers each.
+            x, v, a: (n,) position, velocity and acceleration at the beginning (m or rad, over s,
+                s²).
+            goal: (n,) position at the end, where the coordinates come to rest (m or rad).
+            bounds: limits of velocity, acceleration and jerk, n numbers each (m or rad, over s, s²,
+                s³).
         """
         self.goal = goal
         self._path = _fastest(x, v, a, goal, np.array(bounds))
@@ -323,10 +352,14 @@ class Trajectory:
 
     @classmethod
     def rest(cls, x: Array, bounds: Bounds) -> Trajectory:
-        """Trajectory of no length: rest at x (n,).
+        """Make a trajectory without motion, at rest at x.
+
+        Args:
+            x: (n,) position (m or rad).
+            bounds: limits of velocity, acceleration and jerk, n numbers each.
 
         Raises:
-            OscContactError: ruckig is not installed.
+            OscContactError: ruckig is not installed; it is needed for later trajectories.
         """
         _ruckig()
         return cls(x, 0.0 * x, 0.0 * x, x, bounds)
@@ -337,7 +370,10 @@ class Trajectory:
 
     @property
     def state(self) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration (n,) now, as new arrays; at the end at rest."""
+        """Position, velocity and acceleration (n,) at the clock's time, as new arrays.
+
+        From the end of the trajectory on it is the goal, at rest.
+        """
         if self._t >= self._path.duration:
             return (self.goal.copy(), np.zeros(len(self.goal)), np.zeros(len(self.goal)))
         x, v, a = self._path.at_time(self._t)
@@ -351,6 +387,9 @@ class Trajectory:
 
 def _fastest(x: Array, v: Array, a: Array, goal: Array, limits: Array) -> _Fastest | _StopAndGo:
     """Compute the fastest trajectory: by ruckig with ever lower limits, else in closed form.
+
+    From rest the closed form is the fastest one. From other states ruckig is tried; at the borders
+    between its cases it fails, but succeeds with limits that are lower by rounding errors.
 
     Args:
         x, v, a: (n,) position, velocity and acceleration at the beginning.

@@ -134,7 +134,8 @@ class MovedModules(MetaPathFinder, Loader):
         """Find the spec of a module that moved, or out of which names moved; else None.
 
         Args:
-            fullname: name that is imported. path, target: see `importlib.abc.MetaPathFinder`.
+            fullname: name that is imported.
+            path, target: see `importlib.abc.MetaPathFinder`.
         """
         if new_name(fullname) is not None:
             return ModuleSpec(fullname, self, is_package=True)
@@ -161,7 +162,8 @@ def _exec_with_old_names(exec_module: Callable[[ModuleType], None], module: Modu
     """Execute a module, and let it find names that moved out of it in their present modules.
 
     Args:
-        exec_module: method of its loader. module: the empty module.
+        exec_module: method of its loader.
+        module: the empty module.
     """
     exec_module(module)
     module.__getattr__ = partial(_name_elsewhere, module.__name__)  # type: ignore[method-assign]
@@ -171,7 +173,8 @@ def _name_elsewhere(module: str, name: str) -> Any:
     """Import a name that moved out of a module, and warn; return the object.
 
     Args:
-        module: full name of the old module. name: the name.
+        module: full name of the old module.
+        name: the name.
 
     Raises:
         AttributeError: the module never had this name.

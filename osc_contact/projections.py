@@ -74,8 +74,9 @@ def _onto(columns: Array, metric: Array, subject: str) -> Array:
     """Compute the projection N (NᵀΦN)⁻¹ NᵀΦ (n, n) onto the range of N.
 
     Args:
-        columns: N (n, k). metric: Φ (n, n), positive semidefinite. subject: name of the result, for
-            messages.
+        columns: N (n, k).
+        metric: Φ (n, n), positive semidefinite.
+        subject: name of the result, for messages.
 
     Raises:
         ContactError: see `orthonormal`.

@@ -167,7 +167,8 @@ def carry_twist(V: Array, start: Array, end: Array) -> Array:
     """Move twists from a reference point to another one: v_end = v_start + ω × (end − start).
 
     Args:
-        V: (6,) or (6, k) twists at `start` (m/s, rad/s). start, end: (3,) points (m).
+        V: (6,) or (6, k) twists at `start` (m/s, rad/s).
+        start, end: (3,) points (m).
 
     Returns:
         Twists at `end`, of the shape of V.
@@ -181,7 +182,8 @@ def carry_wrench(F: Array, start: Array, end: Array) -> Array:
     """Move wrenches from a reference point to another one: m_end = m_start + (start − end) × f.
 
     Args:
-        F: (6,) or (6, k) wrenches at `start` (N, N m). start, end: (3,) points (m).
+        F: (6,) or (6, k) wrenches at `start` (N, N m).
+        start, end: (3,) points (m).
 
     Returns:
         Wrenches at `end`, of the shape of F.

@@ -142,15 +142,17 @@ class Contact:
             return cls(np.zeros((6, 0)))
         N = np.hstack([c.N for c in contacts])
         n_gamma = np.concatenate([c.n_gamma for c in contacts])
-        weighed = N if Phi_ref is None else _factor(Phi_ref).T @ N
-        scaled, size = projections.scaled_columns(weighed)
+        # with Φ = L Lᵀ, lengths of the columns of LᵀN are √(nᵀΦn), independent of frame and unit
+        metric_columns = N if Phi_ref is None else _factor(Phi_ref).T @ N
+        unit_columns, size = projections.scaled_columns(metric_columns)
         R = None
-        if not projections.independent(scaled):
-            keep, R = reduce(scaled, size)
+        if not projections.independent(unit_columns):
+            keep, R = select_columns(unit_columns, size)
             owners = [c.name or f"contact {i}" for i, c in enumerate(contacts) for _ in range(c.r)]
             require_consistent(n_gamma, keep, R, size, owners)
             N = N[:, keep]
             n_gamma = n_gamma[keep]
+        # contacts that were stacked before have coordinates R of their own
         if not all(c.split_is_unique for c in contacts):
             R_of_contacts = block_diagonal([c.R for c in contacts])
             R = R_of_contacts if R is None else R @ R_of_contacts
@@ -271,35 +273,38 @@ def require_reciprocal(N: Array, T: Array) -> None:
         )
 
 
-def reduce(scaled: Array, size: Array) -> tuple[list[int], Array]:
-    """Select independent columns, and compute R (rank, k) with columns = columns[:, keep] R.
+def select_columns(unit_columns: Array, size: Array) -> tuple[list[int], Array]:
+    """Select independent columns, and compute the coordinates of all columns in these.
 
-    The rank is that of the scaled columns. A column is selected if it is the first one whose part
-    outside the span of those before is at least `_PIVOT` times the largest such part: this is
-    well-conditioned, and unaffected by rounding if several columns are equally suitable.
+    Columns are selected one after the other. The next one is the first whose part outside the span
+    of those selected so far is at least `_PIVOT` times the largest such part. The selection is
+    therefore well-conditioned, and rounding does not change it if several columns are equally
+    suitable.
 
     Args:
-        scaled: (6, k) columns of unit length.
-        size: (k,) lengths of the columns before they were scaled.
+        unit_columns: (6, k) columns N_all, each divided by its length.
+        size: (k,) lengths of the columns.
 
     Returns:
-        Indices `keep` of the selected columns, ascending, and R for the columns before scaling.
+        Indices of the selected columns in ascending order, as many as the rank of `unit_columns`,
+        and R (rank, k) with N_all = N_all[:, indices] R.
     """
-    rank = int((np.linalg.svd(scaled, compute_uv=False) >= projections.INDEPENDENT).sum())
-    remainder = scaled.copy()
+    singular_values = np.linalg.svd(unit_columns, compute_uv=False)
+    rank = int((singular_values >= projections.INDEPENDENT).sum())
+    remainder = unit_columns.copy()  # parts of the columns outside the span of the selected ones
     keep: list[int] = []
     for _ in range(rank):
         length = np.linalg.norm(remainder, axis=0)
         length[keep] = 0.0
-        first = int((length >= _PIVOT * length.max()).argmax())
-        keep.append(first)
-        q = remainder[:, first] / length[first]
+        pivot = int((length >= _PIVOT * length.max()).argmax())
+        keep.append(pivot)
+        q = remainder[:, pivot] / length[pivot]
         for _ in range(2):  # twice is enough for orthogonality to rounding
             remainder -= np.outer(q, q @ remainder)
     keep.sort()
-    R = np.linalg.lstsq(scaled[:, keep], scaled, rcond=None)[0]
-    R[:, keep] = np.eye(rank)
-    return (keep, R * size / size[keep][:, None])
+    R = np.linalg.lstsq(unit_columns[:, keep], unit_columns, rcond=None)[0]
+    R[:, keep] = np.eye(rank)  # exact, in place of rounding errors
+    return (keep, R * size / size[keep][:, None])  # for the columns with their own lengths
 
 
 def require_consistent(

@@ -108,7 +108,8 @@ def _require_sizes(shape: Peg | Hole, *names: str) -> None:
     """Refuse another shape of the cross section, and sizes that are not positive.
 
     Args:
-        shape: peg or hole. *names: names of its sizes (m).
+        shape: peg or hole.
+        *names: names of its sizes (m).
 
     Raises:
         InvalidInputError: with the value.
@@ -170,7 +171,8 @@ class _Pairs:
     the hole are transformed to the frame of its body.
 
     Args:
-        peg: peg. hole: hole.
+        peg: peg.
+        hole: hole.
     """
 
     def __init__(self, peg: Peg, hole: Hole) -> None:
@@ -232,8 +234,10 @@ class _Pairs:
         """Pair of a point of the peg and a plane of the hole.
 
         Args:
-            name: name of the pair. point: point of the peg. on: point of the plane. normal: normal
-                out of the plane's material.
+            name: name of the pair.
+            point: point of the peg.
+            on: point of the plane.
+            normal: normal out of the plane's material.
         """
         return VertexOnFace(point, self._place(on), self._rotate(normal), name=name)
 
@@ -257,8 +261,10 @@ class _Pairs:
         """Pair of an edge of the peg and the rim of the square hole on a side.
 
         Args:
-            name: name of the pair. point, direction: point and direction of the edge. rim: side of
-                the rim, such as "+x". outward: direction out of the material at the rim.
+            name: name of the pair.
+            point, direction: point and direction of the edge.
+            rim: side of the rim, such as "+x".
+            outward: direction out of the material at the rim.
         """
         side = SIDES[rim]
         edge = self._rotate(np.cross(_INTO, side))
@@ -269,8 +275,9 @@ class _Pairs:
         """Pair of a side of the peg and a point of the rim.
 
         Args:
-            name: name of the pair. side: direction of the side. offset: offset of the point from
-                the middle of the rim (m).
+            name: name of the pair.
+            side: direction of the side.
+            offset: offset of the point from the middle of the rim (m).
         """
         point = self._place(self._hole * side + offset)
         return FaceOnVertex(self._peg * side, side, point, name=name)

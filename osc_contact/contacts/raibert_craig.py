@@ -134,7 +134,8 @@ def as_raibert_craig(
     P = _RELABEL[np.einsum("ij,pji->p", triads[i_best], _RELABEL).argmax()]
     selected = (flags[i_best].reshape(2, 3) @ np.abs(P)) > 0.5
     forces, couples = ((bool(x), bool(y), bool(z)) for x, y, z in selected)
-    reason = "" if sine[i_best] <= tolerance else _why(Q, size, tolerance, sum(forces))
+    is_described = sine[i_best] <= tolerance
+    reason = "" if is_described else _violation_in_words(Q, size, tolerance, sum(forces))
     frame = SE3(triads[i_best] @ P, middle + size * points[i_best])
     return RaibertCraig(frame, forces, couples, float(sine[i_best]), reason)
 
@@ -143,7 +144,8 @@ def _flags(name: str, flags: Sequence[bool]) -> Array:
     """Check three flags; return them as an array (3,).
 
     Args:
-        name: name of the argument, for the message. flags: three times True or False.
+        name: name of the argument, for the message.
+        flags: three times True or False.
 
     Raises:
         InvalidInputError: not three flags.
@@ -177,49 +179,84 @@ def _orthonormal(columns: Array, centre: Array, size: float) -> tuple[Array, ...
 # Reasons why no frame describes a space -----------------------------------------------------------
 
 
-def _why(Q: Array, size: float, tolerance: float, forces: int) -> str:
-    """Sentence on the violated conditions (i) and (ii), with the amounts of the violations.
+def _violation_in_words(Q: Array, size: float, tolerance: float, forces: int) -> str:
+    """Sentence on the conditions that N violates so that no constraint frame describes it.
+
+    F is the space of the directions of the forces in N, k its dimension; C is the space of the pure
+    couples in N; m(u) is the moment of a force u. A frame describes N if and only if
+
+        (i)  F and C share a triad of axes, and
+        (ii) there is a point p with m(u) − p × u in C for every u in F.
 
     Args:
         Q: (6, r) orthonormal basis of N, moments about the centre divided by the object's size.
         size: length of the object by which moments are divided (m).
         tolerance: largest residual of a frame that describes N.
         forces: number of forces that the nearest frame selects.
+
+    Returns:
+        Sentence with the amount of each violation; a condition violated by rounding errors only is
+        left out unless it is the larger violation.
     """
+    # Singular values of the force part are the strengths of the forces. The k combinations of
+    # columns with a force span F, the others have only couples and span C.
     r = Q.shape[1]
     U, sigma, Vh = np.linalg.svd(Q[:3])
     k = int((sigma > tolerance).sum())
     F = U[:, :k]
-    wrenches = Q @ Vh[:k].T / sigma[:k]
-    couples = np.linalg.svd(Q[3:] @ Vh[k:].T)[0]
-    beyond_C = couples[:, r - k :] @ couples[:, r - k :].T  # projector on the complement of C
-    # (i): the axes of F and C are parallel or perpendicular
+    moments = (Q @ Vh[:k].T / sigma[:k])[3:]  # (3, k) m(u) of the unit forces u in F
+    U_C = np.linalg.svd(Q[3:] @ Vh[k:].T)[0]  # the first r − k columns span C
+
+    # (i) holds if the axes of F and C are parallel or perpendicular, so that sin(2 angle) = 0
     a = axis_of(U, k)
-    b = axis_of(couples, r - k)
+    b = axis_of(U_C, r - k)
     angle = 0.0 if a is None or b is None else float(np.arctan2(norm(cross(a, b)), a @ b))
     tilt = abs(np.sin(2.0 * angle))
+    miss = _couple_about_best_point(F, moments, U_C[:, r - k :])
 
-    # (ii): least squares for the point p; `miss` is the largest remaining moment
-    system = np.concatenate([-beyond_C @ skew(u) for u in F.T] or [np.zeros((0, 3))])
-    moments = beyond_C @ wrenches[3:]
-    p = np.linalg.pinv(system, rcond=POINT) @ moments.T.ravel()
-    miss = float(np.linalg.norm(moments - beyond_C @ skew(p) @ F, 2)) if k else 0.0
     reasons = []
     if tilt > _VISIBLE or tilt > miss:
         reasons.append(_tilt_in_words(k, r - k, angle))
     if miss > _VISIBLE or miss >= tilt:
-        reasons.append(_miss_in_words(F, wrenches[3:], r - k, miss, size))
+        reasons.append(_miss_in_words(F, moments, r - k, miss, size))
     if forces != k:
         reasons.append(f"the nearest frame has forces on {forces}, couples on {r - forces} axes")
     return "; ".join(reasons)
 
 
-def _tilt_in_words(forces: int, couples: int, angle: float) -> str:
-    """Sentence on a violation of condition (i), with the angle between the axes of F and C.
+def _couple_about_best_point(F: Array, moments: Array, complement_of_C: Array) -> float:
+    """Largest couple that remains of a unit force if forces are taken through the best point p.
+
+    If all forces act through one point p, the moment m(u) of a force u in F is p × u and a couple
+    in the space C. Otherwise a part of m(u) − p × u outside C remains; the best p makes its sum of
+    squares over orthonormal u least.
 
     Args:
-        forces, couples: dimensions of F and C, 1 or 2.
-        angle: angle between their axes, 0 … π (rad).
+        F: (3, k) orthonormal directions of the forces.
+        moments: (3, k) moments m(u) of these about the centre, divided by the object's size.
+        complement_of_C: (3, 3 − c) orthonormal basis of the complement of C, with c its dimension.
+
+    Returns:
+        Couple, divided by the object's size; 0 without forces.
+    """
+    projector = complement_of_C @ complement_of_C.T
+    # equations projector (p × u) = projector m(u) for each u, with p × u = −[u]× p
+    system = np.concatenate([-projector @ skew(u) for u in F.T] or [np.zeros((0, 3))])
+    right_side = projector @ moments
+    p = np.linalg.pinv(system, rcond=POINT) @ right_side.T.ravel()
+    if F.shape[1] == 0:
+        return 0.0
+    return float(np.linalg.norm(right_side - projector @ skew(p) @ F, 2))
+
+
+def _tilt_in_words(forces: int, couples: int, angle: float) -> str:
+    """Sentence on a violation of condition (i): no triad of axes is common to forces and couples.
+
+    Args:
+        forces: dimension of the space F of the directions of forces, 1 (a line) or 2 (a plane).
+        couples: dimension of the space C of pure couples, 1 or 2.
+        angle: angle between the axes of F and C, each along the line or normal to the plane,
+            0 … π (rad).
     """
     angle = min(angle, np.pi - angle)
     line = "the line of the"
@@ -232,7 +269,9 @@ def _tilt_in_words(forces: int, couples: int, angle: float) -> str:
 
 
 def _miss_in_words(F: Array, moments: Array, couples: int, miss: float, size: float) -> str:
-    """Sentence on a violation of condition (ii): distance of two force lines, or remaining couple.
+    """Sentence on a violation of condition (ii): the forces do not act through one point.
+
+    It states the distance of the two lines of force if there are two, else the remaining couple.
 
     Args:
         F: (3, k) orthonormal directions of the forces.

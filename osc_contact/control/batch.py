@@ -77,7 +77,8 @@ class BatchController:
         """Refuse a controller that cannot be a row of the batch.
 
         Args:
-            i: number of the row. controller: controller of this row.
+            i: number of the row.
+            controller: controller of this row.
 
         Raises:
             InvalidInputError: its structure differs from that of row 0, or it needs Python in the
@@ -139,7 +140,8 @@ class BatchController:
 
         Args:
             q, v: (B, n) measured joint positions and velocities (rad, m; rad/s, m/s).
-            wrenches: (B, arms, 6) readings of the wrists (N, N m). X_WD: (B, 4, 4) desired pose.
+            wrenches: (B, arms, 6) readings of the wrists (N, N m).
+            X_WD: (B, 4, 4) desired pose.
             V_D, A_D: (B, 6) desired twist (m/s, rad/s) and classical acceleration (m/s², rad/s²) of
                 the object; None: 0.
             alpha_d: (B, r) desired contact forces (N); None: 0.
@@ -198,7 +200,8 @@ class BatchController:
         """Run the ticks of all rows, a part of them in each thread, the first part in this one.
 
         Args:
-            flags: switches of the job, see `law.rows.rows`. args: arrays of inputs of all rows.
+            flags: switches of the job, see `law.rows.rows`.
+            args: arrays of inputs of all rows.
 
         Raises:
             Exception: raised in one of the threads, after all of them have ended.
@@ -219,8 +222,10 @@ class BatchController:
         """Run the ticks of some rows in one thread; rows that saturate are completed in Python.
 
         Args:
-            thread: number of the thread. first, end: first row, and the row after the last one.
-            flags: switches of the job, see `law.rows.rows`. args: arrays of inputs of all rows.
+            thread: number of the thread.
+            first, end: first row, and the row after the last one.
+            flags: switches of the job, see `law.rows.rows`.
+            args: arrays of inputs of all rows.
         """
         job = self._jobs[thread]
         start = self._bytes.starts[thread]
@@ -240,7 +245,9 @@ class BatchController:
         If the quadratic program has no solution, the row's tick is run again with switch MISFIT.
 
         Args:
-            i: number of the row. thread: number of its thread. args: arrays of inputs of all rows.
+            i: number of the row.
+            thread: number of its thread.
+            args: arrays of inputs of all rows.
         """
         rows = TickRecords(self._bytes, i, thread)
         if i not in self._limits:
@@ -369,7 +376,8 @@ def _table(name: str, x: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
     """Input of a batch as an array in which the values of all rows follow each other.
 
     Args:
-        name: name of the input, for messages. x: numbers, which need not be finite; None: zeros.
+        name: name of the input, for messages.
+        x: numbers, which need not be finite; None: zeros.
         shape: (rows, values of each row, …) that x must have.
 
     Returns:

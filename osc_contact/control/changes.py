@@ -170,7 +170,8 @@ def _flatten(path: str, value: Any) -> dict[str, Any]:
     """Map the path of each key in a group of settings, nested groups included, to its value.
 
     Args:
-        path: path of the group, such as "gains". value: a group of settings, or a single value.
+        path: path of the group, such as "gains".
+        value: a group of settings, or a single value.
     """
     fields = getattr(type(value), "model_fields", None)
     if fields is None:

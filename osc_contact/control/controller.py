@@ -88,7 +88,8 @@ class Controller(ControllerState):
             `JointFriction()`; False: no compensation.
 
     Attributes:
-        settings: all settings. laws: custom laws.
+        settings: all settings.
+        laws: custom laws.
         chain, contacts, gains, dt, B, bodies, posture, friction, life, reading: single settings
             (`reading` as chosen if it was None).
 
@@ -187,8 +188,10 @@ class Controller(ControllerState):
         """Set the attributes of a new controller, with a MEMORY of zeros.
 
         Args:
-            settings: settings of the controller. laws: custom laws. start: check of the first
-                ticks. model: bytes of MODEL, packed from the settings.
+            settings: settings of the controller.
+            laws: custom laws.
+            start: check of the first ticks.
+            model: bytes of MODEL, packed from the settings.
         """
         records = TickRecords(model)
         self.__dict__.update(
@@ -211,7 +214,8 @@ class Controller(ControllerState):
         """Set an attribute that may change after construction.
 
         Args:
-            name: name in `_SETTABLE`, or a private name. value: value of the attribute.
+            name: name in `_SETTABLE`, or a private name.
+            value: value of the attribute.
 
         Raises:
             InvalidInputError: the attribute is fixed at construction.
@@ -278,7 +282,8 @@ class Controller(ControllerState):
         """Compute the torques (n_a,) of a tick with unusable inputs by the safety layer (N m, N).
 
         Args:
-            measurement, reference: inputs of the tick. error: exception that they raised.
+            measurement, reference: inputs of the tick.
+            error: exception that they raised.
 
         Raises:
             InvalidInputError: in the first tick, for arrays of wrong shapes.
@@ -490,7 +495,8 @@ def _require_beginning(laws: Laws | None, life: PhaseSettings | None, *, in_cont
     """Refuse custom laws of another class, and open contacts that would never be approached.
 
     Args:
-        laws: custom laws, or None. life: settings of the contact phases, or None.
+        laws: custom laws, or None.
+        life: settings of the contact phases, or None.
         in_contact: False if contacts that push are open at the start.
 
     Raises:

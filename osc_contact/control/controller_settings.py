@@ -10,7 +10,7 @@ import numpy as np
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.contacts.pairs.keys import require_object_fits, store
-from osc_contact.contacts.pairs.pair import knows_where_it_slides
+from osc_contact.contacts.pairs.pair import has_known_points
 from osc_contact.dynamics.arm import stretched_length
 from osc_contact.dynamics.assembly import require_in_range
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -100,7 +100,7 @@ class Settings:
         bodies = self._listed_bodies(contacts)
         posture = self._checked_posture()
         for pair in contacts:
-            if self.friction is not None and not knows_where_it_slides(pair):
+            if self.friction is not None and not has_known_points(pair):
                 raise InvalidInputError(
                     f"contact '{pair.name}' is a {type(pair).__name__}, which has no points of "
                     "contact, so its friction is not known. Leave control.friction out, or give "
@@ -248,18 +248,24 @@ class Settings:
 
 
 def choose_reading(requested: Reading | None, pairs: Sequence[ContactPair]) -> Reading:
-    """Choose the method of computing contact forces: least squares if a pair has known points.
+    """Choose the method by which contact forces are computed from the wrists' readings.
 
     Args:
-        requested: method that the user requests, or None. pairs: contact pairs.
+        requested: method that the user requests; None: no request.
+        pairs: contact pairs of the controller.
+
+    Returns:
+        The requested method. Without a request "least_squares" if a pair pushes at known points,
+        because friction then does not change the result; "filter" if the points of all pairs are
+        unknown, which least squares need.
 
     Raises:
         InvalidInputError: the requested method is unknown.
     """
     if requested not in (None, "filter", "least_squares"):
         raise InvalidInputError(
-            f"reading = '{requested}'; give 'filter', 'least_squares' or None, which chooses"
+            f"reading = '{requested}'; give 'filter', 'least_squares' or None for the default"
         )
     if requested is not None:
         return requested
-    return "least_squares" if any(map(knows_where_it_slides, pairs)) else "filter"
+    return "least_squares" if any(map(has_known_points, pairs)) else "filter"

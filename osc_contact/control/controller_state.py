@@ -28,7 +28,8 @@ def _six_numbers(field: str, doc: str) -> property:
     """Make a property of a controller for a field of MEMORY with six numbers.
 
     Args:
-        field: name of the field. doc: docstring of the property.
+        field: name of the field.
+        doc: docstring of the property.
     """
 
     def read(controller: ControllerState) -> Array:

@@ -13,7 +13,7 @@ import pinocchio as pin
 from pinocchio import SE3
 
 from osc_contact.contacts.pairs import ContactPair
-from osc_contact.contacts.pairs.pair import knows_where_it_slides
+from osc_contact.contacts.pairs.pair import has_known_points
 from osc_contact.control.controller_settings import Settings
 from osc_contact.control.packing import pack_model
 from osc_contact.control.records import TickRecords
@@ -61,8 +61,10 @@ def _require(law: str, returned: Any, shape: tuple[int, ...], expected: str) -> 
     """Check the result of a custom law; return it as an array.
 
     Args:
-        law: name of the law. returned: result of the user's function. shape: required shape.
-            expected: description of the required result for the message.
+        law: name of the law.
+        returned: result of the user's function.
+        shape: required shape.
+        expected: description of the required result for the message.
 
     Raises:
         InvalidInputError: another shape, or numbers that are not finite.
@@ -143,8 +145,10 @@ class CustomParts:
         """Find the pairs and bodies that the compiled law cannot evaluate.
 
         Args:
-            settings: settings of the controller. laws: custom laws. head: view of MODEL, in which
-                such pairs have the kind GIVEN and such bodies the kind ELSEWHERE.
+            settings: settings of the controller.
+            laws: custom laws.
+            head: view of MODEL, in which such pairs have the kind GIVEN and such bodies the kind
+                ELSEWHERE.
         """
         self.settings = settings
         self.laws = laws
@@ -247,7 +251,8 @@ class CustomParts:
         `acceleration_t` and `f_S`.
 
         Args:
-            parts: the tick, with contacts placed. reference: reference of the tick.
+            parts: the tick, with contacts placed.
+            reference: reference of the tick.
 
         Returns:
             False if the tick has ended HELD.
@@ -280,7 +285,8 @@ class CustomParts:
         """Evaluate the active custom pairs at the object's pose in WORK.
 
         Args:
-            records: records of the tick. measurement: measurement with the touched bodies' motion.
+            records: records of the tick.
+            measurement: measurement with the touched bodies' motion.
 
         Returns:
             For each pair, by its index, N (6, r), n_γ (r,) and the points of contact (r, 3)
@@ -308,7 +314,7 @@ class CustomParts:
                 columns = columns @ contact.R
             N = columns[:6]
             points = None
-            if knows_where_it_slides(pair):
+            if has_known_points(pair):
                 points = pair.points_of_contact(X_WO, *face[:1]).T - X_WO.translation
                 if len(points) != N.shape[1]:
                     raise ContactError(
@@ -322,8 +328,8 @@ class CustomParts:
         """Evaluate the custom bodies, and write Φ_e, b_e and V_e (eq. 14) to `answer` of WORK.
 
         Args:
-            records: records of the tick, with the point O (m) in WORK. touched: measured motion of
-                the touched bodies.
+            records: records of the tick, with the point O (m) in WORK.
+            touched: measured motion of the touched bodies.
         """
         p_O = records.work.p_O.copy()
         for number, body in self._bodies:
@@ -343,8 +349,8 @@ class CustomParts:
         closed where their contact is closed.
 
         Args:
-            old: records of the controller. changed: new numbers of columns by the index of the
-                pair.
+            old: records of the controller.
+            changed: new numbers of columns by the index of the pair.
 
         Returns:
             The new records.
@@ -406,7 +412,8 @@ def impedance(stiffness: npt.ArrayLike = (1000.0, 100.0), damping_ratio: float =
 
     Args:
         stiffness: K, of positions (N/m) and angles (N m/rad), or (6,) along and about the world's
-            axes; ≥ 0. damping_ratio: ζ ≥ 0.
+            axes; ≥ 0.
+        damping_ratio: ζ ≥ 0.
 
     Raises:
         InvalidInputError: another number of values, or one out of bounds.
@@ -439,8 +446,10 @@ def admittance(
     The law has a state; give it as ``laws=lambda: osc.admittance(...)``, one for each controller.
 
     Args:
-        mass: M > 0 (kg; kg m²). damping: D ≥ 0 (N s/m; N m s/rad). stiffness: K ≥ 0 (N/m;
-            N m/rad). Each of positions and angles, or (6,) along and about the world's axes.
+        mass: M > 0 (kg; kg m²).
+        damping: D ≥ 0 (N s/m; N m s/rad).
+        stiffness: K ≥ 0 (N/m; N m/rad). Each of positions and angles, or (6,) along and about the
+            world's axes.
         frequency: ω/2π > 0 (Hz) of the position controller.
 
     Raises:
@@ -460,8 +469,9 @@ def _on_axes(name: str, numbers: npt.ArrayLike, positive: bool = False) -> Array
     """Expand a parameter of an impedance to (6,): a linear and an angular value, or all six.
 
     Args:
-        name: name of the parameter, for messages. numbers: two or six numbers. positive: True if 0
-            is not allowed.
+        name: name of the parameter, for messages.
+        numbers: two or six numbers.
+        positive: True if 0 is not allowed.
 
     Raises:
         InvalidInputError: another number of values, or a value out of bounds.
@@ -523,8 +533,9 @@ class _Structure(ABC):
         """Compute the commanded motion and the additional wrench, at O in world axes.
 
         Args:
-            work: WORK of the tick. desired: (6,) N α_d (N, N m). reading: (6,) wrist reading less
-                bias (N, N m).
+            work: WORK of the tick.
+            desired: (6,) N α_d (N, N m).
+            reading: (6,) wrist reading less bias (N, N m).
 
         Returns:
             Classical acceleration (6,) (m/s², rad/s²) and wrench (6,) (N, N m).
@@ -534,7 +545,8 @@ class _Structure(ABC):
         """Compute the damping wrench (d,) for the error rate ė, along the axes that are not locked.
 
         Args:
-            Lambda: (d, d) inertia of arms and object. turn: (d, 6) map of wrenches from world axes.
+            Lambda: (d, d) inertia of arms and object.
+            turn: (d, 6) map of wrenches from world axes.
             rate: (d,) error rate ė.
         """
         return np.zeros(len(rate))
@@ -556,7 +568,8 @@ class _Impedance(_Structure):
         """Command A_D and the spring force K e + N α_d.
 
         Args:
-            work: WORK of the tick, with A_D and the pose error e. desired: (6,) N α_d (N, N m).
+            work: WORK of the tick, with A_D and the pose error e.
+            desired: (6,) N α_d (N, N m).
             reading: (6,) wrist reading, which is not used.
 
         Returns:
@@ -568,7 +581,8 @@ class _Impedance(_Structure):
         """Compute the damping wrench D ė (d,) with D = 2ζ L (L⁻¹ K L⁻ᵀ)^½ Lᵀ, Λ = L Lᵀ.
 
         Args:
-            Lambda: (d, d) inertia of arms and object. turn: (d, 6) map of wrenches from world axes.
+            Lambda: (d, d) inertia of arms and object.
+            turn: (d, 6) map of wrenches from world axes.
             rate: (d,) error rate ė.
         """
         L = np.linalg.cholesky(Lambda)
@@ -605,7 +619,8 @@ class _Admittance(_Structure):
 
         Args:
             work: WORK of the tick, with the period, the reference and the object's motion.
-            desired: (6,) N α_d (N, N m). reading: (6,) wrist reading f less bias (N, N m).
+            desired: (6,) N α_d (N, N m).
+            reading: (6,) wrist reading f less bias (N, N m).
 
         Returns:
             Classical acceleration (6,) (m/s², rad/s²) and wrench (6,) (N, N m), at O.

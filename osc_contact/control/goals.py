@@ -61,8 +61,9 @@ class GoalFollower:
         """Begin at rest at `start` without forces.
 
         Args:
-            contacts: pairs of the controller, in its order. start: pose of the object. dt: control
-                period (s).
+            contacts: pairs of the controller, in its order.
+            start: pose of the object.
+            dt: control period (s).
             linear, angular, force: limits (m/s …, rad/s …, N/s …).
 
         Raises:

@@ -43,7 +43,8 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
     """Refuse inputs of wrong sizes, or with numbers that are not finite or out of range.
 
     Args:
-        measurement, reference: inputs of the tick. settings: settings of the controller.
+        measurement, reference: inputs of the tick.
+        settings: settings of the controller.
 
     Raises:
         InvalidInputError: with the name of the first such input, its value and the expected one.
@@ -73,7 +74,8 @@ def _require_force(name: str, forces: float | Array) -> None:
     """Refuse desired forces above 1e6 N in magnitude.
 
     Args:
-        name: name of the field of the reference, for the message. forces: a force or several (N).
+        name: name of the field of the reference, for the message.
+        forces: a force or several (N).
 
     Raises:
         InvalidInputError: a force is larger.
@@ -108,7 +110,8 @@ def require_shapes(measurement: object, reference: object, settings: Settings) -
     """Refuse numeric arrays of a wrong shape, which are an error of the program, not of a sensor.
 
     Args:
-        measurement, reference: inputs of the tick. settings: settings of the controller.
+        measurement, reference: inputs of the tick.
+        settings: settings of the controller.
 
     Raises:
         InvalidInputError: with the expected shape and that of the array.
@@ -148,7 +151,8 @@ def read_tick(
     Fills `derived`, `wrench_missing` and `squeeze` of MEMORY, which are no arguments.
 
     Args:
-        records: records of the controller. measurement, reference: inputs of the tick.
+        records: records of the controller.
+        measurement, reference: inputs of the tick.
 
     Returns:
         Arrays q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active of `law.rows.rows`, and its
@@ -190,7 +194,8 @@ def read_joints(x: object, n: int) -> Array:
     """Convert joint positions or velocities to an array (n,); all NaN if it is not possible.
 
     Args:
-        x: any object, such as a list of numbers. n: number of joints.
+        x: any object, such as a list of numbers.
+        n: number of joints.
     """
     try:
         array = np.array(x, dtype=float)

@@ -32,7 +32,9 @@ class JointTorqueLoop:
         motor_inertia: (n_a,) J_m (kg m²; kg).
         tau_max: (n_a,) torque limits of the motors (N m; N).
         settings: rate (Hz), gain k_p and damping ratio of the closed loop.
-        dt: period of the loop (s). gain: k_p. rate_gain: (n_a,) k_d (s).
+        dt: period of the loop (s).
+        gain: k_p.
+        rate_gain: (n_a,) k_d (s).
         bandwidth: (n_a,) ω√(1 + k_p) (rad/s).
 
     Raises:
@@ -76,7 +78,8 @@ class JointTorqueLoop:
         """Compute the motor torques u (n_a,) for one period, within the limits (N m; N).
 
         Args:
-            tau_d: (n_a,) desired joint torques (N m; N). tau: (n_a,) measured joint torques.
+            tau_d: (n_a,) desired joint torques (N m; N).
+            tau: (n_a,) measured joint torques.
             fresh: True if the sensors have sampled since the last call.
         """
         _, rate = self._rate.update(tau, fresh=fresh)
@@ -103,7 +106,8 @@ class JointTorqueLoop:
         """Compute the largest eigenvalue magnitude of the sampled loop of one joint.
 
         Args:
-            K, J_m: stiffness and motor inertia (N m/rad, kg m²; N/m, kg). k_d: gain of τ̇ (s).
+            K, J_m: stiffness and motor inertia (N m/rad, kg m²; N/m, kg).
+            k_d: gain of τ̇ (s).
             a, b: gains of the estimate, of τ and of τ̇ dt.
         """
         dt = self.dt

@@ -22,7 +22,8 @@ class ContactMonitor:
     """Monitor of several contact forces, tick by tick, each by `law.phases.monitor`.
 
     Attributes:
-        dt: control period (s). limits: thresholds.
+        dt: control period (s).
+        limits: thresholds.
         rows: state of each force: closed, collision (flags); low_for, high_for: time since the
             force fell below or rose above its threshold (s); burst: largest power since then (W);
             armed_for: remaining time in which a collision may be reported (s).
@@ -32,7 +33,8 @@ class ContactMonitor:
         """Begin with all contacts open.
 
         Args:
-            contacts: number of contact forces. dt: control period (s).
+            contacts: number of contact forces.
+            dt: control period (s).
         """
         self.dt = dt
         self.limits = MonitorLimits()
@@ -67,7 +69,8 @@ def watch_series(monitor: ContactMonitor, alpha: Array, speed: Array) -> tuple[A
     While the monitor is calm, its state is constant until a force is low; such ticks are skipped.
 
     Args:
-        monitor: the monitor, whose state is updated. alpha: (k, r) forces (N).
+        monitor: the monitor, whose state is updated.
+        alpha: (k, r) forces (N).
         speed: (k, r) NᵀV_rel (m/s).
 
     Returns:

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs.law_pair import PairRow, law_row
-from osc_contact.contacts.pairs.pair import knows_where_it_slides, pushes_only
+from osc_contact.contacts.pairs.pair import has_known_points, pushes_only
 from osc_contact.control.controller_settings import Settings
 from osc_contact.dynamics.arm import effort_scale
 from osc_contact.dynamics.chain_records import pack_chain
@@ -81,7 +81,7 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
         pair.shape_at = first_shape
         pair.freedoms = row.freedoms
         pair.address = row.address
-        pair.has_friction = knows_where_it_slides(contact)
+        pair.has_friction = has_known_points(contact)
         head.columns.contact[first_column : first_column + count] = number
         _pack_body(settings, head, number)
         first_column += count
@@ -96,7 +96,9 @@ def _pack_body(settings: Settings, head: View, number: int) -> None:
     """Pack the touched body of a contact into its row of `bodies` of MODEL.
 
     Args:
-        settings: settings of the controller. head: view of MODEL. number: index of the contact.
+        settings: settings of the controller.
+        head: view of MODEL.
+        number: index of the contact.
     """
     touched = settings.bodies[number]
     body = head.bodies[number]
@@ -196,7 +198,8 @@ def _pack_joints(settings: Settings, head: View) -> None:
     """Fill the joints of MODEL: motors, limits, effort, posture and margins of the joint limits.
 
     Args:
-        settings: settings of the controller. head: view of MODEL, whose `joints` are filled.
+        settings: settings of the controller.
+        head: view of MODEL, whose `joints` are filled.
     """
     chain = settings.chain
     posture = settings.posture_task
@@ -222,7 +225,8 @@ def _pack_friction(settings: Settings, head: View) -> None:
     has F (N m), D (N m s/rad), A (kg m²), a bias and a mass error of each joint.
 
     Args:
-        settings: settings of the controller. head: view of MODEL, whose joints have their limits.
+        settings: settings of the controller.
+        head: view of MODEL, whose joints have their limits.
     """
     friction: Any = settings.joint_friction
     if friction is None:
@@ -264,8 +268,9 @@ def joint_limit_margins(
     its first derivative, and at most k w (a potential field after Khatib, 1986).
 
     Args:
-        model: model of all arms. stiffness: k (1/s²). margin: width as a share of a joint's range,
-            of which at most π (rad or m) is counted.
+        model: model of all arms.
+        stiffness: k (1/s²).
+        margin: width as a share of a joint's range, of which at most π (rad or m) is counted.
 
     Returns:
         Beginning of the lower and of the upper margins (∓inf without a limit), widths w, and k w.
@@ -280,8 +285,9 @@ def _copy(settings: Spec, head: View, **names: str) -> None:
     """Copy settings into fields of MODEL; settings of None, or without a field, are left out.
 
     Args:
-        settings: group of settings. head: view of MODEL. **names: name of the field for each
-            setting whose field has another name.
+        settings: group of settings.
+        head: view of MODEL.
+        **names: name of the field for each setting whose field has another name.
     """
     for key in type(settings).model_fields:
         value = getattr(settings, key)

@@ -22,7 +22,8 @@ class _Facts(dict[str, Any]):
     """Values for the names in a sentence of `law.reasons`, looked up as `format_map` asks for them.
 
     Attributes:
-        rows: records of the tick. settings: settings of the controller.
+        rows: records of the tick.
+        settings: settings of the controller.
     """
 
     def __init__(self, records: TickRecords, settings: Settings) -> None:
@@ -102,7 +103,8 @@ def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
     then the sentence is on the fault.
 
     Args:
-        records: records of the tick. settings: settings of the controller.
+        records: records of the tick.
+        settings: settings of the controller.
         ended: inputs of a tick that ended HELD, and the error of Python code called in it.
     """
     failure = ended.failure
@@ -144,7 +146,8 @@ def _describe_input(
     """Sentence on the first input of a tick that is not finite or has a wrong size.
 
     Args:
-        records: records of the tick. settings: settings of the controller.
+        records: records of the tick.
+        settings: settings of the controller.
         measurement, reference: inputs of the tick.
     """
     try:
@@ -162,7 +165,8 @@ def hopping_contact(records: TickRecords, settings: Settings) -> str:
     """Sentence on the contact that hops in a tick of status HOPPING.
 
     Args:
-        records: records of the tick. settings: settings of the controller.
+        records: records of the tick.
+        settings: settings of the controller.
     """
     return SENTENCES[CONTACT_HOPS].format_map(_Facts(records, settings))
 
@@ -171,7 +175,8 @@ def unbraked_joint(records: TickRecords, settings: Settings) -> str | None:
     """Name of a joint of stopped arms whose position and speed sensors are both faulty, or None.
 
     Args:
-        records: records of the controller. settings: its settings, with the names of the joints.
+        records: records of the controller.
+        settings: its settings, with the names of the joints.
     """
     joint = int(records.memory.unbraked)
     stopped = joint >= 0 and records.memory.state == at.SAFE_STOP

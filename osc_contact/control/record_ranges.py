@@ -61,7 +61,8 @@ def _each(relation: str, *names: str) -> tuple[str, ...]:
     """Repeat a relation for several fields.
 
     Args:
-        relation: relation with x in place of a name. *names: names of the fields.
+        relation: relation with x in place of a name.
+        *names: names of the fields.
     """
     return tuple(re.sub(r"\bx\b", name, relation) for name in names)
 
@@ -337,7 +338,8 @@ def _holds(text: str, value: Callable[[str], int]) -> bool:
     """True if one of the alternatives of a relation holds.
 
     Args:
-        text: relation, see `read_relation`. value: function from a name to its value.
+        text: relation, see `read_relation`.
+        value: function from a name to its value.
     """
     compare = {"<=": operator.le, "==": operator.eq, "!=": operator.ne}
     for sums, signs in read_relation(text):
@@ -363,7 +365,9 @@ class _Names:
         """Begin without a table.
 
         Args:
-            kind: layout of the record. record: view of it. model: view of MODEL.
+            kind: layout of the record.
+            record: view of it.
+            model: view of MODEL.
         """
         self.kind, self.record, self.model = kind, record, model
         self.own: Any = None
@@ -424,7 +428,8 @@ def _surface_shapes(model: View, pair: np.record) -> int:
     index or number of cells gives `MOST_ROWS` + 1, which no model has.
 
     Args:
-        model: view of MODEL. pair: its PAIR row.
+        model: view of MODEL.
+        pair: its PAIR row.
     """
     first = int(pair["shape_at"])
     if pair["kind"] != at.SURFACE:
@@ -442,8 +447,9 @@ def broken_relations(name: str, record: View, model: View) -> Iterator[str]:
     """Yield clauses, each of which names a field of a record and the relation that it violates.
 
     Args:
-        name: name of the record in `RECORDS`. record: view of the record. model: view of MODEL,
-            whose counts the relations refer to.
+        name: name of the record in `RECORDS`.
+        record: view of the record.
+        model: view of MODEL, whose counts the relations refer to.
     """
     kind = RECORDS[name]
     value = _Names(kind, record, model)
@@ -467,7 +473,8 @@ def _strange_numbers(name: str, record: View) -> Iterator[str]:
     """Yield a clause for each floating-point field with a number out of its range.
 
     Args:
-        name: name of the record in `RECORDS`. record: view of the record.
+        name: name of the record in `RECORDS`.
+        record: view of the record.
     """
     for table, field, (low, high) in number_ranges(name):
         rows = getattr(record, table).view(np.ndarray) if table else record.head
@@ -520,7 +527,8 @@ def _strange_torques(model: View, memory: View) -> Iterator[str]:
     """Yield a clause if a motor's limit is not above zero, or a last torque is beyond its limit.
 
     Args:
-        model: view of MODEL, with the limits (N m, N). memory: view of MEMORY, with the torques.
+        model: view of MODEL, with the limits (N m, N).
+        memory: view of MEMORY, with the torques.
     """
     joints = model.joints.view(np.ndarray)
     limits = joints["tau_max"][joints["motor"] >= 0]

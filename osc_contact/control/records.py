@@ -69,7 +69,9 @@ class TickRecords:
     """Views of MODEL, MEMORY and WORK of one controller.
 
     Attributes:
-        rows: bytes of all records. index: row of the controller. at: offset of the JOB (bytes).
+        rows: bytes of all records.
+        index: row of the controller.
+        at: offset of the JOB (bytes).
         model, memory, work: views of the records, see `law.records`.
         model_bytes, memory_bytes, work_bytes: bytes of the records.
         torques, squeeze: (n_a,) last torques (N m, N) and (bars,) desired internal forces (N), in
@@ -80,8 +82,9 @@ class TickRecords:
         """Make views of a row of `rows`, or of new records with the bytes of a MODEL.
 
         Args:
-            rows: records of controllers, or bytes of a MODEL. index: row. thread: thread whose WORK
-                is used.
+            rows: records of controllers, or bytes of a MODEL.
+            index: row.
+            thread: thread whose WORK is used.
         """
         self.rows = rows = rows if isinstance(rows, Rows) else Rows(rows)
         self.index = index

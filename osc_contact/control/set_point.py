@@ -57,8 +57,9 @@ class SetPoint:
         """Begin at rest.
 
         Args:
-            start: initial value, a number or (n,). limits: limits of each coordinate. dt: period
-                (s).
+            start: initial value, a number or (n,).
+            limits: limits of each coordinate.
+            dt: period (s).
 
         Raises:
             InvalidInputError: `start` is empty or not finite, or the period is not positive.
@@ -136,7 +137,9 @@ class PoseSetPoint:
         """Begin at rest.
 
         Args:
-            start: initial pose. linear, angular: limits (m/s …, rad/s …). dt: period (s).
+            start: initial pose.
+            linear, angular: limits (m/s …, rad/s …).
+            dt: period (s).
 
         Raises:
             InvalidInputError: the pose or the period is not valid.

@@ -88,16 +88,23 @@ class Signals(TickResult):
     Wrenches (N, N m) and motions (m, rad, s) are at O in world axes.
 
     Attributes:
-        q, v: (n,) measured joint positions and velocities. wrenches: (arms, 6) wrist readings.
-        touched: motion of the touched bodies, or None. reference: reference of the tick.
-        alpha_d: (r_all,) desired contact forces (N). squeeze_d: desired internal forces (N).
+        q, v: (n,) measured joint positions and velocities.
+        wrenches: (arms, 6) wrist readings.
+        touched: motion of the touched bodies, or None.
+        reference: reference of the tick.
+        alpha_d: (r_all,) desired contact forces (N).
+        squeeze_d: desired internal forces (N).
         state: Λ_S, μ, p, S, σ, G of the closed chain.
-        parts: N, n_γ of each active contact. contact: N, n_γ of all active contacts together.
-        friction_wrenches: (6, r) N_μ − N. environment: Φ_e, b_e, V_e.
-        f_meas: (6,) sum of the wrist readings, less tare. f_c_meas: (6,) measured contact wrench.
+        parts: N, n_γ of each active contact.
+        contact: N, n_γ of all active contacts together.
+        friction_wrenches: (6, r) N_μ − N.
+        environment: Φ_e, b_e, V_e.
+        f_meas: (6,) sum of the wrist readings, less tare.
+        f_c_meas: (6,) measured contact wrench.
         alpha_meas: (r,) measured contact forces (N).
         alpha_u, f_ccomm: (r,), (6,) force command. a_u: (6,) motion command.
-        eta_c: (d,) motion command after its filter. f_S: (d,) generalised force on the object.
+        eta_c: (d,) motion command after its filter.
+        f_S: (d,) generalised force on the object.
         tau: (n_a,) motor torques (N m, N).
     """
 
@@ -105,8 +112,8 @@ class Signals(TickResult):
         """Copy the records of a tick.
 
         Args:
-            settings: settings of the controller. records: records after the tick, or, for custom
-                laws, between its parts.
+            settings: settings of the controller.
+            records: records after the tick, or, for custom laws, between its parts.
         """
         super().__init__(records.copy())
         self._settings = settings

@@ -51,8 +51,8 @@ class StartCheck:
         """Check the joints of a measurement, and the wrists of the last computed tick.
 
         Args:
-            controller: controller with the records of the last tick. measurement: measurement of
-                the present tick.
+            controller: controller with the records of the last tick.
+            measurement: measurement of the present tick.
 
         Returns:
             True once all checks are completed.
@@ -105,7 +105,8 @@ def require_start(chain: ClosedChain, q: Array) -> None:
     """Refuse measured joint positions that are far outside the joints' limits.
 
     Args:
-        chain: the arms, with the limits. q: (n,) measured positions (rad, m).
+        chain: the arms, with the limits.
+        q: (n,) measured positions (rad, m).
 
     Raises:
         InvalidInputError: a position is outside by more than 5 % of the joint's range.
@@ -122,7 +123,8 @@ def is_clear(settings: Settings, rows: TickRecords) -> bool:
     a hole) is open if each error exceeds `CLEAR` in magnitude.
 
     Args:
-        settings: settings with the contacts. rows: `TickRecords` of a computed tick.
+        settings: settings with the contacts.
+        rows: `TickRecords` of a computed tick.
     """
     X_WO = SE3(rows.work.X_WO)
     for pair, motion in zip(settings.contacts, rows.work.bodies.motion, strict=True):

@@ -56,8 +56,9 @@ class LimitLoss:
     """Losses of one tick by motor limits.
 
     Attributes:
-        joints: names of joints whose motors are at their limits. desired: their desired torques
-            (N m, N). limits: their limits (N m, N).
+        joints: names of joints whose motors are at their limits.
+        desired: their desired torques (N m, N).
+        limits: their limits (N m, N).
         force: (r_all,) commanded less predicted contact forces (N).
         acceleration: (6,) commanded less predicted acceleration of the object at O, in world axes
             (m/s², rad/s²).
@@ -95,7 +96,8 @@ class LostDirection:
     """Direction of motion of the object that an arm loses near a singular posture.
 
     Attributes:
-        arm: name of the arm. left: remaining share of the motion command along it, 0 … 1.
+        arm: name of the arm.
+        left: remaining share of the motion command along it, 0 … 1.
         inertia_ratio: apparent inertia of the arm along it, relative to that of object and arm in a
             regular posture.
         twist: (6,) unit motion at O in world axes: 1 m/s, or 1 rad/s if O does not move.

@@ -17,8 +17,8 @@ def relieve(program: TorqueLimits, rows: TickRecords) -> None:
     Writes the torques and the corrected force integral to MEMORY.
 
     Args:
-        program: quadratic program of the controller, which is filled and solved. rows: records of
-            the tick, whose status is SATURATED.
+        program: quadratic program of the controller, which is filled and solved.
+        rows: records of the tick, whose status is SATURATED.
 
     Raises:
         SolverError: the program has no solution.
@@ -37,14 +37,16 @@ class MotorLimits:
     """Quadratic program of the motor limits of one controller, whose arrays are allocated once.
 
     Attributes:
-        chain: model of the arms. program: the quadratic program.
+        chain: model of the arms.
+        program: the quadratic program.
     """
 
     def __init__(self, settings: Settings, model: View) -> None:
         """Allocate the quadratic program of the motor limits.
 
         Args:
-            settings: settings of the controller. model: view of MODEL, whose sizes are read.
+            settings: settings of the controller.
+            model: view of MODEL, whose sizes are read.
         """
         chain = settings.chain
         self.chain = chain
@@ -85,7 +87,8 @@ def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
     For custom control structures, of which nothing is known.
 
     Args:
-        rows: records of the tick. chain: its motors.
+        rows: records of the tick.
+        chain: its motors.
     """
     memory = rows.memory
     desired = rows.work.joints.tau[chain.actuated]

@@ -41,7 +41,8 @@ class Idle:
         A tick without a desired force sets the count to zero.
 
         Args:
-            settings: settings of the controller. alpha_d: (r,) desired contact forces (N).
+            settings: settings of the controller.
+            alpha_d: (r,) desired contact forces (N).
         """
         desired = len(settings.contacts) > 0 and bool(np.any(np.asarray(alpha_d) > 0.0))
         self.ticks = self.ticks + 1 if desired else 0
@@ -72,7 +73,8 @@ def explained_approaches(records: TickRecords, settings: Settings) -> str:
     this contact counts as made only above the part that friction explains.
 
     Args:
-        records: `TickRecords` of the last tick. settings: settings of the controller.
+        records: `TickRecords` of the last tick.
+        settings: settings of the controller.
     """
     if settings.life is None:
         return ""
@@ -100,7 +102,8 @@ def standing_approaches(records: TickRecords, settings: Settings) -> str:
     """Sentence on approaches that ended after `travel` without contact, with the remaining gap.
 
     Args:
-        records: `TickRecords` of the last tick. settings: settings of the controller.
+        records: `TickRecords` of the last tick.
+        settings: settings of the controller.
     """
     if settings.life is None:
         return ""

@@ -46,6 +46,7 @@ def law_wasm() -> bytes:
         if library.law_hash().encode() in content:
             return content
     with TemporaryDirectory() as temporary:
+        # the sources are written first, because their hash is the key of the stored module
         folder = Path(temporary)
         write_sources(folder)
         for item in (files("osc_contact.control") / "web_files").iterdir():
@@ -91,12 +92,19 @@ def _compile(folder: Path) -> bytes:
 def _compiler() -> list[str]:
     """Command of a C compiler that has a libc for WebAssembly.
 
+    Zig is preferred, because the package `ziglang` is complete and of a known version. Of clang it
+    is unknown whether wasi-libc is installed; if not, the compilation fails with its message.
+
+    Returns:
+        First words of the command, to which flags and files are added.
+
     Raises:
-        OscContactError: there is none.
+        OscContactError: neither zig nor clang with the linker wasm-ld is installed.
     """
     if find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi"]
     if shutil.which("clang") and shutil.which("wasm-ld"):
+        # clang's name of the target has no vendor; Debian installs wasi-libc below /usr
         return ["clang", f"--target={TRIPLE.replace('-unknown', '')}", "--sysroot=/usr"]
     raise OscContactError(
         f"{MODULE} is made by a C compiler for WebAssembly, and there is none here: "
@@ -109,8 +117,9 @@ def _run(command: Sequence[str], folder: Path, **variables: str) -> None:
     """Run a command in a folder.
 
     Args:
-        command: words of the command. folder: working directory. **variables: environment variables
-            in addition to those of this process.
+        command: words of the command.
+        folder: working directory.
+        **variables: environment variables in addition to those of this process.
 
     Raises:
         OscContactError: the command fails; with the end of its error output.

@@ -102,7 +102,8 @@ def _enum(prefix: str, members: Iterable[tuple[str, int]]) -> str:
     """Write the lines of a C enum.
 
     Args:
-        prefix: prefix of each name. members: (name, value) of each member.
+        prefix: prefix of each name.
+        members: (name, value) of each member.
     """
     return ",\n".join(f"    {prefix}{name} = {value}" for name, value in members)
 
@@ -155,7 +156,8 @@ class _Gain(NamedTuple):
     """Gain that may change while a controller runs.
 
     Attributes:
-        name: name, such as "force.integral". offset: offset in MODEL (bytes).
+        name: name, such as "force.integral".
+        offset: offset in MODEL (bytes).
         contact_offset: offset in rows of MEMORY's contacts (bytes); −1: it is not stored there.
         words: unit and meaning.
     """
@@ -188,8 +190,10 @@ class _PhaseSetting(NamedTuple):
     """Setting of contact phases.
 
     Attributes:
-        name: name in `PhaseSettings`. offset: offset in MODEL (bytes). may_be_zero: True if 0 is
-            allowed. words: unit and meaning.
+        name: name in `PhaseSettings`.
+        offset: offset in MODEL (bytes).
+        may_be_zero: True if 0 is allowed.
+        words: unit and meaning.
     """
 
     name: str
@@ -326,8 +330,9 @@ def _sizes_in_c(kind: Nested, sizes: Sequence[int | str]) -> tuple[int, int]:
     """Numbers of rows and columns of a table; −1 − slot for a size that the layout has.
 
     Args:
-        kind: layout of the record. sizes: one or two sizes of the table, numbers or names of
-            counts; a second size that is missing is 1.
+        kind: layout of the record.
+        sizes: one or two sizes of the table, numbers or names of counts; a second size that is
+            missing is 1.
     """
     rows, columns = [
         -1 - kind.slot(size) if isinstance(size, str) else size for size in (*sizes, 1)
@@ -440,8 +445,9 @@ def _in_c(relation: str, name: str, table: str) -> str:
     """Write a relation as a condition in C.
 
     Args:
-        relation: relation of `record_ranges`. name: name of the record. table: its table; "": the
-            head.
+        relation: relation of `record_ranges`.
+        name: name of the record.
+        table: its table; "": the head.
     """
     alternatives = []
     for sums, signs in read_relation(relation):
@@ -457,8 +463,9 @@ def _sum_in_c(products: Sum, name: str, table: str) -> str:
     """Write a sum of products as an expression in C.
 
     Args:
-        products: (integer factor, names) of each product. name: name of the record. table: its
-            table; "": the head.
+        products: (integer factor, names) of each product.
+        name: name of the record.
+        table: its table; "": the head.
     """
     parts = []
     for factor, names in products:
@@ -473,7 +480,9 @@ def _name_in_c(word: str, name: str, table: str) -> str:
     """Write a name in a relation of `record_ranges` as an expression in C.
 
     Args:
-        word: the name. name: name of the record. table: its table; "": the head.
+        word: the name.
+        name: name of the record.
+        table: its table; "": the head.
     """
     kind = RECORDS[name]
     dtype = kind.tables[table][0] if table else kind.dtype

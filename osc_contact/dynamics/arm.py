@@ -281,7 +281,9 @@ def _with_point(model: pin.Model, tip: str, X: pin.SE3) -> tuple[pin.Model, str]
     """Copy a model and add a frame "`tip` point".
 
     Args:
-        model: model of one arm. tip: name of a frame. X: pose of the new frame in the frame `tip`.
+        model: model of one arm.
+        tip: name of a frame.
+        X: pose of the new frame in the frame `tip`.
 
     Returns:
         The copy, and the name of the new frame.
@@ -305,7 +307,8 @@ def _load(
     """Load a robot, reduce its model to the joints that move the tip, and check the names.
 
     Args:
-        urdf: path, or model, see `Arm.from_urdf`. tip: name of the frame that holds the object.
+        urdf: path, or model, see `Arm.from_urdf`.
+        tip: name of the frame that holds the object.
         positions: positions of joints to be locked, by name (rad, m).
         passive_joints: names of joints without a motor.
         wrist_sensor: name of the wrist sensor's frame, or None.
@@ -473,7 +476,8 @@ def _own_inertia(model: pin.Model, joint: int) -> pin.Inertia:
     Pinocchio adds welded links to the inertia of their joint, and keeps a copy at their frames.
 
     Args:
-        model: model of the robot. joint: number of the joint.
+        model: model of the robot.
+        joint: number of the joint.
     """
     total = model.inertias[joint]
     welded = pin.Inertia.Zero()
@@ -505,8 +509,9 @@ def _with_factors(model: pin.Model, mass_factor: float, effort_factor: float) ->
     """Scale a copy of a model; if both factors are 1, return the model itself.
 
     Args:
-        model: model of one arm. mass_factor: factor of masses and inertias. effort_factor: factor
-            of the effort limits.
+        model: model of one arm.
+        mass_factor: factor of masses and inertias.
+        effort_factor: factor of the effort limits.
     """
     if mass_factor == 1.0 and effort_factor == 1.0:
         return model

@@ -173,7 +173,8 @@ def _z_frame(model: pin.Model, joint: int) -> SE3:
     """Pose, in a joint's own frame, of a frame whose z axis is the joint's axis.
 
     Args:
-        model: merged model. joint: number of the joint, from 1.
+        model: merged model.
+        joint: number of the joint, from 1.
     """
     S = joint_axis(model, joint)
     axis = S[:3] if S[:3].any() else S[3:]

@@ -172,7 +172,8 @@ def _payload_terms(chain: EvaluatedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
     """Compute the terms of the held object; they are zero without an object.
 
     Args:
-        chain: the arms, with the object. X_WO, V_O: its pose and twist (6,) (m/s, rad/s).
+        chain: the arms, with the object.
+        X_WO, V_O: its pose and twist (6,) (m/s, rad/s).
     """
     if chain.payload is None:
         return _NOTHING

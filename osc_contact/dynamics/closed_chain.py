@@ -203,7 +203,8 @@ class ClosedChain:
         """Pose of a frame, given by its number, in the world at the joint positions in `data`.
 
         Args:
-            number: number of the frame. data: data of Pinocchio; None: the chain's own.
+            number: number of the frame.
+            data: data of Pinocchio; None: the chain's own.
         """
         frame = self.model.frames[number]
         joints = (self.data if data is None else data).oMi
@@ -400,7 +401,8 @@ def _full_rank(arm: Arm, grasp: Grasp) -> int:
     It is the largest rank of NᵀJ in a few random postures.
 
     Args:
-        arm: the arm. grasp: grasp of the object by the arm.
+        arm: the arm.
+        grasp: grasp of the object by the arm.
     """
     model = arm.model
     data = model.createData()

@@ -111,8 +111,9 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         """Make a controller for each environment.
 
         Args:
-            cfg: configuration of the action. env: environments, whose steps of physics, control and
-                actions must be multiples of one another.
+            cfg: configuration of the action.
+            env: environments, whose steps of physics, control and actions must be multiples of one
+                another.
         """
         super().__init__(cfg=cfg, env=env)
         chain = cfg.controller.chain

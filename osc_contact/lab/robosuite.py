@@ -100,8 +100,9 @@ class _ArmLoop:
         """Make the controller of an arm and its loop, which has not begun.
 
         Args:
-            arm: arm of the simulation. contacts: contact pairs of the arm. config: settings of the
-                controller.
+            arm: arm of the simulation.
+            contacts: contact pairs of the arm.
+            config: settings of the controller.
         """
         self.arm = arm
         self.names = [pair.name for pair in contacts]

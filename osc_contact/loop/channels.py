@@ -27,10 +27,11 @@ class Subject:
     """Description of a recorded system, from which the channels of its rows are computed.
 
     Attributes:
-        pairs: the true contacts. placements: (contacts, 4, 4) initial pose X_WB of the touched body
-            of each contact.
+        pairs: the true contacts.
+        placements: (contacts, 4, 4) initial pose X_WB of the touched body of each contact.
         owners: (r,) index of the contact of each force magnitude.
-        dt: control period (s). arms: number of arms.
+        dt: control period (s).
+        arms: number of arms.
         phased: True with contact phases; otherwise all contacts are engaged together.
     """
 
@@ -48,9 +49,11 @@ def channels(
     """Compute the channels of k ticks, except those of the contact monitor.
 
     Args:
-        subject: description of the recorded system. truths: evaluates the numbers stored by the
-            judge; None: without a judge, measured values stand in for the truth. first: number of
-            the first tick. rows: (k,) stored rows with named fields.
+        subject: description of the recorded system.
+        truths: evaluates the numbers stored by the judge; None: without a judge, measured values
+            stand in for the truth.
+        first: number of the first tick.
+        rows: (k,) stored rows with named fields.
 
     Returns:
         Arrays (k, …) by the name of their channel.
@@ -109,9 +112,9 @@ def work_out(
     may have either sign the absolute value is used.
 
     Args:
-        subject: description of the recorded system. truths: evaluates the numbers stored by the
-            judge; None: without a judge. parts: chunks of the journal, each the number of its first
-            row and its rows.
+        subject: description of the recorded system.
+        truths: evaluates the numbers stored by the judge; None: without a judge.
+        parts: chunks of the journal, each the number of its first row and its rows.
 
     Yields:
         Channels by name, of at most 1,000 successive ticks.
@@ -121,9 +124,8 @@ def work_out(
     for first, rows in _blocks(parts):
         if subject.phased:  # results of the controller's own monitor
             bilateral_active = ~unilateral & (rows["active"][:, subject.owners] > 0.0)
-            is_closed = (
-                rows["closed"] > 0.0
-            ) | bilateral_active  # a bilateral one is always closed
+            # a bilateral contact is closed while it is active
+            is_closed = (rows["closed"] > 0.0) | bilateral_active
             collision = (rows["collision"] > 0.0) & unilateral
         else:
             alpha = np.where(unilateral, rows["alpha"], np.abs(rows["alpha"]))
@@ -142,9 +144,10 @@ def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
         Number of the first row of a block, and the rows of the block.
     """
     begin = 0
-    pieces: list[Array] = []  # of the block that begins at `begin`
+    pieces: list[Array] = []  # rows of the block that begins at `begin`
     for first, rows in parts:
         while len(rows):
+            # a block ends where rows are missing, or at a multiple of _TOGETHER
             count = sum(len(piece) for piece in pieces)
             if count and (first != begin + count or first % _TOGETHER == 0):
                 yield begin, np.concatenate(pieces)
@@ -196,15 +199,17 @@ def _poses(X: Array) -> Poses:
 
 
 def _feet(subject: Subject, truth: Truths, k: int) -> Array:
-    """Mean contact point and first direction of force of each contact, (2, k, contacts, 3).
+    """Mean contact point and first direction of force of each contact at k instants.
 
-    Contact points are the intersections of the lines of force with the touched surface, in world
-    axes (m).
+    Contact points are the intersections of the lines of force with the touched surface.
 
     Args:
         subject: description of the recorded system, with its contacts.
         truth: poses and lines of force at k instants.
         k: number of instants.
+
+    Returns:
+        (2, k, contacts, 3): points in world coordinates (m), then unit directions in world axes.
     """
     feet = []
     for pair, lines, X_WE in zip(subject.pairs, truth.N, truth.X_WE, strict=True):
@@ -214,15 +219,22 @@ def _feet(subject: Subject, truth: Truths, k: int) -> Array:
 
 
 def _face_poses(subject: Subject, truth: Truths, k: int) -> Array:
-    """Poses (k, contacts, 7) of the touched bodies in the world: x y z (m), quaternion x y z w.
+    """Poses in the world of the body that each contact touches, at k instants.
+
+    The face of a contact is described in a frame E. E is the world's frame while the body is at its
+    initial pose X_WB, so the body's pose later is X_WE X_WB.
 
     Args:
-        subject: description of the recorded system, with the placements X_WB of the bodies.
-        truth: motions X_WE of the bodies at k instants. k: number of instants.
+        subject: description of the recorded system, with the initial poses X_WB of the bodies.
+        truth: pose X_WE of each face's frame at k instants; None: the face is at rest.
+        k: number of instants.
+
+    Returns:
+        (k, contacts, 7) position x, y, z (m) and quaternion x, y, z, w of each body.
     """
     coordinates = np.zeros((k, len(subject.pairs), 7))
     for i, (X_WB, X_WE) in enumerate(zip(subject.placements, truth.X_WE, strict=True)):
-        R = X_WB[:3, :3, None]
+        R = X_WB[:3, :3, None]  # (3, 3, 1) and (3, 1): the last axis is that of the instants
         p = X_WB[:3, 3:]
         if X_WE is not None:
             R = X_WE.rotate(R)
@@ -260,9 +272,10 @@ def recording_of(
     """Make a recording from the rows of a journal.
 
     Args:
-        subject: description of the recorded system. truths: evaluates the numbers stored by the
-            judge; None: without a judge. journal: rows, read from the beginning. meta: meta data of
-            the recording.
+        subject: description of the recorded system.
+        truths: evaluates the numbers stored by the judge; None: without a judge.
+        journal: rows, read from the beginning.
+        meta: meta data of the recording.
     """
     ticks = sum(len(rows) for _, rows in journal.rows())
     return Recording(meta, gather(ticks, work_out(subject, truths, journal.rows())))

@@ -25,7 +25,8 @@ class Truth:
     Attributes:
         alpha: (r,) contact force magnitudes, contact after contact (N).
         closed: (contacts,) whether each contact touches; of several points, all of them.
-        X_WO: pose of the object. V_O: (6,) its twist at its origin, world axes.
+        X_WO: pose of the object.
+        V_O: (6,) its twist at its origin, world axes.
         X_WE: pose of the frame in which each contact's face is described; None: faces at rest.
     """
 
@@ -41,8 +42,10 @@ class Truths:
     """True states and contact forces at k instants, each as in `Truth`.
 
     Attributes:
-        alpha: (k, r) contact force magnitudes (N). closed: (k, contacts) whether contacts touch.
-        X_WO: k poses of the object. V_O: (k, 6) its twists at O, world axes (m/s, rad/s).
+        alpha: (k, r) contact force magnitudes (N).
+        closed: (k, contacts) whether contacts touch.
+        X_WO: k poses of the object.
+        V_O: (k, 6) its twists at O, world axes (m/s, rad/s).
         X_WE: for each contact k poses of the frame of its face; None: the face is at rest.
         N: for each contact its lines of force (6, r_i, k) at O, world axes.
     """
@@ -55,7 +58,15 @@ class Truths:
     N: tuple[Array, ...]
 
     def __getitem__(self, i: int) -> Truth:
-        """Return the truth at instant i; faces at rest have the identity, or None if all rest."""
+        """Return the truth at one instant.
+
+        Args:
+            i: index of the instant, 0 … k − 1.
+
+        Returns:
+            Truth whose X_WE has a pose for each contact. A face at rest is described in the world's
+            frame, so its pose is the identity; X_WE is None if all faces are at rest.
+        """
         faces = None
         if any(X is not None for X in self.X_WE):
             faces = tuple(pin.SE3.Identity() if X is None else X[i] for X in self.X_WE)
@@ -106,10 +117,11 @@ class NotedTruths:
         """
         contacts = len(self._contacts)
         ends = np.cumsum([12 * (1 + contacts), 6, 1, contacts])  # of the fields in a row
-        poses, V_O, moving, is_closed, alpha = np.split(rows, ends, axis=1)
+        poses, V_O, motion_flags, is_closed, alpha = np.split(rows, ends, axis=1)
+        # (bodies, 3, 4, k): matrices [R p] of the object and of each face, the instants last
         matrices = poses.reshape(-1, 1 + contacts, 3, 4).transpose(1, 2, 3, 0).copy()
         X_WO, *faces = (Poses(matrix[:, :3], matrix[:, 3]) for matrix in matrices)
-        X_WE = tuple(faces) if moving.any() else (None,) * contacts
+        X_WE = tuple(faces) if motion_flags.any() else (None,) * contacts
         N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(self._contacts, X_WE, strict=True))
         return Truths(alpha, is_closed > 0.0, X_WO, V_O, X_WE, N)
 
@@ -132,7 +144,10 @@ class Watched(NotedTruths):
         self._noted.append(np.concatenate((*poses, *numbers), axis=None))
 
     def noted(self, start: int = 0) -> Array:
-        """Recorded rows (k, m): X_WO and each X_WE (3×4 by rows), V_O, 1 if bodies move, closed, α.
+        """Recorded rows (k, m), one for each `note` since the last `clear`.
+
+        A row has X_WO and the X_WE of each contact (3×4 by rows), V_O (6), 1 if bodies move else 0,
+        for each contact 1 if it is closed else 0, and the magnitudes α (N).
 
         Args:
             start: index of the first row returned.

@@ -23,8 +23,8 @@ class RaisedSignals:
     """Signals that end a block by an exception, as Ctrl-C does, but not during protected calls.
 
     Attributes:
-        seen: numbers of the signals received. busy: True while signals are deferred; a third signal
-            is never deferred.
+        seen: numbers of the signals received.
+        busy: True while signals are deferred; a third signal is never deferred.
     """
 
     def __init__(self) -> None:

@@ -43,8 +43,9 @@ class LoopReport:
 
     Attributes:
         period: period of the loop (s).
-        ticks: number of ticks. missed: number of missed deadlines. in_a_row: number of consecutive
-            deadlines missed last.
+        ticks: number of ticks.
+        missed: number of missed deadlines.
+        in_a_row: number of consecutive deadlines missed last.
         histogram: counts of the time from a measurement to its torques, in bins of 5 µs.
         largest: largest of these times (s).
         notes: sentences on requests that the system refused.
@@ -65,8 +66,8 @@ class LoopReport:
         """Count a tick and check its deadlines.
 
         Args:
-            read: time of its measurement (s). seconds: time from then until its torques were sent
-                (s).
+            read: time of its measurement (s).
+            seconds: time from then until its torques were sent (s).
         """
         self.histogram[min(int(seconds / BIN_S), BINS)] += 1
         self.largest = max(self.largest, seconds)

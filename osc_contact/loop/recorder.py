@@ -79,7 +79,8 @@ class Recorder:
     missing.
 
     Attributes:
-        of: description of the recorded system. count: number of ticks stored.
+        of: description of the recorded system.
+        count: number of ticks stored.
         truth: log of the judge for the same ticks; None without a judge.
         journal: file of the rows.
 
@@ -190,7 +191,8 @@ class Recorder:
 
         Args:
             measurement, reference: input of the tick.
-            tau: (n_a,) its motor torques (N m, N). seconds: computing time (s).
+            tau: (n_a,) its motor torques (N m, N).
+            seconds: computing time (s).
         """
         if self._k == _BLOCK or perf_counter() - self._flushed > self._patience:
             self.flush()
@@ -229,7 +231,8 @@ class Recorder:
         the latter two are written only when they may have changed.
 
         Args:
-            reference: input of the tick. seconds: computing time (s).
+            reference: input of the tick.
+            seconds: computing time (s).
         """
         status = self._controller.status
         self._numbers[0] = seconds
@@ -381,8 +384,10 @@ def subject_of(
     """Description of the system that a controller controls, with its true contacts.
 
     Args:
-        controller: the controller. pairs: the true contacts. placements: (contacts, 4, 4) initial
-            poses of the touched bodies. owners: (r,) index of the contact of each force magnitude.
+        controller: the controller.
+        pairs: the true contacts.
+        placements: (contacts, 4, 4) initial poses of the touched bodies.
+        owners: (r,) index of the contact of each force magnitude.
     """
     return Subject(
         pairs=tuple(pairs),
@@ -409,7 +414,8 @@ def describe_subject(of: Subject, controller: Controller) -> Json:
     """Meta data of a recording: names, limits, losses, rate and versions.
 
     Args:
-        of: description of the recorded system. controller: controller of the loop.
+        of: description of the recorded system.
+        controller: controller of the loop.
 
     Returns:
         JSON data by key; the limit of a motor without a limit is None.

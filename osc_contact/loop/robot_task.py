@@ -34,7 +34,8 @@ def task_of_robot(
     """Make the task of a robot at rest at the start of its loop; the robot is measured.
 
     Args:
-        robot: a `Robot`, optionally with a method `scene`. controller: its controller.
+        robot: a `Robot`, optionally with a method `scene`.
+        controller: its controller.
         references: desired motions and forces, one for each tick, from the first on.
         rehearsed: largest number of ticks for which the motion of the joints may be simulated;
             None: the whole motion.
@@ -98,7 +99,8 @@ def _active_contacts(references: Sequence[Reference], contacts: int) -> Array | 
     """Active contacts (k, contacts) of k references, 1 or 0; None if no reference names any.
 
     Args:
-        references: checked references of a loop. contacts: number of contacts.
+        references: checked references of a loop.
+        contacts: number of contacts.
     """
     if all(reference.active is None for reference in references):
         return None
@@ -114,7 +116,8 @@ def _engaged_copy(controller: Controller, measured: Measurement) -> tuple[Contro
     """Copy of a controller with its contacts engaged, and the measurement.
 
     Args:
-        controller: controller of the loop, which is not changed. measured: measurement at rest.
+        controller: controller of the loop, which is not changed.
+        measured: measurement at rest.
     """
     trial = copy(controller)
     trial.engaged = True

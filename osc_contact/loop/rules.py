@@ -74,8 +74,9 @@ def rule(
     """Function decorator that makes a quantity a `Rule`.
 
     Args:
-        sentence: format of the finding's text. doubtful: limit for a warning, in the quantity's
-            unit. refused: limit for refusal; None: a value above `doubtful` is refused.
+        sentence: format of the finding's text.
+        doubtful: limit for a warning, in the quantity's unit.
+        refused: limit for refusal; None: a value above `doubtful` is refused.
 
     Returns:
         Decorator of a function that takes a task and yields values with the words of the sentence.
@@ -107,26 +108,30 @@ class Task:
     """Chain, contacts, references and settings of a run, to be checked by rules.
 
     Attributes:
-        chain: the true chain, as far as it is known. pairs: the true contacts.
+        chain: the true chain, as far as it is known.
+        pairs: the true contacts.
         gains, dt, posture, safety: settings of the controller.
-        q: (n,) joint positions at the start. q_contact: (n,) joint positions in contact.
+        q: (n,) joint positions at the start.
+        q_contact: (n,) joint positions in contact.
         state, contact: the chain at rest in contact, and all contacts there.
-        times: (k,) times at which references are checked (s). poses: (k, 7) X_WD at these times.
-            forces: (k, r) alpha_d (N).
-        rates: (k, 6) displacement of X_WD until the next tick, divided by dt. twists: (k, 6) mean
-            V_D in this time (m/s, rad/s). Both are (0, 6) if they are not checked.
+        times: (k,) times at which references are checked (s).
+        poses: (k, 7) X_WD at these times.
+        forces: (k, r) alpha_d (N).
+        rates: (k, 6) displacement of X_WD until the next tick, divided by dt.
+        twists: (k, 6) mean V_D in this time (m/s, rad/s). Both are (0, 6) if they are not checked.
         every: function that yields references of all ticks of a given period (s).
         rehearsed: largest number of ticks of a rehearsal; None: the whole motion.
-        force_names: (r,) names in messages. owners: (r,) index of the contact of each force.
-        rests: for each contact, whether its body is at rest. kept_from: time from which on contacts
-            are to be maintained (s).
+        force_names: (r,) names in messages.
+        owners: (r,) index of the contact of each force.
+        rests: for each contact, whether its body is at rest.
+        kept_from: time from which on contacts are to be maintained (s).
         bound: whether contacts without a desired force are maintained, too.
         active: (k, contacts) named active contacts at `times`, 1 or 0; None: none are named. Forces
             of contacts that are not active are 0.
         trial: function that makes a controller with its contacts engaged, to be ticked once, and a
             measurement for it; None: no set is tried.
-        squeezes: (k,) sums of the internal forces (N). commanded: (k, 6) V_D. Both are empty if
-            they are not checked.
+        squeezes: (k,) sums of the internal forces (N).
+        commanded: (k, 6) V_D. Both are empty if they are not checked.
         controller, measured, scene: controller of the run, present measurement of its robot, and
             scene around it; None if unknown, for example for a scenario.
     """

@@ -39,10 +39,13 @@ class JointFinding:
     """Deviation of one joint from its model.
 
     Attributes:
-        name: name of the joint. moved: True if it was fast enough to be checked.
-        coulomb: dry friction (N m; N). viscous: viscous friction (N m s/rad; N s/m).
-        offset: constant torque (N m; N). inertia: inertia that the model lacks, for example of a
-            rotor (kg m²; kg). rms: rms of the unexplained torque (N m; N).
+        name: name of the joint.
+        moved: True if it was fast enough to be checked.
+        coulomb: dry friction (N m; N).
+        viscous: viscous friction (N m s/rad; N s/m).
+        offset: constant torque (N m; N).
+        inertia: inertia that the model lacks, for example of a rotor (kg m²; kg).
+        rms: rms of the unexplained torque (N m; N).
     """
 
     name: str
@@ -64,8 +67,8 @@ class ShadowReport:
             object's origin (N, N m).
         wrench_scale: κ, the measured wrench's share that the joints confirm: 1 if sign, scale and
             frame are right, −1 if the sign is reversed; NaN if the arm was not pushed.
-        findings: sentences on errors that were found. forces: True if there are none, so that
-            forces may be commanded.
+        findings: sentences on errors that were found.
+        forces: True if there are none, so that forces may be commanded.
     """
 
     joints: tuple[JointFinding, ...]
@@ -215,8 +218,9 @@ class Shadow:
         """Fit friction, offset and inertia of a joint to the torque beyond the model.
 
         Args:
-            j: index of the joint. v, a: (k,) speeds and accelerations of the joint (rad/s, rad/s²;
-                m/s, m/s²). torque: (k,) torque beyond the model's (N m, N).
+            j: index of the joint.
+            v, a: (k,) speeds and accelerations of the joint (rad/s, rad/s²; m/s, m/s²).
+            torque: (k,) torque beyond the model's (N m, N).
         """
         moved = bool(np.abs(v).max() > FASTEST)
         regressors = _columns(v, a)

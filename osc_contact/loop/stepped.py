@@ -248,10 +248,10 @@ class SteppedLoop(Generic[Law]):
         return plan.placed(measurement), plan.step()
 
     def end(self, reason: str = "") -> None:
-        """End the loop: stop the robot, once, and record the event.
+        """End the loop: call the robot's `stop`, and record the event; later calls do nothing.
 
         Args:
-            reason: why; empty where the task is done.
+            reason: sentence on the cause, which `stop` receives; empty if the task is done.
         """
         if not self._ended:
             self._ended = True

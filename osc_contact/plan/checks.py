@@ -78,7 +78,8 @@ def require_states(stages: Sequence[Stage], recogniser: Recogniser | None) -> No
     """Refuse conditions on contact states that the plan's recogniser does not have.
 
     Args:
-        stages: stages of the plan. recogniser: recogniser of the plan; None: it has none.
+        stages: stages of the plan.
+        recogniser: recogniser of the plan; None: it has none.
 
     Raises:
         InvalidInputError: such a state, a plan without recogniser, or an unknown pair.

@@ -50,7 +50,8 @@ class Demand:
     """Components of the twist at O that a motion prescribes.
 
     Attributes:
-        rows: (k, 6) components, world axes. values: (k,) their values (m/s, rad/s).
+        rows: (k, 6) components, world axes.
+        values: (k,) their values (m/s, rad/s).
         finished: whether the motion has reached its end.
     """
 
@@ -534,7 +535,8 @@ def _steady(
         kind: translation or rotation.
         direction: (3,) unit vector in world axes, or in the object's, as `axes` states.
         axes: axes of the direction.
-        speed: largest speed (m/s, rad/s). length: distance at which the motion ends (m, rad).
+        speed: largest speed (m/s, rad/s).
+        length: distance at which the motion ends (m, rad).
         limit: force or couple against the motion at which it stops (N, N m); None: it never does.
     """
 
@@ -585,7 +587,8 @@ def _positive(name: str, value: float) -> float:
     """Return a number > 0 as a float.
 
     Args:
-        name: function and argument, for the message. value: number in SI units.
+        name: function and argument, for the message.
+        value: number in SI units.
 
     Raises:
         InvalidInputError: the number is zero, negative or NaN.

@@ -67,7 +67,8 @@ class Plan:
             that are neither among the forces of the stage nor in its `may_touch`.
 
     Attributes:
-        outcome: state of the plan. reason: why it failed, was aborted or stopped.
+        outcome: state of the plan.
+        reason: why it failed, was aborted or stopped.
         verdicts: verdict on each stage that was passed, in order; a stage that was entered several
             times has several.
 
@@ -296,7 +297,8 @@ class Plan:
         """Update the contact state once in its period, and note one that is unexpected.
 
         Args:
-            now: signals after the last tick; `unexpected` is updated. recogniser: the plan's.
+            now: signals after the last tick; `unexpected` is updated.
+            recogniser: the plan's.
         """
         if self._ticks_to_instant == 0:
             recogniser.update(now.X, now.wrench)
@@ -401,7 +403,8 @@ class Plan:
         """Complete the verdict on the present stage, and append it to `verdicts`.
 
         Args:
-            why: condition that ended the stage, or why it failed. failed: whether it failed.
+            why: condition that ended the stage, or why it failed.
+            failed: whether it failed.
         """
         verdict = self._verdict
         verdict.duration = self._time - verdict.begin
@@ -414,7 +417,8 @@ class Plan:
         """End the plan, or stop it; only after its last stage the contact forces remain.
 
         Args:
-            outcome: state of the plan from now on. reason: reason for reports; empty if it is done.
+            outcome: state of the plan from now on.
+            reason: reason for reports; empty if it is done.
         """
         self.outcome = outcome
         self.reason = reason
@@ -462,7 +466,9 @@ def _changed(V: Array, goal: Array, dt: float) -> Array:
     Linear and angular part reach the goal together.
 
     Args:
-        V: (6,) present twist. goal: (6,) desired twist (m/s, rad/s). dt: control period (s).
+        V: (6,) present twist.
+        goal: (6,) desired twist (m/s, rad/s).
+        dt: control period (s).
     """
     step = goal - V
     most = CHANGES * dt

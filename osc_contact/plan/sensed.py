@@ -24,14 +24,17 @@ class Sensed:
 
     Attributes:
         t: time since the stage began, without pauses (s).
-        X: pose of the object. V: (6,) its twist (m/s, rad/s).
-        aim: pose that the plan commands. V_D: (6,) twist that it commanded in the last tick.
+        X: pose of the object.
+        V: (6,) its twist (m/s, rad/s).
+        aim: pose that the plan commands.
+        V_D: (6,) twist that it commanded in the last tick.
         wrench: (6,) measured wrench of the object on what it touches, low-passed with 5 ms (N,
             N m).
         forces: measured force of each contact of the controller by name, the sum over its columns
             of N, low-passed with 5 ms (N); 0 where it is not active.
         phases: phase of each contact by name.
-        start: pose at which the stage began. passed: pose at which each former stage ended last.
+        start: pose at which the stage began.
+        passed: pose at which each former stage ended last.
         finished: whether the motion of the stage has reached its end.
         N: (6, r) independent directions of force of the active contacts.
         recogniser: recogniser of the contact state of the plan, if it has one.

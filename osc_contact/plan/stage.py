@@ -92,7 +92,9 @@ class StageVerdict:
     """Verdict on a stage that was passed.
 
     Attributes:
-        name: name of the stage. begin: time in the plan at which it began (s). duration: s.
+        name: name of the stage.
+        begin: time in the plan at which it began (s).
+        duration: s.
         peak: largest measured force on what the object touches, low-passed with 5 ms (N).
         rms: rms error of the forces of its closed contacts (N).
         ended_by: condition that ended it, or why it failed.

@@ -73,7 +73,8 @@ class LearnedPlace:
         A contact is left out if its gap is unlikely, or if it does not exist in this pose.
 
         Args:
-            closed: pairs that are closed. X_WO: pose of the object.
+            closed: pairs that are closed.
+            X_WO: pose of the object.
 
         Returns:
             Number of gaps that were used.
@@ -93,7 +94,8 @@ class LearnedPlace:
         """Derivatives (r, 6) of the gaps by the displacement of the body at its point.
 
         Args:
-            N: (6, r) columns at O. X_WO: pose of the object.
+            N: (6, r) columns at O.
+            X_WO: pose of the object.
         """
         to_O = carry_twist(np.eye(6), self.X_WE.act(self._at), X_WO.translation)
         return N.T @ to_O
@@ -102,7 +104,8 @@ class LearnedPlace:
         """Correct pose and covariance by a gap whose true value is zero; return 1 if it was used.
 
         Args:
-            gap: gap in the present pose (m). H: (6,) its derivative.
+            gap: gap in the present pose (m).
+            H: (6,) its derivative.
         """
         P = self.covariance
         spread = float(H @ P @ H) + self._noise

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from osc_contact.contacts.feet import force_owners
 from osc_contact.contacts.pairs.law_pair import normals_over
-from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, has_known_points, pushes_only
 from osc_contact.errors import ContactError, InvalidInputError, did_you_mean
 from osc_contact.recognition.cones import RIDGE, Cones
 from osc_contact.spatial import Array, Poses, as_array, carry_wrench, rotations, skew
@@ -117,7 +117,8 @@ class ContactStates:
         errors: errors of readings, poses and friction.
 
     Attributes:
-        names: names of the states. pairs: pairs that occur in them, by name.
+        names: names of the states.
+        pairs: pairs that occur in them, by name.
         members: names of the pairs of each state.
 
     Raises:
@@ -203,7 +204,7 @@ class ContactStates:
             N[:, own] = all_columns[:, :, 0]
             change = (all_columns[:, :, 1:] - all_columns[:, :, :1]) / _STEP
             J[own] = change.transpose(1, 0, 2)
-            if knows_where_it_slides(pair):
+            if has_known_points(pair):
                 points = pair.points_of_contact(X_WO, X_WE) - X_WO.translation[:, None]
                 F[own] = [
                     _along_tangents(normal, point)
@@ -235,7 +236,8 @@ class ContactStates:
         """Log-likelihoods (n,), least squares (n,) and magnitudes α (n, k) of a wrench.
 
         Args:
-            columns: columns of N of all pairs. S_f: (6, 6) covariance of the wrench reading.
+            columns: columns of N of all pairs.
+            S_f: (6, 6) covariance of the wrench reading.
             f: (6,) wrench at O, world axes.
         """
         cones = self._cones
@@ -255,7 +257,8 @@ class ContactStates:
         """Force of each pair of a state by its name: the sum over its columns of N (N).
 
         Args:
-            state: number of the state. alpha: (n, k) magnitudes of `judge`.
+            state: number of the state.
+            alpha: (n, k) magnitudes of `judge`.
         """
         order = list(self.pairs)
         found = {name: 0.0 for name in order if name in self.members[state]}
@@ -268,7 +271,8 @@ class ContactStates:
         """Covariances S(α) (n, 6, 6) of the wrench in each state.
 
         Args:
-            columns: columns of N and their derivatives. S_f: (6, 6) covariance of the reading.
+            columns: columns of N and their derivatives.
+            S_f: (6, 6) covariance of the reading.
             alpha: (n, k) magnitudes.
         """
         cones = self._cones
@@ -303,7 +307,8 @@ class ContactStates:
         D[i, j]² is the least (f − Nα)ᵀS⁻¹(f − Nα) of state j for f = Σ of the forces of state i.
 
         Args:
-            X_WO: pose of the object. X_WE: pose of the touched body; None: the world frame.
+            X_WO: pose of the object.
+            X_WE: pose of the touched body; None: the world frame.
             force: force of each pair (N); None: that expected.
         """
         columns = self.columns(X_WO, X_WE)
@@ -330,7 +335,8 @@ class ContactStates:
         distinguished from friction.
 
         Args:
-            X_WO: pose of the object. X_WE: pose of the touched body; None: the world frame.
+            X_WO: pose of the object.
+            X_WE: pose of the touched body; None: the world frame.
             force: force of each pair (N); None: that expected.
         """
         D = self.distances(X_WO, X_WE, force)
@@ -371,7 +377,8 @@ def _displaced(X_WE: pin.SE3, O: Array) -> Poses:  # noqa: E741
     """Seven poses of the touched body: the believed one, and with a step along and about each axis.
 
     Args:
-        X_WE: believed pose. O: (3,) point at which displacements are stated (m).
+        X_WE: believed pose.
+        O: (3,) point at which displacements are stated (m).
     """
     steps = _STEP * np.hstack((np.zeros((6, 1)), np.eye(6)))
     turns = rotations(steps[3:])
@@ -384,7 +391,8 @@ def _along_tangents(normal: Array, point: Array) -> Array:
     """B Bᵀ (6, 6) of unit forces along the tangents at a point.
 
     Args:
-        normal: (3,) force of one unit of α. point: (3,) point of contact from O (m).
+        normal: (3,) force of one unit of α.
+        point: (3,) point of contact from O (m).
     """
     tangential = (normal @ normal) * np.eye(3) - np.outer(normal, normal)
     B = np.vstack((np.eye(3), skew(point)))

@@ -329,8 +329,8 @@ class Recording:
         """Check names, types and lengths of the channels.
 
         Args:
-            meta: facts on the run, of JSON's types. channels: arrays by name, the tick as first
-                axis.
+            meta: facts on the run, of JSON's types.
+            channels: arrays by name, the tick as first axis.
 
         Raises:
             RecordingError: a name, type or length is not valid, or `meta` is not JSON.
@@ -385,7 +385,8 @@ class Recording:
         """Read ticks start to stop − 1 of some channels.
 
         Args:
-            start: first tick. stop: tick after the last one.
+            start: first tick.
+            stop: tick after the last one.
             names: names of channels; none: all channels.
 
         Returns:
@@ -630,7 +631,8 @@ def _titles(name: str, values: Array) -> Iterator[str]:
     """Yield a title for each number of a channel in a tick: its name and indices, as in N.0.1.
 
     Args:
-        name: name of the channel. values: (ticks, …) values of the channel.
+        name: name of the channel.
+        values: (ticks, …) values of the channel.
     """
     for index in np.ndindex(values.shape[1:]):
         yield ".".join((name, *map(str, index)))

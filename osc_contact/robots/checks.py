@@ -200,7 +200,8 @@ def check_inertias(document: Document, inertias: Inertias) -> None:
     """Note negative masses and, at the level "possible", inertias that no body can have.
 
     Args:
-        document: document of the URDF, to whose findings errors are added. inertias: level.
+        document: document of the URDF, to whose findings errors are added.
+        inertias: level.
     """
     bodies = [link.inertial for link in document.links.values() if link.inertial is not None]
     for body in bodies:
@@ -239,7 +240,8 @@ def check_moving_bodies(document: Document, model: pin.Model) -> None:
     A moving body consists of all links that fixed joints connect.
 
     Args:
-        document: document of the URDF. model: Pinocchio model of it.
+        document: document of the URDF.
+        model: Pinocchio model of it.
     """
     bodies = list(model.inertias)[1:]
     rows = _principal([body.inertia for body in bodies])
@@ -277,7 +279,8 @@ def check_geometry(document: Document, package_dirs: Sequence[Path]) -> None:
     or in one of `package_dirs`.
 
     Args:
-        document: document of the URDF. package_dirs: further folders of meshes.
+        document: document of the URDF.
+        package_dirs: further folders of meshes.
     """
     for link in document.links.values():
         for part in link.element.findall("visual", "collision"):
@@ -298,7 +301,8 @@ def check_mesh_files(
     `MAX_MESH_BYTES`, and Collada files with textures outside of these folders.
 
     Args:
-        document: document of the URDF. package_dirs: further folders of meshes.
+        document: document of the URDF.
+        package_dirs: further folders of meshes.
 
     Returns:
         Findings on unusable files, and findings on missing files.
@@ -322,7 +326,8 @@ def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
     """Check a mesh file; return the reason and the cure of an unusable file, else None.
 
     Args:
-        file: the file. roots: folders of the robot.
+        file: the file.
+        roots: folders of the robot.
     """
     if not _inside(file, roots, os.path.realpath):
         return (f"leads to {file.resolve()}, outside of the robot's folders", "copy the file")
@@ -344,7 +349,8 @@ def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
     """Note an unknown shape, negative sizes, and a mesh address that cannot be used.
 
     Args:
-        shape: child of a <geometry>. package_dirs: further folders of meshes.
+        shape: child of a <geometry>.
+        package_dirs: further folders of meshes.
     """
     if shape.tag == "mesh":
         shape.vector("scale", (1.0, 1.0, 1.0))
@@ -368,7 +374,8 @@ def _address_problem(mesh: Element, roots: Sequence[Path]) -> tuple[str, str] | 
     """Check the address of a mesh; return reason and cure of an unusable address, else None.
 
     Args:
-        mesh: the <mesh>. roots: folders of the robot.
+        mesh: the <mesh>.
+        roots: folders of the robot.
     """
     address = mesh.get("filename")
     cure = "keep meshes below the URDF's folder, or pass the folder in package_dirs"
@@ -390,7 +397,8 @@ def _places(mesh: Element, roots: Sequence[Path]) -> list[Path]:
     """Possible files of a mesh: one in each folder for a package:// address, else a single file.
 
     Args:
-        mesh: the <mesh>. roots: folders of the robot.
+        mesh: the <mesh>.
+        roots: folders of the robot.
     """
     address = mesh.get("filename")
     path = address.removeprefix(_PACKAGE)

@@ -335,7 +335,8 @@ class _Reader:
         """Handle the beginning of an element: append it to its parent, and make it the open one.
 
         Args:
-            tag: name of the element. attributes: texts of its attributes by name.
+            tag: name of the element.
+            attributes: texts of its attributes by name.
         """
         self.elements += 1
         if len(self.open) >= MAX_DEPTH:

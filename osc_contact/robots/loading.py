@@ -215,7 +215,8 @@ def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:
     """Read a URDF, and check its words, numbers, tree and mesh addresses.
 
     Args:
-        file: the URDF. package_dirs: further folders of meshes.
+        file: the URDF.
+        package_dirs: further folders of meshes.
 
     Raises:
         ModelError: a check failed.

@@ -98,13 +98,20 @@ def motors_of(mj: MjModel, joint: int) -> list[int]:
 
 
 def couplings(mj: MjModel) -> dict[str, str]:
-    """Find the joints that an <equality> of the file couples to another joint.
+    """Find the joints whose positions an <equality> of the file prescribes.
+
+    Args:
+        mj: compiled model.
 
     Returns:
-        For each such joint the name of its master; "" if the joint is held in place.
+        By the name of each such joint the name of the joint whose position determines its own; ""
+        if the equality keeps it at a constant position.
     """
+    from mujoco import mjtEq  # installed, as the model has been compiled
+
     masters = {}
-    for e in np.flatnonzero((mj.eq_type == 2) & (mj.eq_active0 != 0)):  # mjEQ_JOINT
+    is_joint_equality = mj.eq_type == mjtEq.mjEQ_JOINT
+    for e in np.flatnonzero(is_joint_equality & (mj.eq_active0 != 0)):
         master = mj.eq_obj2id[e]
         masters[joint_name(mj, mj.eq_obj1id[e])] = "" if master < 0 else joint_name(mj, master)
     return masters

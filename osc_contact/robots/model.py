@@ -214,7 +214,8 @@ def frame_id(model: pin.Model, name: str) -> int:
     """Find the index of a frame by its name; if a joint has the same name, that of the body.
 
     Args:
-        model: model of the robot. name: name of the frame.
+        model: model of the robot.
+        name: name of the frame.
 
     Raises:
         ModelError: the model has no such frame (Pinocchio itself would return ``nframes``).

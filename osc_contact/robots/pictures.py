@@ -123,7 +123,8 @@ def _joint(model: pin.Model, j: int) -> Json:
     """Describe name, parent, placement and axis of a joint as JSON data.
 
     Args:
-        model: model of the arm. j: number of the joint, from 1.
+        model: model of the arm.
+        j: number of the joint, from 1.
     """
     linear, angular = joint_axis(model, j).reshape(2, 3)
     is_slide = slides(model, j)
@@ -140,7 +141,8 @@ def _describe(mj: MjModel, g: int) -> Json | None:
     """Describe type and size, or corners and faces, of a geom as JSON data; None: it is not drawn.
 
     Args:
-        mj: compiled model. g: number of the geom.
+        mj: compiled model.
+        g: number of the geom.
     """
     kind = int(mj.geom_type[g])
     size = _round(mj.geom_size[g])

@@ -120,43 +120,75 @@ def loss_words(joints: Sequence[JointLosses]) -> str:
 def friction_warnings(
     model: pin.Model, q: Array, share: float, rate: float, passive: Sequence[str] = ()
 ) -> Iterator[str]:
-    """Yield warnings of joints with large damping, and of the least rotor inertias for stability.
-
-    m = 1/(M⁻¹)_jj is the inertia of a joint while the others are free. Unknown damping D has the
-    effect of an inertia D/K, which is significant if D/m > K. The friction observer with share g is
-    stable for every delay if the assumed m is at most 1 + 1/g times the true one.
+    """Yield warnings of joints whose damping or rotor inertia endangers the friction observer.
 
     Args:
         model: model of an arm.
         q: (n,) posture (rad, m).
-        share: g of `control.joint_friction`.
-        rate: K (1/s).
+        share: share of the friction that the observer compensates, of `control.joint_friction`;
+            0: no observer.
+        rate: bandwidth of the observer (1/s).
         passive: names of joints without a motor, which have no observer.
 
     Yields:
-        One sentence on damping and one on rotors, for joints that are concerned.
+        At most one sentence on damping, then at most one on rotor inertias.
     """
+    # inertia (n,) of each joint while the others are free, with the rotors that the law assumes in
+    # place of those in the mass matrix
     M = pin.crba(model, model.createData(), q)
-    A = rotors(model)
-    m = 1.0 / np.diag(np.linalg.inv(M - np.diag(model.armature) + np.diag(A)))
-    names = joint_names(model)
-    fast = [
+    M_law = M - np.diag(model.armature) + np.diag(rotors(model))
+    inertias = 1.0 / np.diag(np.linalg.inv(M_law))
+    yield from _damping_warning(model, inertias, rate)
+    if share > 0.0:
+        yield from _rotor_warning(model, inertias, share, passive)
+
+
+def _damping_warning(model: pin.Model, inertias: Array, rate: float) -> Iterator[str]:
+    """Yield a warning if the damping of a joint exceeds its inertia times the observer's bandwidth.
+
+    Up to the observer's bandwidth K an unknown damping D acts like an inertia D/K. It outweighs the
+    inertia m of the joint if D/m > K.
+
+    Args:
+        model: model of an arm.
+        inertias: (n,) inertia m of each joint while the others are free (kg m², kg).
+        rate: bandwidth K of the friction observer (1/s).
+    """
+    excesses = [
         f"{damping / inertia:.3g} 1/s ({name})"
-        for name, damping, inertia in zip(names, model.damping, m, strict=True)
+        for name, damping, inertia in zip(joint_names(model), model.damping, inertias, strict=True)
         if damping > rate * inertia
     ]
-    if fast:
+    if excesses:
         yield (
-            f"damping over inertia {', '.join(fast)}, more than {rate:.0f} 1/s: an error of the "
-            "damping moves these joints more than their inertia does; give their rotors (armature)"
+            f"damping over inertia {', '.join(excesses)}, more than {rate:.0f} 1/s: an error of "
+            "the damping moves these joints more than their inertia does; give their rotors "
+            "(armature)"
         )
-    smaller = [
+
+
+def _rotor_warning(
+    model: pin.Model, inertias: Array, share: float, passive: Sequence[str]
+) -> Iterator[str]:
+    """Yield a warning with the least rotor inertias for which the friction observer is stable.
+
+    The observer with the share g is stable for every delay if the assumed inertia m of a joint is
+    at most 1 + 1/g times the true one, so that the true one is at least m − m/(1 + g). Links
+    without their rotor A have m − A; a rotor smaller than A − m/(1 + g) is therefore too small.
+
+    Args:
+        model: model of an arm.
+        inertias: (n,) inertia m of each joint while the others are free (kg m², kg).
+        share: share g of the friction that the observer compensates, > 0.
+        passive: names of joints without a motor, which have no observer.
+    """
+    least_rotors = [
         f"{rotor - inertia / (1.0 + share):.2g} ({name}, {rotor:.2g} in the model)"
-        for name, rotor, inertia in zip(names, A, m, strict=True)
-        if share > 0.0 and rotor > inertia / (1.0 + share) and name not in passive
+        for name, rotor, inertia in zip(joint_names(model), rotors(model), inertias, strict=True)
+        if rotor > inertia / (1.0 + share) and name not in passive
     ]
-    if smaller:
-        limits = ", ".join(smaller)
+    if least_rotors:
+        limits = ", ".join(least_rotors)
         yield f"rotors that are smaller than {limits} make the friction observer unstable"
 
 
@@ -306,21 +338,26 @@ def _tip(model: pin.Model, frame: int) -> TipSummary:
     """Describe apparent inertia and mobility at a frame over random postures, see `TipSummary`.
 
     Args:
-        model: model of the robot. frame: number of the frame.
+        model: model of the robot.
+        frame: number of the frame in the model.
     """
     data = model.createData()
     tip = model.frames[frame]
     joints = len(model.supports[tip.parentJoint]) - 1  # without the universe
+
+    # factor L (6, 6) of the inertia of the body that carries the tip, in the axes of the tip
     body = tip.placement.inverse().act(model.inertias[tip.parentJoint])
     moments = np.linalg.eigvalsh(body.inertia)
     is_solid = body.mass > 0 and moments[0] > 1e-9 * moments[2]
     L = np.linalg.cholesky(body.matrix()) if is_solid else np.zeros((6, 6))
+
     linear = []
     angular = []
     mobility = []
     for q in random_configurations(model, POSTURES):
         M = np.array(pin.crba(model, data, q))
         J = columns_of(pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL))
+        # A (6, n) = J K⁻ᵀ with M = K Kᵀ, so that A Aᵀ = J M⁻¹ Jᵀ is the inverse inertia at the tip
         A = np.linalg.solve(np.linalg.cholesky(M.T), J.T).T
         linear.append(np.linalg.eigvalsh(A[:3] @ A[:3].T))
         angular.append(np.linalg.eigvalsh(A[3:] @ A[3:].T))
@@ -331,7 +368,11 @@ def _tip(model: pin.Model, frame: int) -> TipSummary:
 
 
 def _inverse(eigenvalues: list[Array]) -> tuple[float, float]:
-    """Smallest and largest 1/λ of eigenvalues λ; λ within rounding errors of 0 give inf."""
+    """Compute the smallest and the largest 1/λ of eigenvalues λ ≥ 0 of all postures.
+
+    Args:
+        eigenvalues: (3,) eigenvalues for each posture; those within rounding errors of 0 give inf.
+    """
     values = np.array(eigenvalues)
     values[values <= 1e-12 * values.max()] = 0.0
     with np.errstate(divide="ignore"):

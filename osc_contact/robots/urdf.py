@@ -78,7 +78,9 @@ class Link(NamedTuple):
     """Link as written.
 
     Attributes:
-        name: name of the link. inertial: inertia, or None. element: the <link>.
+        name: name of the link.
+        inertial: inertia, or None.
+        element: the <link>.
     """
 
     name: str

@@ -43,8 +43,8 @@ class DeadEncoders:
         """Return which encoders (k,) are dead after a new reading.
 
         Args:
-            measured: (k,) positions (rad, m). fresh: False if it is an old reading, which is no
-                evidence (slower sensor, lost sample).
+            measured: (k,) positions (rad, m).
+            fresh: False if it is an old reading, which is no evidence (slower sensor, lost sample).
         """
         if fresh:
             is_same = measured == self._last
@@ -60,7 +60,8 @@ def _unlikely_repetitions(noise: float, resolution: float) -> float:
     from pⁿ = `_BY_CHANCE` on.
 
     Args:
-        noise: standard deviation of a reading (rad, m). resolution: step of a reading (rad, m).
+        noise: standard deviation of a reading (rad, m).
+        resolution: step of a reading (rad, m).
 
     Returns:
         Number n; inf without noise, for which repetitions prove nothing.

@@ -34,7 +34,8 @@ class ReadingNoise:
         """Begin with the expected noise.
 
         Args:
-            expected: (k,) standard deviation of the readings (rad, m). sample: their period (s).
+            expected: (k,) standard deviation of the readings (rad, m).
+            sample: their period (s).
         """
         self.expected = np.array(expected, dtype=float)
         self.is_loud = False

@@ -60,7 +60,9 @@ def smallest_bandwidth(brake: float, integral: float, mode: float) -> float:
     is √2 κ/(ρ − 1).
 
     Args:
-        brake: κ (1/s). integral: K_i (1/s). mode: ω (rad/s).
+        brake: κ (1/s).
+        integral: K_i (1/s).
+        mode: ω (rad/s).
 
     Returns:
         ω_e (rad/s); infinite where κ ≤ K_i, with which no bandwidth suffices.
@@ -184,8 +186,9 @@ class VelocityEstimate:
         """Make an estimate with the gains of a design for the noise of the readings.
 
         Args:
-            design: function that returns gains. noise: (k,) rms noise (m, rad). dt, sample: see
-                the class.
+            design: function that returns gains.
+            noise: (k,) rms noise (m, rad).
+            dt, sample: see the class.
         """
         alpha, beta, gamma = design(noise)
         estimate = cls(alpha, beta, dt, sample, gamma, _scatter(noise, alpha))
@@ -306,8 +309,9 @@ def _optimal_gains(noise: Array, acceleration: Array, period: float) -> tuple[Ar
     """Compute the stationary Kalman gains α and β (k,), see the module; γ is zero.
 
     Args:
-        noise: (k,) rms noise of the readings (m, rad). acceleration: (k,) rms of the unknown
-            acceleration (m/s², rad/s²). period: of the readings (s).
+        noise: (k,) rms noise of the readings (m, rad).
+        acceleration: (k,) rms of the unknown acceleration (m/s², rad/s²).
+        period: of the readings (s).
     """
     index = acceleration * period**2 / noise
     u = 1.0 / 3.0 + np.sqrt(1.0 / 12.0 + 4.0 / index**2)
@@ -319,8 +323,9 @@ def _learning_gains(noise: Array, acceleration: Array, period: float) -> tuple[A
     """Compute the gains α, β and γ (k,) of `VelocityEstimate.learning`.
 
     Args:
-        noise: (k,) rms noise of the readings (m, rad). acceleration: (k,) rms of the unknown
-            acceleration (m/s², rad/s²). period: of the readings (s).
+        noise: (k,) rms noise of the readings (m, rad).
+        acceleration: (k,) rms of the unknown acceleration (m/s², rad/s²).
+        period: of the readings (s).
     """
     pole = np.exp(-_EQUAL_NOISE * np.sqrt(np.divide(acceleration, noise)) * period)
     pole = np.atleast_1d(pole)
@@ -332,6 +337,7 @@ def _scatter(noise: Array, alpha: Array) -> Array:
     """Compute the rms (k,) of innovations by noise, σ_n/√(1 − α) (m, rad).
 
     Args:
-        noise: (k,) rms noise σ_n of the readings (m, rad). alpha: (k,) gain of position.
+        noise: (k,) rms noise σ_n of the readings (m, rad).
+        alpha: (k,) gain of position.
     """
     return np.asarray(np.atleast_1d(noise) / np.sqrt(np.maximum(1.0 - alpha, 1e-9)))

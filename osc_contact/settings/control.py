@@ -240,8 +240,8 @@ class SafetySettings(OrderedSpec):
         A ceiling that is set remains.
 
         Args:
-            largest: largest command of a contact or squeeze (N). total: largest sum of all commands
-                (N).
+            largest: largest command of a contact or squeeze (N).
+            total: largest sum of all commands (N).
         """
         commands = {"contact_ceiling": largest, "wrist_ceiling": total}
         derived = {
@@ -278,8 +278,9 @@ def require_below_ceilings(safety: SafetySettings, force: float, contacts: int) 
     """Refuse force commands that may exceed the ceilings at which the arms are stopped.
 
     Args:
-        safety: settings of the controller. force: largest command of a contact (N). contacts:
-            number of forces that may be commanded together.
+        safety: settings of the controller.
+        force: largest command of a contact (N).
+        contacts: number of forces that may be commanded together.
 
     Raises:
         InvalidInputError: a ceiling that is set is below the force, or below the sum of all.

@@ -30,8 +30,9 @@ class _GainsOfOneLoop(OrderedSpec):
     Design values, such as a bandwidth, suit every mass; they are not mixed with gains.
 
     Attributes:
-        serving: names of the design values. numbers: names of the gains. example: argument of --set
-            that replaces the group.
+        serving: names of the design values.
+        numbers: names of the gains.
+        example: argument of --set that replaces the group.
     """
 
     serving: ClassVar[tuple[str, ...]]

@@ -105,7 +105,8 @@ class Spec(BaseModel):
         """Validate values, which are given in the order of the keys, or by their names.
 
         Args:
-            *values: values of the first keys. **keys: values by the names of their keys.
+            *values: values of the first keys.
+            **keys: values by the names of their keys.
 
         Raises:
             InvalidInputError: with a sentence for each invalid value.
@@ -184,7 +185,8 @@ def meaning(owner: type, key: str) -> str | None:
     Docstrings are read from the source; keys of models made at run time have descriptions.
 
     Args:
-        owner: class of the group. key: name of the key.
+        owner: class of the group.
+        key: name of the key.
     """
     for base in (*owner.__mro__, getattr(owner, "describes", object)):
         if key in inspect.get_annotations(base) and key in (texts := _docstrings_of_keys(base)):
@@ -216,8 +218,8 @@ def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:
     """Sentence on a validation error of pydantic, in the wording of this package.
 
     Args:
-        item: the error. owner: class of the group that has the last key of the error's place; None:
-            unknown.
+        item: the error.
+        owner: class of the group that has the last key of the error's place; None: unknown.
     """
     kind = item["type"]
     context = item.get("ctx", {})

@@ -13,6 +13,8 @@ from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.detection.features import (
     CollisionShape,
     Feature,
+    Nearest,
+    Solid,
     best_direction,
     exact_normal,
     foremost,
@@ -54,6 +56,7 @@ def face_on_edge(
     """
 
     def gap(X: SE3) -> Array:
+        """Gaps (2,) (m) of the two points, at the pose X of the object in the environment."""
         return (edge - X.act(point)) @ (X.rotation @ normal) - radius
 
     return GapFunctions(gap, length=norm(edge[1] - edge[0]), name=name)
@@ -185,7 +188,11 @@ class Detected:
         return self._of_lines()
 
     def _on_face(self, normal: Array) -> ContactPair:
-        """Pair of the object's feature on a face of the environment with this normal (3,)."""
+        """Pair of the object's feature on a face of the environment.
+
+        Args:
+            normal: (3,) outward unit normal of the face, in the axes of the environment's body.
+        """
         a = self.object_feature
         point = self.object_point
         face = self.environment_point
@@ -201,7 +208,11 @@ class Detected:
         return SphereOnPlane(point, a.radius, face, normal, name)
 
     def _under_face(self, normal: Array) -> ContactPair:
-        """Pair of a face of the object with this normal (3,) on the environment's feature."""
+        """Pair of a face of the object on the environment's feature, which is no face.
+
+        Args:
+            normal: (3,) outward unit normal of the face, in the axes of the object.
+        """
         e = self.environment_feature
         face = self.object_point
         name = self.name
@@ -212,10 +223,10 @@ class Detected:
         return FaceOnVertex(face, normal, self.environment_point, e.radius, name)
 
     def _of_lines(self) -> ContactPair:
-        """Pair of two features without a face.
+        """Pair of two features neither of which is a face: points, lines, spheres or cylinders.
 
         Raises:
-            ContactError: no pair describes the contact.
+            ContactError: the features touch along a line, or one of them is a rim.
         """
         a = self.object_feature
         e = self.environment_feature
@@ -224,6 +235,7 @@ class Detected:
                 f"{self.name}: no contact pair describes {self.kind} along a line; declare it with "
                 "GapFunctions"
             )
+        # a point or ball on a ball or on the side of a cylinder
         if a.name in ("vertex", "sphere") and e.name in ("sphere", "cylinder"):
             if e.name == "cylinder":
                 surface = Surface.cylinder(e.radius)
@@ -240,6 +252,7 @@ class Detected:
                 surface_x=tangent,
                 name=self.name,
             )
+        # other round features, and a vertex on a vertex or an edge: only their distance counts
         if a.radius > 0.0 or e.radius > 0.0 or a.dimension + e.dimension < 2:
             return between_round(a, e, self.name)
         return EdgeOnEdge(
@@ -299,7 +312,8 @@ def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
     """Return whether two contacts have the same tangent plane.
 
     Args:
-        a, b: detected contacts. margin: largest distance of points of `a` from the plane of b (m).
+        a, b: detected contacts.
+        margin: largest distance of the patch of a from the plane of b (m).
         angle: largest angle between the normals (rad).
     """
     inclined = norm(cross(a.normal, b.normal))
@@ -309,17 +323,17 @@ def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
 
 
 def _spanned(points: Array, other: Detected, margin: float) -> bool:
-    """Return whether points (k, 3) are on the plane, line or point of a contact's patch.
+    """Return whether points are on the plane, line or point in which another contact touches.
 
     Args:
-        points: (k, 3) points of the contact's tangent plane (m).
-        other: the contact.
-        margin: largest distance (m).
+        points: (k, 3) points in the tangent plane of `other`, world (m).
+        other: the other contact.
+        margin: largest distance of the points from its line or point (m).
     """
     offsets = points - other.points[0]
-    if other.r == 3:
+    if other.r == 3:  # a plane: the points are in it, see Args
         return True
-    if other.r == 2:
+    if other.r == 2:  # a line: only the offsets across it count
         axis = other.points[-1] - other.points[0]
         axis = axis / norm(axis)
         offsets = offsets - np.outer(offsets @ axis, axis)
@@ -327,15 +341,16 @@ def _spanned(points: Array, other: Detected, margin: float) -> bool:
 
 
 def _buried(contact: Detected, shape: CollisionShape, X_WO: SE3) -> bool:
-    """Return whether the touching part of the object is inside another of its shapes.
+    """Return whether the touching point of the object is inside another of its shapes.
 
     Args:
-        contact: the contact.
-        shape: other shape of the object.
-        X_WO: pose of the object.
+        contact: the contact; lines and planes (r > 1) count as outside.
+        shape: shape of the object; the touching one counts as outside.
+        X_WO: pose of the object in the world.
     """
     if contact.object_shape == shape.name or contact.r > 1:
         return False
+    # the touching point is one radius from the centre of a rounded feature, against the normal
     surface = X_WO.act(contact.object_point) - contact.object_feature.radius * contact.normal
     point = SE3(np.eye(3), surface)
     return nearest(coal.Sphere(0.0), point, shape.shape, X_WO * shape.placement).distance <= _BURIED
@@ -378,63 +393,92 @@ def detect(
     if X_WE is None:
         X_WE = SE3.Identity()
     candidates = (
-        _classified(a, X_WO, e, X_WE, margin, angle)
+        _contact_of_shapes(a, X_WO, e, X_WE, margin, angle)
         for a, e in product(object_geometry, environment_geometry)
     )
     contacts = [contact for contact in candidates if contact is not None]
     return merged(contacts, object_geometry, X_WO, margin, angle)
 
 
-def _classified(
+def _contact_of_shapes(
     a: CollisionShape, X_WO: SE3, e: CollisionShape, X_WE: SE3, margin: float, angle: float
 ) -> Detected | None:
-    """Contact of two shapes; None if they do not touch.
+    """Contact of two convex shapes: the features that touch, their normal and their patch.
 
     Args:
         a: shape of the object.
-        X_WO: pose of the object.
-        e: shape of the environment's body.
-        X_WE: pose of that body.
+        X_WO: pose of the object in the world.
+        e: shape of a body of the environment.
+        X_WE: pose of that body in the world.
         margin: largest distance at which shapes count as touching (m).
         angle: largest inclination at which edges and faces count as touching along them (rad).
+
+    Returns:
+        The contact; None if the shapes do not touch.
     """
     closest = nearest(a.shape, X_WO * a.placement, e.shape, X_WE * e.placement)
     if closest.distance > margin:
         return None
+
+    # features that touch, in world coordinates, and the unit normal n (3,) out of e towards a
     solid_a = a.solid.moved(X_WO)
     solid_e = e.solid.moved(X_WE)
-    n = best_direction(solid_a, solid_e)
-    round_one = solid_a.radius + solid_e.radius > 0.0
-    if round_one and separation(solid_a, solid_e, n) < closest.distance - _EXACT:
-        n = best_direction(solid_a, solid_e, closest.normal)
-    f_a = foremost(solid_a, -n, margin, angle)
-    f_e = foremost(solid_e, n, margin, angle)
-    distance = separation(solid_a, solid_e, n)
-    n = exact_normal(f_a, f_e, n, angle)
-    distance = float(max(distance, separation(solid_a, solid_e, n)))
+    direction = _contact_direction(solid_a, solid_e, closest)
+    feature_a = foremost(solid_a, -direction, margin, angle)
+    feature_e = foremost(solid_e, direction, margin, angle)
+    n = exact_normal(feature_a, feature_e, direction, angle)
+
+    # The gap along any direction is a lower bound of the distance, so the larger gap is the better
+    # value. It is compared with the margin again, because the solver's distance is inexact.
+    gaps = (separation(solid_a, solid_e, direction), separation(solid_a, solid_e, n))
+    distance = float(max(gaps))
     if distance > margin:
         return None
-    patch = shared_patch(f_a, f_e, n, closest.witness, margin, angle)
-    if f_e.normal is not None:
-        f_a = f_a.lowered(_lifted(f_a, patch, n))
-    elif f_a.normal is not None:
-        f_e = f_e.lowered(_lifted(f_e, patch, n))
+
+    # A face remains a face: it determines the normal of the pair. The feature opposite to it is
+    # reduced to the part within the patch (an edge that ends on the face touches at a point).
+    patch = shared_patch(feature_a, feature_e, n, closest.witness, margin, angle)
+    if feature_e.normal is not None:
+        feature_a = feature_a.lowered(_lift_points(feature_a, patch, n))
+    elif feature_a.normal is not None:
+        feature_e = feature_e.lowered(_lift_points(feature_e, patch, n))
+
     middle = patch.mean(axis=0)
     return Detected(
         object_shape=a.name,
         environment_shape=e.name,
-        kind=_kind(f_a, f_e),
+        kind=_kind(feature_a, feature_e),
         r=min(len(patch), 3),
-        points=_lifted(f_e, patch, n) + f_e.radius * n,
+        # points of a rounded feature are centres; its surface is one radius farther along n
+        points=_lift_points(feature_e, patch, n) + feature_e.radius * n,
         normal=n,
         distance=distance,
-        object_feature=f_a.moved(X_WO.inverse()),
-        environment_feature=f_e.moved(X_WE.inverse()),
-        object_point=X_WO.actInv(f_a.lift(middle, n)),
-        environment_point=X_WE.actInv(f_e.lift(middle, n)),
+        object_feature=feature_a.moved(X_WO.inverse()),
+        environment_feature=feature_e.moved(X_WE.inverse()),
+        object_point=X_WO.actInv(feature_a.lift(middle, n)),
+        environment_point=X_WE.actInv(feature_e.lift(middle, n)),
         object_normal=X_WO.rotation.T @ n,
         environment_normal=X_WE.rotation.T @ n,
     )
+
+
+def _contact_direction(a: Solid, e: Solid, closest: Nearest) -> Array:
+    """Unit vector (3,) out of e towards a, along which the gap between a and e is largest.
+
+    The exact candidates are the normals of faces and the directions across two edges. The normal of
+    the iterative solver has an error of about 1e-2. It is therefore a candidate only if a shape is
+    round and the gap along the best exact candidate is less than the distance: then the shapes
+    touch between a round surface and an edge, a corner or another round surface.
+
+    Args:
+        a, e: solids of object and environment in world coordinates, as is the result.
+        closest: distance and normal of the two by the solver.
+    """
+    direction = best_direction(a, e)
+    has_round_surface = a.radius + e.radius > 0.0
+    if has_round_surface and separation(a, e, direction) < closest.distance - _EXACT:
+        direction = best_direction(a, e, closest.normal)
+    return direction
 
 
 def _kind(a: Feature, e: Feature) -> str:
@@ -444,11 +488,14 @@ def _kind(a: Feature, e: Feature) -> str:
     return f"{of_object} on {of_environment}"
 
 
-def _lifted(feature: Feature, patch: Array, n: Array) -> Array:
-    """Points (k, 3) of a feature that lie above given points along a direction.
+def _lift_points(feature: Feature, patch: Array, n: Array) -> Array:
+    """Points (k, 3) of a feature whose projections along the normal are the points of a patch (m).
 
     Args:
-        feature: feature of a shape. patch: (k, 3) points (m). n: (3,) unit direction.
+        feature: feature of a shape, in world coordinates.
+        patch: (k, 3) points of the patch in the plane through the world's origin with this normal,
+            world axes (m).
+        n: (3,) unit normal of the contact out of the environment, world axes.
     """
     return np.array([feature.lift(point, n) for point in patch])
 

@@ -301,7 +301,11 @@ class Feature:
         return edge / norm(edge)
 
     def moved(self, X: SE3) -> Feature:
-        """Feature in other coordinates, to which the pose X maps."""
+        """Compute the same feature in other coordinates.
+
+        Args:
+            X: pose that maps the feature's coordinates to the new ones.
+        """
         normal = None if self.normal is None else X.rotation @ self.normal
         centre = None if self.centre is None else X.act(self.centre)
         axis = None if self.axis is None else X.rotation @ self.axis
@@ -309,23 +313,38 @@ class Feature:
         return Feature(self.name, self.dimension, points, self.radius, normal, centre, axis)
 
     def lift(self, point: Array, n: Array) -> Array:
-        """Point (3,) of the feature, or of its line or plane, that is nearest on a line.
+        """Find the point of the feature that is nearest to a line along the contact's normal.
+
+        An edge or a face counts as the whole line or plane through it.
 
         Args:
-            point: (3,) point of the line (m).
-            n: (3,) direction of the line.
+            point: (3,) point of the line, in the feature's coordinates (m).
+            n: (3,) unit vector along the line.
+
+        Returns:
+            Point (3,) of the feature, in its coordinates (m).
         """
         if self.dimension == 0:
             return self.points[0]
-        if self.normal is not None:
+        if self.normal is not None:  # the line intersects the plane of the face
             return point + n * (((self.points[0] - point) @ self.normal) / (n @ self.normal))
+        # along n, edge and line must coincide: only the part of the edge across n counts
         axis = self.direction
         normal_part = axis - (axis @ n) * n
         start = self.points[0]
         return start + axis * (((point - start) @ normal_part) / (normal_part @ normal_part))
 
     def lowered(self, points: Array) -> Feature:
-        """Feature of lower dimension, if only some `points` (k, 3) of this one touch."""
+        """Reduce the feature to the part that touches: of an edge a vertex, of a face an edge, …
+
+        Args:
+            points: (k, 3) points of the feature that touch: one for a vertex, two for an edge,
+                three or more for a face (m).
+
+        Returns:
+            The feature itself if it touches as a whole, else the vertex, edge, sphere or cylinder
+            of these points.
+        """
         dimension = min(len(points), 3) - 1
         if dimension == self.dimension:
             return self
@@ -348,6 +367,7 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
     """
     if solid.axis is not None:
         return _cylinder_feature(solid, solid.axis, d, margin, angle)
+    # corners that are as far forward as the foremost one, within the tolerances
     heights = solid.corners @ d
     top = heights.argmax()
     drop = heights[top] - heights
@@ -358,13 +378,14 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
         normal = solid.normals[(solid.normals @ d).argmax()]
         if norm(cross(normal, d)) <= angle:
             return Feature("face", 2, _round_trip(points, normal), 0.0, normal)
-        other_points = active[
-            active != top
-        ]  # steeper than `angle` across: the flattest edge is left
-        flattest = other_points[(drop[other_points] / distance[other_points]).argmin()]
+        # The face is inclined by more than `angle`, although each corner is within the tolerances:
+        # only the flattest edge at the foremost corner touches.
+        other_corners = active[active != top]
+        flattest = other_corners[(drop[other_corners] / distance[other_corners]).argmin()]
         points = solid.corners[[top, flattest]]
     if len(points) == 1:
         return Feature("sphere" if solid.radius > 0.0 else "vertex", 0, points, solid.radius)
+    # the outermost two of points in line
     positions = (points - points[0]) @ (points[-1] - points[0])
     ends = points[[positions.argmin(), positions.argmax()]]
     return Feature("cylinder" if solid.radius > 0.0 else "edge", 1, ends, solid.radius)
@@ -375,7 +396,8 @@ def _cylinder_feature(solid: Solid, axis: Array, d: Array, margin: float, angle:
 
     Args:
         solid: the cylinder, whose two corners are the centres of its end faces (m).
-        axis: (3,) unit vector along its axis. d: (3,) unit direction.
+        axis: (3,) unit vector along its axis.
+        d: (3,) unit direction.
         margin: distance along d within which points count as foremost (m).
         angle: angle of a face or side from its ideal direction up to which it counts (rad).
     """
@@ -570,7 +592,11 @@ def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:
 
 
 def _nearest(a: Feature, e: Feature) -> Array:
-    """The point of a nearest to e, where one of the two is a point."""
+    """Point (3,) of feature a that is nearest to feature e, if one of the two is a point (m).
+
+    Args:
+        a, e: features in the same coordinates; the one that is no point is a line.
+    """
     if a.dimension == 0:
         return a.points[0]
     axis = a.direction

@@ -211,10 +211,11 @@ def _entry(function: Callable[..., None], forces: int, count: int) -> tuple[int,
         """Evaluate the pair for the law, which passes addresses of arrays.
 
         Args:
-            X_WO, X_WE: (4, 4) poses of object and body. V_O, V_E: (6,) twists at O.
-            parameters: (count,) parameters of the pair. evaluated: (forces, 11), filled: each row
-                has a column of N (6), n_γ, the gap, and the point of contact from O (3); N is NaN
-                where the function does not fill it.
+            X_WO, X_WE: (4, 4) poses of object and body.
+            V_O, V_E: (6,) twists at O.
+            parameters: (count,) parameters of the pair.
+            evaluated: (forces, 11), filled: each row has a column of N (6), n_γ, the gap, and the
+                point of contact from O (3); N is NaN where the function does not fill it.
         """
         pose = carray(X_WO, (4, 4))
         body = carray(X_WE, (4, 4))

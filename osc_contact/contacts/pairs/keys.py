@@ -119,7 +119,8 @@ def require_object_fits(pair: ContactPair, longest: float) -> None:
     """Refuse a held object that is too large for the arms, which suggests lengths in mm.
 
     Args:
-        pair: pair of the contact. longest: stretched length of the longest arm (m).
+        pair: pair of the contact.
+        longest: stretched length of the longest arm (m).
 
     Raises:
         InvalidInputError: a length exceeds `LARGEST_OBJECT` times `longest`.

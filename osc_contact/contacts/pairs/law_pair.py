@@ -149,7 +149,8 @@ class LawPair(PackagedPair):
         """Evaluate the pair by the functions of the law.
 
         Args:
-            A, E: elements of the poses of object and body in the environment.
+            A, E: elements of the poses of the object and of the touched body in the world, see
+                `_elements`.
             V_O, V_E: (6,) twists of object and body at O (m/s, rad/s).
 
         Returns:
@@ -202,9 +203,32 @@ def normals_over(pair: ContactPair, X_WO: Poses, X_WE: Poses | None = None) -> A
 
 
 def _elements(X: SE3) -> _Elements:
+    """Elements of a pose as a dictionary of floats, in the form that the law's functions index.
+
+    The law reads elements as X[i, j]. Run as Python it is much faster with a dictionary of floats
+    than with an array, whose elements are numpy scalars.
+
+    Args:
+        X: pose of the object or of the touched body in the world.
+
+    Returns:
+        Floats by (row, column) of the matrix [R p] (3, 4): rotation in columns 0 … 2, position (m)
+        in column 3.
+    """
     rows = X.homogeneous.tolist()
     return {(i, j): rows[i][j] for i in range(3) for j in range(4)}
 
 
 def _elements_over(X: Poses) -> _Elements:
+    """Elements of k poses as a dictionary of arrays, in the form that the law's functions index.
+
+    The law's functions then compute all k instants at once: each of their numbers is an array.
+
+    Args:
+        X: poses of the object or of the touched body in the world at k instants.
+
+    Returns:
+        Arrays (k,), or (1,) for constant poses, by (row, column) of the matrix [R p] (3, 4):
+        rotation in columns 0 … 2, position (m) in column 3.
+    """
     return {(i, j): X.p[i] if j == 3 else X.R[i, j] for i in range(3) for j in range(4)}

@@ -110,10 +110,13 @@ class SlidingPair(ContactPair, Protocol):
         """
 
 
-def knows_where_it_slides(pair: ContactPair) -> TypeGuard[SlidingPair]:
-    """Whether friction at the pair can be computed, because it pushes at known points.
+def has_known_points(pair: ContactPair) -> TypeGuard[SlidingPair]:
+    """True if the points at which the pair pushes are known, so that its friction can be computed.
 
-    Forces of either sign (hinges, holes, grooves) act at unknown points of a gap.
+    Forces of either sign (hinges, holes, grooves) act at unknown points within the play of a joint.
+
+    Args:
+        pair: any contact pair.
     """
     return pushes_only(pair) and hasattr(pair, "points_of_contact")
 
@@ -138,7 +141,8 @@ class Bodies:
         """Bodies from the arguments of `ContactPair.contact`, with E's twist carried to O.
 
         Args:
-            X_WO: pose of the object. V_O: (6,) its twist at O, world axes (m/s, rad/s).
+            X_WO: pose of the object.
+            V_O: (6,) its twist at O, world axes (m/s, rad/s).
             X_WE: pose of the environment body; None: the world frame.
             V_E: (6,) its twist at its own origin, world axes; None: at rest.
         """

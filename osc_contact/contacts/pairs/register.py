@@ -41,7 +41,8 @@ class PackagedPair(ABC):
         """N (6, r) and n_γ (r,) at O, world axes (see `ContactPair.contact`).
 
         Args:
-            X_WO: pose of the object. V_O: (6,) its twist at O, world axes (m/s, rad/s).
+            X_WO: pose of the object.
+            V_O: (6,) its twist at O, world axes (m/s, rad/s).
             X_WE: pose of the environment body; None: the world frame.
             V_E: (6,) its twist at its own origin, world axes; None: at rest.
 
@@ -73,7 +74,8 @@ class NamedPair(NamedTuple):
     """Pair that may be used in scenarios.
 
     Attributes:
-        pair: its class. forces: r, number of its force magnitudes.
+        pair: its class.
+        forces: r, number of its force magnitudes.
     """
 
     pair: Any

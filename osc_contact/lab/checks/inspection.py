@@ -9,7 +9,7 @@ import numpy as np
 
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.feet import contact_at, feet
-from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides, pushes_only
+from osc_contact.contacts.pairs.pair import ContactPair, has_known_points, pushes_only
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.files import Json
@@ -28,7 +28,8 @@ class Inspection:
     """The contact state of a scenario at its start, of the contacts that are active there.
 
     Attributes:
-        d: motions the object can make. r: independent contact forces.
+        d: motions the object can make.
+        r: independent contact forces.
         lines: the report, one sentence each.
         N, T: bases (6, r), (6, 6−r), columns of N named by `contacts` (``pad.1``, … if several).
         free: (6, d−r) the motions that are both possible for the arms and permitted by the contact.
@@ -174,7 +175,7 @@ def _normals(rig: Rig) -> Iterator[str]:
         return
     moves = rig.references.overview[1].V_D.any()
     for pair in rig.pairs:
-        if knows_where_it_slides(pair) and not moves:
+        if has_known_points(pair) and not moves:
             yield (
                 f"the normal of '{pair.name}' cannot be observed: no motion is commanded; it is "
                 "taken as given."
@@ -194,8 +195,9 @@ def _redundancy(arms: int, internal: int, arm_motions: int) -> Iterator[str]:
     """Sentences on internal forces and null-space motions.
 
     Args:
-        arms: number of arms. internal: number of internal forces. arm_motions: number of null-space
-            motions.
+        arms: number of arms.
+        internal: number of internal forces.
+        arm_motions: number of null-space motions.
     """
     if internal or arms > 1:
         yield (

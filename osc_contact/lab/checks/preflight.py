@@ -22,8 +22,8 @@ from osc_contact.contacts.detection.features import collision_shapes, nearest
 from osc_contact.contacts.feet import feet
 from osc_contact.contacts.pairs.pair import (
     ContactPair,
+    has_known_points,
     has_place,
-    knows_where_it_slides,
     pushes_only,
 )
 from osc_contact.control.controller import Controller
@@ -149,8 +149,8 @@ def require_ready(rig: Rig, robot: Sequence[Finding] | None = None) -> list[str]
     """Refuse a rig that cannot run; log warnings and return their sentences.
 
     Args:
-        rig: rig of the task. robot: findings of `judge_rig`, if it was called before; None: it is
-            called.
+        rig: rig of the task.
+        robot: findings of `judge_rig`, if it was called before; None: it is called.
 
     Raises:
         ScenarioError: the task cannot run; the message has all errors that `preflight` finds.
@@ -214,7 +214,7 @@ def friction(rig: Rig) -> Values:
     if rig.scenario.plant.exact or control.friction is not None or not rig.pairs:
         return
     if choose_reading(control.force.reading, rig.pairs) == "filter":
-        slides = any(map(knows_where_it_slides, rig.pairs))
+        slides = any(map(has_known_points, rig.pairs))
         other = "set control.force.reading=least_squares, or " if slides else ""
         yield rig.scenario.plant.friction, {"other": other}
 
@@ -358,7 +358,8 @@ class _Solid:
     """Body with its collision shapes, for distances from points of the world.
 
     Attributes:
-        name: name of the body in messages, in quotation marks. urdf: file of its shapes.
+        name: name of the body in messages, in quotation marks.
+        urdf: file of its shapes.
         placement: pose of the body in the world.
     """
 

@@ -28,7 +28,9 @@ class DrakePlant:
     """Arms, object and environment in Drake (needs the extra `drake`).
 
     Attributes:
-        chain: the true arms. contacts: contact pairs. faces: bodies of the environment, at rest.
+        chain: the true arms.
+        contacts: contact pairs.
+        faces: bodies of the environment, at rest.
         scene: parts of Drake's model.
         time: time since the last reset (s).
     """
@@ -48,7 +50,8 @@ class DrakePlant:
 
         Args:
             chain: the true arms and grasps, with names, frames, poses, rotors and damping.
-            arm_urdfs: one file for each arm. object_urdf: file of the held object.
+            arm_urdfs: one file for each arm.
+            object_urdf: file of the held object.
             contacts: pairs in whose magnitudes true forces are expressed; contact itself is
                 determined by the collision geometry.
             bodies: URDF and pose in the world of each body of the environment, at rest.
@@ -123,7 +126,8 @@ class DrakePlant:
         """Hold torques for a control period.
 
         Args:
-            tau: (n_a,) motor torques (N m, N). duration: period (s), rounded to whole steps.
+            tau: (n_a,) motor torques (N m, N).
+            duration: period (s), rounded to whole steps.
 
         Raises:
             PlantError: Drake's solver fails, or the simulation diverges.
@@ -217,8 +221,8 @@ class DrakeTruth(NotedWrenches):
         """Index of the environment's body in a contact, and the sign of the force on it.
 
         Args:
-            on: Drake's identifier of the shape on which the force is given. other: that of the
-                other shape.
+            on: Drake's identifier of the shape on which the force is given.
+            other: that of the other shape.
         """
         faces = self._plant.scene.faces
         body = faces.get(on.get_value())

@@ -41,9 +41,11 @@ class DrakeScene:
     """Parts of the Drake model of a rig.
 
     Attributes:
-        diagram: Drake's diagram of plant and geometry. plant: Drake's "MultibodyPlant".
+        diagram: Drake's diagram of plant and geometry.
+        plant: Drake's "MultibodyPlant".
         joints: Drake's joint of each joint of the chain.
-        held: Drake's body of the object. tips: Drake's body of each arm's tip.
+        held: Drake's body of the object.
+        tips: Drake's body of each arm's tip.
         faces: index of the environment's body by Drake's number of each of its shapes.
         cuts: for each arm the place of its wrist in Drake's list of reactions; None: no sensor.
     """
@@ -69,9 +71,13 @@ def scene(
     """Make the scene of a `DrakePlant`.
 
     Args:
-        chain: model of the arms. arm_urdfs: file of each arm. object_urdf: file of the object.
-        contacts: contact pairs. bodies: URDF and pose of each touched body. on: index of the body
-            of each contact. options: options of the plant.
+        chain: model of the arms.
+        arm_urdfs: file of each arm.
+        object_urdf: file of the object.
+        contacts: contact pairs.
+        bodies: URDF and pose of each touched body.
+        on: index of the body of each contact.
+        options: options of the plant.
 
     Raises:
         PlantError: the scene has a part that this plant does not model; the message names it.
@@ -122,7 +128,9 @@ def _add(plant: Any, text: Element, name: str) -> Any:
     """Add a model from a URDF, and return Drake's index of it.
 
     Args:
-        plant: Drake's plant, changed. text: root of the URDF, changed. name: name of the model.
+        plant: Drake's plant, changed.
+        text: root of the URDF, changed.
+        name: name of the model.
     """
     from pydrake.multibody.parsing import Parser
 
@@ -148,7 +156,9 @@ def _add_arm(plant: Any, arm: Arm, file: Path) -> Any:
     """Add an arm without shapes, its locked joints fixed, at its base; return Drake's index of it.
 
     Args:
-        plant: Drake's plant, changed. arm: model of the arm. file: its URDF.
+        plant: Drake's plant, changed.
+        arm: model of the arm.
+        file: its URDF.
 
     Raises:
         PlantError: the file is MJCF.
@@ -184,7 +194,8 @@ def _fix(joint: Element, position: float) -> None:
     """Replace a joint of a URDF by a fixed one at a position.
 
     Args:
-        joint: element, changed. position: position of the joint (m, rad).
+        joint: element, changed.
+        position: position of the joint (m, rad).
     """
 
     def vector(tag: str, key: str, default: str) -> Array:
@@ -219,7 +230,9 @@ def _drive(plant: Any, chain: ClosedChain, joints: Sequence[Any]) -> None:
     """Add the motors, in the order of the chain's torques, and damping of the joints.
 
     Args:
-        plant: Drake's plant, changed. chain: model of the arms. joints: Drake's joints.
+        plant: Drake's plant, changed.
+        chain: model of the arms.
+        joints: Drake's joints.
 
     Raises:
         PlantError: a joint has dry friction, or a passive joint a rotor.
@@ -251,7 +264,9 @@ def _cut(plant: Any, arm: Arm, model: Any) -> int | None:
     """Place of an arm's wrist in Drake's list of reactions; None: the arm has no sensor.
 
     Args:
-        plant: Drake's plant, finalized. arm: model of the arm. model: Drake's index of it.
+        plant: Drake's plant, finalized.
+        arm: model of the arm.
+        model: Drake's index of it.
 
     Raises:
         PlantError: the sensor is not on a link that a fixed joint carries.
@@ -278,7 +293,9 @@ def _add_body(plant: Any, name: str, text: Element) -> Any:
     """Add a body of one link without its pictures; return it.
 
     Args:
-        plant: Drake's plant, changed. name: name of the body. text: root of its URDF, changed.
+        plant: Drake's plant, changed.
+        name: name of the body.
+        text: root of its URDF, changed.
 
     Raises:
         PlantError: the URDF has several links.
@@ -299,7 +316,8 @@ def _object_text(chain: ClosedChain, file: Path) -> Element:
     """Root of the object's URDF, with the mass and inertia of the chain's object.
 
     Args:
-        chain: model of arms and object. file: URDF of the object.
+        chain: model of arms and object.
+        file: URDF of the object.
     """
     text = ElementTree.parse(file).getroot()
     assert chain.payload is not None
@@ -324,7 +342,9 @@ def _hold_object(plant: Any, chain: ClosedChain, tips: Sequence[Any], held: Any)
     """Weld the object to the tip that leads it, and tie it to the others by constraints.
 
     Args:
-        plant: Drake's plant, changed. chain: arms and grasps. tips: Drake's bodies of the tips.
+        plant: Drake's plant, changed.
+        chain: arms and grasps.
+        tips: Drake's bodies of the tips.
         held: Drake's body of the object.
 
     Raises:
@@ -350,7 +370,8 @@ def _tie_points(arm: str, grasp: Grasp) -> list[Array]:
     """Points (3,) in the tip frame of a hinge or ball that are tied to the object (m).
 
     Args:
-        arm: name of the arm. grasp: its grasp.
+        arm: name of the arm.
+        grasp: its grasp.
 
     Raises:
         PlantError: the grasp is of another kind.
@@ -376,8 +397,11 @@ def _set_material(
     thickness: with E = k h/A the area A has the stiffness k.
 
     Args:
-        plant: Drake's plant. geometry: Drake's scene graph, changed. body: Drake's body.
-        options: options of the plant. is_soft: whether its contacts are hydroelastic.
+        plant: Drake's plant.
+        geometry: Drake's scene graph, changed.
+        body: Drake's body.
+        options: options of the plant.
+        is_soft: whether its contacts are hydroelastic.
         is_held: whether the body is the object.
 
     Raises:

@@ -49,9 +49,10 @@ class Faces:
     """Bodies of an environment, with their states on their rails and the contacts on them.
 
     Attributes:
-        rails: rail of each body. on: index of the body of each contact.
-        s: (bodies, 2) travel (m) and angle (rad) of each body. rates: (bodies, 2) their first
-            derivatives.
+        rails: rail of each body.
+        on: index of the body of each contact.
+        s: (bodies, 2) travel (m) and angle (rad) of each body.
+        rates: (bodies, 2) their first derivatives.
         second: (bodies, 2) second derivatives of driven bodies; zero for others.
         driven: function of time that prescribes the motion, by the index of a driven body.
         moving: whether any body has a joint, driven or free.
@@ -68,9 +69,9 @@ class Faces:
         """Set rails and contacts, with every body at rest in its initial pose.
 
         Args:
-            rails: rail of each body; None: all bodies are at rest. on: index of the body of each
-                contact; None: each contact has its own body. contacts: number of contacts, needed
-                if `on` is None.
+            rails: rail of each body; None: all bodies are at rest.
+            on: index of the body of each contact; None: each contact has its own body.
+            contacts: number of contacts, needed if `on` is None.
         """
         self.on = tuple(range(contacts) if on is None else on)
         self.rails = tuple(rails or [Rail()] * (max(self.on, default=-1) + 1))
@@ -145,7 +146,9 @@ class Faces:
         """N and n_γ of each contact, for a state of the object and the present state of the bodies.
 
         Args:
-            contacts: contact pairs. X_WO: pose of the object. V_O: (6,) its twist at O, world axes.
+            contacts: contact pairs.
+            X_WO: pose of the object.
+            V_O: (6,) its twist at O, world axes.
         """
         X_WE = self.poses()
         pairs = zip(contacts, X_WE, self.twists(X_WE), strict=True)
@@ -157,7 +160,8 @@ class Faces:
         """Gaps (r,) of the contacts (m), and a function that computes their N (6, r).
 
         Args:
-            contacts: contact pairs. X_WO: pose of the object.
+            contacts: contact pairs.
+            X_WO: pose of the object.
         """
         pairs = zip(contacts, self.poses(), strict=True)
         gaps = [np.zeros(0), *(pair.gaps(X_WO, X_E) for pair, X_E in pairs)]
@@ -205,7 +209,8 @@ class Faces:
         """Rates at which the motion of the bodies changes the gaps: Nᵀ times their motion.
 
         Args:
-            parts: contacts with N. point: (3,) point to which the columns of N refer (m).
+            parts: contacts with N.
+            point: (3,) point to which the columns of N refer (m).
 
         Returns:
             (r, bodies, 2) NᵀV for a unit rate of each joint; (r,) Nᵀa for the spatial acceleration

@@ -75,8 +75,8 @@ class Motors:
         """Make errors of a given size, relative to each motor's limit, with random sign and phase.
 
         Args:
-            tau_max: (n_a,) limits of the motors (N m, N). sliding: (n_a,) True for joints that move
-                along their axis.
+            tau_max: (n_a,) limits of the motors (N m, N).
+            sliding: (n_a,) True for joints that move along their axis.
             bias, ripple: amplitudes over the limits.
             rng: random generator of signs and phases.
         """
@@ -92,8 +92,8 @@ class Motors:
         """Delivered torques (n_a,) (N m, N).
 
         Args:
-            tau: (n_a,) commanded torques (N m, N). theta: (n_a,) motor positions at the joint
-                (rad, m).
+            tau: (n_a,) commanded torques (N m, N).
+            theta: (n_a,) motor positions at the joint (rad, m).
         """
         return tau + self.bias + self.ripple * np.sin(self.cycles * theta + self.phase)
 
@@ -124,8 +124,9 @@ def set_dry_friction(joint: MjsJoint, friction: float, step: float) -> None:
     of light wrists would be viscous, and change its sign 10 ms before their velocity does.
 
     Args:
-        joint: joint of a scene, changed. friction: Coulomb friction (N m, N). step: time step of
-            the engine (s).
+        joint: joint of a scene, changed.
+        friction: Coulomb friction (N m, N).
+        step: time step of the engine (s).
     """
     joint.frictionloss = friction
     joint.solref_friction = [2 * step, 1.0]
@@ -139,7 +140,9 @@ def add_drives(spec: MjSpec, names: Sequence[str], drives: JointDrives) -> None:
     second joint about the same axis, with the spring, follows in the same body.
 
     Args:
-        spec: scene, changed. names: names of the driven joints. drives: drives of these joints.
+        spec: scene, changed.
+        names: names of the driven joints.
+        drives: drives of these joints.
     """
     for i, name in enumerate(names):
         joint = spec.joint(name)

@@ -57,10 +57,14 @@ class MujocoPlant:
 
     Attributes:
         model, data, spec: MuJoCo's model, state and specification of the scene.
-        chain: the true arms. contacts: contact pairs.
-        faces: bodies of the environment. pushes: disturbing forces. drives: drives of the joints.
+        chain: the true arms.
+        contacts: contact pairs.
+        faces: bodies of the environment.
+        pushes: disturbing forces.
+        drives: drives of the joints.
         time: time since the last reset (s).
-        object_body: index of the object's body in `model`. place: pose of the object's frame in it.
+        object_body: index of the object's body in `model`.
+        place: pose of the object's frame in it.
         body_of: (ngeom,) index of the environment's body of each geom; −1: the object, −2: another
             body.
         guided: for each joint of moving bodies the index of the body, and 0 for travel, 1 for an
@@ -92,7 +96,8 @@ class MujocoPlant:
 
         Args:
             chain: the true arms and grasps, with names, frames, poses, rotors and joint friction.
-            arm_urdfs: one file for each arm. object_urdf: file of the held object.
+            arm_urdfs: one file for each arm.
+            object_urdf: file of the held object.
             contacts: pairs in whose magnitudes true forces are expressed; contact itself is
                 determined by the collision geometry.
             bodies: URDF and pose in the world of each body of the environment.
@@ -165,8 +170,10 @@ class MujocoPlant:
         """Make the state of a compiled scene, and views of the arrays that each step uses.
 
         Args:
-            model: compiled scene. chain: the true arms. contacts: contact pairs. faces: bodies of
-                the environment.
+            model: compiled scene.
+            chain: the true arms.
+            contacts: contact pairs.
+            faces: bodies of the environment.
         """
         import mujoco
 
@@ -277,7 +284,8 @@ class MujocoPlant:
         """Positions or velocities (…, n) of the links: those of the motors plus the springs'.
 
         Args:
-            x: (…, m) MuJoCo's positions or velocities. joints: (n,) indices of the joints.
+            x: (…, m) MuJoCo's positions or velocities.
+            joints: (n,) indices of the joints.
             springs: (n_a,) indices of the springs; empty: stiff joints.
         """
         links: Array = x.take(joints, axis=-1)
@@ -333,7 +341,8 @@ class MujocoPlant:
         """Hold torques for a control period.
 
         Args:
-            tau: (n_a,) motor torques (N m, N). duration: period (s), rounded to whole steps.
+            tau: (n_a,) motor torques (N m, N).
+            duration: period (s), rounded to whole steps.
 
         Raises:
             PlantError: MuJoCo has warned: the simulation diverged.
@@ -379,7 +388,8 @@ class MujocoPlant:
         """Apply a disturbance at the wrist sensor of an arm.
 
         Args:
-            push: disturbance, which names the arm. force: (3,) present force in world axes (N).
+            push: disturbance, which names the arm.
+            force: (3,) present force in world axes (N).
         """
         sensor = self.model.site(f"{push.arm}/wrist")
         body = int(self.model.body_parentid[int(sensor.bodyid[0])])

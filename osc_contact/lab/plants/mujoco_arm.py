@@ -143,7 +143,8 @@ class MujocoArm:
         """Find a body, or a site and its body, by name.
 
         Args:
-            argument: argument of the constructor, for the message. name: name of a body or site.
+            argument: argument of the constructor, for the message.
+            name: name of a body or site.
 
         Returns:
             Index of the body; index of the site, or None if the name is that of a body.
@@ -295,7 +296,8 @@ def _stop_gravity_compensation(model: Any, body: int) -> None:
     """Switch MuJoCo's compensation of gravity off for all bodies of an arm's tree.
 
     Args:
-        model: `mujoco.MjModel`, changed. body: index of a body of the arm.
+        model: `mujoco.MjModel`, changed.
+        body: index of a body of the arm.
     """
     tree = model.body_rootid == model.body_rootid[body]
     if np.any(model.body_gravcomp[tree] != 0.0):

@@ -31,7 +31,8 @@ class TorqueInputs:
         directly.
 
         Args:
-            mj: MuJoCo's model, changed. joints: indices of the joints.
+            mj: MuJoCo's model, changed.
+            joints: indices of the joints.
         """
         types = (mj.actuator_biastype, mj.actuator_gaintype, mj.actuator_dyntype)
         per_torque = mj.actuator_gear[:, 0] * mj.actuator_gainprm[:, 0]
@@ -54,7 +55,8 @@ class TorqueInputs:
         """Write torques of the joints into MuJoCo's data.
 
         Args:
-            data: `mujoco.MjData`, changed. tau: (n_a,) torques (N m; N).
+            data: `mujoco.MjData`, changed.
+            tau: (n_a,) torques (N m; N).
         """
         data.ctrl[self._motors] = tau[self._driven] / self._per_torque
         data.qfrc_applied[self._direct] = tau[~self._driven]
@@ -90,7 +92,8 @@ def geoms_beyond(mj: Any, body: int) -> Array:
     """Indices of the geoms of a body and of all its descendants.
 
     Args:
-        mj: `mujoco.MjModel`. body: index of the body.
+        mj: `mujoco.MjModel`.
+        body: index of the body.
     """
     bodies = [body]
     for other in range(body + 1, mj.nbody):  # descendants come later than their parents
@@ -103,7 +106,8 @@ def moving_geoms(mj: Any, body: int) -> Array:
     """Mask (ngeom,) of the geoms in the kinematic tree of a body that can move.
 
     Args:
-        mj: `mujoco.MjModel`. body: index of a body of the tree.
+        mj: `mujoco.MjModel`.
+        body: index of a body of the tree.
     """
     bodies = mj.geom_bodyid
     tree: Array = mj.body_rootid[bodies] == mj.body_rootid[body]

@@ -57,8 +57,11 @@ def scene(
     """Make the scene of a `MujocoPlant` as a specification that is not compiled yet.
 
     Args:
-        chain: model of the arms. arm_urdfs: file of each arm. object_urdf: file of the object.
-        bodies: URDF and initial pose of each touched body. options: options of the plant.
+        chain: model of the arms.
+        arm_urdfs: file of each arm.
+        object_urdf: file of the object.
+        bodies: URDF and initial pose of each touched body.
+        options: options of the plant.
         rails: rail of each touched body.
     """
     import mujoco
@@ -141,7 +144,8 @@ def _arm(arm: Arm, file: Path) -> MjSpec:
     Shapes and losses are left out; losses are set from the chain.
 
     Args:
-        arm: model of the arm. file: URDF or MJCF file.
+        arm: model of the arm.
+        file: URDF or MJCF file.
     """
     import mujoco
 
@@ -181,8 +185,9 @@ def _hold_object(spec: MjSpec, chain: ClosedChain, urdf: Path) -> None:
     """Attach the object to the first arm, and tie it to the others by equality constraints.
 
     Args:
-        spec: scene with the arms, changed. chain: model of arms, grasps and object. urdf: file of
-            the object.
+        spec: scene with the arms, changed.
+        chain: model of arms, grasps and object.
+        urdf: file of the object.
 
     Raises:
         PlantError: a grasp is neither rigid, a hinge nor a ball.
@@ -220,7 +225,8 @@ def _add_grasp_joint(root: Any, grasp: Grasp) -> None:
     """Add the joint of a hinge or a ball between the object and the tip of the first arm.
 
     Args:
-        root: root of the object's specification, changed. grasp: grasp of the first arm.
+        root: root of the object's specification, changed.
+        grasp: grasp of the first arm.
     """
     import mujoco
 
@@ -236,7 +242,9 @@ def _tie(spec: MjSpec, arm: str, tip: Any, grasp: Grasp) -> None:
     """Tie the object to the tip of a further arm by equality constraints.
 
     Args:
-        spec: scene with arms and object, changed. arm: name of the arm. tip: body of its tip.
+        spec: scene with arms and object, changed.
+        arm: name of the arm.
+        tip: body of its tip.
         grasp: grasp of the arm.
     """
     import mujoco
@@ -296,7 +304,8 @@ def _add_friction(spec: MjSpec, options: PlantSpec) -> None:
     damping and an impedance of its own.
 
     Args:
-        spec: scene with object and bodies, changed. options: options of the plant.
+        spec: scene with object and bodies, changed.
+        options: options of the plant.
     """
     time, ratio = options.solref
     low, high, width = options.solimp
@@ -335,7 +344,9 @@ def _put_on_rail(part: Any, root: Any, X_WB: pin.SE3, rail: Rail) -> None:
     weight; other inertias are armatures of the joints, which do not couple slide and hinge.
 
     Args:
-        part: specification of the body, changed. root: its root. X_WB: initial pose of the body.
+        part: specification of the body, changed.
+        root: its root.
+        X_WB: initial pose of the body.
         rail: rail of the body.
     """
     import mujoco

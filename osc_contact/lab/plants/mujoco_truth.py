@@ -24,9 +24,12 @@ class Noted(Protocol):
     """Plant in MuJoCo, with the attributes that its truth is read from.
 
     Attributes:
-        model, data: MuJoCo's model and state. chain: the true arms. contacts: contact pairs.
+        model, data: MuJoCo's model and state.
+        chain: the true arms.
+        contacts: contact pairs.
         faces: bodies of the environment.
-        object_body: index of the object's body in `model`. place: pose of the object's frame in it.
+        object_body: index of the object's body in `model`.
+        place: pose of the object's frame in it.
         body_of: (ngeom,) index of the environment's body of each geom; `OBJECT`, or `OTHER`.
         face_q: indices in qpos of the joints of moving bodies, see `guided_joints`.
     """

@@ -41,7 +41,8 @@ class NotedWrenches:
         """Prepare the evaluation of the numbers that a plant stores for each tick.
 
         Args:
-            contacts: contact pairs of the plant. faces: bodies of its environment.
+            contacts: contact pairs of the plant.
+            faces: bodies of its environment.
             inertia: (6, 6) inertia of the object at its origin, in its axes.
         """
         self._contacts = contacts
@@ -84,9 +85,10 @@ class NotedWrenches:
         accelerations that columns and wrench f would cause of the free object.
 
         Args:
-            X_WO: k poses of the object. N: lines of force (6, r_i, k) of each contact at O, world
-                axes. wrenches: (bodies, 6, k) wrench of the object on each body at O, world axes
-                (N, N m). touched: (bodies, k) whether the object touches each body.
+            X_WO: k poses of the object.
+            N: lines of force (6, r_i, k) of each contact at O, world axes.
+            wrenches: (bodies, 6, k) wrench of the object on each body at O, world axes (N, N m).
+            touched: (bodies, k) whether the object touches each body.
 
         Returns:
             Magnitudes (k, r) (N), and whether each contact is closed (k, contacts).

@@ -52,10 +52,11 @@ class MujocoScene:
     geoms MuJoCo computes.
 
     Attributes:
-        moved_mass: mass of all moving links (kg). carried_mass: mass beyond the wrist sensor (kg).
+        moved_mass: mass of all moving links (kg).
+        carried_mass: mass beyond the wrist sensor (kg).
         loose: mass (kg) beyond joints that nothing holds, by the name of the joint.
-        pairs: geoms of the tool and of the scene that can touch. tool_touches: True if there are
-            such geoms.
+        pairs: geoms of the tool and of the scene that can touch.
+        tool_touches: True if there are such geoms.
     """
 
     def __init__(
@@ -71,10 +72,11 @@ class MujocoScene:
         """Copy the present state of a scene.
 
         Args:
-            model, data: MuJoCo's model and state. tool: indices of the tool's geoms.
+            model, data: MuJoCo's model and state.
+            tool: indices of the tool's geoms.
             others: indices of the geoms that are not the arm's.
-            chain: model of the arm, as it is in the scene. loose: mass (kg) beyond joints that
-                nothing holds, by the name of the joint.
+            chain: model of the arm, as it is in the scene.
+            loose: mass (kg) beyond joints that nothing holds, by the name of the joint.
         """
         self.moved_mass = chain.moved_mass
         self.carried_mass = chain.outboard_mass
@@ -121,7 +123,8 @@ def require_whole_steps(duration: float, step: float) -> None:
     """Refuse a control period that is not a whole number of MuJoCo's steps.
 
     Args:
-        duration: control period (s). step: step of MuJoCo (s).
+        duration: control period (s).
+        step: step of MuJoCo (s).
 
     Raises:
         PlantError: the period is not such a number.
@@ -139,7 +142,8 @@ def _nearest(model: MjModel, data: MjData, pairs: list[tuple[int, int]]) -> tupl
     """Least distance between pairs of geoms in the present state.
 
     Args:
-        model, data: MuJoCo's model and state. pairs: indices of two geoms each.
+        model, data: MuJoCo's model and state.
+        pairs: indices of two geoms each.
 
     Returns:
         The distance (m; inf beyond `FAR_M`), and the name of the second geom of the nearest pair.
@@ -159,7 +163,8 @@ def _can_touch(model: MjModel, a: int, b: int) -> bool:
     """Return whether MuJoCo detects contacts between two geoms, by their masks of bits.
 
     Args:
-        model: MuJoCo's model. a, b: indices of the geoms.
+        model: MuJoCo's model.
+        a, b: indices of the geoms.
     """
     types = model.geom_contype
     affinities = model.geom_conaffinity
@@ -177,7 +182,8 @@ class MujocoRobot(MujocoPlant):
 
     Attributes:
         chain: model of the arm without an object; its tip is the operational point.
-        contacts: contact pairs. model, data: copies of MuJoCo's model and state.
+        contacts: contact pairs.
+        model, data: copies of MuJoCo's model and state.
 
     Example:
         >>> import mujoco
@@ -217,8 +223,10 @@ class MujocoRobot(MujocoPlant):
             tip: body or site at the operational point. The sensor's body and all bodies beyond it
                 are the tool; without a sensor the tip's body.
             wrist_sensor: site with a <force> and a <torque> sensor; contact forces need one.
-            contacts: contact pairs between tool and scene, in world axes. name: name of the arm.
-            locked: positions of locked joints. passive_joints: joints without a motor.
+            contacts: contact pairs between tool and scene, in world axes.
+            name: name of the arm.
+            locked: positions of locked joints.
+            passive_joints: joints without a motor.
             keyframe: keyframe of the initial state of the scene; None: initial state of the file.
 
         Raises:
@@ -253,7 +261,9 @@ class MujocoRobot(MujocoPlant):
         """Find joints, motors, sensor and geoms of the arm in a compiled model.
 
         Args:
-            mj: model of the scene, changed. chain: model of the arm. contacts: contact pairs.
+            mj: model of the scene, changed.
+            chain: model of the arm.
+            contacts: contact pairs.
 
         Raises:
             InvalidInputError: lengths of a contact are not in m.
@@ -364,8 +374,8 @@ class MujocoRobot(MujocoPlant):
         """Hold torques for a control period.
 
         Args:
-            tau: (n_a,) motor torques (N m, N). duration: period (s), a whole number of MuJoCo's
-                steps.
+            tau: (n_a,) motor torques (N m, N).
+            duration: period (s), a whole number of MuJoCo's steps.
 
         Raises:
             PlantError: the period is not such a number, or MuJoCo diverged.

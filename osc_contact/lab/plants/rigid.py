@@ -74,7 +74,8 @@ def wrist_cut(model: pin.Model, cut: int) -> WristCut:
     """Make the section at a frame.
 
     Args:
-        model: model of the arms. cut: index of the sensor's frame.
+        model: model of the arms.
+        cut: index of the sensor's frame.
     """
     frame = model.frames[cut]
     joint = frame.parentJoint
@@ -104,11 +105,14 @@ class Equations:
     transmits, then the contact forces α.
 
     Attributes:
-        X: pose of the object. V: (6,) its twist at O, world axes.
+        X: pose of the object.
+        V: (6,) its twist at O, world axes.
         N: (6, r) directions of force of the contacts.
-        M: (m, m) inertia matrix. force: (m,) weight, velocity forces, friction, springs (N, N m).
+        M: (m, m) inertia matrix.
+        force: (m,) weight, velocity forces, friction, springs (N, N m).
         slope: (n,) derivative of the joint friction with respect to the velocity.
-        A: (k, m) rows of loops and contacts. right: (k,) right-hand side.
+        A: (k, m) rows of loops and contacts.
+        right: (k,) right-hand side.
         ends: (loops + 1,) first row of each loop, and the row after the last loop.
         passed: for each loop the wrenches (6, rows) at O that it transmits.
         first: (6, n or n + 6) matrix of V_O from the rates of joints, or of joints and object.
@@ -136,9 +140,11 @@ class Solution:
     """Solution of the equations of motion at one instant.
 
     Attributes:
-        qdd: (n,) joint accelerations. sdd: (bodies, 2) accelerations along and about the rails.
+        qdd: (n,) joint accelerations.
+        sdd: (bodies, 2) accelerations along and about the rails.
         a_O: (6,) spatial acceleration of the object at O, world axes.
-        alpha: (r,) contact forces (N). wrenches: (arms, 6) wrist readings, in the sensors' axes.
+        alpha: (r,) contact forces (N).
+        wrenches: (arms, 6) wrist readings, in the sensors' axes.
     """
 
     qdd: Array
@@ -256,7 +262,8 @@ class RigidPlant:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints.
 
         Args:
-            tau: (n_a,) motor torques (N m, N). duration: period (s), rounded to whole steps.
+            tau: (n_a,) motor torques (N m, N).
+            duration: period (s), rounded to whole steps.
 
         Raises:
             PlantError: the simulation diverges.
@@ -305,8 +312,9 @@ class RigidPlant:
         Joint friction D v + F tanh(v / v₀) is extrapolated in time, to first order.
 
         Args:
-            tau: (n_a,) motor torques (N m, N). with_wrenches: True: wrist readings are computed,
-                too; False: they are zero. ahead: time by which friction is extrapolated (s).
+            tau: (n_a,) motor torques (N m, N).
+            with_wrenches: True: wrist readings are computed, too; False: they are zero.
+            ahead: time by which friction is extrapolated (s).
         """
         chain = self.chain
         n = chain.nq
@@ -414,9 +422,11 @@ class RigidPlant:
         """Wrist readings (arms, 6) in the sensors' axes, by the Newton–Euler algorithm (N, N m).
 
         Args:
-            qdd: (n,) joint accelerations. loops: wrench (6,) at O of each arm on the object, in the
-                order of the arms without the leader. f_c: (6,) wrench of the object on its contacts
-                at O. equations: equations of the instant.
+            qdd: (n,) joint accelerations.
+            loops: wrench (6,) at O of each arm on the object, in the order of the arms without the
+                leader.
+            f_c: (6,) wrench of the object on its contacts at O.
+            equations: equations of the instant.
         """
         leader = self.chain.leader
         if leader is not None:  # the object is part of its last link and needs no wrench
@@ -452,7 +462,8 @@ class RigidPlant:
         It is computed by Pinocchio's acceleration pass, not by a formula of the controller.
 
         Args:
-            i: index of the arm. X: pose of the object.
+            i: index of the arm.
+            X: pose of the object.
         """
         a = pin.getFrameAcceleration(self.model, self.data, self.chain.tips[i], pin.WORLD).vector
         return carry_twist(a, np.zeros(3), X.translation)
@@ -461,8 +472,10 @@ class RigidPlant:
         """Project positions, then velocities, onto the constraints, and store them.
 
         Args:
-            q: (n,) joint positions. X: pose of the object, used if no arm leads it.
-            v: (n,) joint velocities. V: (6,) twist of the object at O, used if no arm leads it.
+            q: (n,) joint positions.
+            X: pose of the object, used if no arm leads it.
+            v: (n,) joint velocities.
+            V: (6,) twist of the object at O, used if no arm leads it.
         """
         chain = self.chain
         self.q, self._X = closed(chain, q, X, partial(self.faces.gaps, self.contacts))

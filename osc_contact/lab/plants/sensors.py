@@ -30,7 +30,8 @@ class SensorErrors:
     """Errors of a reading, of its shape or broadcast to it, in its units.
 
     Attributes:
-        noise: standard deviation of each sample. bias: drawn once, uniform within ±bias.
+        noise: standard deviation of each sample.
+        bias: drawn once, uniform within ±bias.
         resolution: resolution of the quantisation, after bias and noise; 0: none.
     """
 
@@ -44,8 +45,8 @@ class Sensor:
     """Sensor with its own clock, errors and delay.
 
     Attributes:
-        clock: rate, delay and losses. sample: function that makes a reading with errors from an
-            ideal value.
+        clock: rate, delay and losses.
+        sample: function that makes a reading with errors from an ideal value.
         rng: random generator for lost samples.
     """
 
@@ -59,7 +60,8 @@ class Sensor:
         """Delete all samples, and take the first one, which arrives at once and is never lost.
 
         Args:
-            t: time (s). value: ideal value.
+            t: time (s).
+            value: ideal value at this time.
         """
         self._samples = deque([(t, self.sample(value))])
         self._count = round(t * self.clock.rate) + 1
@@ -68,8 +70,10 @@ class Sensor:
         """Take a sample if one is due.
 
         Args:
-            t: time (s). value: function that returns the ideal value, called if a sample is taken.
+            t: time (s).
+            value: function that returns the ideal value, called if a sample is taken.
         """
+        # sample number n is due at n / rate; all that became due since the last call count as one
         if t < self._count / self.clock.rate - _ON_TIME:
             return
         self._count = int((t + _ON_TIME) * self.clock.rate) + 1
@@ -95,7 +99,9 @@ class Sensors:
     """Errors of each kind of sensor; None: an ideal sensor.
 
     Attributes:
-        encoders: joint positions (n,). joint_torques: (n_a,). wrists: (arms, 6).
+        encoders: joint positions (n,).
+        joint_torques: (n_a,).
+        wrists: (arms, 6).
         vision: poses of the object, the arms' tips and the touched bodies, each with its errors at
             the origin of its frame, about world axes.
         markers: (contacts, 4, 4) in E, the frame of each touched body that is seen; None: E itself.
@@ -117,7 +123,8 @@ class SensedPlant:
 
     Attributes:
         plant: plant inside, which is moved by the methods of this one only.
-        sensors: errors of the sensors. seed: seed of all random numbers.
+        sensors: errors of the sensors.
+        seed: seed of all random numbers.
         time: time since the last reset (s).
     """
 
@@ -142,7 +149,8 @@ class SensedPlant:
         """Hold torques for a period; sensors that are due take a sample at its end.
 
         Args:
-            tau: (n_a,) motor torques (N m, N). duration: period (s).
+            tau: (n_a,) motor torques (N m, N).
+            duration: period (s).
         """
         self.plant.command(tau, duration)
         self._begin_instant()
@@ -199,11 +207,18 @@ class SensedPlant:
             self._sensor[name].begin(self.time, value)
 
     def _value(self, name: str) -> Any:
-        """Ideal value that a sensor samples; None: the plant does not measure it.
+        """Ideal value that a sensor samples, without errors.
 
         Args:
-            name: name of the sensor's stamp. For vision the value is (bodies, 4, 4): poses of
-                object, tips and marked bodies.
+            name: name of the sensor's stamp: "encoders", "joint_torques", "wrists" or "vision".
+
+        Returns:
+            encoders: positions (n,) of the joints (rad, m).
+            joint_torques: torques (n_a,) of the motors (N m, N).
+            wrists: wrenches (arms, 6) at the sensors' frames, as in `Measurement.wrenches`.
+            vision: poses (bodies, 4, 4) in the world of the object, the arms' tips and, if the
+                plant measures touched bodies, the marker of each.
+            None if the plant measures no joint torques or no wrenches; it then has no such sensor.
         """
         if name != "vision":
             return getattr(self._ideal(), _READ[name])
@@ -218,24 +233,30 @@ class SensedPlant:
         """Make the reading of a sensor.
 
         Args:
-            name: name of the sensor's stamp. corrupt: function that adds errors to a value.
-            value: ideal value.
+            name: name of the sensor's stamp: "encoders", "joint_torques", "wrists" or "vision".
+            corrupt: function that adds errors to a value.
+            value: ideal value, of the shape that `_value` states for this name.
 
         Returns:
-            Parts of a measurement by their names.
+            Fields of a `Measurement` by their names. Encoders measure no velocities: v is NaN.
         """
         reading = corrupt(value)
         if name == "vision":
-            return self._pictured(reading)
+            return self._vision_reading(reading)
         if name == "encoders":
             return {"q": reading, "v": np.full_like(reading, np.nan)}
         return {_READ[name]: reading}
 
-    def _pictured(self, poses: Array) -> Reading:
-        """Poses of a picture as parts of a measurement: object and tips, and touched bodies.
+    def _vision_reading(self, poses: Array) -> Reading:
+        """Convert measured poses to the fields of a measurement that vision provides.
 
         Args:
-            poses: (bodies, 4, 4) measured poses of object, tips and marked bodies.
+            poses: (bodies, 4, 4) measured poses of the object, the arms' tips and the markers of
+                the touched bodies, in the camera's frame.
+
+        Returns:
+            Field `seen` with the poses of object and tips; with touched bodies also `touched`, with
+            their poses, twists of NaN (vision does not measure them) and zero accelerations.
         """
         reading: Reading = {"seen": Seen(poses[0], poses[1 : self._robots])}
         bodies = poses[self._robots :]
@@ -253,14 +274,16 @@ def _noisy(
     """Make the function that adds the errors of a sensor to a value; the bias is drawn once.
 
     Args:
-        errors: noise, bias and resolution. shape: shape of the values. rng: random generator.
+        errors: noise, bias and resolution, in the unit of the values.
+        shape: shape of the values.
+        rng: random generator of the bias and of the noise.
     """
     bias = errors.bias * rng.uniform(-1.0, 1.0, shape)
     is_rounded = errors.resolution > 0.0
     step = np.where(is_rounded, errors.resolution, 1.0)
 
     def corrupt(value: Array) -> Array:
-        """Add bias and noise to a value, and round it to the resolution."""
+        """Add bias and noise to a value of the shape `shape`, and round it to the resolution."""
         reading = value + bias + errors.noise * rng.standard_normal(shape)
         return np.where(is_rounded, np.round(reading / step) * step, reading)
 
@@ -274,7 +297,9 @@ def _pictures(vision: VisionSpec, n: int, rng: np.random.Generator) -> Callable[
     and noise.
 
     Args:
-        vision: errors of vision. n: number of poses. rng: random generator.
+        vision: errors of vision.
+        n: number of poses.
+        rng: random generator of biases and noise.
     """
     add_position_errors = _noisy(vision.position, (n, 3), rng)
     add_rotation_errors = _noisy(vision.orientation, (n, 3), rng)

@@ -47,7 +47,8 @@ def _classic(name: str, module: str) -> str:
     """Convert a JavaScript module to a classic script, without imports and exports.
 
     Args:
-        name: name of the file, for the message. module: its text.
+        name: name of the file, for the message.
+        module: its text.
 
     Raises:
         OscContactError: something of a module remains.

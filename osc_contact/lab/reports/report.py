@@ -95,7 +95,9 @@ def _first(t: float, contact: str, steps: Sequence[Json]) -> str:
     """Line on the time at which a contact closed and the overshoot of its forces.
 
     Args:
-        t: time at which it closed (s). contact: its name. steps: `steps` of the metrics.
+        t: time at which it closed (s).
+        contact: its name.
+        steps: `steps` of the metrics.
     """
     first_steps = [
         s for s in steps if s["what"] == "first contact" and _owner(s["force"]) == contact
@@ -107,8 +109,9 @@ def _steps(steps: Sequence[Json], limit: int = 3) -> Iterator[tuple[str, str]]:
     """Make a row for each step of a force: its time, its size (N) and its overshoot.
 
     Args:
-        steps: `steps` of the metrics. limit: number of steps of one force; of more, only the step
-            with the largest overshoot has a row.
+        steps: `steps` of the metrics.
+        limit: number of steps of one force; of more, only the step with the largest overshoot has a
+            row.
 
     Yields:
         Label and text of a row.
@@ -239,7 +242,8 @@ def _range(low: float, high: float, digits: int = 4) -> str:
     """Write a range of two numbers; an infinite end becomes ∞.
 
     Args:
-        low, high: ends of the range. digits: number of significant digits.
+        low, high: ends of the range.
+        digits: number of significant digits.
     """
     words = (f"{value:.{digits}g}".replace("inf", "∞") for value in (low, high))
     return " … ".join(words)
@@ -278,7 +282,9 @@ def write_report(
     """Write metrics.json, recording.npz, the figures and scene.html; returns the metrics.
 
     Args:
-        recording: recording of the run. scenario: that was run. folder: folder for the files.
+        recording: recording of the run.
+        scenario: that was run.
+        folder: folder for the files.
         figures: draws them meanwhile; None: this process draws them.
     """
     folder.mkdir(parents=True, exist_ok=True)

@@ -63,7 +63,8 @@ def _of_picture(
     """Content of a page with one robot that is drawn by its picture, without a scenario.
 
     Args:
-        picture: shapes of the robot, see `robots.pictures`. name: name of the robot.
+        picture: shapes of the robot, see `robots.pictures`.
+        name: name of the robot.
         contacts: names of the contacts, and index of the contact of each force.
         joints: number of joints.
     """
@@ -75,8 +76,9 @@ def shown_of(recording: Recording, path: Path, folder: StrPath | None = None) ->
     """Content of pictures of a recording, from the picture in its meta data or its scenario.
 
     Args:
-        recording: the recording. path: its file. folder: folder of the scenario's files, see
-            `scenario_of`.
+        recording: the recording.
+        path: its file.
+        folder: folder of the scenario's files, see `scenario_of`.
 
     Raises:
         RecordingError: the recording has neither a picture nor a scenario.
@@ -104,8 +106,9 @@ def require_drawable(recording: Recording, content: Content, source: str) -> Non
     """Refuse a recording that does not fit the content of its scene; channels may be missing.
 
     Args:
-        recording: recording read from a file. content: content of the scene. source: name of the
-            file.
+        recording: recording read from a file.
+        content: content of the scene.
+        source: name of the file.
 
     Raises:
         RecordingError: other contacts, channels of other shapes, times that do not increase, or
@@ -208,7 +211,8 @@ def wait_for(condition: Callable[[], bool], seconds: float) -> bool:
     """Wait until a condition is true, which is evaluated ten times per second.
 
     Args:
-        condition: function without arguments. seconds: longest time to wait (s).
+        condition: function without arguments.
+        seconds: longest time to wait (s).
 
     Returns:
         False if the condition was not true in this time.
@@ -225,7 +229,9 @@ def picture(recording: Recording, rig: Rig | Content, path: Path, time: float | 
     """Write a PNG of a recording's scene at one time.
 
     Args:
-        recording: the recording. rig: its rig, or the content of the scene. path: file of the PNG.
+        recording: the recording.
+        rig: its rig, or the content of the scene.
+        path: file of the PNG.
         time: time in the recording (s); None: its middle.
 
     Raises:
@@ -266,7 +272,8 @@ def _page(recording: Recording, rig: Rig | Content) -> Iterator[Path]:
     """Context with the scene of a recording as a page in a temporary folder.
 
     Args:
-        recording: recording to show. rig: rig or content of the page.
+        recording: recording to show.
+        rig: rig or content of the page.
 
     Yields:
         Path of the page, which is deleted at the end of the context.

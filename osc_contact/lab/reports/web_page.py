@@ -66,7 +66,8 @@ class Hindrance(NamedTuple):
     """Feature of a scenario that Python computes in every step, so that a page cannot have it.
 
     Attributes:
-        name: name of the feature in `without`. words: name of the feature in messages.
+        name: name of the feature in `without`.
+        words: name of the feature in messages.
         found: function that returns whether a scenario has the feature.
         left_out: function that returns keys of the scenario without the feature; None: it cannot be
             left out.
@@ -82,7 +83,8 @@ def _plant_without(key: str, value: Any) -> Callable[[Scenario], Json]:
     """Make the function that replaces a key of a scenario's plant.
 
     Args:
-        key: key of `plant`. value: value that leaves the feature out.
+        key: key of `plant`.
+        value: value that leaves the feature out.
     """
     return lambda s: {"plant": {**dict(s.plant), key: value}}
 
@@ -124,7 +126,8 @@ def playable(scenario: Scenario, without: Collection[str] = ()) -> Scenario:
     """Leave features out of a scenario, and refuse one with features that a page cannot have.
 
     Args:
-        scenario: scenario to play. without: names of features in `HINDRANCES` to be left out.
+        scenario: scenario to play.
+        without: names of features in `HINDRANCES` to be left out.
 
     Raises:
         InvalidInputError: an unknown name, or a further feature that a page cannot have.
@@ -160,7 +163,8 @@ def write_web_page(
     """Write the page index.html and all its files into a folder.
 
     Args:
-        scenario: scenario to play. folder: folder of the files, which is created.
+        scenario: scenario to play.
+        folder: folder of the files, which is created.
         without: names of features to be left out, see `playable`.
         mujoco: archive of MuJoCo's npm package; None: it is taken from a cache, or fetched by npm.
         select: function that makes the selection law with which the page compares; None: none.
@@ -271,7 +275,9 @@ def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
     """Data for the page's worker beyond the other files, for JSON.
 
     Args:
-        rig: rig of the scenario. plant: its plant at the start. references: result of `folded`.
+        rig: rig of the scenario.
+        plant: its plant at the start.
+        references: result of `folded`.
     """
     model = plant.model
     names = rig.chain.joint_names
@@ -359,7 +365,8 @@ def _walls(rig: Rig, plant: MujocoPlant) -> list[Json]:
     The axes are the outward normal and a horizontal axis along the face; all are in the world.
 
     Args:
-        rig: rig of the scenario. plant: plant with the names of MuJoCo's bodies.
+        rig: rig of the scenario.
+        plant: plant with the names of MuJoCo's bodies.
     """
     walls = []
     N = rig.contact.N
@@ -397,8 +404,9 @@ class _Drawn:
         """Draw the scene of a rig at its start.
 
         Args:
-            rig: rig of the scenario. plant: its plant. compares: True: plots have curves of a
-                selection law, too.
+            rig: rig of the scenario.
+            plant: its plant.
+            compares: True: plots have curves of a selection law, too.
         """
         self._compares = compares
         self._rig = rig
@@ -487,8 +495,9 @@ class _Drawn:
         """Text of index.html.
 
         Args:
-            without: names of features that were left out of the task. begin: HTML that starts the
-                worker. licences: HTML with a reference to the licences.
+            without: names of features that were left out of the task.
+            begin: HTML that starts the worker.
+            licences: HTML with a reference to the licences.
         """
         rig = self._rig
         keys = {

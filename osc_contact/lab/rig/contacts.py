@@ -86,7 +86,8 @@ def require_own_pairs(scenario: Scenario, X_WO: pin.SE3) -> None:
     """Refuse pairs given as objects whose N contradicts their gaps: d gaps/dt = −NᵀV.
 
     Args:
-        scenario: scenario with its contacts. X_WO: pose of the object near the contacts.
+        scenario: scenario with its contacts.
+        X_WO: pose of the object near the contacts.
 
     Raises:
         ScenarioError: a gap changes by another rate, or N has another shape than the gaps.
@@ -127,8 +128,9 @@ def misplaced(
     by `face_tilt` about an axis across this line, through the point where it meets the body.
 
     Args:
-        scenario: scenario with its `model_error`. pairs: the true pairs. bodies: bodies that they
-            touch.
+        scenario: scenario with its `model_error`.
+        pairs: the true pairs.
+        bodies: bodies that they touch.
         X_WO: pose of the object in contact.
 
     Raises:
@@ -158,8 +160,9 @@ def _displaced(scenario: Scenario, i: int, X: pin.SE3) -> ContactPair:
     """Make contact i with its touched body displaced by X in the world.
 
     Args:
-        scenario: scenario with the contacts. i: index of the contact. X: displacement of the body,
-            X_WB_new = X X_WB.
+        scenario: scenario with the contacts.
+        i: index of the contact.
+        X: displacement of the body, X_WB_new = X X_WB.
 
     Raises:
         ScenarioError: the pair is given as an object.
@@ -196,8 +199,10 @@ def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:
         """Append a body.
 
         Args:
-            name: name of the body. spec: description with the fields `urdf` and `motion`.
-            X_WB: initial pose. contacts: indices of the contacts that touch it.
+            name: name of the body.
+            spec: description with the fields `urdf` and `motion`.
+            X_WB: initial pose.
+            contacts: indices of the contacts that touch it.
         """
         urdf = robots.resolve_urdf(spec.urdf, scenario.folder)
         bodies.append(EnvironmentBody(name, urdf, X_WB, spec.motion, tuple(contacts)))
@@ -220,7 +225,8 @@ def touched_bodies(bodies: Sequence[EnvironmentBody], count: int) -> tuple[int, 
     """Index in `bodies` of the touched body of each contact.
 
     Args:
-        bodies: bodies of the environment. count: number of contacts.
+        bodies: bodies of the environment.
+        count: number of contacts.
     """
     body_of_contact = {i: k for k, body in enumerate(bodies) for i in body.contacts}
     return tuple(body_of_contact[i] for i in range(count))
@@ -230,7 +236,8 @@ def placements_of(bodies: Sequence[EnvironmentBody], on: Sequence[int]) -> Array
     """Initial pose X_WB of the touched body of each contact, (contacts, 4, 4).
 
     Args:
-        bodies: bodies of the environment. on: index of the touched body of each contact.
+        bodies: bodies of the environment.
+        on: index of the touched body of each contact.
     """
     return np.reshape([bodies[i].placement.homogeneous for i in on], (-1, 4, 4))
 
@@ -275,7 +282,8 @@ def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
     """Travel (m) and angle (rad) of a driven body, (2,), with first and second derivatives.
 
     Args:
-        motion: signals of the body. t: time (s).
+        motion: signals of the body.
+        t: time (s).
     """
     rotation_signals = () if motion.turn is None else motion.turn.signals
     travel_and_angle = (total(motion.signals, t), total(rotation_signals, t))
@@ -308,7 +316,8 @@ def known_bodies(bodies: Sequence[EnvironmentBody], contacts: int, how: str) -> 
     """Touched body at each contact in the controller's model; None for an unyielding body at rest.
 
     Args:
-        bodies: bodies of the environment. contacts: number of contacts.
+        bodies: bodies of the environment.
+        contacts: number of contacts.
         how: value of `model_error.environment`.
     """
     models: list[Body | None] = [None] * contacts
@@ -331,8 +340,9 @@ def tracked(
     """Contacts detected from the collision geometry, with the names of the declared contacts.
 
     Args:
-        pairs: declared contacts. object_urdf: file of the object. bodies: bodies of the
-            environment.
+        pairs: declared contacts.
+        object_urdf: file of the object.
+        bodies: bodies of the environment.
 
     Raises:
         ScenarioError: several contacts are on one body, so that they cannot be distinguished.

@@ -35,7 +35,8 @@ def slip_speeds(pairs: Sequence[ContactPair], references: References) -> Array:
     """Largest commanded slip speed (k, contacts) of each contact's points on faces at rest (m/s).
 
     Args:
-        pairs: contacts. references: references, whose `overview` gives the k instants.
+        pairs: contacts.
+        references: references, whose `overview` gives the k instants.
     """
     plan = references.overview[1]
     speeds = np.zeros((len(plan.X_WD), len(pairs)))
@@ -56,8 +57,10 @@ def require_closed_slip(
     The condition is (τ₁ + τ₂ + δt) μ v < F/k at all times, see `DrakeSpec.lift`.
 
     Args:
-        pairs: contacts. references: references with the commanded forces.
-        owners: (r,) contact of each force. plant: settings of the plant.
+        pairs: contacts.
+        references: references with the commanded forces.
+        owners: (r,) contact of each force.
+        plant: settings of the plant.
 
     Raises:
         ScenarioError: the lift exceeds the depth of a contact.

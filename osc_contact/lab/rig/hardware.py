@@ -42,8 +42,9 @@ def flexible_joints(
     """Springs of flexible joints of a scenario, from its numbers or its first natural frequency.
 
     Args:
-        scenario: scenario with `arms`. chain: model of the arms. state: state in which the joint
-            inertias and the natural frequency are taken.
+        scenario: scenario with `arms`.
+        chain: model of the arms.
+        state: state in which the joint inertias and the natural frequency are taken.
 
     Returns:
         Stiffness, damping and motor inertia of each motor joint; None: the joints are stiff.
@@ -81,8 +82,10 @@ def drives(
     """Make the drives of all motor joints: springs, errors of the motors, and friction.
 
     Args:
-        scenario: scenario with `plant`. chain: model of the arms. springs: springs of flexible
-            joints; None: stiff joints. seed: seed of the motors' errors.
+        scenario: scenario with `plant`.
+        chain: model of the arms.
+        springs: springs of flexible joints; None: stiff joints.
+        seed: seed of the motors' errors.
     """
     spec = scenario.plant
     motors = None
@@ -98,7 +101,8 @@ def _per_motor(chain: ClosedChain, key: str, by_arm: Mapping[str, Sequence[float
     """Concatenate the numbers of all arms to (n_a,), in the order of the motors.
 
     Args:
-        chain: model of the arms. key: key of `plant.flexible_joints`, for messages.
+        chain: model of the arms.
+        key: key of `plant.flexible_joints`, for messages.
         by_arm: numbers of each arm's motors, by the arm's name.
 
     Raises:
@@ -122,7 +126,8 @@ def sensors(spec: SensorsSpec, chain: ClosedChain, markers: Array) -> Sensors:
     """Make the plant's sensors with the errors of a scenario.
 
     Args:
-        spec: sensors of the scenario. chain: model of the arms.
+        spec: sensors of the scenario.
+        chain: model of the arms.
         markers: (contacts, 4, 4) frames of the bodies that cameras track, in E, which is the world
             at the start.
     """
@@ -166,8 +171,9 @@ def _joint_errors(chain: ClosedChain, spec: EncoderSpec, error: ReadsError) -> A
     """Sizes (n,) of an error of the encoders: a length for sliding joints (m), else an angle (rad).
 
     Args:
-        chain: model of the arms. spec: encoders of the scenario. error: function that reads the
-            error from `spec.length` or `spec.angle`.
+        chain: model of the arms.
+        spec: encoders of the scenario.
+        error: function that reads the error from `spec.length` or `spec.angle`.
     """
     return np.where(sliding(chain.model), error(spec.length), error(spec.angle))
 
@@ -178,8 +184,9 @@ def torque_loop(
     """Make the joint torque loop of a scenario; None without one, or with stiff joints.
 
     Args:
-        scenario: scenario with `control.joint_torque`. chain: model of the arms. joints: springs of
-            flexible joints; None: stiff joints.
+        scenario: scenario with `control.joint_torque`.
+        chain: model of the arms.
+        joints: springs of flexible joints; None: stiff joints.
     """
     spec = scenario.control.joint_torque
     if spec is None or joints is None:
@@ -191,7 +198,8 @@ def encoder_errors(scenario: Scenario, chain: ClosedChain) -> tuple[Array, Array
     """Rms errors of the encoders and unmodelled accelerations of the joints of a scenario.
 
     Args:
-        scenario: scenario with encoders. chain: model of the arms.
+        scenario: scenario with encoders.
+        chain: model of the arms.
 
     Returns:
         Rms error (n,) of a reading: noise, and resolution as a uniform distribution (rad, m); rms
@@ -213,7 +221,8 @@ def encoder_bandwidth(scenario: Scenario, chain: ClosedChain) -> float:
     It is √(σ_a/σ_n) of the coarsest joint, and at most the rate at which encoders are sampled.
 
     Args:
-        scenario: scenario with encoders. chain: model of the arms.
+        scenario: scenario with encoders.
+        chain: model of the arms.
     """
     spec = scenario.sensors.encoder
     assert spec is not None
@@ -228,7 +237,8 @@ def joint_estimate(
     """Make the estimator of joint velocities of a scenario.
 
     Args:
-        scenario: scenario with encoders. chain: model of the arms.
+        scenario: scenario with encoders.
+        chain: model of the arms.
         measured_forces: whether the known accelerations include those by measured contact forces.
 
     Returns:
@@ -246,7 +256,8 @@ class TorqueLoopRobot:
     """Plant behind its joint torque loop, which controls the torques behind the joints' springs.
 
     Attributes:
-        plant: plant with flexible joints. loop: controller of the motors, at its own rate.
+        plant: plant with flexible joints.
+        loop: controller of the motors, at its own rate.
     """
 
     def __init__(self, plant: Plant, loop: JointTorqueLoop) -> None:
@@ -261,8 +272,8 @@ class TorqueLoopRobot:
         """Run the loop for one period of the controller.
 
         Args:
-            tau: (n_a,) desired torques of the joints (N m, N). duration: period (s), a whole number
-                of the loop's periods.
+            tau: (n_a,) desired torques of the joints (N m, N).
+            duration: period (s), a whole number of the loop's periods.
         """
         for _ in range(round(duration / self.loop.dt)):
             measurement = self.plant.measure()
@@ -284,7 +295,8 @@ class ObservedRobot:
     scenario says are estimated with the gains for their measured noise.
 
     Attributes:
-        robot: robot that measures. controller: controller of the loop.
+        robot: robot that measures.
+        controller: controller of the loop.
         vision: fusion of the camera's pictures with the encoders; None: no vision.
     """
 
@@ -299,8 +311,10 @@ class ObservedRobot:
         """Make the estimators from the sensor errors of the scenario.
 
         Args:
-            robot: robot that measures. controller: its controller. scenario: scenario with the
-                sensors. markers: (contacts, 4, 4) frames of the bodies that cameras track, in E.
+            robot: robot that measures.
+            controller: its controller.
+            scenario: scenario with the sensors.
+            markers: (contacts, 4, 4) frames of the bodies that cameras track, in E.
             measured_forces: whether estimated velocities of the joints include what measured
                 contact forces accelerate.
         """
@@ -393,7 +407,8 @@ class ObservedRobot:
         """Change the gains of the estimated velocities while encoders are noisier than expected.
 
         Args:
-            estimate: of the joints. q: (n,) new readings (rad, m); NaN: implausible.
+            estimate: of the joints.
+            q: (n,) new readings (rad, m); NaN: implausible.
         """
         was_loud = self._noise.is_loud
         noise = self._noise.update(q)
@@ -404,7 +419,8 @@ class ObservedRobot:
         """Command the robot, and store the joint accelerations that the next estimate expects.
 
         Args:
-            tau: (n_a,) motor torques (N m, N). duration: control period (s).
+            tau: (n_a,) motor torques (N m, N).
+            duration: control period (s).
         """
         if self._joints is not None:
             if self._measured_forces:

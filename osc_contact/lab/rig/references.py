@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from osc_contact.contacts.feet import contact_at, feet
-from osc_contact.contacts.pairs.pair import ContactPair, knows_where_it_slides
+from osc_contact.contacts.pairs.pair import ContactPair, has_known_points
 from osc_contact.contacts.pairs.sphere_on_surface import SphereOnSurface
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.errors import InvalidInputError, ScenarioError, brief
@@ -34,7 +34,8 @@ def common_tangent(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> Array:
     The largest component of the direction is positive.
 
     Args:
-        pairs: contacts. X_WO: pose of the object in contact.
+        pairs: contacts.
+        X_WO: pose of the object in contact.
 
     Raises:
         ScenarioError: the contacts permit no translation, or several.
@@ -122,8 +123,10 @@ class References:
         """Make the references of a scenario; resolve directions and surfaces of its moves.
 
         Args:
-            scenario: scenario with the signals. X_start: pose of the object in contact.
-            pairs: contacts. standoff: (6,) displacement off the contacts during the tare (m, rad).
+            scenario: scenario with the signals.
+            X_start: pose of the object in contact.
+            pairs: contacts.
+            standoff: (6,) displacement off the contacts during the tare (m, rad).
             showing: (6,) twist of `control.dither`; None: zero.
 
         Raises:
@@ -155,7 +158,8 @@ class References:
         """Yield the references of successive ticks, from t = 0 on.
 
         Args:
-            ticks: number of references. period: time between them (s).
+            ticks: number of references.
+            period: time between them (s).
         """
         for start in range(0, ticks, _AT_ONCE):
             yield from self.over(np.arange(start, min(start + _AT_ONCE, ticks)) * period)
@@ -302,8 +306,8 @@ class References:
         The displacements of all such moves are added in the tangential plane at the start.
 
         Args:
-            t: (k,) times (s). share: (3, k) or (3, 1) share of the motion that has begun, with its
-                derivatives.
+            t: (k,) times (s).
+            share: (3, k) or (3, 1) share of the motion that has begun, with its derivatives.
 
         Returns:
             Position, velocity and acceleration (3, 3, k) of the origin (m, s), and the rotation
@@ -327,7 +331,9 @@ def _way(move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3) -> Ar
     """Direction (3,) of a move, or the surface that it follows.
 
     Args:
-        move: move of a scenario. pairs: contacts. X_start: pose of the object in contact.
+        move: move of a scenario.
+        pairs: contacts.
+        X_start: pose of the object in contact.
 
     Raises:
         ScenarioError: `common_tangent` is not unique, or the move names no contact on a surface.
@@ -352,8 +358,8 @@ class Plan:
     Attributes:
         X_WD: (k, 7) desired poses: position (m) and quaternion x, y, z, w.
         V_D, A_D: (k, 6) desired twists and classical accelerations at O, world axes (m, rad, s).
-        alpha_d: (k, r) desired force magnitudes (N). squeeze_d: desired internal force at all times
-            (N).
+        alpha_d: (k, r) desired force magnitudes (N).
+        squeeze_d: desired internal force at all times (N).
         active: (k, contacts) 1 for active contacts, else 0; None: the scenario names none.
         commands: (k, r) alpha_d of active contacts, 0 of the others (N).
     """
@@ -374,9 +380,10 @@ class Plan:
 
         Args:
             place: (3, 3, k) position, velocity and acceleration of the origin (m, s).
-            turn: rotation from the start, with its derivatives. X_start: pose of the object at the
-                start.
-            alpha: (r, k) desired forces (N). squeeze: desired internal force (N).
+            turn: rotation from the start, with its derivatives.
+            X_start: pose of the object at the start.
+            alpha: (r, k) desired forces (N).
+            squeeze: desired internal force (N).
         """
         p, v, a = place
         R = rotated(turn.R, X_start.rotation[:, :, None])
@@ -405,7 +412,8 @@ class _Turn:
 
     Attributes:
         R: (3, 3, k) rotation matrices, world axes.
-        omega: (3, k) angular velocities (rad/s). omega_dot: (3, k) angular accelerations (rad/s²).
+        omega: (3, k) angular velocities (rad/s).
+        omega_dot: (3, k) angular accelerations (rad/s²).
     """
 
     R: Array
@@ -438,8 +446,10 @@ def _swung(place: Array, axis: Array, through: Array, s: Array) -> Array:
     """Motion of a point that is carried by a rotation about an axis fixed in the world.
 
     Args:
-        place: (3, 3, k) position, velocity and acceleration of the point without the rotation
-            (m, s). axis: (3,) axis of unit length, world axes. through: (3,) point on the axis (m).
+        place: (3, 3, k) position, velocity and acceleration of the point without the rotation (m,
+            s).
+        axis: (3,) axis of unit length, world axes.
+        through: (3,) point on the axis (m).
         s: (3, k) angle about the axis with first and second derivative (rad, s).
 
     Returns:
@@ -483,8 +493,8 @@ class SurfaceMotion:
         Args:
             pair: contact of a ball with the surface; its environment frame coincides with the
                 world.
-            X_start: pose of the object in contact. direction: (3,) vector whose tangential part is
-                the first axis.
+            X_start: pose of the object in contact.
+            direction: (3,) vector whose tangential part is the first axis.
 
         Raises:
             InvalidInputError: the direction is along the normal.
@@ -544,7 +554,8 @@ def surface_references(
 
     Args:
         pair: contact of a ball with the surface; its environment frame coincides with the world.
-        X_start: pose of the object in contact. period: time between references (s).
+        X_start: pose of the object in contact.
+        period: time between references (s).
         direction: (3,) vector whose tangential part is the first axis of the path's plane, world
             axes.
         force: desired contact force (N), or one for each reference.
@@ -585,7 +596,8 @@ def _odd(rate: Array, R: Array) -> Array:
     """Vector (3, k) of the skew-symmetric part of Ṙ Rᵀ, which is ω, or of R̈ Rᵀ, which is ω̇.
 
     Args:
-        rate: (3, 3, k) first or second derivative of R. R: (3, 3, k) rotation matrices.
+        rate: (3, 3, k) first or second derivative of R.
+        R: (3, 3, k) rotation matrices.
     """
     return 0.5 * axial(np.einsum("ijk,ljk->ilk", rate, R))
 
@@ -596,7 +608,8 @@ def _shortest(start: Array, n: Array) -> Array:
     R = c 1 + [a]× + a aᵀ/(1 + c) with a = start × n and c = startᵀn.
 
     Args:
-        start: (3,) unit vector. n: (3, k) unit vectors, none opposite to it.
+        start: (3,) unit vector.
+        n: (3, k) unit vectors, none opposite to it.
     """
     a = cross(start[:, None], n)
     c = start @ n
@@ -624,8 +637,9 @@ def slides(dither: Dither, start: float, t: Array) -> Array:
     The displacement is a sine that rises in the first quarter of the time and fades in the last.
 
     Args:
-        dither: amplitude, frequency and duration. start: time of its beginning (s). t: (k,) times
-            (s).
+        dither: amplitude, frequency and duration.
+        start: time of its beginning (s).
+        t: (k,) times (s).
     """
     quarter = 0.25 * dither.duration
     sine = Sine[Length](
@@ -640,7 +654,8 @@ def opposed(pairs: Sequence[ContactPair], state: ChainState) -> tuple[Array, Arr
     Only contacts of one point count.
 
     Args:
-        pairs: contacts. state: state of the arms, with the pose of the object.
+        pairs: contacts.
+        state: state of the arms, with the pose of the object.
 
     Returns:
         Unit vector u (3,) of the line, the two points (2, 3) (m), and their directions of force
@@ -648,7 +663,7 @@ def opposed(pairs: Sequence[ContactPair], state: ChainState) -> tuple[Array, Arr
     """
     lines_of_force = []  # point and direction of force of each contact with one point
     for pair in pairs:
-        if knows_where_it_slides(pair):
+        if has_known_points(pair):
             points, directions = feet(pair, state.X_WO)
             if len(points) == 1:
                 lines_of_force.append((points[0], directions[0]))
@@ -677,8 +692,9 @@ def showing_twist(pairs: Sequence[ContactPair], state: ChainState, N: Array) -> 
     in its middle. The twist is zero if there are no two points, or no motion along the line.
 
     Args:
-        pairs: contacts. state: state of the arms. N: (6, r) directions of force of all contacts, at
-            O in world axes.
+        pairs: contacts.
+        state: state of the arms.
+        N: (6, r) directions of force of all contacts, at O in world axes.
     """
     line = opposed(pairs, state)
     if line is None:
@@ -693,7 +709,8 @@ def least_motion(state: ChainState, F: Array, power: Array) -> Array:
     """Twist V (6,) of least kinetic energy that the arms permit with FᵀV = power.
 
     Args:
-        state: state of the arms, with S and the metric of the kinetic energy. F: (6, k) wrenches.
+        state: state of the arms, with S and the metric of the kinetic energy.
+        F: (6, k) wrenches.
         power: (k,) power of each wrench (W); least squares if no motion has all of them.
     """
     rows = F.T @ state.S
@@ -706,8 +723,9 @@ def known_to(pairs: Sequence[ContactPair], state: ChainState, std: float) -> flo
     """Standard deviation of the forces of two opposed contacts, as a share of these forces.
 
     Args:
-        pairs: contacts. state: state of the arms. std: standard deviation of their normals along
-            the line between them (rad).
+        pairs: contacts.
+        state: state of the arms.
+        std: standard deviation of their normals along the line between them (rad).
     """
     line = opposed(pairs, state)
     if line is None:

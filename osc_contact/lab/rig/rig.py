@@ -134,7 +134,8 @@ def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
     """Sentence on the contact that is furthest from its face at a pose; empty if it is near.
 
     Args:
-        pairs: contacts. X_WO: pose of the object.
+        pairs: contacts.
+        X_WO: pose of the object.
     """
     gaps = [(np.abs(pair.gaps(X_WO)).max(initial=0.0), pair.name) for pair in pairs]
     gap, name = max(gaps, default=(0.0, ""))
@@ -156,8 +157,10 @@ class Rig:
 
     Attributes:
         scenario: the scenario.
-        chain: the true arms and object. model: the controller's model of them.
-        pairs: the contacts. bodies: bodies of the environment.
+        chain: the true arms and object.
+        model: the controller's model of them.
+        pairs: the contacts.
+        bodies: bodies of the environment.
         q_contact: (n,) joint positions with closed loops and touching contacts (m, rad).
         q_start: (n,) joint positions at the start: `q_contact`, or off the contacts for a tare.
         references: references of the run.
@@ -241,8 +244,8 @@ class Rig:
         its sensors are ideal.
 
         Args:
-            plant: plant of the rig. controller: controller of the loop, whose accelerations the
-                estimates use.
+            plant: plant of the rig.
+            controller: controller of the loop, whose accelerations the estimates use.
         """
         robot: Robot = plant
         loop = hardware.torque_loop(self.scenario, self.chain, self.springs)
@@ -442,7 +445,8 @@ def _noted_by_rigid(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTr
     """Make the reader of rows that the rigid plant of a scenario recorded.
 
     Args:
-        scenario: scenario of the run, which is not needed. pairs: its contacts.
+        scenario: scenario of the run, which is not needed.
+        pairs: its contacts.
     """
     return NotedTruths(pairs)
 
@@ -459,7 +463,8 @@ def _noted_wrenches(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTr
     The reader needs the rails of the faces and the inertia of the object in its own frame.
 
     Args:
-        scenario: scenario of the run. pairs: its contacts.
+        scenario: scenario of the run.
+        pairs: its contacts.
     """
     bodies = environment_bodies(scenario)
     faces = Faces(rails(bodies), touched_bodies(bodies, len(pairs)), len(pairs))
@@ -553,8 +558,9 @@ def _model(scenario: Scenario, chain: ClosedChain, make: MakesChain) -> ClosedCh
     """Controller's model of arms and object, which is the true chain without model errors.
 
     Args:
-        scenario: scenario with its `model_error`. chain: the true chain. make: function that makes
-            chains.
+        scenario: scenario with its `model_error`.
+        chain: the true chain.
+        make: function that makes chains.
     """
     error = scenario.model_error
     keys = ("arm_mass", "object_mass", "joint_friction", "armature")
@@ -566,8 +572,8 @@ def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> Clos
     """Make the chain of arms and object of a scenario, with the factors of a model error.
 
     Args:
-        scenario: scenario with arms, grasps and object. error: factors of masses, friction and
-            rotors, and a hidden mass; None: no error.
+        scenario: scenario with arms, grasps and object.
+        error: factors of masses, friction and rotors, and a hidden mass; None: no error.
     """
     error = error or ModelErrorSpec()
     arms = [
@@ -599,8 +605,8 @@ def held_object(scenario: Scenario, error: ModelErrorSpec) -> RigidObject:
     """Make the object of a scenario, with the mass factor and the hidden mass of a model error.
 
     Args:
-        scenario: scenario with arms, grasps and object. error: factor of the mass, and a hidden
-            point mass where the first arm grasps the object.
+        scenario: scenario with arms, grasps and object.
+        error: factor of the mass, and a hidden point mass where the first arm grasps the object.
     """
     body = RigidObject(robots.load_body(urdf_of(scenario, scenario.object)))
     body = body.scaled(error.object_mass)
@@ -635,9 +641,11 @@ class Landing:
     """Expected landing of a contact, for one of its forces.
 
     Attributes:
-        name: name of the force. speed: speed v_a of the approach (m/s).
+        name: name of the force.
+        speed: speed v_a of the approach (m/s).
         mass: effective mass along the normal, 1 / NᵀΦ₀N (kg).
-        stiffness: stiffness of contact and face in series (N/m). command: largest command (N).
+        stiffness: stiffness of contact and face in series (N/m).
+        command: largest command (N).
         peak: expected peak force, v √(k m) or the command, whichever is larger (N).
         free: whether the contact is open at the beginning of the run.
     """

@@ -43,7 +43,8 @@ class Cycle:
     """Limit cycle of a force.
 
     Attributes:
-        amplitude: amplitude of the oscillation (N). frequency: its frequency (Hz).
+        amplitude: amplitude of the oscillation (N).
+        frequency: its frequency (Hz).
         relative: amplitude over the mean command.
         compliance: travel of the contact along its normal over the amplitude (m/N); None: not
             recorded.
@@ -70,8 +71,8 @@ def find_cycle(
         dt: time between samples (s).
         commands: desired forces (n,) (N), whose lines are not limit cycles.
         driven_Hz: frequencies at which faces are driven (Hz).
-        along: (n, m) speeds of the object along its contacts (m/s). across: (n,) speed into the
-            contact of this force (m/s); None: not recorded.
+        along: (n, m) speeds of the object along its contacts (m/s).
+        across: (n,) speed into the contact of this force (m/s); None: not recorded.
 
     Returns:
         Amplitude (N) and frequency (Hz); None: there is no limit cycle.
@@ -114,9 +115,12 @@ def _commanded(
     """Mask (n/2 + 1,) of the frequency bins with a line of a command or its low harmonics.
 
     Args:
-        n: number of samples. dt: time between samples (s). commands: desired forces (n,) (N).
-        driven_Hz: frequencies at which faces are driven (Hz). tangent_speeds: (n, m) speeds along
-            the contacts (m/s). normal_speed: (n,) speed into the contact (m/s); None: not recorded.
+        n: number of samples.
+        dt: time between samples (s).
+        commands: desired forces (n,) (N).
+        driven_Hz: frequencies at which faces are driven (Hz).
+        tangent_speeds: (n, m) speeds along the contacts (m/s).
+        normal_speed: (n,) speed into the contact (m/s); None: not recorded.
     """
     lines = np.zeros(n // 2 + 1, dtype=bool)
     for command in commands:
@@ -138,8 +142,9 @@ def _lines(signal: Array, least: float) -> Flags:
     """Mask (n/2 + 1,) of the frequency bins in which a signal has a line.
 
     Args:
-        signal: (n,) samples. least: least amplitude of a line, in the unit of the signal; lines
-            below the share `_LINE` of the largest line are left out, too.
+        signal: (n,) samples.
+        least: least amplitude of a line, in the unit of the signal; lines below the share `_LINE`
+            of the largest line are left out, too.
     """
     spectrum = _spectrum(signal)
     return spectrum > max(_LINE * spectrum.max(), least)
@@ -162,7 +167,8 @@ def worst_cycles(recording: Recording, judged: Array, least: float) -> list[Cycl
     """Find the largest limit cycle of each force magnitude, relative to the mean command.
 
     Args:
-        recording: recording with a judge. judged: (T, r) mask of the ticks that are evaluated.
+        recording: recording with a judge.
+        judged: (T, r) mask of the ticks that are evaluated.
         least: least amplitude relative to the mean command.
 
     Returns:
@@ -193,9 +199,11 @@ def _cycle_in(
     """Find the limit cycle of force j in some ticks of a recording; None if there is none.
 
     Args:
-        window: channels of the ticks. j: index of the force. dt: control period (s).
-        driven_Hz: frequencies at which faces are driven (Hz). least_share: least amplitude relative
-            to the mean command.
+        window: channels of the ticks.
+        j: index of the force.
+        dt: control period (s).
+        driven_Hz: frequencies at which faces are driven (Hz).
+        least_share: least amplitude relative to the mean command.
     """
     commands = window["alpha_cmd"]
     error = window["alpha_true"][:, j] - commands[:, j]
@@ -221,7 +229,8 @@ def _speeds(window: Mapping[str, Array], j: int) -> tuple[Array, Array]:
     Angular velocities are converted to speeds by the lever `_ARM`, for a threshold only.
 
     Args:
-        window: channels `twist` and `N` of k ticks. j: index of the force.
+        window: channels `twist` and `N` of k ticks.
+        j: index of the force.
     """
     scale = np.array([1.0, 1.0, 1.0, _ARM, _ARM, _ARM])
     V = window["twist"] * scale
@@ -236,8 +245,8 @@ def _frequencies(scenario: Any, of_faces: bool = False) -> Iterator[float]:
     """Yield the frequencies of sines by which faces and bodies are driven.
 
     Args:
-        scenario: a scenario as JSON data, or a part of it. of_faces: whether the part belongs to
-            contacts or environment.
+        scenario: a scenario as JSON data, or a part of it.
+        of_faces: whether the part belongs to contacts or environment.
     """
     items = scenario.items() if isinstance(scenario, Mapping) else ()
     for key, value in items:

@@ -99,7 +99,8 @@ def numbers(kind: str, text: str) -> Array:
     """Parse a vector from the command line, such as "0.4, 0, 30 cm" or "[180 deg, 0, 0]".
 
     Args:
-        kind: key of `VECTORS`: "xyz", "rpy" or "posture". text: numbers in SI units, or with units.
+        kind: key of `VECTORS`: "xyz", "rpy" or "posture".
+        text: numbers in SI units, or with units.
 
     Raises:
         InvalidInputError: the text is not such a vector.
@@ -139,7 +140,8 @@ def degrees(chain: ClosedChain, q: Array) -> list[str]:
     """Hint that a posture outside the limits is within them if its angles are degrees.
 
     Args:
-        chain: arms. q: (n,) joint positions (rad, m).
+        chain: arms.
+        q: (n,) joint positions (rad, m).
 
     Returns:
         A sentence, or no sentence.
@@ -158,7 +160,8 @@ def solve(chain: ClosedChain, X_WO: pin.SE3, start: Array, seed: int | None = No
     """Find joint positions within limits at which the object is at a pose, or nearest to it.
 
     Args:
-        chain: arms; without an object the pose is that of their tip. X_WO: desired pose.
+        chain: arms; without an object the pose is that of their tip.
+        X_WO: desired pose.
         start: (n,) joint positions from which the search starts, before random ones.
         seed: seed of the random postures; None: seed 0. If a seed is given, random postures come
             before `start`, so that another posture may be found.
@@ -189,7 +192,9 @@ def _miss(chain: ClosedChain, q: Array, X_WO: pin.SE3) -> tuple[float, float]:
     """Largest errors of the grasps at a posture.
 
     Args:
-        chain: model of the arms. q: (n,) joint positions. X_WO: pose of the object.
+        chain: model of the arms.
+        q: (n,) joint positions.
+        X_WO: pose of the object.
 
     Returns:
         Largest distance (m) and angle (rad) between the pose and the pose in an arm's grasp. The
@@ -218,7 +223,8 @@ def as_dict(chain: ClosedChain, q: Array) -> Json:
     """Posture and poses as JSON data: joint positions by name, poses (4, 4) of tips and object.
 
     Args:
-        chain: arms whose forward kinematics have been computed at q. q: (n,) joint positions.
+        chain: arms whose forward kinematics have been computed at q.
+        q: (n,) joint positions.
     """
     X = object_pose(chain, q)
     tips = zip(chain.arms, chain.tip_poses(), strict=True)
@@ -233,7 +239,8 @@ def pose_lines(chain: ClosedChain, q: Array) -> list[str]:
     """Lines with postures, tips and pose of the object, in the form of a scenario file.
 
     Args:
-        chain: arms. q: (n,) joint positions (rad, m).
+        chain: arms.
+        q: (n,) joint positions (rad, m).
     """
     lines = []
     for arm, joints in zip(chain.arms, chain.slices, strict=True):
@@ -260,7 +267,9 @@ def _listed(values: Sequence[float] | Array, digits: int, unit: str = "") -> str
     """Write numbers with commas between; rounding errors about zero become 0, never −0.
 
     Args:
-        values: numbers. digits: number of decimals. unit: unit after each number, with its space.
+        values: numbers.
+        digits: number of decimals.
+        unit: unit after each number, with its space.
     """
     return ", ".join(
         f"{round(float(x), digits) + 0.0:g}{unit}" if abs(x) < 1e-9 else f"{x:.{digits}f}{unit}"
@@ -279,7 +288,8 @@ class Press:
     """Axis along which a robot presses, and the force.
 
     Attributes:
-        axis: (3,) unit vector in the tip's frame. force: desired force (N).
+        axis: (3,) unit vector in the tip's frame.
+        force: desired force (N).
     """
 
     axis: tuple[float, float, float]
@@ -317,7 +327,8 @@ def draft(robot: str, arm: Arm, press: Press, posture: Array | None, target: Pat
     """Write a scenario in which a robot presses, without findings of `preflight`, and run it.
 
     Args:
-        robot: name or file of the robot, as on the command line. arm: arm of the robot.
+        robot: name or file of the robot, as on the command line.
+        arm: arm of the robot.
         press: axis and force.
         posture: (n,) posture at the start; None: a posture is searched that is far from joint
             limits and singular postures, with the stylus pointing down as far as possible.
@@ -370,7 +381,8 @@ def _postures(arm: Arm, press: Press) -> Iterator[Array]:
     """Yield the best of many random postures (n,) between the joint limits, the best first.
 
     Args:
-        arm: arm of the robot. press: axis and force.
+        arm: arm of the robot.
+        press: axis and force.
     """
     model = arm.model
     low, high = position_limits(model)
@@ -394,7 +406,9 @@ def _score(arm: Arm, press: Press, q: Array) -> float:
     above 40 % of the limits.
 
     Args:
-        arm: arm of the robot. press: axis and force. q: (n,) joint positions (rad, m).
+        arm: arm of the robot.
+        press: axis and force.
+        q: (n,) joint positions (rad, m).
     """
     model = arm.model
     data = model.createData()
@@ -423,9 +437,12 @@ class _Slide(NamedTuple):
     """Place of the stylus and motion of its ball along the plate.
 
     Attributes:
-        joints: names of the arm's joints, for a comment. grasp: pose of the stylus in the tip.
-        point: (3,) lowest point of the ball (m). down: (3,) unit axis of the stylus.
-        along: (3,) direction of the motion in the plate. travel: its amplitude (mm).
+        joints: names of the arm's joints, for a comment.
+        grasp: pose of the stylus in the tip.
+        point: (3,) lowest point of the ball (m).
+        down: (3,) unit axis of the stylus.
+        along: (3,) direction of the motion in the plate.
+        travel: its amplitude (mm).
     """
 
     joints: str
@@ -466,7 +483,10 @@ def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
     """Text of a scenario in which an arm presses a stylus on a plate.
 
     Args:
-        robot: name or file of the robot. arm: its arm. press: force and axis. q: (n,) posture.
+        robot: name or file of the robot.
+        arm: its arm.
+        press: force and axis.
+        q: (n,) posture.
     """
     joints, grasp, point, down, along, travel = _slide(arm, press, q)
     about = f"{robot} presses {press.force:g} N with a stylus along {press} of {arm.tip}"
@@ -550,7 +570,9 @@ def _tangent(model: pin.Model, data: pin.Data, q: Array, tip: int, down: Array) 
     It is the eigenvector of P J M⁻¹Jᵀ P with the largest eigenvalue, P = 1 − down downᵀ.
 
     Args:
-        model, data: model of the arm. q: (n,) joint positions. tip: index of the tip's frame.
+        model, data: model of the arm.
+        q: (n,) joint positions.
+        tip: index of the tip's frame.
         down: (3,) normal of the plate, world axes.
     """
     J, M = _jacobian(model, data, q, tip)
@@ -563,7 +585,9 @@ def _jacobian(model: pin.Model, data: pin.Data, q: Array, tip: int) -> tuple[Arr
     """Linear Jacobian J (3, n) of the tip in world axes, and inertia matrix M (n, n).
 
     Args:
-        model, data: model of the arm. q: (n,) joint positions. tip: index of the tip's frame.
+        model, data: model of the arm.
+        q: (n,) joint positions.
+        tip: index of the tip's frame.
     """
     J = pin.computeFrameJacobian(model, data, q, tip, pin.LOCAL_WORLD_ALIGNED)
     return columns_of(J)[:3], np.array(pin.crba(model, data, q))

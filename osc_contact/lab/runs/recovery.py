@@ -69,8 +69,9 @@ def scenario_of(meta: Json, path: Path, folder: StrPath | None = None) -> Scenar
     in `folder`, then in the folder of the recording, then in the working folder.
 
     Args:
-        meta: meta data of the recording. path: file of the recording. folder: folder of the
-            scenario's file; None: unknown.
+        meta: meta data of the recording.
+        path: file of the recording.
+        folder: folder of the scenario's file; None: unknown.
 
     Raises:
         RecordingError: the recording has no scenario that this version understands, or its URDFs

@@ -63,8 +63,8 @@ def run(
         install: function that puts another control law into each controller of the run.
         journal: file of the rows during the run, for example unfinished.mcap, for `recover` if the
             process is killed; None: a temporary file.
-        build: function that makes the rig of the scenario. check: function that refuses the rig, or
-            returns warnings.
+        build: function that makes the rig of the scenario.
+        check: function that refuses the rig, or returns warnings.
 
     Returns:
         The recording; `metrics(recording)` judges it.
@@ -152,8 +152,9 @@ def _recorded_to_the_end(recorder: Recorder, ticks: int, period: float) -> Itera
     """Add the recording so far to an error that ends a loop before its last tick.
 
     Args:
-        recorder: recorder of the loop. ticks: number of the loop's ticks. period: control period
-            (s).
+        recorder: recorder of the loop.
+        ticks: number of the loop's ticks.
+        period: control period (s).
 
     Raises:
         PlantError: the simulation diverged.
@@ -200,7 +201,8 @@ def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plan
     one begins without a memory.
 
     Args:
-        rig: rig of a scenario. seed: seed of all random numbers.
+        rig: rig of a scenario.
+        seed: seed of all random numbers.
         install: function that puts another control law into each controller; None: none.
     """
     plant = rig.plant(seed)
@@ -240,8 +242,10 @@ class Taring:
     """Controller that averages its wrist readings off the contacts, then engages the contacts.
 
     Attributes:
-        duration: time of the tare (s). engage_at: time at which contacts engage (s).
-        controller: controller of the arms. dt: control period (s).
+        duration: time of the tare (s).
+        engage_at: time at which contacts engage (s).
+        controller: controller of the arms.
+        dt: control period (s).
         samples: residual wrenches (6,) of the ticks so far that are averaged (N, N m).
         ticks: number of ticks.
     """
@@ -260,7 +264,8 @@ class Taring:
         """Compute motor torques (n_a,) as `Controller.tick`, and take the tare by its time.
 
         Args:
-            measurement: readings of the tick. reference: desired motion and forces.
+            measurement: readings of the tick.
+            reference: desired motion and forces.
         """
         tau = self.controller.tick(measurement, reference)
         t = self.ticks * self.dt

@@ -68,8 +68,8 @@ class WorstSecond:
         """Include k further ticks.
 
         Args:
-            t: (k,) times (s). error: (k, r) errors of the forces (N), NaN in ticks that are not
-                judged.
+            t: (k,) times (s).
+            error: (k, r) errors of the forces (N), NaN in ticks that are not judged.
         """
         tenths = np.floor(t * 10.0 + 1e-6).astype(int)
         for tenth in np.unique(tenths):

@@ -50,7 +50,8 @@ class Tape:
         """Run the tick of the controller and record its inputs and torques.
 
         Args:
-            measurement: readings of the tick. reference: desired motion and forces.
+            measurement: readings of the tick.
+            reference: desired motion and forces.
 
         Returns:
             (n_a,) motor torques (N m, N).
@@ -72,7 +73,8 @@ class Tape:
         """Append a tick: flags, changed memory, then inputs and torques as 64-bit numbers.
 
         Args:
-            measurement: readings of the tick. reference: desired motion and forces.
+            measurement: readings of the tick.
+            reference: desired motion and forces.
             memory: bytes of MEMORY before the tick; None: as the last tick left them.
             tau: (n_a,) torques of the tick (N m, N).
         """
@@ -124,9 +126,10 @@ def build(rig: Rig, folder: Path, ticks: int = 10_000, seed: int = 0) -> Tape:
     """Write a rig's controller, the C library, and a recording to replay into a folder.
 
     Args:
-        rig: rig of a scenario. folder: folder of the files, which is created. ticks: length of the
-            recording; beyond the duration of the scenario its signals continue. seed: seed of all
-            random numbers.
+        rig: rig of a scenario.
+        folder: folder of the files, which is created.
+        ticks: length of the recording; beyond the duration of the scenario its signals continue.
+        seed: seed of all random numbers.
 
     Returns:
         The recorded ticks.

@@ -248,18 +248,21 @@ class _Sums:
     """Sums over the ticks of a recording.
 
     Attributes:
-        ticks: ticks that are evaluated. count: their number, without regard to contacts.
+        ticks: ticks that are evaluated.
+        count: their number, without regard to contacts.
         duration: duration of the run (s).
-        judged: (contacts,) number of evaluated ticks of each contact. opened: (contacts,) number of
-            these in which the contact is open.
+        judged: (contacts,) number of evaluated ticks of each contact.
+        opened: (contacts,) number of these in which the contact is open.
         longest: (contacts,) longest sequence of ticks in which the contact is open but closed for
             the controller.
         cycles: largest limit cycle of each force.
-        status: number of ticks of each status. at_limit: number of ticks in which each motor is at
-            its limit.
+        status: number of ticks of each status.
+        at_limit: number of ticks in which each motor is at its limit.
         command, error, sensing, over: statistics of each force magnitude: desired force, true minus
-            desired, measured minus true (N), true over desired force. seconds: worst second.
-        away, off: statistics of the deviation from the reference. total, projected: of powers (W).
+            desired, measured minus true (N), true over desired force.
+        seconds: worst second.
+        away, off: statistics of the deviation from the reference.
+        total, projected: of powers (W).
         closed: share of ticks in which each contact is closed.
     """
 
@@ -267,8 +270,8 @@ class _Sums:
         """Evaluate a recording, piece after piece, so that memory stays small.
 
         Args:
-            recording: recording with a judge. least_cycle: least amplitude of a limit cycle over
-                the mean command.
+            recording: recording with a judge.
+            least_cycle: least amplitude of a limit cycle over the mean command.
         """
         meta = recording.meta
         self.ticks = JudgedTicks(recording)
@@ -308,7 +311,8 @@ class _Sums:
         """Include desired, true and measured forces of a piece.
 
         Args:
-            piece: channels of k ticks. flags: (k, r) judged ticks of each force magnitude.
+            piece: channels of k ticks.
+            flags: (k, r) judged ticks of each force magnitude.
 
         Returns:
             (k, r) flags of the ticks whose errors are known, too.
@@ -328,8 +332,8 @@ class _Sums:
         """Include deviations from the reference, powers and closed contacts of a piece.
 
         Args:
-            piece: channels of k ticks. quiet: (k,) ticks in which no contact is made and no force
-                steps.
+            piece: channels of k ticks.
+            quiet: (k,) ticks in which no contact is made and no force steps.
         """
         judged = piece["t"] >= SETTLE_S - 1e-9
         self.count += int(judged.sum())
@@ -343,7 +347,8 @@ class _Sums:
         """Include the ticks of a piece in which contacts are open though they should be closed.
 
         Args:
-            piece: channels of k ticks. settled: (k, contacts) judged ticks of each contact.
+            piece: channels of k ticks.
+            settled: (k, contacts) judged ticks of each contact.
         """
         is_open = ~piece["closed"].astype(bool) & settled
         self.judged += settled.sum(axis=0)
@@ -361,7 +366,8 @@ def _numbers(recording: Recording, sums: _Sums) -> Json:
     """Entries of metrics.json, except the verdict on the task.
 
     Args:
-        recording: recording of the run. sums: sums over its ticks.
+        recording: recording of the run.
+        sums: sums over its ticks.
     """
     meta = recording.meta
     contacts = meta["contact_names"]
@@ -408,7 +414,8 @@ def _learned(losses: Sequence[Json], meta: Json) -> list[Json]:
     """Friction and rotor inertia of each joint as learned, rounded to the significant digits.
 
     Args:
-        losses: losses of the model's joints. meta: meta data of the recording.
+        losses: losses of the model's joints.
+        meta: meta data of the recording.
 
     Returns:
         For each joint its name, whether it slides, friction (N m, N), damping (N m s/rad, N s/m)
@@ -432,7 +439,8 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
     """Metrics of each force magnitude.
 
     Args:
-        names: names of the forces. sums: sums over the ticks.
+        names: names of the forces.
+        sums: sums over the ticks.
     """
     by_name = {}
     columns = (
@@ -468,7 +476,9 @@ def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[J
     """Values that `RULES` compare or name, for each subject.
 
     Args:
-        recording: recording of the run. sums: sums over its ticks. verdict: metrics of the run.
+        recording: recording of the run.
+        sums: sums over its ticks.
+        verdict: metrics of the run.
     """
     meta = recording.meta
     landed = sums.ticks.landed
@@ -521,7 +531,8 @@ def _ratio(part: float | None, whole: float | None) -> float | None:
     """Ratio of two numbers; None instead of NaN, which JSON lacks.
 
     Args:
-        part: numerator; None: unknown. whole: denominator; None: unknown, or zero.
+        part: numerator; None: unknown.
+        whole: denominator; None: unknown, or zero.
     """
     return part / whole if whole and part is not None else None
 
@@ -532,8 +543,8 @@ def step_answers(recording: Recording, ticks: JudgedTicks) -> list[Json]:
     overshoot = largest (true − desired force) in the direction of the step, within `STEP_WINDOW_S`.
 
     Args:
-        recording: recording with a judge. ticks: selection of judged ticks, to which the whole
-            recording was added.
+        recording: recording with a judge.
+        ticks: selection of judged ticks, to which the whole recording was added.
 
     Returns:
         Steps of force magnitudes in order of time, with the keys t_s, force, what ("first contact"
@@ -563,9 +574,13 @@ def _answer(
     """Step response of one force after tick k; None without a commanded step.
 
     Args:
-        recording: recording with a judge. rate: control rate (Hz). steps: ticks of all steps of
-            desired forces. k: tick of the step. column: index of the force. first: True if the step
-            is the first contact, from zero; False for a step of the desired force.
+        recording: recording with a judge.
+        rate: control rate (Hz).
+        steps: ticks of all steps of desired forces.
+        k: tick of the step.
+        column: index of the force.
+        first: True if the step is the first contact, from zero; False for a step of the desired
+            force.
     """
     later_steps = [step for step in steps if step > k]
     stop = min([k + max(2, round(STEP_WINDOW_S * rate)), *later_steps, len(recording)])
@@ -616,7 +631,8 @@ def judge_task(
     Args:
         facts: values of all subjects by kind of subject: the quantities of the rules, and values
             that their sentences name. A quantity that is None is not compared.
-        limits: limits of the scenario. rules: rules to apply, in order of decreasing gravity.
+        limits: limits of the scenario.
+        rules: rules to apply, in order of decreasing gravity.
 
     Returns:
         Dictionary with "word", the word of the first rule that applies, or OK; "failed"; "why",

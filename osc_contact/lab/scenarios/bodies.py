@@ -185,7 +185,8 @@ def _read_custom(value: Any, read: Callable[[Any], Any]) -> Any:
     """Accept an object with a `rail`, in a scenario made in Python, as it is; validate keys.
 
     Args:
-        value: motion of a body. read: pydantic's validation of keys.
+        value: motion of a body.
+        read: pydantic's validation of keys.
     """
     return value if hasattr(value, "rail") else read(value)
 
@@ -194,7 +195,8 @@ def _write_custom(value: Any, write: Callable[[Any], Any]) -> Any:
     """Write an object with a `rail` as the name of its class, and keys as they are.
 
     Args:
-        value: motion of a body. write: pydantic's serialisation of keys.
+        value: motion of a body.
+        write: pydantic's serialisation of keys.
     """
     return type(value).__name__ if hasattr(value, "rail") else write(value)
 

@@ -89,7 +89,8 @@ def _body_problems(bodies: list[str], touched: list[Any]) -> Iterator[Problem]:
     """Yield bodies of the environment without a contact, and contacts on unknown bodies.
 
     Args:
-        bodies: names of the bodies. touched: key `body` of each contact; None: it has no such key.
+        bodies: names of the bodies.
+        touched: key `body` of each contact; None: it has no such key.
     """
     for index, name in enumerate(bodies):
         if name not in touched:
@@ -128,8 +129,10 @@ def _entries(
     """Yield missing and unknown entries of a group with an entry for each arm, or each force.
 
     Args:
-        key: key of the group: grasps or force. kind: kind of the named items: arm or contact.
-        group: entries by name. forces: number of entries of each item, by its name.
+        key: key of the group: grasps or force.
+        kind: kind of the named items: arm or contact.
+        group: entries by name.
+        forces: number of entries of each item, by its name.
         example: example of an entry, for the message.
     """
     if not isinstance(group, Mapping) or None in forces.values():
@@ -153,7 +156,8 @@ def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]
     """Yield periods that are not whole multiples (within 1e-9), and drives the plant cannot have.
 
     Args:
-        control: settings of control. plant: settings of the plant.
+        control: settings of control.
+        plant: settings of the plant.
     """
     steps = 1.0 / (control.rate * plant.step)
     if not _is_whole(steps):
@@ -200,7 +204,8 @@ def _drake_problems(plant: PlantSpec, arms: int) -> Iterator[Problem]:
     """Yield keys of the plant that Drake's does not model.
 
     Args:
-        plant: settings of the plant. arms: number of arms.
+        plant: settings of the plant.
+        arms: number of arms.
     """
     for key in ("flexible_joints", "motors", "joint_friction", "pushes"):
         if getattr(plant, key):

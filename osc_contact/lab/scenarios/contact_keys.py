@@ -182,7 +182,8 @@ def keys_of(pair: Any, forces: int) -> type[ContactSpec]:
     """Make the model of a contact whose keys are the fields of a pair.
 
     Args:
-        pair: class that `register_pair` has registered. forces: number r of its force magnitudes.
+        pair: class that `register_pair` has registered.
+        forces: number r of its force magnitudes.
     """
     kind: Any = pair.name
     keys: dict[str, Any] = {"type": (Literal[kind], kind)}
@@ -213,7 +214,8 @@ def _blank(pair: Any, forces: int) -> ContactSpec:
     """Make a contact without values, which unpickling sets.
 
     Args:
-        pair: class of the pair. forces: number r of its force magnitudes.
+        pair: class of the pair.
+        forces: number r of its force magnitudes.
     """
     kind = keys_of(pair, forces)
     return kind.__new__(kind)
@@ -230,7 +232,8 @@ def make_pair(spec: ContactSpec, X_WB: pin.SE3, folder: Path | None = None) -> C
     Points and directions of the touched body are converted from the body's frame to the world.
 
     Args:
-        spec: contact of a registered kind. X_WB: initial pose of the touched body.
+        spec: contact of a registered kind.
+        X_WB: initial pose of the touched body.
         folder: folder of the files that the contact names.
     """
     arguments: dict[str, Any] = {}

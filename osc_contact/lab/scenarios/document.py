@@ -49,7 +49,8 @@ class Problems:
         """Add an error in a line of the file.
 
         Args:
-            line: number of the line, from 1. text: cause and cure.
+            line: number of the line, from 1.
+            text: cause and cure.
         """
         self.found.append((line, f"{self.file}:{line}: {text}"))
 
@@ -57,8 +58,9 @@ class Problems:
         """Add an error in an override.
 
         Args:
-            override: the override, path.to.key=value. text: cause and cure; a leading path of the
-                key is removed, because the override begins with it.
+            override: the override, path.to.key=value.
+            text: cause and cure; a leading path of the key is removed, because the override begins
+                with it.
         """
         short = text.removeprefix(f"{override.partition('=')[0].strip()}: ")
         self.found.append((1 << 60, f"override {override}: {short}"))
@@ -78,8 +80,10 @@ def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | N
     """Parse YAML to nodes; anchors, aliases, tags and deep nesting are refused.
 
     Args:
-        text: text of a file. problems: list to which errors are added. loader: class that reads the
-            text; after an error the text is read again by PyYAML's, whose messages are better.
+        text: text of a file.
+        problems: list to which errors are added.
+        loader: class that reads the text; after an error the text is read again by PyYAML's, whose
+            messages are better.
 
     Returns:
         Root of the tree of nodes; None: the text is empty.
@@ -111,8 +115,9 @@ def _refuse_extras(text: str, problems: Problems, loader: Any) -> None:
     """Find anchors, aliases, tags and deep nesting, before nodes are made of the text.
 
     Args:
-        text: text of a file. problems: list to which errors are added. loader: class that reads the
-            text.
+        text: text of a file.
+        problems: list to which errors are added.
+        loader: class that reads the text.
     """
     depth = 0
     for event in yaml.parse(text, Loader=loader):
@@ -166,7 +171,8 @@ class ScenarioDocument:
         """Read a YAML text.
 
         Args:
-            text: text of a file. problems: list to which errors are added.
+            text: text of a file.
+            problems: list to which errors are added.
 
         Raises:
             ScenarioError: the text is not valid YAML.
@@ -181,7 +187,8 @@ class ScenarioDocument:
         """Convert a YAML node to plain values; store the line of each key in `origins`.
 
         Args:
-            node: node of the document. key: path of the node.
+            node: node of the document.
+            key: path of the node.
 
         Returns:
             Dictionary, list, or scalar; keys that are given twice are left out, with an error.
@@ -212,7 +219,8 @@ class ScenarioDocument:
         """Set the value of a key; errors are added to `problems`.
 
         Args:
-            path: keys, list indices or names of items, joined by dots. value: YAML text.
+            path: keys, list indices or names of items, joined by dots.
+            value: YAML text.
         """
         override = f"{path}={value}"
         try:
@@ -245,8 +253,8 @@ class ScenarioDocument:
         """Find the mapping or list that has a value, and create mappings that are missing.
 
         Args:
-            path: keys, list indices or names of items, joined by dots. override: origin of the
-                mappings that are created.
+            path: keys, list indices or names of items, joined by dots.
+            override: origin of the mappings that are created.
 
         Returns:
             Mapping or list, and path of the value with indices in place of names.
@@ -332,7 +340,9 @@ def _item(items: Sequence[Any], part: str, where: str) -> int:
     """Index of an item in a list, by its name or number.
 
     Args:
-        items: the list. part: name or number. where: path of the list, for messages.
+        items: the list.
+        part: name or number.
+        where: path of the list, for messages.
 
     Raises:
         ScenarioError: no such item.
@@ -351,7 +361,8 @@ def _dotted(key: Key, end: str = ": ") -> str:
     """Write a path with dots; empty for the root.
 
     Args:
-        key: path of a value. end: text after a path that is not empty.
+        key: path of a value.
+        end: text after a path that is not empty.
     """
     return ".".join(map(str, key)) + (end if key else "")
 
@@ -360,7 +371,8 @@ def _child(parent: Any, part: str | int) -> Any:
     """Value of a key of a mapping, or item of a list; None if it does not exist.
 
     Args:
-        parent: mapping, list or scalar. part: key or index.
+        parent: mapping, list or scalar.
+        part: key or index.
     """
     if isinstance(parent, dict):
         return parent.get(str(part))
@@ -382,7 +394,9 @@ def complaints(error: ValidationError, data: Any, root: type[BaseModel]) -> Iter
     """Yield path and message of every error; checks across keys are made of keys that are valid.
 
     Args:
-        error: errors of pydantic. data: data that were validated. root: model of the whole file.
+        error: errors of pydantic.
+        data: data that were validated.
+        root: model of the whole file.
     """
     for item in error.errors(include_url=False):
         place, owner = _locate(item["loc"], root)
@@ -447,7 +461,8 @@ def _inside(kind: Any, part: str | int) -> list[Any]:
     """Types that a key or item of a type may have; none if it has no such key.
 
     Args:
-        kind: model, tuple or dict type. part: key, or index of an item.
+        kind: model, tuple or dict type.
+        part: key, or index of an item.
     """
     if _is_model(kind):
         return _options(kind.model_fields[part].annotation) if part in kind.model_fields else []

@@ -137,7 +137,9 @@ class DrakeSpec(Spec):
         documentation of its convex approximation; Castro et al., arXiv 2110.10107).
 
         Args:
-            friction: Coulomb coefficient μ. slip_speed: v (m/s). step: δt (s).
+            friction: Coulomb coefficient μ.
+            slip_speed: v (m/s).
+            step: δt (s).
         """
         if self.contact != "sap":
             return 0.0
@@ -179,7 +181,8 @@ class PlantSpec(Spec):
         """Stiffness (N/m) behind a force, which in MuJoCo is proportional to the mass behind it.
 
         Args:
-            mass: mass behind the force (kg). forces: number of forces of the contact.
+            mass: mass behind the force (kg).
+            forces: number of forces of the contact.
         """
         if self.type == "drake":
             return self.drake.stiffness_of(forces) / forces

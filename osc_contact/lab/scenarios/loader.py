@@ -48,8 +48,9 @@ def parse_scenario(
     """Make a scenario from YAML text.
 
     Args:
-        text: YAML text. source: file of the text, named in messages; relative URDF paths refer to
-            its folder. overrides: values of keys, see `load_scenario`.
+        text: YAML text.
+        source: file of the text, named in messages; relative URDF paths refer to its folder.
+        overrides: values of keys, see `load_scenario`.
 
     Raises:
         ScenarioError: errors in the text or an override, one in each line, as
@@ -69,8 +70,8 @@ class Template:
         """Parse YAML text.
 
         Args:
-            text: YAML text. source: file of the text, named in messages; relative URDF paths refer
-                to its folder.
+            text: YAML text.
+            source: file of the text, named in messages; relative URDF paths refer to its folder.
 
         Raises:
             ScenarioError: errors in the text, one in each line.
@@ -97,8 +98,8 @@ class Template:
         """Value of a key as written, after overrides, before validation; None: not given.
 
         Args:
-            path: keys, list indices or names of items, joined by dots. overrides: see
-                `load_scenario`.
+            path: keys, list indices or names of items, joined by dots.
+            overrides: see `load_scenario`.
 
         Raises:
             ScenarioError: there is no such path, or errors in an override.

@@ -48,7 +48,8 @@ class Polynomials:
     """Polynomials of the time since the last knot; outside the knots the curve is at rest.
 
     Attributes:
-        curve: polynomials between the knots, a `PPoly` of SciPy. last: value from the last knot on.
+        curve: polynomials between the knots, a `PPoly` of SciPy.
+        last: value from the last knot on.
     """
 
     curve: Any
@@ -162,7 +163,8 @@ def jerk_limited(
     """Fastest motion with limited jerk that starts at rest and rests at each point in turn.
 
     Args:
-        points: value at the start, then the values at which it rests. start: time of the start (s).
+        points: value at the start, then the values at which it rests.
+        start: time of the start (s).
         velocity, acceleration, jerk: limits, in units of the points per s, s², s³.
     """
     from scipy.interpolate import PPoly
@@ -344,7 +346,8 @@ def total(signals: Iterable[Signal], t: Any) -> Array:
     """Sum of signals with first and second derivatives, (3,) at a time or (3, k) at times.
 
     Args:
-        signals: signals of one quantity; none: zero. t: time, or times (k,) (s).
+        signals: signals of one quantity; none: zero.
+        t: time, or times (k,) (s).
     """
     zero = np.zeros(t.shape) if isinstance(t, np.ndarray) else 0.0
     value = first = second = zero

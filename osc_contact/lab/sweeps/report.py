@@ -81,7 +81,8 @@ def _causes(summary: Json, name: str) -> str:
     """Text on the two keys that an error depends most on, by correlation and by variance.
 
     Args:
-        summary: result of `summarise`. name: column of the error.
+        summary: result of `summarise`.
+        name: column of the error.
     """
     correlations = {
         key: rho for key, rho in summary["sensitivities"][name].items() if rho is not None

@@ -116,7 +116,8 @@ class RigBuilder(threading.local):
         """Chain of a scenario with errors of its model, from the cache if possible.
 
         Args:
-            scenario: scenario with arms, object and grasps. error: factors of masses and friction.
+            scenario: scenario with arms, object and grasps.
+            error: factors of masses and friction.
         """
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
         key = _key(scenario, content, dict(error))
@@ -231,8 +232,9 @@ def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
     """Run a sample and make its row; a run that is rejected or diverges has a word and a reason.
 
     Args:
-        study: study of the sample. sample: changes of the scenario, and seed. install: function
-            that installs another law in the controller; None: none.
+        study: study of the sample.
+        sample: changes of the scenario, and seed.
+        install: function that installs another law in the controller; None: none.
     """
     try:
         recording = record_sample(study, sample, install)
@@ -272,7 +274,8 @@ def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, An
     """Yield the items of nested mappings with joined keys: ("a.b", 1) of {"a": {"b": 1}}.
 
     Args:
-        values: nested mappings. before: text before each key.
+        values: nested mappings.
+        before: text before each key.
     """
     for key, value in values.items():
         name = f"{before}{key}"

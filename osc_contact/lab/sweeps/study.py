@@ -213,7 +213,8 @@ def _times(value: Any, factor: float) -> str:
     """Text of a number, a quantity or a list of them, times a factor.
 
     Args:
-        value: number, text with a number and a unit, or list of these. factor: factor of each.
+        value: number, text with a number and a unit, or list of these.
+        factor: factor of each.
 
     Raises:
         InvalidInputError: a value is not a number.

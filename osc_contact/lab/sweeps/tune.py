@@ -279,7 +279,8 @@ class _Judge:
         """Mean of a quantity over rows.
 
         Args:
-            rows: rows of runs. name: "force", "motion", "both" or a column, see `tune`.
+            rows: rows of runs.
+            name: "force", "motion", "both" or a column, see `tune`.
         """
         return float(np.mean([self._quantity(row, name) for row in rows]))
 
@@ -287,7 +288,8 @@ class _Judge:
         """Quantity of a row; `_WORST` for a run that was refused or diverged.
 
         Args:
-            row: row of a run. name: "force", "motion", "both" or a column, see `tune`.
+            row: row of a run.
+            name: "force", "motion", "both" or a column, see `tune`.
         """
         if row.get("motion.rms_error_m") is None:
             return _WORST

@@ -166,8 +166,9 @@ def _hand_out(
     Only a few jobs for each worker are submitted at a time, so that little is lost if it ends.
 
     Args:
-        workers: workers in other processes. jobs: jobs to be done. make: function that makes the
-            rows of a job, which other processes import.
+        workers: workers in other processes.
+        jobs: jobs to be done.
+        make: function that makes the rows of a job, which other processes import.
 
     Yields:
         Job, and its rows; None in place of the rows if the worker of the job has died.

@@ -76,7 +76,8 @@ class Insertion:
     """Peg and hole of one seed: the true ones, and their models.
 
     Attributes:
-        peg: true peg. clearance: of the true hole (m).
+        peg: true peg.
+        clearance: of the true hole (m).
         seed: of displacement, noise and errors.
         offset: largest displacement of the hole along each axis (m).
         tilt: largest displacement of the hole about each axis (rad).
@@ -118,7 +119,8 @@ class Insertion:
         """Make the chain of arm and peg.
 
         Args:
-            mass: factor of the masses of the arm. held: factor of the mass of the peg.
+            mass: factor of the masses of the arm.
+            held: factor of the mass of the peg.
         """
         arm = Arm.from_urdf(
             robots.find_robot("panda")[0],
@@ -152,7 +154,8 @@ class InsertionRobot:
         start: pose of the peg at first.
 
     Attributes:
-        task: as given. chain: true arm and peg.
+        task: as given.
+        chain: true arm and peg.
         plant: MuJoCo, without errors of sensors.
         largest_sum: largest norm of the sum of contact forces so far (N).
         largest_single: largest force of a single contact so far (N).
@@ -207,7 +210,8 @@ class InsertionRobot:
         """Apply torques for a period, and note the true forces at its end.
 
         Args:
-            tau: (n_a,) motor torques (N m, N). duration: period (s).
+            tau: (n_a,) motor torques (N m, N).
+            duration: period (s).
         """
         self._sensed.command(tau, duration)
         forces = self.contact_forces()

@@ -50,8 +50,10 @@ class Inserted:
         success: True if the peg is seated within 2 mm of the bottom, tilted by no more than the
             clearance permits, and at rest.
         reason: why the plan did not reach its last stage; empty if it did.
-        depth: depth of the tip in the hole (m). tilt: angle between the axes (rad).
-        time: duration of the whole plan (s). tries: number of searches.
+        depth: depth of the tip in the hole (m).
+        tilt: angle between the axes (rad).
+        time: duration of the whole plan (s).
+        tries: number of searches.
         largest_sum: largest norm of the sum of contact forces (N).
         largest_single: largest force of a single contact (N).
     """
@@ -185,7 +187,8 @@ def tilt_of(peg: Peg, hole: Hole) -> float:
     """Tilt (rad), about 2° more in each plane than that at which the peg would fall in.
 
     Args:
-        peg: peg with its width. hole: hole with its width.
+        peg: peg with its width.
+        hole: hole with its width.
     """
     planes = float(np.linalg.norm(_way(peg).lowest))  # √2 about a diagonal
     return planes * (acos(peg.width / hole.width) + radians(2.0))
@@ -195,7 +198,8 @@ def peg_start(peg: Peg, hole: Hole) -> pin.SE3:
     """Pose of a peg above the face, tilted so that the lowest point of its tip is beside the hole.
 
     Args:
-        peg: peg, whose frame is that of the object. hole: hole at its believed pose.
+        peg: peg, whose frame is that of the object.
+        hole: hole at its believed pose.
     """
     lowest = _way(peg).lowest
     axis = np.cross(lowest, [0.0, 0.0, 1.0]) / np.linalg.norm(lowest)
@@ -219,7 +223,8 @@ def _search_stages(peg: Peg, hole: Hole) -> list[Stage]:
     """Stages until the lowest point of the tip has dropped into the hole.
 
     Args:
-        peg: peg with its width. hole: hole at its believed pose.
+        peg: peg with its width.
+        hole: hole at its believed pose.
     """
     way = _way(peg)
     into = hole.pose.rotation[:, 2]
@@ -241,7 +246,9 @@ def _found(now: Sensed, peg: Peg, hole: Hole, *, aside: bool) -> pin.SE3:
     The hole keeps its believed axes.
 
     Args:
-        now: signals after the stage "find". peg: peg. hole: hole at its believed pose.
+        now: signals after the stage "find".
+        peg: peg.
+        hole: hole at its believed pose.
         aside: whether both sides touch their rims now; if not, the hole is only found along its
             axis.
     """
@@ -265,7 +272,8 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
     """Stages from a dropped tip to the bottom of the hole.
 
     Args:
-        peg: peg with its width. hole: hole at its believed pose.
+        peg: peg with its width.
+        hole: hole at its believed pose.
     """
     way = _way(peg)
     into = hole.pose.rotation[:, 2]
@@ -341,7 +349,8 @@ def _last_stages(peg: Peg, hole: Hole) -> list[Stage]:
     """Stages after a failure, which lead back to the search, and the last stage of a success.
 
     Args:
-        peg: peg with its width. hole: hole at its believed pose.
+        peg: peg with its width.
+        hole: hole at its believed pose.
     """
     into = hole.pose.rotation[:, 2]
     start = peg_start(peg, hole)

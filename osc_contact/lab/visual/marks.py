@@ -79,7 +79,8 @@ def arrow_states(path: str, lengths: Array) -> Frames:
     The head keeps its size; an arrow shorter than its head is a smaller head without shaft.
 
     Args:
-        path: path of its node. lengths: (F,) m.
+        path: path of its node.
+        lengths: (F,) m.
     """
     lengths = np.maximum(np.where(np.isfinite(lengths), lengths, 0.0), SHORTEST)
     head = np.minimum(1.0, lengths / HEAD_LENGTH)

@@ -21,7 +21,8 @@ def packed_list(entries: Sequence[bytes], count: int | None = None) -> bytes:
     """A list of what is packed already.
 
     Args:
-        entries: packed. count: how many there are, where they are not one each.
+        entries: packed.
+        count: how many there are, where they are not one each.
     """
     length = len(entries) if count is None else count
     return b"\xdd" + length.to_bytes(4, "big") + b"".join(entries)

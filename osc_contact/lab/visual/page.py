@@ -57,7 +57,8 @@ class Around(NamedTuple):
 
     Attributes:
         script: name of the asset in the place of live.js, which defines `live()`.
-        style: name of an asset, added to the page's. panel: HTML over the scene.
+        style: name of an asset, added to the page's.
+        panel: HTML over the scene.
         head: HTML that comes first, such as a script that begins at once.
         policy: Content-Security-Policy of the page.
     """

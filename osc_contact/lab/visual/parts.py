@@ -206,8 +206,8 @@ class Moving(Part):
         """Load the shapes of a robot, object or body.
 
         Args:
-            visual: its file, base pose, joints and locked joints. folder: path of its nodes in the
-                scene.
+            visual: its file, base pose, joints and locked joints.
+            folder: path of its nodes in the scene.
         """
         self.what = visual
         self.model, geometry = _shapes(visual)
@@ -274,7 +274,8 @@ class Moving(Part):
         """Joint positions (F, nq) at F ticks; unknown ones (NaN) are replaced by the last known.
 
         Args:
-            samples: recorded channels. ticks: their number F of ticks.
+            samples: recorded channels.
+            ticks: their number F of ticks.
         """
         visual = self.what
         q = self._channel(samples, "q")[:, visual.q_slice] if self.moving else np.zeros((ticks, 0))
@@ -293,7 +294,8 @@ class Moving(Part):
         """Poses (F, 7) of the base at F ticks; unknown ones (NaN) are replaced by the last known.
 
         Args:
-            samples: recorded channels. ticks: their number F of ticks.
+            samples: recorded channels.
+            ticks: their number F of ticks.
         """
         poses = np.full((ticks, 7), np.nan)
         if self.what.face is not None and "face_pose" in samples:

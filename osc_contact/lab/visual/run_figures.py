@@ -28,7 +28,8 @@ def draw_figures(recording: Recording, folder: Path, names: Sequence[str] | None
     """Draw figures of a run.
 
     Args:
-        recording: recording of the run. folder: folder for the files.
+        recording: recording of the run.
+        folder: folder for the files.
         names: names of the figures; None: all. That of contact forces needs contacts.
     """
     from osc_contact.lab.visual import plots

@@ -256,8 +256,10 @@ def set_stage(
     at the offset in three.js axes (y up).
 
     Args:
-        scene: root of the scene. points: (k, 3) points that fill the picture (m).
-        view: (3,) unit vector from the target to the eye. aspect: width / height of the picture.
+        scene: root of the scene.
+        points: (k, 3) points that fill the picture (m).
+        view: (3,) unit vector from the target to the eye.
+        aspect: width / height of the picture.
         floor: height of the floor (m).
     """
     from meshcat.geometry import Box, LineBasicMaterial, LineSegments, PointsGeometry
@@ -294,8 +296,10 @@ def headings(
     forces are seen most from the side.
 
     Args:
-        points: (k, 3) points that are shown (m). bases: (arms, 3) positions of the arms' bases (m).
-        pushes: (contacts, 3) directions of the forces. arrows: (k, 3) points of the arrows (m).
+        points: (k, 3) points that are shown (m).
+        bases: (arms, 3) positions of the arms' bases (m).
+        pushes: (contacts, 3) directions of the forces.
+        arrows: (k, 3) points of the arrows (m).
         links: (k, 3) points of the arms (m).
 
     Returns:

@@ -43,7 +43,8 @@ class LivePage:
         """Begin without a scene, which is made at the first tick.
 
         Args:
-            link: socket to the process of the run. content: bodies and contacts to draw.
+            link: socket to the process of the run.
+            content: bodies and contacts to draw.
         """
         self.link = link
         self.content = content
