@@ -176,7 +176,12 @@ class _Pairs:
     """
 
     def __init__(self, peg: Peg, hole: Hole) -> None:
-        """Store half widths and depth (m), and the maps of the hole's points and directions."""
+        """Store half widths and depth (m), and the maps of the hole's points and directions.
+
+        Args:
+            peg: dimensions of the peg.
+            hole: dimensions and pose of the hole.
+        """
         self._peg = 0.5 * peg.width
         self._hole = 0.5 * hole.width
         self._depth = hole.depth

@@ -24,8 +24,8 @@ _UPWARD = 0.5  #: least z of the unit normal of a triangle that is part of a fit
 _near = as_python(is_near)
 
 
-def _whole(x: float | Array) -> int | Array:
-    """Integer part of a number or of each number in an array, in place of `int` in the law."""
+def _integer_part(x: float | Array) -> int | Array:
+    """Integer part of a number x or of each number of an array x, in place of `int` in the law."""
     if isinstance(x, np.ndarray) and x.ndim > 0:
         return x.astype(int)
     return int(x)
@@ -38,7 +38,7 @@ OF_ARRAYS: dict[str, Any] = {
     "floor": np.floor,
     "min": np.minimum,
     "max": np.maximum,
-    "int": _whole,
+    "int": _integer_part,
     "is_near": lambda step: np.all(_near(step)),
 }
 _nearest: Any = as_python(nearest, **OF_ARRAYS)
@@ -132,11 +132,14 @@ class Surface:
         """
         from scipy.interpolate import LSQBivariateSpline
 
+        # grid of cells over the smallest rectangle around the points in the x-y plane
         cloud = as_array("points", points, (None, 3)).T
         low = cloud[:2].min(axis=1)
         high = cloud[:2].max(axis=1)
         edges = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, cells, strict=True)]
         box = [low[0], high[0], low[1], high[1]]
+
+        # scipy warns if points do not determine the spline; the warning is raised as an error
         try:
             with catch_warnings(action="error"):
                 inner_knots = [edge[1:-1] for edge in edges]
@@ -146,6 +149,8 @@ class Surface:
                 f"{cloud.shape[1]} points do not determine a spline of {cells[0]} × {cells[1]} "
                 "cells; give points that lie closer, or fewer cells"
             ) from error
+
+        # polynomial coefficients of each cell, from those of the B-splines along x and along y
         pitch = (high - low) / cells
         knots_x, knots_y = spline.get_knots()
         along_x = _taylor(knots_x, edges[0], pitch[0])

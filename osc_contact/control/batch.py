@@ -154,6 +154,7 @@ class BatchController:
         Raises:
             InvalidInputError: a wrong shape. A row with a number that is not finite ends HELD.
         """
+        # inputs of all rows as contiguous tables, in the order of the compiled function's arguments
         B = self.rows
         n, k, r, c = (
             self._structure[name] for name in ("n_joints", "n_arms", "n_columns", "n_contacts")
@@ -177,6 +178,7 @@ class BatchController:
         )
         if wrench_valid is not None:
             self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
+        # rows are computed in parallel; each thread writes the torques of its rows
         self._locate(joints.reshape(B, n))
         self._run_threads(flags, args)
         return np.array(self._torques)

@@ -449,16 +449,20 @@ class Controller(ControllerState):
         return self._another(self.settings, replace(self.laws, **laws))
 
     def _another(self, settings: Settings, laws: Laws) -> Self:
-        """Copy the controller with other settings and laws; the copy continues from its memory.
+        """Copy the controller with changed settings and laws; the copy continues from its memory.
 
         MODEL is copied, too; the caller packs changed settings into it.
+
+        Args:
+            settings: settings of the copy.
+            laws: laws of the copy.
         """
-        other = type(self).__new__(type(self))
-        other._begin(settings, laws, deepcopy(self.start), self.records.model_bytes)
-        other.records.memory_bytes[:] = self.records.memory_bytes
-        other.records.memory.status = Status.OK
-        other.idle.begin(waiting=not other.engaged)
-        return other
+        duplicate = type(self).__new__(type(self))
+        duplicate._begin(settings, laws, deepcopy(self.start), self.records.model_bytes)
+        duplicate.records.memory_bytes[:] = self.records.memory_bytes
+        duplicate.records.memory.status = Status.OK
+        duplicate.idle.begin(waiting=not duplicate.engaged)
+        return duplicate
 
     def __deepcopy__(self, memo: dict[int, object]) -> Self:
         """Copy the records; settings and laws are immutable and shared with the copy."""

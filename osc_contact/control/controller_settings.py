@@ -99,6 +99,7 @@ class Settings:
         contacts = self._listed_contacts()
         bodies = self._listed_bodies(contacts)
         posture = self._checked_posture()
+        # friction acts at points of contact, which every pair must therefore know
         for pair in contacts:
             if self.friction is not None and not has_known_points(pair):
                 raise InvalidInputError(
@@ -117,6 +118,7 @@ class Settings:
             joint_friction=joint_friction,
             reading=choose_reading(self.reading, contacts),
         )
+        # an integrator with gain K whose effect is measured one period dt later needs K dt < 1
         if self.gains.force.integral * self.dt >= 1.0:
             raise InvalidInputError(
                 f"force gain integral = {self.gains.force.integral:g} 1/s at a period of "
@@ -145,6 +147,9 @@ class Settings:
 
         Args:
             contacts: checked contact pairs.
+
+        Returns:
+            (contacts,) bodies; None for a body whose motion does not depend on contact forces.
 
         Raises:
             InvalidInputError: contacts and an arm without a wrist sensor, or another number of

@@ -302,6 +302,7 @@ class CustomParts:
         for number, pair in self._pairs:
             if not records.memory.contacts.active[number]:
                 continue
+            # pose and twist of the touched body; without a measurement the pair's defaults, at rest
             face: tuple[SE3, Array] | tuple[()] = ()
             if touched is not None:
                 X_WE = SE3(np.asarray(touched.X_WE[number], dtype=float))
@@ -310,6 +311,7 @@ class CustomParts:
             columns = np.vstack((contact.N, contact.n_gamma))
             if not np.isfinite(columns).all():
                 raise ContactError(f"{pair.name}: N or n_γ is not finite")
+            # the law needs the columns of all points: N_all = N R
             if not contact.split_is_unique:
                 columns = columns @ contact.R
             N = columns[:6]

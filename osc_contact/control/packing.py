@@ -59,6 +59,7 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
         columns: number of columns of N of each pair that is evaluated by Python, by the index of
             the pair; 0 for pairs that are not in it.
     """
+    # numbers of columns and shapes of all pairs determine the size of MODEL
     chain = settings.chain
     pairs = [law_row(pair) or _GIVEN for pair in settings.contacts]
     counts = [
@@ -70,6 +71,7 @@ def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
     head = at.MODEL.view(raw)
     pack_chain(chain, raw, chain.leader)
     _pack_joints(settings, head)
+    # columns and shapes of all pairs are in common tables, each pair with its first index and count
     first_column = first_shape = 0
     for number, row in enumerate(pairs):
         count = counts[number]
@@ -139,6 +141,10 @@ def pack_gains(settings: Settings, head: View) -> None:
     """Pack gains, phases, friction, metric and period into MODEL.
 
     These settings may differ between controllers of the same structure.
+
+    Args:
+        settings: settings of the controller.
+        head: MODEL, which is changed.
     """
     dt = settings.dt
     motion = settings.gains.motion
@@ -157,7 +163,7 @@ def pack_gains(settings: Settings, head: View) -> None:
     head.hold_brake = force.hold_brake
     drifts = force.brake > 0.0 or force.tilt > 0.0
     head.drift_share = -np.expm1(-force.drift * dt) if drifts else 0.0
-    head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # of a chord
+    head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # length of the chord between unit normals
     _copy(settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping")
     _copy(settings.friction or Friction(mu=0.0), head)
     _pack_friction(settings, head)
@@ -172,7 +178,12 @@ def pack_gains(settings: Settings, head: View) -> None:
 
 
 def pack_safety(settings: Settings, head: View) -> None:
-    """Pack limits of the robot and settings of holds and stops into MODEL."""
+    """Pack limits of the robot and settings of holds and stops into MODEL.
+
+    Args:
+        settings: settings of the controller.
+        head: MODEL, which is changed.
+    """
     safety = settings.safety
     _copy(safety, head, stop_after="fault_ticks")
     # effective delay (s) from the decision to stop until the brakes act, for stopping distances
@@ -188,9 +199,10 @@ def pack_safety(settings: Settings, head: View) -> None:
     head.torque_range = max(safety.torque_range, 3.0 * weight)  # at a lever arm of 1 m
     model = settings.chain.model
     rows = head.joints
-    watched = (rows.motor >= 0) & (safety.brake_time > 0.0)
-    rows.lower[:] = np.where(watched, model.lowerPositionLimit, -np.inf)
-    rows.upper[:] = np.where(watched, model.upperPositionLimit, np.inf)
+    # only motors can brake before a limit of position; passive joints have no limits here
+    has_limits = (rows.motor >= 0) & (safety.brake_time > 0.0)
+    rows.lower[:] = np.where(has_limits, model.lowerPositionLimit, -np.inf)
+    rows.upper[:] = np.where(has_limits, model.upperPositionLimit, np.inf)
     rows.brake[:] = 0.5 * safety.brake_time / rows.speed_max
 
 

@@ -143,7 +143,7 @@ class Signals(TickResult):
         return chain.state(self.q, self.v, *motion, data=chain.model.createData())
 
     @cached_property
-    def _active(self) -> list[int]:
+    def _active_contacts(self) -> list[int]:
         """Indices of the contacts that have active columns of N, in the order of the columns."""
         chosen = self.records.work.chosen[: int(self.count)]
         return list(dict.fromkeys(self.records.model.columns.contact[chosen].tolist()))
@@ -152,7 +152,7 @@ class Signals(TickResult):
     def parts(self) -> list[Contact]:
         """Active contacts: N (6, r) at O in world axes, n_γ (r,), and the name of the pair."""
         contacts = []
-        for number in self._active:
+        for number in self._active_contacts:
             columns = self.columns[self.records.model.columns.contact == number]
             name = self._settings.contacts[number].name
             contacts.append(Contact(columns.N.T, columns.n_gamma, name=name))
@@ -171,7 +171,7 @@ class Signals(TickResult):
         """Inverse inertia Φ_e, bias b_e and twist V_e of the touched bodies together."""
         if not self.moving:
             return Environment.fixed()
-        touched = self.records.model.bodies.same[self._active].tolist()
+        touched = self.records.model.bodies.same[self._active_contacts].tolist()
         answers = {}
         for body in set(touched):
             Phi_e, b_e, V_e = np.split(self.bodies.answer[body], (36, 42))

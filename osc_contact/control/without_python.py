@@ -273,7 +273,7 @@ def _layout() -> str:
     lines += ["/* What osc_reset sets to zero: of MEMORY (slot −1), and of rows of its tables. */"]
     lines += ["struct forgotten { int slot, count; size_t step, offset, bytes; };"]
     lines += ["static const struct forgotten FORGOTTEN[] = {"]
-    lines += [f"    {{{', '.join(map(str, part))}}}," for part in _forgotten()] + ["};", ""]
+    lines += [f"    {{{', '.join(map(str, part))}}}," for part in _parts_to_reset()] + ["};", ""]
     return "\n".join(lines)
 
 
@@ -340,7 +340,7 @@ def _sizes_in_c(kind: Nested, sizes: Sequence[int | str]) -> tuple[int, int]:
     return rows, columns
 
 
-def _forgotten() -> list[tuple[int, int, int, int, int]]:
+def _parts_to_reset() -> list[tuple[int, int, int, int, int]]:
     """List the parts of MEMORY that a reset clears.
 
     Returns:

@@ -109,11 +109,11 @@ class Grasp:
 
     def wrenches_at(self, X_WT: SE3, O: Array) -> Array:  # noqa: E741 - operational point
         """Wrenches N (6, 6−k) in world axes at O (3,), for the tip's pose X_WT."""
-        return carry_wrench(_turned(X_WT, self.N), X_WT.translation, O)
+        return carry_wrench(_rotate_columns(X_WT, self.N), X_WT.translation, O)
 
     def motions_at(self, X_WT: SE3, O: Array) -> Array:  # noqa: E741
         """Motions T (6, k) in world axes at O (3,), for the tip's pose X_WT."""
-        return carry_twist(_turned(X_WT, self.T), X_WT.translation, O)
+        return carry_twist(_rotate_columns(X_WT, self.T), X_WT.translation, O)
 
     def miss(self, X_WT: SE3, X_WO: SE3) -> Array:
         """Error (6−k,) of the object's pose along N (m, rad), zero for a permitted displacement.
@@ -157,8 +157,13 @@ class Grasp:
         return np.concatenate((X.translation, pin.log3(X.rotation)))
 
 
-def _turned(X: SE3, columns: Array) -> Array:
-    """Rotate twists or wrenches (6, k) by the rotation of X, at the same point."""
+def _rotate_columns(X: SE3, columns: Array) -> Array:
+    """Rotate twists or wrenches to other axes, at the same point.
+
+    Args:
+        X: pose whose rotation is applied; its translation is not used.
+        columns: (6, k) twists or wrenches in the axes from which X maps.
+    """
     return (X.rotation @ columns.reshape(2, 3, -1)).reshape(6, -1)
 
 
@@ -227,10 +232,10 @@ def locate(
     Raises:
         ModelError: the tips do not determine the pose.
     """
-    X = _aligned(grasps, tips)
+    X = _align(grasps, tips)
     for _ in range(50):
         L = np.linalg.cholesky(inertia(X))
-        step = -_solved(grasps, tips, X, L, tolerance)
+        step = -_solve_closure(grasps, tips, X, L, tolerance)
         X = moved(X, step)
         if np.abs(step).max() < 1e-15:
             break
@@ -242,7 +247,7 @@ def moved(X: SE3, displacement: Array) -> SE3:
     return SE3(pin.exp3(displacement[3:]) @ X.rotation, X.translation + displacement[:3])
 
 
-def _solved(
+def _solve_closure(
     grasps: Sequence[Grasp], tips: Sequence[SE3], X: SE3, L: Array, tolerance: float
 ) -> Array:
     """Solve N_iᵀx = miss_i of all grasps for a displacement x (6,) by least squares (m, rad).
@@ -275,10 +280,17 @@ def _solved(
     return np.linalg.solve(L.T, Vh.T @ ((U.T @ right_side) / s))
 
 
-def _aligned(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
+def _align(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
     """Compute the pose that best aligns the grasps' points and axes (Kabsch 1976).
 
-    It is the initial pose of `locate`. Arguments as there: grasp and pose of the tip of each arm.
+    It is the initial pose of `locate`.
+
+    Args:
+        grasps: grasp of each arm.
+        tips: pose of each arm's tip in the world.
+
+    Returns:
+        Pose of the object in the world.
     """
     points = []  # pairs of a point in the object and the same point in the world
     turns = np.zeros((3, 3))  # sum of (direction in the world)(direction in the object)ᵀ
@@ -290,9 +302,10 @@ def _aligned(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
         axes = _fixed_axes(grasp.T[3:])
         turns += radius**2 * (tip.rotation @ axes) @ (X_OT.rotation @ axes).T
     if points:
-        middle, target = np.mean(points, axis=0)
+        middle, target = np.mean(points, axis=0)  # of the points in the object and in the world
         p, x = np.swapaxes(points, 0, 1)
         turns += (x - target).T @ (p - middle)
+    # R maximises trace(Rᵀ turns) among rotations: the determinant excludes a reflection
     U, _, Vh = np.linalg.svd(turns)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vh)]) @ Vh
     if points:

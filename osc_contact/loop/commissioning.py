@@ -242,6 +242,7 @@ class Commissioning:
         Raises:
             PlantError: no plate is found, or the rms error of a force is larger than `ERROR`.
         """
+        # a plate is assumed at the given distance below the tip, and approached until it is touched
         q, X = self._present_state()
         below = X.translation - [0.0, 0.0, self.gap]
         plate = VertexOnFace(np.zeros(3), point=below, normal=np.array([0.0, 0.0, 1.0]))
@@ -258,6 +259,7 @@ class Commissioning:
         yield f"from state to torques: {latency(loop.as_dict())}"
         picture = "" if self.draw is None else f"; ![forces]({self.draw(recording, self.folder)})"
         yield f"landed after {motion.landed * self.dt:.2f} s{picture}"
+        # rms error of each commanded force over the last `JUDGE_S` before its end
         measured = recording["alpha_meas"][:, 0]
         commanded = recording["alpha_cmd"][:, 0]
         for k, force in zip(motion.judged, FORCES, strict=True):

@@ -94,11 +94,12 @@ def run_loop(
         shadow=Shadow(controller) if shadow else None,
         progress=progress,
     )
+    # `signals.busy` defers signals, so that the last stop of the robot is not interrupted
     with raised_signals() as signals, _process(realtime, recorder, report) as side:
         try:
             loop.run(loop.begin(references, check=check), signals, side)
             signals.busy = True
-        except BaseException as error:
+        except BaseException as error:  # also KeyboardInterrupt: the robot is stopped in any case
             signals.busy = True
             failure = stops.call(signals.name or f"{type(error).__name__}: {error}")
             if failure is not None:
@@ -181,13 +182,14 @@ class _Loop:
             start = perf_counter()
             tau = controller.tick(measurement, reference)
             seconds = perf_counter() - start
-            if self.shadow is None:
+            if self.shadow is None:  # in shadow mode the controller's stops are not executed
                 self.stops.follow(controller)
             if self.recorder is not None:
                 signals.whole(self.recorder.append, measurement, reference, tau, seconds)
                 self._draw(k, side)
             if self.shadow is not None:
                 tau = self.shadow.torques(measurement)
+            # the robot's own measurement of the latency is preferred, if it has one
             ready = perf_counter()
             robot.command(tau, period)
             self.report.note(start, getattr(robot, "read_to_write", ready - start))
@@ -249,6 +251,10 @@ def _process(realtime: bool, recorder: Any, report: LoopReport) -> Iterator[Side
 
 def _require_robot(robot: Robot, controller: Controls) -> None:
     """Check that robot and controller have the required methods before the robot moves.
+
+    Args:
+        robot: object that should have `measure`, `command` and `stop`.
+        controller: object that should have `tick` and `dt`.
 
     Raises:
         InvalidInputError: a method is missing, or `robot.stop` does not accept a reason.

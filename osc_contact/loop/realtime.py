@@ -138,6 +138,7 @@ def realtime_process() -> Iterator[list[str]]:
     Yields:
         Sentences on requests that the system refused, which are also logged.
     """
+    # real-time priority; `before` is restored at the end
     notes: list[str] = []
     before = None
     try:
@@ -148,18 +149,20 @@ def realtime_process() -> Iterator[list[str]]:
             f"no real-time priority ({error}): other processes delay ticks; permit it by "
             "'rtprio 99' in /etc/security/limits.conf"
         )
+    # locked memory
     system = ctypes.CDLL(None, use_errno=True)
     if not hasattr(system, "mlockall") or system.mlockall(_LOCK_ALL):
         notes.append(
             f"memory is not locked ({os.strerror(ctypes.get_errno())}): a page that is fetched "
             "delays a tick; permit it by 'memlock unlimited' in /etc/security/limits.conf"
         )
+    # no garbage collection; existing objects are frozen so that later collections skip them
     interval = sys.getswitchinterval()
-    collecting = gc.isenabled()
+    was_collecting = gc.isenabled()
     gc.collect()
     gc.freeze()
     gc.disable()
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(SWITCH_S)  # other threads give the interpreter back sooner
     for note in notes:
         _log.warning(note)
     try:
@@ -167,7 +170,7 @@ def realtime_process() -> Iterator[list[str]]:
     finally:
         sys.setswitchinterval(interval)
         gc.unfreeze()
-        if collecting:
+        if was_collecting:
             gc.enable()
         if hasattr(system, "munlockall"):
             system.munlockall()

@@ -306,7 +306,7 @@ class Recorder:
     def flush(self) -> None:
         """Append the rows stored since the last call to the journal."""
         if self._k:
-            rows = self._noted(0).copy()
+            rows = self._rows_since(0).copy()
             self.hand_over(partial(self.journal.append, self.count - self._k, rows))
             self._k = 0
             if self.truth is not None:
@@ -316,7 +316,7 @@ class Recorder:
             _logger.error("%s; the loop continues", self.error)
         self._flushed = perf_counter()
 
-    def _noted(self, start: int) -> Array:
+    def _rows_since(self, start: int) -> Array:
         """Rows (k,) that are not in the journal yet, with named fields.
 
         With a judge each row has a field `truth` with the judge's numbers.
@@ -334,7 +334,7 @@ class Recorder:
 
     def latest(self) -> Mapping[str, Any]:
         """Channels of the last tick, computed when they are first read."""
-        row = self._noted(self._k - 1).copy()
+        row = self._rows_since(self._k - 1).copy()
         return Tick(partial(channels, self.of, self.truth, self.count - 1, row))
 
     def note(self, meta: Mapping[str, Any]) -> None:

@@ -32,7 +32,7 @@ class StopCalls:
     """
 
     def __init__(self, stop: Callable[[str], object], recorder: Records | None) -> None:
-        """Set the robot's `stop` and the recorder; nothing is called yet."""
+        """Set the robot's `stop` and the recorder, see the class; nothing is called yet."""
         self._stop = stop
         self._stopped = False
         self._needs_brakes = False
@@ -169,7 +169,11 @@ class SteppedLoop(Generic[Law]):
         scene: Callable[[], Scene] | None = None,
         plan: Leads | None = None,
     ) -> None:
-        """Set the parts of the loop; nothing is checked or called before the first `step`."""
+        """Set the parts of the loop, see the class; nothing is called before the first `step`.
+
+        Raises:
+            InvalidInputError: a controller without `tick` or `dt`, or a viewer without a recorder.
+        """
         lacking = [name for name in ("tick", "dt") if not hasattr(controller, name)]
         if lacking:
             raise InvalidInputError(

@@ -313,6 +313,7 @@ class _Check(HeldRobot):
         Raises:
             PlantError: no joint or another joint moves, or this one moves in another way.
         """
+        # larger and larger pulses until a joint moves; after each the arm comes to rest
         name = self.names[joint]
         for share in SHARES:
             inertia = self.mass(self.now.q)[joint, joint]
@@ -362,7 +363,13 @@ class _Check(HeldRobot):
         return max(torque, largest) if share > SHARES[1] else torque
 
     def push(self, joint: int, torque: float) -> tuple[Array, float, float]:
-        """Apply a pulse of a joint's torque (N m, N), then its opposite, beyond the weight.
+        """Apply a pulse of torque to a joint, then its opposite, in addition to the weight.
+
+        A pulse ends early if the joint becomes faster than `SPEED`.
+
+        Args:
+            joint: index of the joint.
+            torque: torque of the pulse (N m, N).
 
         Returns:
             Mean change of speed of all joints (n,) along the pulse (rad/s, m/s); displacement of

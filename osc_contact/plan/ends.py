@@ -45,11 +45,11 @@ class End:
 
     def __and__(self, other: End) -> End:
         """Condition that this one and another are met in the same tick."""
-        return _joined(self, other, all, "and")
+        return _join(self, other, all, "and")
 
     def __or__(self, other: End) -> End:
         """Condition that this one or another is met."""
-        return _joined(self, other, any, "or")
+        return _join(self, other, any, "or")
 
     def lasting(self, seconds: float) -> End:
         """Condition that this one is met for some time without interruption.
@@ -74,7 +74,7 @@ class End:
         return replace(self, begin=begin, words=f"{self.words} for {seconds:g} s")
 
 
-def _joined(left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], word: str) -> End:
+def _join(left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], word: str) -> End:
     """Join two conditions, both of which are evaluated in each tick.
 
     Args:

@@ -142,7 +142,7 @@ def along(
     limit = None if yields is None else _positive("along: yields", yields)
 
     begin = _steady(_TRANSLATION, unit, axes, largest_speed, length, limit)
-    return Motion(begin, f"along {_written(unit)} at {1e3 * largest_speed:g} mm/s")
+    return Motion(begin, f"along {_direction_text(unit)} at {1e3 * largest_speed:g} mm/s")
 
 
 def about(
@@ -172,7 +172,7 @@ def about(
     limit = None if yields is None else _positive("about: yields", yields)
 
     begin = _steady(_ROTATION, unit, axes, largest_rate, largest_angle, limit)
-    return Motion(begin, f"about {_written(unit)} at {largest_rate:g} rad/s")
+    return Motion(begin, f"about {_direction_text(unit)} at {largest_rate:g} rad/s")
 
 
 def turn_to(
@@ -214,7 +214,7 @@ def turn_to(
 
         return demand
 
-    return Motion(begin, f"turn {_written(object_axis)} at {largest_rate:g} rad/s")
+    return Motion(begin, f"turn {_direction_text(object_axis)} at {largest_rate:g} rad/s")
 
 
 def to(
@@ -423,7 +423,7 @@ def rock(
 
         return demand
 
-    return Motion(begin, f"rock about {_written(rock_axis)} by {amplitude:g} rad")
+    return Motion(begin, f"rock about {_direction_text(rock_axis)} by {amplitude:g} rad")
 
 
 def permitted_twist(N: Array, demand: Demand) -> tuple[Array, Array]:
@@ -437,7 +437,7 @@ def permitted_twist(N: Array, demand: Demand) -> tuple[Array, Array]:
         demand: S and s.
     """
     at_rest = ((_ANGULAR, np.zeros(3)), (_LINEAR, np.zeros(3)))
-    V = _permitted(N, ((demand.rows, demand.values), *at_rest))
+    V = _solve_by_priority(N, ((demand.rows, demand.values), *at_rest))
     return V, demand.rows @ V - demand.values
 
 
@@ -451,10 +451,10 @@ def permitted_displacement(N: Array, e: Array) -> Array:
         N: (6, r) directions of force of the active contacts.
         e: (6,) displacement at O (m, rad).
     """
-    return _permitted(N, ((_ANGULAR, e[3:]), (_LINEAR, e[:3])))
+    return _solve_by_priority(N, ((_ANGULAR, e[3:]), (_LINEAR, e[:3])))
 
 
-def _permitted(N: Array, equations: Iterable[tuple[Array, Array]]) -> Array:
+def _solve_by_priority(N: Array, equations: Iterable[tuple[Array, Array]]) -> Array:
     """Vector V (6,) with NᵀV = 0 that meets several equations A V = b in order of priority.
 
     Each equation is solved by least squares with the motions that the equations before it leave
@@ -496,9 +496,13 @@ def _null_space(A: Array) -> Array:
 
 
 def _turn_between(a: Array, b: Array) -> Array:
-    """Rotation vector (3,) of the shortest rotation from unit vector a to unit vector b (rad).
+    """Rotation vector (3,) of the shortest rotation from a unit vector to another one (rad).
 
     If b = −a, the axis is any one at right angles to a.
+
+    Args:
+        a: (3,) unit vector before the rotation.
+        b: (3,) unit vector after the rotation, in the same axes.
     """
     axis = np.cross(a, b)
     size = float(np.linalg.norm(axis))
@@ -599,6 +603,6 @@ def _positive(name: str, value: float) -> float:
     return number
 
 
-def _written(direction: Array) -> str:
+def _direction_text(direction: Array) -> str:
     """Write a direction (3,) with two digits, for reports."""
     return "[" + ", ".join(f"{x:.2g}" for x in direction) + "]"

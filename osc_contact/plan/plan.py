@@ -98,7 +98,10 @@ class Plan:
         tries: int = 3,
         recogniser: Recogniser | None = None,
     ) -> None:
-        """Check that the stages make a plan; the plan has not begun."""
+        """Check that the stages make a plan, and set its arguments, see the class.
+
+        The plan has not begun.
+        """
         require_stages(stages)
         self.stages = tuple(stages)
         self.largest = largest
@@ -444,7 +447,7 @@ class Plan:
             now.finished = demand.finished
             V, _ = permitted_twist(now.N, demand)
         last = self._V
-        self._V = _changed(last, V, dt)
+        self._V = _next_twist(last, V, dt)
         A = (self._V - last) / dt
         rotation = pin.exp3(self._V[3:] * dt) @ self._aim.rotation
         self._aim = pin.SE3(rotation, self._aim.translation + self._V[:3] * dt)
@@ -460,7 +463,7 @@ class Plan:
             self._log(event, **facts)
 
 
-def _changed(V: Array, goal: Array, dt: float) -> Array:
+def _next_twist(V: Array, goal: Array, dt: float) -> Array:
     """Twist (6,) one tick later, on the straight way to a goal, with limited acceleration.
 
     Linear and angular part reach the goal together.

@@ -87,7 +87,12 @@ class Senses:
     """
 
     def __init__(self, controller: Controller, X: pin.SE3) -> None:
-        """Begin with an object at rest at X, without forces and contacts."""
+        """Begin with an object at rest, without forces and contacts.
+
+        Args:
+            controller: controller whose results are read in every tick.
+            X: pose of the object in the world at the beginning.
+        """
         self._controller = controller
         self._names = [pair.name for pair in controller.settings.contacts]
         self._owners = force_owners(controller.settings.contacts)

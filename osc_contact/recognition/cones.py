@@ -28,17 +28,24 @@ class Cones:
     """
 
     def __init__(self, columns: list[list[int]], pushes: NDArray[np.bool_]) -> None:
-        """Enumerate the subsets of the columns of each candidate."""
-        most = max((len(one) for one in columns), default=0)
+        """Enumerate the subsets of the columns of each candidate.
+
+        Args:
+            columns: indices of the columns of N of each candidate.
+            pushes: (all columns,) True for a column with a force of one sign, which may be zero. A
+                column with a force of either sign is in every subset.
+        """
+        # index (candidates, most) of the columns; `used` is 0 where a candidate has fewer columns
+        most = max((len(indices) for indices in columns), default=0)
         self.index = np.zeros((len(columns), most), dtype=np.intp)
         self.used = np.zeros((len(columns), most))
         owners: list[int] = []
         masks: list[tuple[float, ...]] = []
-        for i, own in enumerate(columns):
-            self.index[i, : len(own)] = own
-            self.used[i, : len(own)] = 1.0
-            choices = [(0.0, 1.0) if pushes[column] else (1.0,) for column in own]
-            padding = [(0.0,)] * (most - len(own))
+        for i, indices in enumerate(columns):
+            self.index[i, : len(indices)] = indices
+            self.used[i, : len(indices)] = 1.0
+            choices = [(0.0, 1.0) if pushes[column] else (1.0,) for column in indices]
+            padding = [(0.0,)] * (most - len(indices))
             for mask in product(*choices, *padding):
                 owners.append(i)
                 masks.append(mask)

@@ -56,7 +56,11 @@ class LearnedPlace:
     def __init__(
         self, at: ArrayLike, *, position: float, angle: float, gap: float, lasting: float = 1.0
     ) -> None:
-        """Begin with the believed pose."""
+        """Begin with the believed pose and its uncertainty; see the class for the arguments.
+
+        Raises:
+            InvalidInputError: a number that is not finite and > 0.
+        """
         numbers = {"position": position, "angle": angle, "gap": gap, "lasting": lasting}
         for name, value in numbers.items():
             if not (value > 0.0 and np.isfinite(value)):

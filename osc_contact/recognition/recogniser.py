@@ -57,7 +57,13 @@ class Recogniser:
         lasting: float = 0.02,
         following: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
-        """Make the probabilities of changes; all states are equally probable."""
+        """Make the probabilities of changes; all states are equally probable at the beginning.
+
+        See the class for the arguments.
+
+        Raises:
+            InvalidInputError: a number that is not finite and > 0, or an unknown state.
+        """
         for name, value in (("period", period), ("changes", changes), ("lasting", lasting)):
             if not (value > 0.0 and np.isfinite(value)):
                 raise InvalidInputError(f"{name} = {value!r}; give a number > 0")
@@ -67,9 +73,9 @@ class Recogniser:
         count = len(states.names)
         self.probabilities: Array = np.full(count, 1.0 / count)
         self._alpha: Array = np.zeros((count, int(states.sizes.max())))
-        self._moves = self._changed(1.0 - exp(-changes * period), following or {})
+        self._moves = self._transition_matrix(1.0 - exp(-changes * period), following or {})
 
-    def _changed(self, share: float, following: Mapping[str, Sequence[str]]) -> Array:
+    def _transition_matrix(self, share: float, following: Mapping[str, Sequence[str]]) -> Array:
         """Probability (n, n) that the state of a row is followed by that of a column.
 
         Args:

@@ -146,36 +146,51 @@ class ContactStates:
         pairs: Mapping[str, ContactPair],
         errors: WrenchErrors | None = None,
     ) -> None:
-        """Check the candidates, and number the columns of N of their pairs."""
+        """Check the candidates, and number the columns of N of their pairs.
+
+        Args:
+            states: names of the pairs that touch in each state, by the name of the state.
+            pairs: contact pairs by name, of which those in a state are used.
+            errors: expected errors of the wrenches; None: the default ones.
+
+        Raises:
+            InvalidInputError: no states, an unknown pair, two states with the same pairs, or a
+                state with too many columns.
+        """
         _require_states(states, pairs)
         self.names = tuple(states)
         self.members = tuple(frozenset(states[name]) for name in states)
         self.errors = errors or WrenchErrors()
-        used = dict.fromkeys(name for own in states.values() for name in own)
-        self.pairs = {name: pairs[name] for name in used}
-        each = list(self.pairs.values())
-        owners = force_owners(each) if each else np.zeros(0, dtype=np.intp)
+
+        # pairs of at least one state, in the order of their first occurrence, and their columns
+        pair_names = dict.fromkeys(name for members in states.values() for name in members)
+        self.pairs = {name: pairs[name] for name in pair_names}
+        pair_list = list(self.pairs.values())
+        owners = force_owners(pair_list) if pair_list else np.zeros(0, dtype=np.intp)
         order = list(self.pairs)
         columns = [
-            [k for k, owner in enumerate(owners.tolist()) if order[owner] in own]
-            for own in self.members
+            [k for k, owner in enumerate(owners.tolist()) if order[owner] in members]
+            for members in self.members
         ]
-        for name, own in zip(self.names, columns, strict=True):
-            if len(own) > MOST_COLUMNS:
+        for name, indices in zip(self.names, columns, strict=True):
+            if len(indices) > MOST_COLUMNS:
                 raise InvalidInputError(
-                    f"state {name!r} has {len(own)} columns of N; give at most {MOST_COLUMNS}"
+                    f"state {name!r} has {len(indices)} columns of N; give at most {MOST_COLUMNS}"
                 )
-        self.sizes = np.array([len(own) for own in columns])
+        self.sizes = np.array([len(indices) for indices in columns])
         self._owners = owners
-        pushes = np.array([pushes_only(pair) for pair in each], dtype=bool)
+        pushes = np.array([pushes_only(pair) for pair in pair_list], dtype=bool)
         self._pushes = pushes[owners]
         self._cones = Cones(columns, self._pushes)
-        counts = np.bincount(owners, minlength=len(each))
+
+        # least force of each column in each state: that of a contact is shared by its columns
+        counts = np.bincount(owners, minlength=len(pair_list))
         self._least = np.zeros((len(columns), len(owners)))
-        for i, own in enumerate(columns):
-            pressing = [k for k in own if self._pushes[k]]
+        for i, indices in enumerate(columns):
+            pressing = [k for k in indices if self._pushes[k]]
             self._least[i, pressing] = self.errors.least / counts[owners[pressing]]
-        signs = [int(self._pushes[own].sum()) for own in columns]
+        # a force of one sign has half of the values of a force of either sign: twice the density
+        signs = [int(self._pushes[indices].sum()) for indices in columns]
         self._one_sided = np.log(2.0) * np.array(signs)
 
     def columns(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Columns:
@@ -185,7 +200,7 @@ class ContactStates:
             X_WO: pose of the object.
             X_WE: believed pose of the touched body; None: the world frame.
         """
-        near = _displaced(X_WE or pin.SE3.Identity(), X_WO.translation)
+        near = _displace_body(X_WE or pin.SE3.Identity(), X_WO.translation)
         here = Poses(np.repeat(X_WO.rotation[:, :, None], 7, 2), X_WO.translation[:, None])
         here = Poses(here.R, np.repeat(here.p, 7, 1))
         r = len(self._owners)
@@ -355,25 +370,32 @@ class ContactStates:
 def _require_states(states: Mapping[str, Sequence[str]], pairs: Mapping[str, ContactPair]) -> None:
     """Refuse candidates that do not make a set of different contact states.
 
+    Args:
+        states: names of the pairs that touch in each state, by the name of the state.
+        pairs: all contact pairs by name.
+
     Raises:
         InvalidInputError: no states, an unknown pair, or two states with the same pairs.
     """
     if not states:
         raise InvalidInputError("no contact states; give one at least, such as {'free': []}")
-    seen: dict[frozenset[str], str] = {}
-    for name, own in states.items():
-        if isinstance(own, str):
-            raise InvalidInputError(f"state {name!r}: {own!r}; give a list of names of pairs")
-        for one in own:
-            if one not in pairs:
+    state_of_members: dict[frozenset[str], str] = {}
+    for name, members in states.items():
+        if isinstance(members, str):
+            raise InvalidInputError(f"state {name!r}: {members!r}; give a list of names of pairs")
+        for member in members:
+            if member not in pairs:
                 raise InvalidInputError(
-                    f"state {name!r}: there is no contact {one!r}; {did_you_mean(one, pairs)}"
+                    f"state {name!r}: there is no contact {member!r}; {did_you_mean(member, pairs)}"
                 )
-        if (other := seen.setdefault(frozenset(own), name)) != name:
-            raise InvalidInputError(f"states {other!r} and {name!r} have the same pairs; drop one")
+        first_state = state_of_members.setdefault(frozenset(members), name)
+        if first_state != name:
+            raise InvalidInputError(
+                f"states {first_state!r} and {name!r} have the same pairs; drop one"
+            )
 
 
-def _displaced(X_WE: pin.SE3, O: Array) -> Poses:  # noqa: E741
+def _displace_body(X_WE: pin.SE3, O: Array) -> Poses:  # noqa: E741
     """Seven poses of the touched body: the believed one, and with a step along and about each axis.
 
     Args:

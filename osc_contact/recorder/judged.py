@@ -63,14 +63,14 @@ class JudgedTicks:
             commanded = (piece["alpha_cmd"][:, self.columns == i] != 0.0).any(axis=1)
             commanded |= piece["contact_phase"][:, i] != OPEN
             closed = np.asarray(piece["closed"], dtype=bool)[:, i]
-            contacts[:, i] = self._settled(i, t, commanded, closed)
+            contacts[:, i] = self._judged_ticks(i, t, commanded, closed)
             is_whole &= contacts[:, i] | ~commanded
         quiet = np.ones(len(t), dtype=bool)
         for begin, end in self._blanks:
             quiet &= ~((t >= begin - 1e-9) & (t < end - 1e-9))
         return (contacts, contacts[:, self.columns] & quiet[:, None], is_whole & quiet)
 
-    def _settled(self, i: int, t: Array, commanded: Flags, closed: Flags) -> Flags:
+    def _judged_ticks(self, i: int, t: Array, commanded: Flags, closed: Flags) -> Flags:
         """Flags (k,) of the ticks at which contact i is judged.
 
         A contact is judged from `LANDING_S` after it first closed, and not before `SETTLE_S`, until

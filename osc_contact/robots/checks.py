@@ -212,7 +212,7 @@ def check_inertias(document: Document, inertias: Inertias) -> None:
         return
     tensors = [[body.moments[key] for key in _TENSOR] for body in bodies]
     for body, moments, slack in zip(bodies, *_principal(tensors), strict=True):
-        listed = f"principal moments {_listed(moments)} kg m²"
+        listed = f"principal moments {_moments_text(moments)} kg m²"
         excess = moments[2] - moments[0] - moments[1]
         if body.mass < 0:
             continue
@@ -249,14 +249,14 @@ def check_moving_bodies(document: Document, model: pin.Model) -> None:
         if body.mass < 0 or moments[0] < -slack:
             reason = (
                 f"the body that it moves has mass {body.mass:g} kg and principal moments "
-                f"{_listed(moments)} kg m²: its energy can be negative"
+                f"{_moments_text(moments)} kg m²: its energy can be negative"
             )
             document.joints[name].element.note(
                 "inertia", reason, "correct the <inertial> of its links"
             )
 
 
-def _listed(moments: Array) -> str:
+def _moments_text(moments: Array) -> str:
     """Moments (3,) with four digits, for messages."""
     return ", ".join(f"{moment:.4g}" for moment in moments)
 

@@ -153,8 +153,8 @@ class Element:
         while owner.tag not in ("link", "joint") and owner.parent is not None:
             owner = owner.parent
         name = owner.get("name")
-        owner_name = f"{owner.tag} {_short(name)}" if name else ""
-        value = f" {key}={_short(self.get(key))}" if key in self.attributes else ""
+        owner_name = f"{owner.tag} {_shorten(name)}" if name else ""
+        value = f" {key}={_shorten(self.get(key))}" if key in self.attributes else ""
         own_label = f"<{self.tag}{value}>"
         if owner is not self:
             return f"{owner_name} {own_label}".lstrip()
@@ -416,13 +416,13 @@ def _check_text(file: Path, data: bytes) -> None:
         stop("NUL byte: this is not text, or UTF-16", at)
     declared = _ENCODING.match(data.removeprefix(b"\xef\xbb\xbf"))
     if declared and declared[1].lower() not in _KNOWN_ENCODINGS:
-        stop(f"declares the encoding {_short(declared[1].decode('ascii', 'replace'))}", 0)
+        stop(f"declares the encoding {_shorten(declared[1].decode('ascii', 'replace'))}", 0)
     try:
         data.decode()
     except UnicodeDecodeError as error:
         stop(f"byte 0x{data[error.start]:02x} is not UTF-8", error.start)
 
 
-def _short(text: str) -> str:
+def _shorten(text: str) -> str:
     """Text in quotes, cut off after 60 characters, for messages."""
     return repr(text if len(text) <= 60 else f"{text[:60]}…")

@@ -65,11 +65,11 @@ def load(
     digest = sha256(read_bytes(file)).digest()
     by_hand = tuple((limits or {}).items())
     folders = tuple(Path(folder) for folder in package_dirs)
-    return _loaded(file, file.absolute(), digest, by_hand, inertias, folders)
+    return _load_by_content(file, file.absolute(), digest, by_hand, inertias, folders)
 
 
 @lru_cache(maxsize=32)
-def _loaded(
+def _load_by_content(
     file: Path,
     place: Path,
     digest: bytes,
@@ -88,7 +88,7 @@ def _loaded(
         folders: folders in which its meshes are searched.
     """
     require_level(inertias)
-    document = _sound(file, folders)
+    document = _read_and_check(file, folders)
     joint_names_moving = [joint.name for joint in document.joints.values() if joint.kind != "fixed"]
     for name, values in matching_limits(joint_names_moving, dict(limits)).items():
         document.joints[name].limits.update(values)
@@ -198,7 +198,7 @@ def load_geometry(
     """
     file = Path(path)
     folders = [Path(folder) for folder in package_dirs]
-    document = _sound(file, folders)
+    document = _read_and_check(file, folders)
     if wrong := list(chain(*check_mesh_files(document, folders))):
         refuse(wrong)
     model = build_model(document)
@@ -211,7 +211,7 @@ def load_geometry(
     return (model, geometry, document)
 
 
-def _sound(file: Path, package_dirs: Sequence[Path]) -> Document:
+def _read_and_check(file: Path, package_dirs: Sequence[Path]) -> Document:
     """Read a URDF, and check its words, numbers, tree and mesh addresses.
 
     Args:
@@ -247,7 +247,9 @@ def urdf_path(name: str) -> Path:
     """
     file = _find_packaged(name)
     if file is None:
-        raise ModelError(f"no packaged URDF is called {name!r}; {did_you_mean(name, _packaged())}")
+        raise ModelError(
+            f"no packaged URDF is called {name!r}; {did_you_mean(name, _packaged_urdfs())}"
+        )
     return file
 
 
@@ -284,7 +286,7 @@ def find_robot(name: str) -> tuple[Path, Path]:
     hint = did_you_mean(name, stems, most=0)
     raise ModelError(
         f"{ROBOT_DATA} has no robot {name!r}; {hint + ' ' if hint else ''}its robots: "
-        f"{', '.join(stems)}; packaged: {', '.join(_packaged())}"
+        f"{', '.join(stems)}; packaged: {', '.join(_packaged_urdfs())}"
     )
 
 
@@ -313,17 +315,17 @@ def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path,
         return (file, (package_dir,))
     raise ModelError(
         f"URDF {reference!r} is neither the file {path} nor packaged; a robot of the data package "
-        f"is written '{ROBOT_DATA}:panda'; {did_you_mean(reference, _packaged())}"
+        f"is written '{ROBOT_DATA}:panda'; {did_you_mean(reference, _packaged_urdfs())}"
     )
 
 
 def _find_packaged(name: str) -> Path | None:
     """Path of a packaged URDF by its name with or without suffix; None if no file has the name."""
-    packaged = _packaged()
+    packaged = _packaged_urdfs()
     return packaged.get(name) or packaged.get(f"{name}.urdf")
 
 
-def _packaged() -> dict[str, Path]:
+def _packaged_urdfs() -> dict[str, Path]:
     """Packaged URDFs by file name, from the installed package or the checkout."""
     places = (_PACKAGE / "urdf", _PACKAGE.parent / "urdf")
     return _urdfs_in(next((folder for folder in places if folder.is_dir()), places[0]))

@@ -76,23 +76,43 @@ def compile_mjcf(mjcf: MjcfSource) -> MjModel:
 
 
 def joint_name(mj: MjModel, joint: int) -> str:
-    """Name of a joint by its number; "jointN" for a joint without a name."""
+    """Name of a joint; "jointN" for a joint without a name.
+
+    Args:
+        mj: compiled model.
+        joint: number N of the joint in the model.
+    """
     return mj.joint(joint).name or f"joint{joint}"
 
 
 def body_name(mj: MjModel, body: int) -> str:
-    """Name of a body by its number; "bodyN" for a body without a name."""
+    """Name of a body; "bodyN" for a body without a name.
+
+    Args:
+        mj: compiled model.
+        body: number N of the body in the model.
+    """
     return mj.body(body).name or f"body{body}"
 
 
 def joints_of(mj: MjModel, body: int) -> range:
-    """Numbers of the joints between a body and its parent."""
+    """Numbers of the joints between a body and its parent.
+
+    Args:
+        mj: compiled model.
+        body: number of the body in the model.
+    """
     first = mj.body_jntadr[body]
     return range(first, first + mj.body_jntnum[body])
 
 
 def motors_of(mj: MjModel, joint: int) -> list[int]:
-    """Numbers of the actuators that act on a joint directly."""
+    """Numbers of the actuators that act on a joint directly, not by a tendon or at a site.
+
+    Args:
+        mj: compiled model.
+        joint: number of the joint in the model.
+    """
     direct = np.isin(mj.actuator_trntype, (0, 1))  # mjTRN_JOINT, mjTRN_JOINTINPARENT
     return list(np.flatnonzero(direct & (mj.actuator_trnid[:, 0] == joint)))
 
@@ -146,7 +166,12 @@ def bodies_of(mj: MjModel, tip: str | None) -> list[int]:
 
 
 def pose(position: Array, quaternion: Array) -> pin.SE3:
-    """Pose of a position (3,) (m) and a quaternion w, x, y, z (4,)."""
+    """Make a pose.
+
+    Args:
+        position: (3,) translation (m).
+        quaternion: (4,) w, x, y, z.
+    """
     return pin.SE3(pin.Quaternion(*quaternion), np.array(position))
 
 
@@ -311,6 +336,8 @@ def _add_joint(mj: MjModel, model: pin.Model, j: int, body: _Place) -> _Place:
             f"joint {name!r} has a spring of {joint.stiffness[0]:g}, which the control law "
             "does not know; set its stiffness to 0"
         )
+    # The joint's frame is at its anchor, with the axes of the body. MuJoCo states the pose of the
+    # body for q = qpos0, Pinocchio for q = 0: the displacement by −qpos0 is between the two.
     make = pin.JointModelPrismaticUnaligned if kind == _SLIDE else pin.JointModelRevoluteUnaligned
     axis = np.array(joint.axis)
     anchor = pin.SE3(np.eye(3), np.array(joint.pos))
@@ -353,23 +380,27 @@ def _effort(mj: MjModel, joint: int) -> float:
     """
     joint_limit = _UNLIMITED
     if mj.jnt_actfrclimited[joint]:
-        joint_limit = _smaller(mj.jnt_actfrcrange[joint])
+        joint_limit = _symmetric_limit(mj.jnt_actfrcrange[joint])
     sum_of_motors = 0.0
     for a in motors_of(mj, joint):
         force = _UNLIMITED
         if mj.actuator_forcelimited[a]:
-            force = _smaller(mj.actuator_forcerange[a])
+            force = _symmetric_limit(mj.actuator_forcerange[a])
         if mj.actuator_ctrllimited[a] and mj.actuator_biastype[a] == 0:
             gain = abs(mj.actuator_gainprm[a, 0])
-            force = min(force, gain * _smaller(mj.actuator_ctrlrange[a]))
+            force = min(force, gain * _symmetric_limit(mj.actuator_ctrlrange[a]))
         if force < _UNLIMITED:
             force *= abs(mj.actuator_gear[a, 0])
         sum_of_motors += force
     return min(joint_limit, sum_of_motors) if sum_of_motors > 0.0 else joint_limit
 
 
-def _smaller(limits: ArrayLike) -> float:
-    """Smaller absolute value of a lower and an upper limit (2,)."""
+def _symmetric_limit(limits: ArrayLike) -> float:
+    """Largest magnitude that is within limits in both directions.
+
+    Args:
+        limits: (2,) lower and upper limit, whose smaller absolute value is returned.
+    """
     return float(np.abs(limits).min())
 
 

@@ -155,19 +155,23 @@ def _describe(mj: MjModel, g: int) -> Json | None:
     faces = mj.mesh_face[f : f + mesh.facenum[0]]
     if max(len(corners), len(faces)) > MOST_CORNERS:
         return {"kind": _BOX, "size": _round(np.abs(corners).max(axis=0))}
-    return {"kind": _MESH, "corners": _packed(corners, "<f4"), "faces": _packed(faces, "<i4")}
+    return {"kind": _MESH, "corners": _pack(corners, "<f4"), "faces": _pack(faces, "<i4")}
 
 
-def _packed(rows: ArrayLike, kind: str) -> str:
-    """Compress numbers (k, 3) of the NumPy type `kind` to text, see `_unpacked`."""
+def _pack(rows: ArrayLike, kind: str) -> str:
+    """Compress numbers (k, 3) of the NumPy type `kind` to text, see `_unpack`."""
     raw = np.array(rows, dtype=kind).tobytes()
     return base64.b64encode(zlib.compress(raw, 9)).decode()
 
 
-def _unpacked(text: str, kind: str) -> Array:
-    """Decompress numbers (k, 3) of the NumPy type `kind` from text by `_packed`.
+def _unpack(text: str, kind: str) -> Array:
+    """Decompress numbers (k, 3) from a text by `_pack`.
 
     At most `MOST_CORNERS` rows are decompressed, so that a damaged text cannot fill the memory.
+
+    Args:
+        text: compressed numbers in base 64.
+        kind: NumPy type of the numbers, of 4 bytes, such as "<f4".
 
     Raises:
         ValueError, zlib.error: the text is damaged.
@@ -216,7 +220,7 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
             raise IndexError(f"shape {i} is on joint {joint} of {model.njoints - 1}")
         kind = int(shape["kind"])
         if kind == _MESH:
-            solid = _mesh_of(_unpacked(shape["corners"], "<f4"), _unpacked(shape["faces"], "<i4"))
+            solid = _mesh_of(_unpack(shape["corners"], "<f4"), _unpack(shape["faces"], "<i4"))
         else:
             solid = _solid(kind, shape["size"])
         shape_object = pin.GeometryObject(f"shape{i}", joint, _pose(shape["place"]), solid)

@@ -69,8 +69,13 @@ def differences(
     return sentences
 
 
-def _near(ours: ArrayLike, theirs: ArrayLike) -> bool:
-    """True if two numbers, or two arrays of numbers, are equal up to `TOLERANCE`."""
+def _are_equal(ours: ArrayLike, theirs: ArrayLike) -> bool:
+    """True if two numbers, or two arrays of numbers, are equal up to `TOLERANCE`.
+
+    Args:
+        ours: numbers by this package's reader of URDFs.
+        theirs: numbers by the other reader, of the same shape.
+    """
     return bool(np.allclose(ours, theirs, rtol=TOLERANCE, atol=TOLERANCE))
 
 
@@ -131,7 +136,7 @@ def _limit_differences(
             del ours["lower"], ours["upper"]
         for key, our_limit in ours.items():
             their_limit = getattr(theirs, key)
-            if their_limit is not None and not _near(our_limit, their_limit):
+            if their_limit is not None and not _are_equal(our_limit, their_limit):
                 yield f"joint '{name}': {key} {our_limit:.9g}, by yourdfpy {their_limit:.9g}"
 
 
@@ -150,7 +155,7 @@ def _placement_differences(model: pin.Model, document: Document, other: URDF) ->
         for name, joint in document.joints.items():
             our_pose = ours[joint.parent].actInv(ours[joint.child])
             their_pose = theirs[joint.parent].actInv(theirs[joint.child])
-            if not _near(our_pose.homogeneous, their_pose.homogeneous):
+            if not _are_equal(our_pose.homogeneous, their_pose.homogeneous):
                 X = our_pose.actInv(their_pose)
                 yield (
                     f"joint '{name}': yourdfpy places its child {norm(X.translation):.3g} m "
@@ -206,7 +211,7 @@ def _inertia_differences(model: pin.Model, other: URDF) -> Iterator[str]:
             ("first moment of mass", "kg m", np.s_[3:, :3]),
             ("moments of inertia", "kg m²", np.s_[3:, 3:]),
         ):
-            if not _near(ours[block], theirs[block]):
+            if not _are_equal(ours[block], theirs[block]):
                 difference = np.abs(ours[block] - theirs[block]).max()
                 yield f"{body}: its {part} differs from yourdfpy's by {difference:.3g} {unit}"
 
@@ -246,7 +251,7 @@ def _mesh_differences(document: Document, other: URDF) -> Iterator[str]:
             their_addresses = [address for address, _ in theirs]
             if our_addresses != their_addresses:
                 yield f"link '{name}': {tag} meshes {our_addresses}, by yourdfpy {their_addresses}"
-            elif not all(_near(a, b) for (_, a), (_, b) in zip(ours, theirs, strict=True)):
+            elif not all(_are_equal(a, b) for (_, a), (_, b) in zip(ours, theirs, strict=True)):
                 yield f"link '{name}': yourdfpy scales {tag} meshes in another way"
 
 

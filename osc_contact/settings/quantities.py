@@ -62,7 +62,12 @@ class _Written:
     """
 
     def __get__(self, group: object, owner: type[BaseModel]) -> inspect.Signature:
-        """Make the signature of the class `owner`; `group` is its instance, or None."""
+        """Make the signature of a class of settings from its annotations, as they are written.
+
+        Args:
+            group: instance of the class, which is not used; None for an access at the class.
+            owner: class of settings, a Pydantic model.
+        """
         texts: dict[str, object] = {}
         for base in reversed(owner.__mro__):
             texts |= inspect.get_annotations(base)
@@ -73,6 +78,7 @@ class _Written:
                 value = item.get_default(call_default_factory=True)
                 name = type(value).__name__
                 default = _Source(f"{name}()") if isinstance(value, BaseModel) else value
+            # Annotated[Number, …] is shown as Number
             match ast.parse(text := str(texts[key]), mode="eval").body:
                 case ast.Subscript(ast.Name("Annotated"), ast.Tuple([shown, *_])):
                     text = ast.unparse(shown)

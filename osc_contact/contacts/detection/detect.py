@@ -299,8 +299,8 @@ def merged(
         if not any(
             _same_plane(contact, other, margin, angle)
             and (
-                _spanned(contact.points, other, margin)
-                or _buried(contact, shapes[other.object_shape], X_WO)
+                _lie_in_touching_space(contact.points, other, margin)
+                or _is_inside_shape(contact, shapes[other.object_shape], X_WO)
             )
             for other in distinct
         ):
@@ -316,13 +316,13 @@ def _same_plane(a: Detected, b: Detected, margin: float, angle: float) -> bool:
         margin: largest distance of the patch of a from the plane of b (m).
         angle: largest angle between the normals (rad).
     """
-    inclined = norm(cross(a.normal, b.normal))
-    if inclined > angle or a.normal @ b.normal < 0.0:
+    sine = norm(cross(a.normal, b.normal))  # of a small angle, the angle itself (rad)
+    if sine > angle or a.normal @ b.normal < 0.0:
         return False
     return bool(np.abs((a.points - b.points[0]) @ b.normal).max() <= margin)
 
 
-def _spanned(points: Array, other: Detected, margin: float) -> bool:
+def _lie_in_touching_space(points: Array, other: Detected, margin: float) -> bool:
     """Return whether points are on the plane, line or point in which another contact touches.
 
     Args:
@@ -340,7 +340,7 @@ def _spanned(points: Array, other: Detected, margin: float) -> bool:
     return bool(np.linalg.norm(offsets, axis=1).max() <= margin)
 
 
-def _buried(contact: Detected, shape: CollisionShape, X_WO: SE3) -> bool:
+def _is_inside_shape(contact: Detected, shape: CollisionShape, X_WO: SE3) -> bool:
     """Return whether the touching point of the object is inside another of its shapes.
 
     Args:
@@ -568,6 +568,10 @@ class TrackedContact:
     def _touching(self, X_WO: SE3, X_WE: SE3 | None) -> tuple[ContactPair, ...]:
         """Pairs of the last detection, which is repeated after a relative displacement.
 
+        Args:
+            X_WO: pose of the object in the world.
+            X_WE: pose of the other body in the world; None: the world's frame.
+
         Raises:
             ContactError: no contact has been detected so far.
         """
@@ -579,11 +583,11 @@ class TrackedContact:
         )
         if self.pairs and not has_moved:
             return self.pairs
-        shapes, bodies = self._shapes
-        detected = detect(shapes, X_WO, bodies, X_WE, margin=MARGIN_M)
+        object_shapes, body_shapes = self._shapes
+        contacts = detect(object_shapes, X_WO, body_shapes, X_WE, margin=MARGIN_M)
         self.lookups += 1
-        if detected:
-            self.pairs = tuple(contact.pair() for contact in detected)
+        if contacts:  # otherwise the last pairs remain: geometry does not detect a lost contact
+            self.pairs = tuple(contact.pair() for contact in contacts)
         self._X_EO = X_EO.copy()
         if not self.pairs:
             raise ContactError(

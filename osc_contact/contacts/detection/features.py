@@ -462,7 +462,7 @@ def shared_patch(
         points = _clip(flat_e, flat_a[::-1])  # its normal is −n
     if len(points) == 0:
         points = (axes @ witness)[None]
-    return _reduced(points, width) @ axes
+    return _shrink_patch(points, width) @ axes
 
 
 def _of_lines(a: Array, e: Array, angle: float) -> Array:
@@ -506,7 +506,7 @@ def _clip(subject: Array, window: Array) -> Array:
     return np.array(points).reshape(-1, 2)
 
 
-def _reduced(points: Array, width: float) -> Array:
+def _shrink_patch(points: Array, width: float) -> Array:
     """Points (k, 2) of a patch; of a narrow one its two ends, of a short one its middle.
 
     Args:

@@ -122,7 +122,15 @@ class LawPair(PackagedPair):
         return Contact(N, n_gamma, T=T, name=self.name)
 
     def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
-        """Points of application (3, r) of the magnitudes of a pair that pushes, world (m)."""
+        """Points of application of the magnitudes of a pair that pushes.
+
+        Args:
+            X_WO: pose of the object in the world.
+            X_WE: pose of the touched body in the world; None: the world's frame.
+
+        Returns:
+            (3, r) points in world coordinates (m).
+        """
         A = _elements(X_WO)
         E = _IDENTITY if X_WE is None else _elements(X_WE)
         shapes_and_columns = zip(self._numbers[1], self._columns(A, E), strict=False)
@@ -133,7 +141,15 @@ class LawPair(PackagedPair):
         return X_WO.translation[:, None] + np.array(points).T
 
     def normals(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
-        """N (6, r, k) at O in world axes, for k poses of the object and the body."""
+        """Compute N at k instants.
+
+        Args:
+            X_WO: k poses of the object in the world.
+            X_WE: k poses (or one) of the touched body in the world; None: the world's frame.
+
+        Returns:
+            N (6, r, k) at O in world axes.
+        """
         A = _elements_over(X_WO)
         E = _IDENTITY if X_WE is None else _elements_over(X_WE)
         columns = self._columns(A, E)
@@ -159,6 +175,7 @@ class LawPair(PackagedPair):
         Raises:
             ContactError: edges are parallel, or the nearest place of a surface is not unique.
         """
+        # stand-ins of the records that the compiled function fills, with numbers or arrays
         head, shapes = self._numbers
         columns = [
             SimpleNamespace(N=[0.0] * 6, n_gamma=0.0, turn=(0.0, 0.0, 0.0), believed=[0.0] * 3)
@@ -169,8 +186,9 @@ class LawPair(PackagedPair):
                 V_rel = (V_O - V_E).tolist()
                 motion = law.Motion(A, V_O.tolist(), E, V_E.tolist(), V_rel, True)
                 sine = _place(head, shapes, columns, motion)
-        except ZeroDivisionError:
+        except ZeroDivisionError:  # numbers of one instant; arrays give inf or NaN instead
             sine = 0.0
+        # sine of the angle between edges, or its counterpart of a surface; too small: undefined N
         least_sine = np.min(sine)
         if least_sine >= law.PARALLEL:
             return columns

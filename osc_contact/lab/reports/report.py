@@ -44,7 +44,7 @@ def verdict_table(verdict: Json) -> Table:
             f"{100 * verdict['contact_fraction'][_owner(name)]:.2f} %",
         )
     for contact, first in verdict["first_contact_s"].items():
-        words = "never" if first is None else _first(first, contact, verdict["steps"])
+        words = "never" if first is None else _closing_line(first, contact, verdict["steps"])
         table.add_row(f"first contact {contact}", words)
     for row in _steps(verdict["steps"]):
         table.add_row(*row)
@@ -91,7 +91,7 @@ def task_lines(verdict: Json) -> Iterator[str]:
     yield from (f"  {why}" for why in task["why"])
 
 
-def _first(t: float, contact: str, steps: Sequence[Json]) -> str:
+def _closing_line(t: float, contact: str, steps: Sequence[Json]) -> str:
     """Line on the time at which a contact closed and the overshoot of its forces.
 
     Args:

@@ -152,11 +152,11 @@ def misplaced(
         axis = pin.exp3(error.face_tilt_about * outward) @ tangent
         tilt = pin.SE3(pin.exp3(error.face_tilt * axis), foot + error.face_offset * outward)
         for i in body.contacts:
-            modelled[i] = _displaced(scenario, i, tilt * pin.SE3(np.eye(3), -foot))
+            modelled[i] = _displace_contact(scenario, i, tilt * pin.SE3(np.eye(3), -foot))
     return tuple(modelled)
 
 
-def _displaced(scenario: Scenario, i: int, X: pin.SE3) -> ContactPair:
+def _displace_contact(scenario: Scenario, i: int, X: pin.SE3) -> ContactPair:
     """Make contact i with its touched body displaced by X in the world.
 
     Args:
@@ -269,7 +269,7 @@ def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
     if isinstance(motion, ConveyorSpec):
         turn = motion.turn
         axis, through = np.zeros((2, 3)) if turn is None else np.array((turn.axis, turn.through))
-        driven = partial(_commanded, motion)
+        driven = partial(_commanded_motion, motion)
         return OwnMotion(Rail(np.array(motion.direction), axis, through, driven), Conveyor())
     fields = motion.model_dump(exclude={"type", "mass"})
     if isinstance(motion, CartSpec):
@@ -278,7 +278,7 @@ def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
     return OwnMotion(rail, Guided(rail))
 
 
-def _commanded(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
+def _commanded_motion(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Array]:
     """Travel (m) and angle (rad) of a driven body, (2,), with first and second derivatives.
 
     Args:

@@ -78,10 +78,10 @@ def find_cycle(
         Amplitude (N) and frequency (Hz); None: there is no limit cycle.
     """
     n = len(error)
-    oscillation = _levelled(error)
+    oscillation = _remove_trend(error)
     power = np.abs(np.fft.rfft(oscillation * np.hanning(n))) ** 2
     bins = np.arange(len(power))
-    is_free = ~_commanded(n, dt, commands, driven_Hz, along, across)
+    is_free = ~_command_bins(n, dt, commands, driven_Hz, along, across)
     is_free &= (bins >= _PERIODS) & (bins <= n // 4)
     if not is_free.any() or not power[is_free].any():
         return None
@@ -104,7 +104,7 @@ def find_cycle(
     return float(np.median(envelope)), peak / (n * dt)
 
 
-def _commanded(
+def _command_bins(
     n: int,
     dt: float,
     commands: Sequence[Array],
@@ -153,10 +153,10 @@ def _lines(signal: Array, least: float) -> Flags:
 def _spectrum(signal: Array) -> Array:
     """Amplitudes (n/2 + 1,) of a signal (n,) in each frequency bin, without its linear trend."""
     window = np.hanning(len(signal))
-    return np.abs(np.fft.rfft(_levelled(signal) * window)) * (2.0 / window.sum())
+    return np.abs(np.fft.rfft(_remove_trend(signal) * window)) * (2.0 / window.sum())
 
 
-def _levelled(signal: Array) -> Array:
+def _remove_trend(signal: Array) -> Array:
     """Signal (n,) without its mean and linear trend."""
     x = np.linspace(-1.0, 1.0, len(signal))
     level = signal - signal.mean()

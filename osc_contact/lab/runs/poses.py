@@ -260,10 +260,12 @@ def pose_lines(chain: ClosedChain, q: Array) -> list[str]:
 def pose_text(X: pin.SE3) -> str:
     """Write a pose as in a scenario file, with position (m) and roll, pitch, yaw (deg)."""
     angles = np.rad2deg(pin.rpy.matrixToRpy(X.rotation))
-    return f"{{xyz: [{_listed(X.translation, 6)}], rpy: [{_listed(angles, 4, ' deg')}]}}"
+    return (
+        f"{{xyz: [{_numbers_text(X.translation, 6)}], rpy: [{_numbers_text(angles, 4, ' deg')}]}}"
+    )
 
 
-def _listed(values: Sequence[float] | Array, digits: int, unit: str = "") -> str:
+def _numbers_text(values: Sequence[float] | Array, digits: int, unit: str = "") -> str:
     """Write numbers with commas between; rounding errors about zero become 0, never −0.
 
     Args:
@@ -494,13 +496,13 @@ def _text(robot: str, arm: Arm, press: Press, q: Array) -> str:
 # {robot} presses a stylus on a plate with {press.force:g} N and slides along it.
 # A quantity is a number in SI or a string with a unit; docs/scenario.md has every key.
 name: {arm.name}_press
-description: {_quoted(f"{about}, and slides")}
+description: {_quote(f"{about}, and slides")}
 
 arms:
   - name: {arm.name}
-    urdf: {_quoted(_reference(robot))}
-    tip: {_quoted(arm.tip)}                    # the frame that carries the stylus
-    wrist_sensor: {_quoted(arm.tip)}           # where force and torque are measured
+    urdf: {_quote(_reference(robot))}
+    tip: {_quote(arm.tip)}                    # the frame that carries the stylus
+    wrist_sensor: {_quote(arm.tip)}           # where force and torque are measured
     # {joints}
     posture: [{", ".join(f"{x:.6f}" for x in q)}]   # rad, m
 
@@ -541,7 +543,7 @@ duration: 4 s
 """
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     """Write a text as YAML, in quotation marks if YAML would read it as another value."""
     import yaml
 

@@ -210,13 +210,13 @@ def start(rig: Rig, seed: int = 0, install: Install | None = None) -> tuple[Plan
     # laws of the user's own may have a memory: each controller needs its own laws
     trial = rig.controller() if callable(rig.scenario.laws) else copy(controller)
     if install is not None:
-        controller = _installed(install, controller)
-        trial = _installed(install, trial)
+        controller = _apply_install(install, controller)
+        trial = _apply_install(install, trial)
     plant.hold(trial.tick(rig.at_start(plant.measure()), rig.references.at(0.0)))
     return plant, controller
 
 
-def _installed(install: Install, controller: Controller) -> Controller:
+def _apply_install(install: Install, controller: Controller) -> Controller:
     """Apply `install` to a controller; return the resulting controller.
 
     Raises:

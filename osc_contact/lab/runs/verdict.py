@@ -403,14 +403,14 @@ def _numbers(recording: Recording, sums: _Sums) -> Json:
         "status": dict(zip(_STATUS, sums.status.tolist(), strict=True)),
         "at_limit": sorted(at_limit, key=lambda entry: -entry[1]),
         "joint_losses": losses,
-        "learned_friction": _learned(losses, meta),
+        "learned_friction": _learned_losses(losses, meta),
         "normals": dict(zip(recording.magnitude_names, meta.get("normal_std", []), strict=False)),
         "force_per_normal": meta.get("force_per_normal", 0.0),
         "plan": meta.get("plan"),
     }
 
 
-def _learned(losses: Sequence[Json], meta: Json) -> list[Json]:
+def _learned_losses(losses: Sequence[Json], meta: Json) -> list[Json]:
     """Friction and rotor inertia of each joint as learned, rounded to the significant digits.
 
     Args:

@@ -41,12 +41,12 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_-]*$")]
 Text = Annotated[str, Field(min_length=1)]
 
 
-def _listed(value: Any) -> Any:
+def _as_tuple(value: Any) -> Any:
     """Convert a single number, which is valid for all joints, to a tuple of one number."""
     return value if isinstance(value, list | tuple) else (value,)
 
 
-_PerJoint = Annotated[NotEmpty[T], BeforeValidator(_listed)]
+_PerJoint = Annotated[NotEmpty[T], BeforeValidator(_as_tuple)]
 PerJoint = _PerJoint[NotNegativeNumber]
 ForcePerJoint = _PerJoint[NotNegative[JointForce]]
 

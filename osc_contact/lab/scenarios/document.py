@@ -202,13 +202,13 @@ class ScenarioDocument:
         for name_node, value_node in node.value:
             line = name_node.start_mark.line + 1
             if not isinstance(name_node, yaml.ScalarNode):
-                self.problems.at_line(line, f"{_dotted(key)}a key must be plain text")
+                self.problems.at_line(line, f"{_path_text(key)}a key must be plain text")
                 continue
             name = str(name_node.value)
             place = (*key, name)
             if name in group:
                 first = self.origins[place]
-                text = f"{_dotted(place, '')}: given twice, first in line {first}; keep one"
+                text = f"{_path_text(place, '')}: given twice, first in line {first}; keep one"
                 self.problems.at_line(line, text)
                 continue
             self.origins[place] = line
@@ -303,7 +303,7 @@ class ScenarioDocument:
         for word in re.findall(r"[a-z_]+(?:\.[a-z_]+)+", text):  # e.g. control.rate
             if isinstance(origin, int) and isinstance(other := self._origin(word.split(".")), str):
                 origin = other  # the override of the other key is to blame, not the line
-        text_with_key = f"{_dotted(self._named(key), '')}: {text}" if key else text
+        text_with_key = f"{_path_text(self._path_with_names(key), '')}: {text}" if key else text
         if isinstance(origin, str):
             self.problems.at_override(origin, text_with_key)
         else:
@@ -321,7 +321,7 @@ class ScenarioDocument:
                 return self.origins[parent]
         return self.origins[()]
 
-    def _named(self, key: Key) -> Key:
+    def _path_with_names(self, key: Key) -> Key:
         """Path in which indices of items are replaced by their names.
 
         Args:
@@ -357,7 +357,7 @@ def _item(items: Sequence[Any], part: str, where: str) -> int:
     raise ScenarioError(f"{where} has no item {part!r}; {hint if items else 'it is empty'}")
 
 
-def _dotted(key: Key, end: str = ": ") -> str:
+def _path_text(key: Key, end: str = ": ") -> str:
     """Write a path with dots; empty for the root.
 
     Args:

@@ -104,11 +104,11 @@ class Template:
         Raises:
             ScenarioError: there is no such path, or errors in an override.
         """
-        document = self._changed(overrides)
+        document = self._apply_overrides(overrides)
         document.problems.raise_any()
         return document.value(path)
 
-    def _changed(self, overrides: Overrides) -> ScenarioDocument:
+    def _apply_overrides(self, overrides: Overrides) -> ScenarioDocument:
         """Copy of the document with overrides; errors of the overrides are in its `problems`."""
         document = deepcopy(self._document)
         if isinstance(overrides, Mapping):
@@ -130,7 +130,7 @@ class Template:
         Raises:
             ScenarioError: errors in the text or an override (all of them).
         """
-        document = self._changed(overrides)
+        document = self._apply_overrides(overrides)
         try:
             folder = self.source and self.source.parent
             scenario = Scenario.model_validate(document.data, context={"folder": folder})

@@ -49,7 +49,7 @@ def write_report(table: pyarrow.Table, study: SweepStudy, folder: Path) -> Json:
         "title": escape(Path(study.name or study.template.make().name).stem),
         "about": escape(f"{study.design}, seed {study.seed}; osc_contact {__version__}"),
         "changes": escape("\n".join((*study.vary, *study.overrides))),
-        "text": escape(_printed(summary)),
+        "text": escape(_printed_text(summary)),
         "pictures": "".join(map(_picture, pictures)),
     }
     write_whole(filled("sweep.html", parts), folder / REPORT)
@@ -95,7 +95,7 @@ def _causes(summary: Json, name: str) -> str:
     return text
 
 
-def _printed(summary: Json) -> str:
+def _printed_text(summary: Json) -> str:
     """Text of `in_words`, as it is printed with a width of 160 letters."""
     console = Console(file=StringIO(), width=160)
     for part in in_words(summary):

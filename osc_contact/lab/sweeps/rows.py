@@ -110,7 +110,9 @@ class RigBuilder(threading.local):
     def _robot(self, scenario: Scenario) -> RobotAtTask:
         """Robot and task of a scenario, from the cache if possible."""
         key = robot_key(scenario)
-        return _kept(self._robots, key, lambda: RobotAtTask(build_rig(scenario, self._chain)))
+        return _get_or_make(
+            self._robots, key, lambda: RobotAtTask(build_rig(scenario, self._chain))
+        )
 
     def _chain(self, scenario: Scenario, error: ModelErrorSpec) -> ClosedChain:
         """Chain of a scenario with errors of its model, from the cache if possible.
@@ -121,7 +123,7 @@ class RigBuilder(threading.local):
         """
         content = scenario.model_dump(mode="json", include={"arms", "object", "grasps"})
         key = _key(scenario, content, dict(error))
-        return _kept(self._chains, key, lambda: build_chain(scenario, error))
+        return _get_or_make(self._chains, key, lambda: build_chain(scenario, error))
 
 
 def robot_key(scenario: Scenario) -> str:
@@ -144,7 +146,7 @@ def _key(scenario: Scenario, *content: Any) -> str:
     return json.dumps([content, str(scenario.source)], sort_keys=True)
 
 
-def _kept(store: dict[str, Made], key: str, make: Callable[[], Made]) -> Made:
+def _get_or_make(store: dict[str, Made], key: str, make: Callable[[], Made]) -> Made:
     """Entry of a cache that is made if it is missing; the least recently used one is dropped.
 
     Args:
@@ -245,7 +247,7 @@ def _row(study: SweepStudy, sample: Sample, install: Install | None) -> Row:
     task = verdict["task"]
     row = first_columns(sample, task["word"], "\n".join(task["why"]), task["failed"])
     row["doubts"] = "\n".join(recording.meta["doubts"])
-    row |= _flat({k: v for k, v in verdict.items() if k not in _LEFT_OUT})
+    row |= _flatten({k: v for k, v in verdict.items() if k not in _LEFT_OUT})
     for name in ("overshoot_N", "overshoot_rel"):
         row[name] = max((step[name] for step in verdict["steps"]), default=None)
     return row
@@ -270,7 +272,7 @@ def first_columns(sample: Sample, word: str, why: str, failed: bool = True) -> R
     }
 
 
-def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the items of nested mappings with joined keys: ("a.b", 1) of {"a": {"b": 1}}.
 
     Args:
@@ -280,6 +282,6 @@ def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, An
     for key, value in values.items():
         name = f"{before}{key}"
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{name}.")
+            yield from _flatten(value, f"{name}.")
         else:
             yield (name, value)

@@ -95,7 +95,14 @@ def _split(text: str) -> list[str]:
 
 
 def _quantities(parts: Sequence[str], count: int) -> tuple[list[float], str]:
-    """Numbers, `count` of them, and their common unit.
+    """Read numbers with a common unit from texts.
+
+    Args:
+        parts: texts such as "0.2", "5 mm" or "3 deg".
+        count: required number of texts.
+
+    Returns:
+        The numbers, and their unit, "" without a unit.
 
     Raises:
         ValueError: another count, texts that are not numbers, or different units.
@@ -464,7 +471,7 @@ class SweepStudy:
         remaining = u
         for path, distribution in self.variations:
             coordinates, remaining = np.split(remaining, [distribution.dims])
-            overrides[path], values = distribution.draw(coordinates, self._stated.get(path))
+            overrides[path], values = distribution.draw(coordinates, self._own_values.get(path))
             columns |= {path + suffix: value for suffix, value in values.items()}
         return (overrides, columns)
 
@@ -483,7 +490,7 @@ class SweepStudy:
         return shlex.join([*words, "--seed", str(sample.seed)])
 
     @cached_property
-    def _stated(self) -> Json:
+    def _own_values(self) -> Json:
         """Own values of the scenario, by path, of keys that vary relative to them."""
         return {
             path: self.template.value(path, self.overrides)

@@ -74,7 +74,7 @@ class RowFile:
             head_line = {"study": study.fingerprint, "vary": study.vary, "design": study.design}
             self._write(head_line if laws is None else head_line | {"laws": laws})
             return
-        head, *rows = map(_parsed, complete_lines.splitlines())
+        head, *rows = map(_parse, complete_lines.splitlines())
         if (head.get("study"), head.get("laws")) != (study.fingerprint, laws):
             raise InvalidInputError(
                 f"{self.path} holds the rows of another study (another scenario, other "
@@ -100,7 +100,7 @@ class RowFile:
         self._file.close()
 
 
-def _parsed(line: bytes) -> Row:
+def _parse(line: bytes) -> Row:
     """JSON object of a line, an empty one for a damaged line."""
     try:
         return dict(json.loads(line))

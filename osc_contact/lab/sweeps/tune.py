@@ -104,7 +104,7 @@ def tune(
     """
     import optuna
 
-    tuned = tuple(vary) if vary else _stated(scenario, overrides)
+    tuned = tuple(vary) if vary else _gains_in_scenario(scenario, overrides)
     keys = SweepStudy.of(scenario, tuned, 1, "halton", seed, overrides)
     require_long_enough(keys)
     base = replace(keys, vary=tuple(over), samples=samples)
@@ -212,7 +212,7 @@ class _Search:
         return (trial, replace(self.base, overrides=(*self.base.overrides, *texts(values))))
 
 
-def _stated(scenario: str | Path, overrides: Sequence[str]) -> tuple[str, ...]:
+def _gains_in_scenario(scenario: str | Path, overrides: Sequence[str]) -> tuple[str, ...]:
     """Entries path=distribution of `GAINS` whose keys a scenario states with a value other than 0.
 
     Args:

@@ -183,6 +183,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         """Make plants, controllers and spaces; all rows are at the start of the first episode.
 
+        See the class for the arguments.
+
         Raises:
             InvalidInputError: no environments, a rate that does not divide that of control, or a
                 force above the scenario's ceilings.
@@ -197,6 +199,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         )
         self._episode = episode_maker(study, 1.0 / rate)
         self._count = episodes if vary else 1
+        # the first episode stands for all: they have the same structure and control period
         first = self._episode(0)
         control_rate = 1.0 / first.start.controller.dt
         self._ticks = round(control_rate / rate)
@@ -211,7 +214,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         verdict = first.start.rig.scenario.verdict
         self._away = (verdict.distance, verdict.angle)
         self._r = first.forces.shape[1]
-        self.move = np.repeat(_needed(first.places) if move is None else move, 3)
+        self.move = np.repeat(_default_increments(first.places) if move is None else move, 3)
         largest = 2.0 * float(np.abs(first.forces).max(initial=0.0))
         self.most_force = largest if most_force is None else most_force
         require_below_ceilings(first.start.rig.scenario.control.safety, self.most_force, self._r)
@@ -286,7 +289,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         rewards = np.where(continues, self._reward(sensed), 0.0)
         is_away = np.linalg.norm(sensed.error.reshape(-1, 2, 3), axis=2) > self._away
         terminated = continues & (sensed.diverged | is_away.any(axis=1))
-        truncated = continues & ~terminated & (self._step >= self._last)
+        truncated = continues & ~terminated & (self._step >= self._last_steps)
         self._over = terminated | truncated
         return (self._observe(), rewards, terminated, truncated, self._infos())
 
@@ -321,7 +324,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             actions: (B, 6 + r) actions of the step.
             tau: (B, n_a) torques of its last tick (N m, N).
         """
-        places, forces = self._desired()
+        places, forces = self._desired_values()
         p, R = self.fleet.objects()
         error = np.concatenate(
             (places[:, :3, 3] - p, _turns(places[:, :3, :3] @ R.transpose(0, 2, 1))), axis=1
@@ -331,13 +334,13 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         force = self.fleet.control.alpha_meas
         return SensedRows(force, forces, error, tau, actions, diverged)
 
-    def _desired(self, ahead: int = 0) -> tuple[Array, Array]:
+    def _desired_values(self, ahead: int = 0) -> tuple[Array, Array]:
         """Desired poses (B, 4, 4) and contact forces (B, r) of the scenarios.
 
         Args:
             ahead: number of actions from the present step to the time of the desired values.
         """
-        steps = np.minimum(self._step + ahead, self._last)
+        steps = np.minimum(self._step + ahead, self._last_steps)
         pairs = list(zip(self._now, steps, strict=True))
         places = np.array([episode.places[k] for episode, k in pairs])
         forces = np.array([episode.forces[k] for episode, k in pairs])
@@ -345,7 +348,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _active_set(self) -> Array | None:
         """Active contacts (B, contacts) of the scenario in this step; None: it names none."""
-        steps = np.minimum(self._step, self._last)
+        steps = np.minimum(self._step, self._last_steps)
         sets = [
             episode.active[k]
             for episode, k in zip(self._now, steps, strict=True)
@@ -354,7 +357,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return np.array(sets) if sets else None
 
     @property
-    def _last(self) -> Array:
+    def _last_steps(self) -> Array:
         """Number (B,) of the last step of each row's episode."""
         return np.array([len(episode.places) - 1 for episode in self._now])
 
@@ -362,7 +365,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         """Observations (B, numbers) of all rows, with 0 for NaN."""
         q, v, wrenches = self.fleet.measure()
         control = self.fleet.control
-        places, forces = self._desired(1)
+        places, forces = self._desired_values(1)
         first = np.array([episode.places[0] for episode in self._now])
         parts = (
             q,
@@ -383,7 +386,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return {"sample": samples, "_sample": np.ones(self.num_envs, dtype=bool)}
 
 
-def _needed(places: Array) -> Array:
+def _default_increments(places: Array) -> Array:
     """Default of the largest increments (2,): along an axis (m), and about an axis (rad).
 
     They are twice the largest increments between successive poses, and at least 1 mm and 5 mrad.

@@ -131,7 +131,7 @@ class Insertion:
             mass_factor=mass,
         )
         with TemporaryDirectory() as folder:
-            inertia = robots.load_body(_written(folder, "peg.urdf", peg_urdf(self.peg)))
+            inertia = robots.load_body(_write_file(folder, "peg.urdf", peg_urdf(self.peg)))
         grasp = Grasp.rigid(pin.SE3(np.eye(3), np.array([0.0, 0.0, BASE + LENGTH - TCP])))
         return ClosedChain([arm], [grasp], RigidObject(inertia).scaled(held))
 
@@ -162,17 +162,28 @@ class InsertionRobot:
     """
 
     def __init__(self, task: Insertion, start: pin.SE3) -> None:
-        """Make plant, sensors and velocity estimate; the arm holds the peg at rest at `start`."""
+        """Make plant, sensors and velocity estimate; the arm holds the peg at rest.
+
+        Args:
+            task: task with the true hole, the peg and the properties of the world.
+            start: pose of the peg in the world at the start.
+        """
         world = task.world
+        # plant: MuJoCo reads peg and hole from files, which it needs during construction only
         self.task = task
         self.chain = chain = task.chain()
         with TemporaryDirectory() as folder:
             self.plant = MujocoPlant(
                 chain,
                 [robots.find_robot("panda")[0]],
-                _written(folder, "peg.urdf", peg_urdf(task.peg)),
+                _write_file(folder, "peg.urdf", peg_urdf(task.peg)),
                 [],
-                [(_written(folder, "hole.urdf", hole_urdf(task.true_hole)), task.true_hole.pose)],
+                [
+                    (
+                        _write_file(folder, "hole.urdf", hole_urdf(task.true_hole)),
+                        task.true_hole.pose,
+                    )
+                ],
                 options=PlantSpec(
                     step=world.step,
                     solref=world.solref,
@@ -181,6 +192,8 @@ class InsertionRobot:
                 drives=JointDrives(friction=world.joint_friction * chain.tau_max),
             )
         self._rub(world.friction)
+
+        # sensors: encoders with quantisation, wrists with noise (N, N m)
         clock = Clock(rate=1.0 / PERIOD)
         resolution = 2.0 * pi / 2**world.encoder_bits
         noise = np.repeat([world.force_noise, world.torque_noise], 3)
@@ -189,11 +202,15 @@ class InsertionRobot:
             wrists=(clock, SensorErrors(noise=noise)),
         )
         self._sensed = SensedPlant(self.plant, sensors, task.seed)
+
+        # start at rest: motors carry the weight before the first tick
         self.q_start = reach(chain, np.array(POSTURE), start)
         self._sensed.reset(self.q_start)
         model = chain.model
         weight = pin.computeGeneralizedGravity(model, model.createData(), self.q_start)
         self._sensed.hold(weight[chain.actuated])
+
+        # rms error of a quantised reading is its step / √12
         error = np.full(chain.nq, resolution / np.sqrt(12.0))
         unknown = np.full(chain.nq, EstimateSpec().joint_angular)
         self._velocities = VelocityEstimate.optimal(error, unknown, PERIOD, PERIOD)
@@ -256,7 +273,7 @@ class InsertionRobot:
         return self.task.true_hole.pose.actInv(X_WO)
 
 
-def _written(folder: str, name: str, text: str) -> Path:
+def _write_file(folder: str, name: str, text: str) -> Path:
     """Path of a new file with a text."""
     path = Path(folder) / name
     path.write_text(text)

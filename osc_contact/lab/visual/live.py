@@ -74,7 +74,11 @@ class Viewer:
     """
 
     def __init__(self, about: object, rate: float = 30.0) -> None:
-        """Start the process that serves the page, and hand it the scene.
+        """Start the process that serves the page, and send it the scene.
+
+        Args:
+            about: description of the scene, which is pickled.
+            rate: pictures per second, 1 to 60.
 
         Raises:
             InvalidInputError: the rate is not 1 to 60 pictures per second.
@@ -89,10 +93,11 @@ class Viewer:
         self._due = 0.0
         self._stalled_since = float("inf")
         self.stalled = False
-        self._link, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        # the scene is sent through the process's standard input, ticks later through the link
+        self._link, far_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with tempfile.TemporaryFile() as complaints:
-            with other:  # closed here, so that the end of the process closes the link
-                self._process = _started(other, complaints)
+            with far_end:  # closed here, so that the end of the process closes the link
+                self._process = _start_viewer(far_end, complaints)
             try:
                 with self._process.stdin as scene:  # type: ignore[union-attr]
                     pickle.dump(about, scene)
@@ -130,7 +135,7 @@ class Viewer:
         try:
             sample = {name: np.array(tick[name], dtype=float) for name in CHANNELS if name in tick}
             self._link.send(pickle.dumps(sample))
-            self._taken()
+            self._note_taken_tick()
         except BlockingIOError:
             self._wait(time_s)
         except OSError:
@@ -140,7 +145,7 @@ class Viewer:
         except (TypeError, ValueError) as error:
             self._fail(f"a tick does not hold numbers: {error!r}")
 
-    def _taken(self) -> None:
+    def _note_taken_tick(self) -> None:
         """Note that the other process has taken a tick."""
         self._stalled_since = float("inf")
         if self.stalled:
@@ -202,7 +207,7 @@ class Viewer:
         self.close()
 
 
-def _started(link: socket.socket, complaints: Any) -> subprocess.Popen[bytes]:
+def _start_viewer(link: socket.socket, complaints: Any) -> subprocess.Popen[bytes]:
     """Start the viewer's process, which does not get the Ctrl-C of this terminal.
 
     Args:

@@ -58,7 +58,14 @@ def style() -> AbstractContextManager[None]:
 
 
 def panels(count: int, height: float) -> tuple[Figure, Sequence[Axes]]:
-    """Panels below one another with one time axis (s); Agg canvas, no global state."""
+    """Make panels below one another with a common time axis (s).
+
+    The figure has an Agg canvas and no global state of pyplot, so that threads may draw.
+
+    Args:
+        count: number of panels.
+        height: height of a panel (inch).
+    """
     figure = Figure(figsize=(8.0, height * count + 0.4))
     axes = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     for ax in axes:
@@ -160,7 +167,7 @@ def contact_forces(recording: Recording, judged: Judged | None = None) -> Figure
         desired, measured, true = (
             recording[key] for key in ("alpha_cmd", "alpha_meas", "alpha_true")
         )
-        counted = _counted(true.shape, judged)
+        counted = _counting_mask(true.shape, judged)
         for i, (name, ax) in enumerate(zip(names, axes, strict=False)):
             ax.plot(t, desired[:, i], color="#B4BAC2", lw=5.0, label="desired")
             ax.plot(t, true[:, i], color=contact_colour(i), lw=1.8, label="true")
@@ -188,7 +195,7 @@ def draw_errors(
     """
     t = recording["t"]
     error = recording["alpha_true"] - recording["alpha_cmd"]
-    counted = _counted(error.shape, judged)
+    counted = _counting_mask(error.shape, judged)
     for i, name in enumerate(recording.magnitude_names):
         counted_error = error[counted[:, i], i]
         sizes = f"rms {_si(_rms(counted_error))}N, peak {_si(_peak(counted_error))}N"
@@ -214,7 +221,7 @@ def power(recording: Recording, judged: Judged | None = None) -> Figure:
     t = recording["t"]
     total = recording["power_total"]
     projected = recording["power_projected"]
-    counted = _counted(total.shape, judged)
+    counted = _counting_mask(total.shape, judged)
     of_total, of_projected = (f"rms {_si(_rms(x[counted]))}W" for x in (total, projected))
     total_limits = _limits(np.concatenate([total, projected]))
     contents = (
@@ -258,7 +265,7 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
     t = recording["t"]
     error = 1e3 * recording["motion_error"]
     position = 1e3 * recording["pose"][:, :3]
-    counted = _counted(t.shape, t >= judged_from - 1e-9)
+    counted = _counting_mask(t.shape, t >= judged_from - 1e-9)
     contents = [(position - position[0], "object position, from its start", "position (mm)", "")]
     for part, quantity, kind, unit, about in (
         (error[:, 3:], "rotation", "angular", "mrad", "about "),
@@ -310,8 +317,13 @@ def torques(recording: Recording) -> Figure:
     return figure
 
 
-def _counted(shape: tuple[int, ...], judged: Judged | None) -> Judged:
-    """The values that count: those judged; all of them if none is."""
+def _counting_mask(shape: tuple[int, ...], judged: Judged | None) -> Judged:
+    """Mask of the values that count for the scale of a plot: those judged, or all if none is.
+
+    Args:
+        shape: shape of the mask, (k,) or (k, columns), k ticks.
+        judged: True where a value is judged, of a shape that broadcasts to `shape`; None: unknown.
+    """
     mask = np.ones(shape, dtype=bool)
     return mask if judged is None or not judged.any() else judged & mask
 

@@ -37,9 +37,15 @@ class Scene:
     """
 
     def __init__(self, content: Content, first: Samples) -> None:
-        """Make the parts of the scene: arms, bodies, forces, axes of twists, trails and plots."""
-        located = {"contact_point", "contact_direction", "pose"} <= first.keys()
-        contacts = content.contacts if located else ()
+        """Make the parts of the scene: arms, bodies, forces, axes of twists, trails and plots.
+
+        Args:
+            content: description of the arms, bodies and contacts.
+            first: channels of the first tick by name, which determine what is drawn.
+        """
+        # forces are drawn only if the recording has the points at which they act
+        has_points = {"contact_point", "contact_direction", "pose"} <= first.keys()
+        contacts = content.contacts if has_points else ()
         self.owners = list(content.columns or range(len(contacts))) if contacts else []
         first = self._with_normals(first)
         names = column_names(contacts, self.owners)

@@ -35,7 +35,11 @@ def on_y(y: float) -> pin.SE3:
 
 
 def along(point: ArrayLike, direction: ArrayLike) -> pin.SE3:
-    """Pose whose origin is the point (m) and whose y-axis is the direction (any length > 0).
+    """Pose of a shape whose y-axis is its axis, such as a cylinder of meshcat.
+
+    Args:
+        point: (3,) origin of the pose (m).
+        direction: (3,) direction of its y-axis, of any length > 0.
 
     Raises:
         InvalidInputError: the direction is zero or not finite.
@@ -145,6 +149,10 @@ def urdf_geometry(node: Visualizer, shape: pin.GeometryObject) -> None:
 
     The node's transform becomes the shape's placement in its parent joint.
 
+    Args:
+        node: node of the viewer's tree, for this geometry alone.
+        shape: geometry with its colour and placement.
+
     Raises:
         InvalidInputError: a kind of geometry that cannot be drawn.
     """
@@ -160,6 +168,7 @@ def urdf_geometry(node: Visualizer, shape: pin.GeometryObject) -> None:
     elif isinstance(form, coal.Sphere):
         body.set_object(mc.Sphere(form.radius), paint)
     elif isinstance(form, coal.Cylinder | coal.Capsule):
+        # meshcat's cylinders have their axis along y, coal's along z; a capsule has two balls, too
         side = body if isinstance(form, coal.Cylinder) else body["side"]
         side.set_object(mc.Cylinder(2.0 * form.halfLength, form.radius), paint)
         side.set_transform(_Y_TO_Z.homogeneous)
@@ -209,9 +218,17 @@ def vertex_colours(
 
 
 def triangle_colours(file: str | Path, count: int) -> Array | None:
-    """Colours (count, 3) in 0..1 of the triangles of a COLLADA file; None without colours.
+    """Colours of the triangles of a COLLADA file.
 
     White is drawn at 0.88 and black at 0.14: their shapes are seen by light and shade.
+
+    Args:
+        file: path of the file; other formats have no colours.
+        count: number of triangles of the mesh that was loaded from it.
+
+    Returns:
+        (count, 3) red, green and blue in 0 … 1; None if the file has no colours, or its
+        number of triangles differs from `count` by more than degenerate triangles explain.
     """
     if Path(file).suffix.lower() != ".dae":
         return None
@@ -222,6 +239,7 @@ def triangle_colours(file: str | Path, count: int) -> Array | None:
     colours = np.repeat(shades, counts, axis=0)
     if not len(colours) or abs(len(colours) - count) > LOST_SHARE * len(colours):
         return None
+    # degenerate triangles are not loaded: the remaining ones take the colours at equal shares
     places = np.linspace(0, len(colours) - 1, count).round().astype(int)
     return 0.14 + 0.74 * np.clip(colours[places], 0.0, 1.0)
 
