@@ -45,6 +45,8 @@ class _Facts(dict[str, Any]):
         """
         rows = self.rows
         chain = self.settings.chain
+        # index of the joint, arm, contact or column that is the cause, and of the column in
+        # question
         i = int(rows.memory.culprit)
         where = int(rows.work.where)
         match name:
@@ -62,6 +64,7 @@ class _Facts(dict[str, Any]):
                 return self._contact(i)
             case "force":
                 return float(rows.memory.columns.alpha[i])
+            # `hopping` counts from 1; 0 means that no contact hops
             case "hopping":
                 return self._contact(int(rows.memory.hopping) - 1)
             case "hop_percent":

@@ -148,11 +148,13 @@ def judge_load(
         expected: (6,) load by the model, at O in world axes (N, N m).
         stepped: True if the robot was commanded before, so that exact zeros are readings.
     """
+    # the limit of the force at the lever of the load is that of the torque
     levers = (norm(link.inertia.lever) for links in chain.outboard for link in links)
     lever = max([LEVER, *levers])
     force, torque = map(norm, np.split(error, 2))
     if force <= limit and torque <= limit * lever:
         return ""
+    # likely causes, each recognised by the reading that it would give: reading = error + expected
     weight = norm(expected[:3])
     if not stepped and norm(error + expected) < NOTHING * weight:
         cause = (

@@ -419,6 +419,7 @@ def _relations(name: str) -> list[str]:
     ]
     lines += ["    (void)model;"]
     for table, relations in RELATIONS[name].items():
+        # relations of the record's own fields, which need no loop
         if not table:
             lines += [f"    if (!({_in_c(text, name, '')})) return 0;" for text in relations]
             continue
@@ -428,6 +429,7 @@ def _relations(name: str) -> list[str]:
             "    {",
             f"        const unsigned char *own = record_table(head, {kind.start(table)});",
         ]
+        # relations of a table are checked in every row; those of motors count the motors so far
         lines += [f"        int64_t row = 0, rows = {rows}, motors_before = 0;"]
         lines += [f"        for (; row < rows; row++, own += {dtype.itemsize}) {{"]
         lines += [f"            if (!({_in_c(text, name, table)})) return 0;" for text in relations]
@@ -435,6 +437,7 @@ def _relations(name: str) -> list[str]:
             fields: Any = dtype.fields
             lines += [f"            motors_before += whole(own, {fields['motor'][1]}) >= 0;"]
         lines += ["        }", "        (void)motors_before;"]
+        # after the loop `row` and `motors_before` are totals, which ENDS compares with the head
         ends = ENDS.get(name, {}).get(table, ())
         lines += [f"        if (!({_in_c(text, name, table)})) return 0;" for text in ends]
         lines += ["    }"]

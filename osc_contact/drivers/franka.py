@@ -120,6 +120,7 @@ class FrankaRobot:
             raise InvalidInputError(
                 f"the wrist sensor '{sensor.name}' of a Franka sits beyond its last joint"
             )
+        # inertia of all that the wrist sensor carries: links beyond it, and the held object
         hangs = pin.Inertia.Zero()
         for link in chain.outboard[0]:
             hangs = hangs + link.inertia
@@ -134,6 +135,7 @@ class FrankaRobot:
         self._at = pin.SE3.Identity()
         self._speed = SPEED_SHARE * np.array(model.upperVelocityLimit)
         self._tau_max = np.array(chain.tau_max)
+        # the braking torque rises from 0 at `_speed` to the motor's limit at the speed limit
         self._brake = self._tau_max / (np.array(model.upperVelocityLimit) - self._speed)
         self._base = chain.arms[0].base
         self._turn = pin.SE3(self._base.rotation, np.zeros(3))
@@ -207,6 +209,7 @@ class FrankaRobot:
         Raises:
             PlantError: the robot ended the motion, or does not answer.
         """
+        # before the first command the state is read without control; then each read ends a period
         with self._reporting("ended the motion"):
             if self._control is None:
                 state = self._robot.read_once()
@@ -221,6 +224,8 @@ class FrankaRobot:
         self._v = np.array(state.dq)
         self._place(self._q)
         reading = self._estimate(state) if self._wrench is None else self._wrench()
+        # without a valid reading the controller continues with the previous wrench; zeros are not
+        # used
         is_valid = reading is not None and bool(np.isfinite(reading).all())
         t = state.time.to_sec()
         return Measurement(

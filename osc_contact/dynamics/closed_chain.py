@@ -121,6 +121,7 @@ class ClosedChain:
         self.arms = _arms_of(arms)
         self.grasps = _grasps_of(grasps, len(self.arms))
         self.payload = _payload_of(payload)
+        # the leading arm determines the object's pose from its joints, so its grasp must be rigid
         rigid = [i for i, grasp in enumerate(self.grasps) if grasp.is_rigid]
         self.leader = rigid[0] if rigid else None
         if self.payload is None:
@@ -131,6 +132,7 @@ class ClosedChain:
         self.allow_unactuated = allow_unactuated
         self.model = merge(self.arms)
         self.data = self.model.createData()
+        # joints of each arm are adjacent in q; those without a motor are not in tau
         ends = np.cumsum([0, *(arm.model.nv for arm in self.arms)]).tolist()
         self.slices = tuple(map(slice, ends, ends[1:]))
         passive = [f"{arm.name}/{joint}" for arm in self.arms for joint in arm.passive_joints]
@@ -140,6 +142,7 @@ class ClosedChain:
         self.arm_mass = max(map(_mass_with_rotors, self.arms))
         self.tips = [robots.frame_id(self.model, f"{arm.name}/{arm.tip}") for arm in self.arms]
         self.sensors = [_sensor_frame(self.model, arm) for arm in self.arms]
+        # links beyond each wrist sensor, whose weight and inertia forces the sensor measures, too
         self.outboard = [
             [] if sensor is None else outboard_links(self.model, sensor, tip)
             for sensor, tip in zip(self.sensors, self.tips, strict=True)

@@ -89,6 +89,7 @@ class LearnedFriction:
                 f"{path} holds no learned friction ({type(error).__name__}: {error}); give a file "
                 "that LearnedFriction.save has written"
             ) from error
+        # one finite number for each joint; friction and damping cannot be negative
         columns = (learned.friction, learned.damping, learned.missing_inertia)
         sound = all(len(column) == len(learned.joints) for column in columns)
         sound = sound and bool(np.isfinite(columns).all())

@@ -118,6 +118,7 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         super().__init__(cfg=cfg, env=env)
         chain = cfg.controller.chain
         joints = cfg.joints or tuple(name.split("/")[-1] for name in chain.joint_names)
+        # the simulator's numbers of the joints, in the chain's order, and of those with a motor
         ids, _ = self._entity.find_joints(joints, preserve_order=True)
         self._joints = torch.tensor(ids, device=self.device)
         self._motors = self._joints[torch.tensor(chain.actuated, device=self.device)]
@@ -125,6 +126,7 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
             (f"{cfg.entity_name}/{arm.name}/force", f"{cfg.entity_name}/{arm.name}/torque")
             for arm in chain.arms
         )
+        # steps of physics in a control period, and control periods in an action: whole numbers
         ticks_per_step = cfg.controller.dt / env.physics_dt
         of_action = env.step_dt / cfg.controller.dt
         self._every = round(ticks_per_step)
@@ -140,6 +142,7 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         self.batch = BatchController([cfg.controller] * self.num_envs, cfg.threads)
         self._r = self.batch.alpha_meas.shape[1]
         require_below_ceilings(cfg.controller.settings.safety, cfg.most_force, self._r)
+        # last actions, targets and forces of all environments; `_fresh` marks those to be reset
         self._raw = torch.zeros(self.num_envs, 6 + self._r, device=self.device)
         self._target = np.tile(np.eye(4), (self.num_envs, 1, 1))
         self._forces = np.zeros((self.num_envs, self._r))

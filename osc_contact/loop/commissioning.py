@@ -142,6 +142,7 @@ class Commissioning:
         measurements = [self._read() for _ in range(round(READ_S / self.dt))]
         data = self._model.createData()
         q = measurements[-1].q
+        # mass matrix, if the robot's own model can be asked for it
         mass_matrix: Callable[[], Array] | None = getattr(self.robot, "mass_matrix", None)
         if mass_matrix is None:
             yield "mass matrices are not compared: the robot has no mass_matrix()"
@@ -155,6 +156,7 @@ class Commissioning:
                     "the largest element; is this the model of the robot, with its hand?"
                 )
             yield f"mass matrices differ by {100 * difference:.2g} %"
+        # torques at rest: the mean of all readings is compared with the weight
         readings = [m.joint_torques for m in measurements if m.joint_torques is not None]
         if not readings:
             yield "torques at rest are not compared: the robot measures none"
@@ -170,6 +172,7 @@ class Commissioning:
                     "or payload"
                 )
             yield f"torques at rest differ by {100 * shares.max():.2g} % of the limits"
+        # bias and noise of the wrist while nothing touches
         wrenches = np.array([m.wrenches[0] for m in measurements])
         mean = wrenches.mean(axis=0).round(2).tolist()
         noise = wrenches.std(axis=0).round(3).tolist()

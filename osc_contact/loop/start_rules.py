@@ -69,6 +69,7 @@ def checked(
                 f"references is {brief(sequence)}; give one for each tick, such as a list of "
                 "osc.Reference, or itertools.repeat(reference, ticks)"
             ) from error
+        # the first reference is taken from the iterator, checked, and put back before the others
         sequence = list(islice(iterator, 1))
         references = joined(sequence, iterator)
         _logger.info(

@@ -322,6 +322,7 @@ class _Check(HeldRobot):
             self.settle(2 * PULSE)
             if np.abs(changes).max() > MOVED:
                 break
+        # the other joints were to stay at rest, and this one to move as the model predicts
         fastest = np.abs(changes).argmax()
         predicted = torque / inertia * PULSE * self.dt
         if np.abs(changes).max() <= MOVED:

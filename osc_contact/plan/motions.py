@@ -399,6 +399,7 @@ def rock(
     amplitude = _positive("rock: angle", angle)
     frequency_Hz = _positive("rock: frequency", frequency)
     n_cycles = _positive("rock: cycles", cycles)
+    # largest acceleration of the sine, which the plan's change of twist must be able to follow
     required = amplitude * (2.0 * pi * frequency_Hz) ** 2
     if required > CHANGES * ANGULAR_ACCELERATION:
         raise InvalidInputError(

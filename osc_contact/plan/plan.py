@@ -243,6 +243,7 @@ class Plan:
                 f"the controller is stopped: {self.reason}; remove the cause and call "
                 "controller.reset() before plan.resume()"
             )
+        # the last of the stages that were entered and may begin again
         entered = {verdict.name for verdict in self.verdicts}
         candidates = [
             k for k, stage in enumerate(self.stages) if stage.reentry and stage.name in entered
@@ -341,9 +342,12 @@ class Plan:
         self._ticks += 1
         if self._controller.records.memory.ticked:
             self._squares += self._senses.force_error(self._alpha_d)
+        # the tare is the mean of the residual wrenches after motion of the stage's start has
+        # decayed
         if stage.tare and now.t > SETTLED:
             self._residual += self._controller.residual_wrench()
             self._weighed += 1
+        # exactly one of: failure by a large force, by `unless`, by the time; or the stage's end
         most = min(stage.largest, self.largest)
         until = stage.until
         assert isinstance(until, End)

@@ -355,6 +355,7 @@ class Recording:
                     "bool, int or float with the tick as first axis"
                 )
             self.channels[name] = array
+        # all channels have the same ticks
         lengths = {name: len(array) for name, array in self.channels.data.items()}
         if len(set(lengths.values())) > 1:
             raise RecordingError(f"channels differ in their number of ticks: {lengths}")

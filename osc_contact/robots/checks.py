@@ -134,6 +134,7 @@ def _check_limits_of(joint: Joint) -> None:
     limits = joint.limits
     required = ("effort", "velocity") if joint.kind == "continuous" else LIMITS
     missing = [key for key in required if key not in limits]
+    # no <limit> at all is one finding; otherwise each missing attribute is one
     if element is joint.element and len(missing) == len(required):
         keys = " ".join(f'{key}="…"' for key in required)
         element.note("limit", "has no <limit>", f"add <limit {keys}/>{by_hand}")
@@ -141,6 +142,7 @@ def _check_limits_of(joint: Joint) -> None:
     for key in missing:
         reason = f"{key} is missing: a reader would take 0"
         element.note("limit", reason, f'write {key}="…"{by_hand}')
+    # efforts and speeds must be positive, and positions a range
     units = ("N", "m/s") if joint.kind == "prismatic" else ("N m", "rad/s")
     for key, unit in zip(("effort", "velocity"), units, strict=True):
         if key in limits and not limits[key] > 0:
@@ -210,9 +212,11 @@ def check_inertias(document: Document, inertias: Inertias) -> None:
             body.element.part("mass").note("inertia", reason, "weigh the link", "value")
     if inertias == "positive":
         return
+    # principal moments of all bodies at once; `slack` is the rounding error of those of a body
     tensors = [[body.moments[key] for key in _TENSOR] for body in bodies]
     for body, moments, slack in zip(bodies, *_principal(tensors), strict=True):
         listed = f"principal moments {_moments_text(moments)} kg m²"
+        # of a real body no moment exceeds the sum of the other two; moments are in ascending order
         excess = moments[2] - moments[0] - moments[1]
         if body.mass < 0:
             continue

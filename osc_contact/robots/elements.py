@@ -338,6 +338,7 @@ class _Reader:
             tag: name of the element.
             attributes: texts of its attributes by name.
         """
+        # limits that protect the memory from files made to exhaust it
         self.elements += 1
         if len(self.open) >= MAX_DEPTH:
             self.stop(
@@ -351,6 +352,7 @@ class _Reader:
                 self.stop(
                     f"more than {MAX_LINKS} {tag}s", "split the robot or drop what does not move"
                 )
+        # macros and includes would have to be expanded by another program
         prefix, colon, name = tag.partition(":")
         if colon and (prefix == "xacro" or name == "include"):
             cure = "expand macros and includes first (xacro in.xacro > out.urdf)"

@@ -77,6 +77,7 @@ def _text(document: Document) -> str:
             add(body, "mass", value=link.inertial.mass)
             add(body, "inertia", **link.inertial.moments)
     for joint in document.joints.values():
+        # a continuous joint gets a revolute one without range, so that it has one coordinate in q
         kind = "revolute" if joint.kind == "continuous" else joint.kind
         node = add(robot, "joint", name=joint.name, type=kind)
         add(node, "parent", link=joint.parent)

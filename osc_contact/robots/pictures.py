@@ -214,6 +214,7 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
         else:
             joint_model = pin.JointModelRevoluteUnaligned(axis)
         model.addJoint(int(joint["parent"]), joint_model, _pose(joint["place"]), str(joint["name"]))
+    # shapes of the joints' bodies; joint 0 is the world
     for i, shape in enumerate(picture["shapes"]):
         joint = int(shape["joint"])
         if not 0 <= joint < model.njoints:

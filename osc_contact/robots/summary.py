@@ -307,6 +307,7 @@ def _joints(model: pin.Model, losses: Sequence[JointLosses]) -> tuple[JointSumma
         losses: losses of its joints, see `joint_losses`.
     """
     data = model.createData()
+    # composite inertias: element j + 1 of Ycrb has the mass of all links that joint j moves
     pin.crba(model, data, pin.neutral(model))
     lower, upper = position_limits(model)
     summaries = []

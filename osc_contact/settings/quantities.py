@@ -230,6 +230,7 @@ def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:
     kind = item["type"]
     context = item.get("ctx", {})
     got = f"got {reprlib.repr(item['input'])}"
+    # keys that are missing or unknown
     if kind in ("missing", "extra_forbidden"):
         key = item["loc"][-1]
         if kind == "extra_forbidden":
@@ -238,6 +239,7 @@ def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:
             return f"the list is too short: its item {key} is missing"
         hint = meaning(owner, key) if owner else None
         return f"the key {key!r} is missing" + (f": {hint}" if hint else "")
+    # values of a wrong kind, sign, choice or length
     if kind in _SHAPES:
         return f"expected {_SHAPES[kind]}; {got}"
     if kind in _SIGNS:
@@ -253,6 +255,7 @@ def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:
         unit = "characters" if kind.startswith("string") else "items"
         bound = f"least {minimum}" if maximum is None else f"most {maximum}"
         return f"expected at {bound} {unit}; {got}"
+    # errors of this package's own checks have their sentence already
     return item["msg"]
 
 

@@ -55,6 +55,7 @@ _logger = logging.getLogger("osc_contact.preflight")
 def task_of_rig(rig: Rig) -> Task:
     """Make the task of a scenario: references, and the true chain and contacts of its plant."""
     scenario = rig.scenario
+    # desired poses, twists and forces at some instants, without running the references
     times, plan = rig.references.overview
     tare = scenario.tare
     return Task(

@@ -78,6 +78,7 @@ class DrakePlant:
             raise PlantError(f"Drake refuses the scene: {error}") from error
         self._step = options.step
         plant = self.scene.plant
+        # indices of the chain's joints in Drake's state vectors
         self._q = np.array([joint.position_start() for joint in self.scene.joints])
         self._v = np.array([joint.velocity_start() for joint in self.scene.joints])
         self._torques = plant.get_actuation_input_port()

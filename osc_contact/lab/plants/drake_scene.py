@@ -428,11 +428,13 @@ def _set_material(
                     f"{inspector.GetName(shape_id)}: a contact of several forces needs a box on "
                     "the object in the drake plant; use plant.type mujoco"
                 )
+            # E = k h/A: h is half the smallest side, A the area of the two others
             thickness, *sides = sorted(shape.size())
             modulus = spec.area_stiffness * 0.5 * thickness / (sides[0] * sides[1])
             AddCompliantHydroelasticProperties(_RESOLUTION, modulus, properties)
         elif is_soft:
             AddRigidHydroelasticProperties(_RESOLUTION, properties)
+        # twice the stiffness, since the two shapes of a contact are springs in series
         AddContactMaterial(
             dissipation=spec.dissipation,
             point_stiffness=2.0 * spec.stiffness,

@@ -43,6 +43,7 @@ def verdict_table(verdict: Json) -> Table:
             f"{_percent(force['sensing_rms_rel'])}; closed "
             f"{100 * verdict['contact_fraction'][_owner(name)]:.2f} %",
         )
+    # landings, and overshoots of the answers to steps of the force
     for contact, first in verdict["first_contact_s"].items():
         words = "never" if first is None else _closing_line(first, contact, verdict["steps"])
         table.add_row(f"first contact {contact}", words)
@@ -62,10 +63,12 @@ def verdict_table(verdict: Json) -> Table:
             f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W"
             + _share(power["ratio"]),
         )
+    # friction of the joints, as modelled and as learned
     for arm, words in losses_by_arm(verdict["joint_losses"]):
         table.add_row(f"joints {arm}, in the model", words)
     for arm, words in losses_by_arm(verdict["learned_friction"]):
         table.add_row(f"joints {arm}, learned", words)
+    # estimated normals: remaining errors, and by how much these change the forces
     for name, std in verdict["normals"].items():
         if std is not None:
             table.add_row(f"normal of {name}", f"known to {np.rad2deg(std):.2g} deg")
@@ -217,6 +220,7 @@ def robot_tables(robot: RobotSummary) -> Iterator[Table]:
         )
     if robot.joints:
         yield joints
+    # apparent inertias and mobilities, smallest and largest value over random postures
     tips = Table(
         "tip",
         "joints",

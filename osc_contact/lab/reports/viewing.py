@@ -114,6 +114,7 @@ def require_drawable(recording: Recording, content: Content, source: str) -> Non
         RecordingError: other contacts, channels of other shapes, times that do not increase, or
             numbers too large to be drawn. NaN is permitted for values of held ticks.
     """
+    # the recording must be of the same contacts and forces
     names = list(content.contacts)
     owners = list(content.columns)
     for key, of_rig in (("contact_names", names), ("columns", owners)):
@@ -122,6 +123,7 @@ def require_drawable(recording: Recording, content: Content, source: str) -> Non
                 f"{source}: its {key} are {recording.meta[key]!r}; runs of {content.title} "
                 f"have {of_rig!r}"
             )
+    # shapes and sizes of the channels; at most DRAWN ticks are looked at
     sizes = {"joints": content.joints, "contacts": len(names), "forces": len(owners)}
     recording = recording.thinned(DRAWN)
     for name, sides in CHANNELS.items():
@@ -136,6 +138,7 @@ def require_drawable(recording: Recording, content: Content, source: str) -> Non
             )
         if np.abs(values).max(initial=0.0, where=~np.isnan(values)) > _LARGEST:
             raise RecordingError(f"{source}: channel {name!r} holds numbers above {_LARGEST:g}")
+    # the slider of the page needs increasing times
     t = np.asarray(recording["t"], dtype=float)
     if not (np.isfinite(t).all() and (np.diff(t) > 0.0).all()):
         raise RecordingError(f"{source}: channel 't' does not grow from tick to tick")

@@ -181,6 +181,7 @@ def write_web_page(
     rig = build_rig(scenario)
     require_ready(rig)
     controller = rig.controller()
+    # the page steps a plant with coarser steps, but controls with the scenario's own controller
     plant = _rough(scenario).plant()
     assert isinstance(plant, MujocoPlant) and plant.spec is not None
     selection = None if select is None else select(rig)
@@ -415,6 +416,7 @@ class _Drawn:
             run(rig.scenario, duration=2.0 / rig.scenario.control.rate).channels, slice(1)
         )
         self._forces = _forces(rig)
+        # true forces are known only if a wall of the plant measures them
         unknown = () if any(force["wall"] >= 0 for force in self._forces) else ("alpha_true",)
         channels = {
             name: value for name, value in first.items() if name not in (*_POWERS, *unknown)
@@ -425,6 +427,7 @@ class _Drawn:
         self._scene.draw(top)
         self._frames = self._scene.states(channels)
         changes(top, {}, self._frames)
+        # axes of twists are drawn, but hidden until the user shows them
         for path in self._frames:
             if path.startswith("twists/") and path.count("/") == 1:
                 top[path].set_property("visible", False)
@@ -505,6 +508,7 @@ class _Drawn:
             "alpha_true": "true",
             "alpha_meas": "measured",
         }
+        # data of the page's script
         self._add_errors()
         plan = rig.references.overview[1]
         task = {
@@ -534,6 +538,7 @@ class _Drawn:
             cameras=self._cameras,
             task=task,
         )
+        # marks that only recordings have are not in the page's legend and labels
         for part, key in (("legend", "paths"), ("labels", "path")):
             config[part] = [entry for entry in config[part] if not _is_of_recordings(entry[key])]
         words = "Plant and law run in this browser. The law does not know of what you do to a wall."

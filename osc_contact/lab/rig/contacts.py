@@ -211,6 +211,7 @@ def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:
         if isinstance(spec, OnFaceSpec):
             X_WB = pin.SE3(triad(np.array(spec.face.normal)), np.array(spec.face.point))
             add(f"face_{spec.name}", spec.face, X_WB, [i])
+    # bodies that several contacts may touch, named in the contacts' key `body`
     for body in scenario.environment:
         contacts = [
             i

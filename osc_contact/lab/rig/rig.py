@@ -594,6 +594,7 @@ def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> Clos
         )
         for spec in scenario.arms
     ]
+    # rotor inertias by both of Pinocchio's fields are scaled
     for arm in arms:
         arm.model.armature = error.armature * arm.model.armature
         arm.model.rotorInertia = error.armature * arm.model.rotorInertia
@@ -688,6 +689,7 @@ def landings(rig: Rig) -> list[Landing]:
     commands = rig.references.overview[1].commands
     columns = zip(rig.force_names, rig.owners, directions, (contact.N @ contact.R).T, strict=True)
     expected = []
+    # mass (kg) of object and arms along the force, and stiffness of the plant's contact for it
     for (name, owner, direction, N), desired in zip(columns, commands.T, strict=True):
         if not pushes_only(rig.pairs[owner]):
             continue
@@ -696,6 +698,7 @@ def landings(rig: Rig) -> list[Landing]:
         omega = sqrt(stiffness / mass)
         impedance = mass * omega
         motion = rig.bodies[rig.on[owner]].motion
+        # of a body on a spring rail only the component of its motion along the force counts
         if isinstance(motion, CartSpec) and (share := (direction @ motion.direction) ** 2):
             impedance = omega / (1.0 / mass + share / motion.mass)
             if motion.stiffness > 0.0:

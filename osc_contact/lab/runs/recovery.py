@@ -48,6 +48,7 @@ def recover(path: StrPath, folder: StrPath | None = None) -> Recording:
         arms=len(scenario.arms),
         phased=life_of(scenario) is not None,
     )
+    # the true forces are computed from the plant's rows, by its registered reader or a new plant
     kind = scenario.plant.type
     if kind in TRUTHS:
         truths = TRUTHS[kind](scenario, pairs)

@@ -82,6 +82,7 @@ def run(
         scenario = scenario.replaced(plant={**dict(scenario.plant), "type": plant})
     rig = build(scenario)
     doubts = check(rig)
+    # the recorder writes rows to the journal during the run, and reads them again at its end
     simulated, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(

@@ -83,6 +83,7 @@ class Tape:
         squeeze = np.ravel(reference.squeeze_d)
         has_squeeze = squeeze.any() and model.n_bars > 0
         is_wrench_missing = measurement.wrench_valid is not None and not measurement.wrench_valid
+        # flags of the tick: which optional inputs follow
         is_set = {
             MEMORY: memory is not None,
             TOUCHED: measurement.touched is not None,
@@ -93,6 +94,7 @@ class Tape:
         }
         flags = sum(flag for flag, condition in is_set.items() if condition)
         flags += controller.freshness.flags << REPEATED
+        # inputs as the compiled law receives them, missing ones left out
         forces = np.zeros(model.n_columns)
         alpha = np.ravel(reference.alpha_d)
         forces[: len(alpha)] = alpha

@@ -371,6 +371,7 @@ def _numbers(recording: Recording, sums: _Sums) -> Json:
     """
     meta = recording.meta
     contacts = meta["contact_names"]
+    # sums that are needed in two places
     position, orientation = sums.away.rms()
     (total,) = sums.total.rms()
     (projected,) = sums.projected.rms()
@@ -452,6 +453,7 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
         sums.sensing.rms(),
         sums.cycles,
     )
+    # `cycle` is None without a limit cycle, and then all of its entries are None
     for name, mean, rms, peak, largest_second, peak_ratio, sensing, cycle in zip(
         names, *columns, strict=True
     ):
@@ -483,6 +485,7 @@ def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[J
     meta = recording.meta
     landed = sums.ticks.landed
     plan = meta.get("plan", {})
+    # of the run as a whole
     distance, angle = sums.away.peak()
     run = {
         **verdict["status"],

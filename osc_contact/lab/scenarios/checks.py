@@ -30,6 +30,7 @@ def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
     contact_names = names["contacts"]
     bodies = names["environment"]
     contacts = data.get("contacts", ())
+    # keys of mappings must be names of arms and contacts, with entries of the right number
     if arms is not None:
         example = "{xyz: [0, 0, 0], rpy: [0, 0, 0]}"
         yield from _entries("grasps", "arm", data.get("grasps"), dict.fromkeys(arms, 1), example)
@@ -43,6 +44,7 @@ def problems_across(data: Mapping[str, Any]) -> Iterator[Problem]:
             if name not in contact_names:
                 hint = did_you_mean(name, contact_names)
                 yield ("active", name), f"no contact has this name; {hint}"
+    # bodies that contacts name must exist, and all bodies must be named
     if bodies is not None and isinstance(contacts, list | tuple):
         touched = [_value(contact, "body") for contact in contacts]
         yield from _body_problems(bodies, touched)
@@ -159,6 +161,7 @@ def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]
         control: settings of control.
         plant: settings of the plant.
     """
+    # the period of control, then that of a joint torque loop, in whole steps of the plant
     steps = 1.0 / (control.rate * plant.step)
     if not _is_whole(steps):
         whole_step = 1.0 / (control.rate * max(1, round(steps)))
@@ -190,6 +193,7 @@ def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]
                 f"{plant.step:g} s); both must be whole numbers"
             )
             yield (*key, "rate"), text
+    # an exact plant integrates ideal joints in closed contacts
     if plant.exact:
         for drive in ("flexible_joints", "motors", "joint_friction", "pushes"):
             if getattr(plant, drive):

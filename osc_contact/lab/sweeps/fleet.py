@@ -47,6 +47,7 @@ class Start:
         require_ready(rig)
         plant, controller = start(rig)
         scenario = rig.scenario
+        # MuJoCo advances the plants of a batch without calling Python, so nothing may need it
         obstacles = {
             "plant.type is not mujoco, or sensors have errors": type(plant) is not MujocoPlant,
             "faces move, motors have errors, or arms are pushed": (
@@ -63,6 +64,7 @@ class Start:
                 f"{'; '.join(why)}. Change that with overrides, or run it by itself with osc.run"
             )
         assert isinstance(plant, MujocoPlant)
+        # the whole state of the integrator, to which every episode returns
         kind = mujoco.mjtState.mjSTATE_INTEGRATION
         state = np.zeros(mujoco.mj_stateSize(plant.model, kind))
         mujoco.mj_getState(plant.model, plant.data, state, kind)

@@ -127,6 +127,7 @@ def _draw(table: pyarrow.Table, study: SweepStudy, summary: Json, folder: Path) 
     if not drawn_names:
         return []
     with style():
+        # distribution of each error; a logarithmic axis needs positive values
         spread = Figure(figsize=(8.0, 3.4))
         ax = spread.subplots()
         for name in drawn_names:
@@ -137,6 +138,7 @@ def _draw(table: pyarrow.Table, study: SweepStudy, summary: Json, folder: Path) 
         ax.set(title="Share of runs below an error", xlabel="error", ylabel="share of runs")
         ax.legend()
         pictures = [save(spread, folder / "errors")[0]]
+        # each error over each key that varies, in a grid of panels
         causes = [n for n in study.sample(0).shown if _varies(table, n)][:_SHOWN]
         if causes:
             causes_figure = Figure(figsize=(8.0, 1.9 * len(drawn_names) + 0.4))

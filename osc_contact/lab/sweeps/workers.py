@@ -180,6 +180,7 @@ def _hand_out(
     submitted: dict[Future[list[Row]], Job] = {}
     try:
         while True:
+            # number of jobs that may be submitted now; workers may join or leave at any time
             free = max(0, workers.count() * _AHEAD - len(submitted))
             for job in islice(job_iterator, free):
                 submitted[workers.submit(make, *job)] = job

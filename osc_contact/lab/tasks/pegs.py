@@ -303,6 +303,7 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
                 fails="back",
             )
         ]
+    # the stages in their order: slide into a corner of the mouth, turn upright, press to the bottom
     cornered = {**dict.fromkeys(way.sides, 4.0), "tip on face": 4.0}
     seated = when(lambda now: depth(now) > hole.depth - 4e-3, "at the bottom")
     is_upright = (

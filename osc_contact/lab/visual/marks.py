@@ -138,6 +138,7 @@ class ContactForce(Part):
         from meshcat.geometry import Cylinder, Sphere
 
         node = scene[self.path]
+        # one copy for each state of the contact, of which a tick shows one
         looks = (("closed", self.colour, 1.0), ("lost", LOST, 0.7), ("known", self.colour, FAINT))
         for state, colour, opacity in looks:
             paint = plain(colour, opacity)
@@ -149,6 +150,7 @@ class ContactForce(Part):
                 path = helix(0.0 if self.couple else self.pitch, *WRENCH_HELIX)
                 node[f"{state}/line/pitch"].set_object(tube(path, 0.002), paint)
         for arrow in self.arrows:
+            # the measured force is black and beside the true one; a couple has a second head
             measured = arrow.name == "measured"
             part = node[arrow.name]
             part.set_transform(at([BESIDE if measured else 0.0, 0.0, 0.0]).homogeneous)

@@ -224,6 +224,7 @@ def power(recording: Recording, judged: Judged | None = None) -> Figure:
     counted = _counting_mask(total.shape, judged)
     of_total, of_projected = (f"rms {_si(_rms(x[counted]))}W" for x in (total, projected))
     total_limits = _limits(np.concatenate([total, projected]))
+    # three panels: total power, projected power on the same scale, and enlarged
     contents = (
         (total, rf"total $\vartheta^T f'_{{meas}}$: {of_total}", "blue", total_limits),
         (
@@ -296,6 +297,7 @@ def torques(recording: Recording) -> Figure:
     tau = recording["tau"]
     limits = recording.meta["effort_limits"]
     names = list(limits)
+    # columns of tau of each arm; names are arm/joint
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         groups.setdefault(name.rpartition("/")[0], []).append(i)

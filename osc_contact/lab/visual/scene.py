@@ -108,12 +108,14 @@ class Scene:
         points = np.vstack((contact_points, links))
         bases = np.vstack([nothing, *(arm.base[:3] for arm in self.arms)])
         directions = first.get("contact_direction", nothing)
+        # the floor is at the lowest base, or lower if parts would be in it
         floor = np.min(bases[:, 2], initial=0.0)
         lowest = points[:, 2].min()
         if lowest <= floor - 0.05:
             floor = lowest - 0.1
         pushes = np.nan_to_num(directions.reshape(-1, 3))
         arrows = np.vstack([nothing, *(force.corners(samples) for force in self.forces)])
+        # directions from which arms, forces and faces hide one another least
         front, side = headings(points, bases, pushes, arrows, links)
         if not len(contact_points):
             contact_points = points
@@ -197,11 +199,13 @@ def write_scene(
     if t.size == 0 or fps < 1:
         raise InvalidInputError(f"{t.size} ticks at {fps} frames/s make no picture: both need >= 1")
     length = float(t[-1] - t[0])
+    # key frames at equal intervals, each from the first tick that is not earlier
     fps = float(min(fps, MOST_FRAMES / length)) if length else float(fps)
     times = np.arange(int(length * fps + 1e-9) + 1) / fps
     ticks = np.minimum(np.searchsorted(t - t[0], times - 1e-9), t.size - 1)
     samples = samples_at(recording.channels, ticks)
     picture = Scene(content, samples_at(samples, slice(1)))
+    # the scene's commands are collected in the page instead of being sent to a viewer
     sink = CommandSink()
     scene = sink.visualizer()
     animation = Animation(fps)
@@ -270,6 +274,7 @@ def set_stage(
     """
     from meshcat.geometry import Box, LineBasicMaterial, LineSegments, PointsGeometry
 
+    # the floor lies slightly below its height, so that it does not flicker with faces on it
     ground = scene["floor"]
     ground.set_transform(at([*centre(points)[:2], floor - 0.0025]).homogeneous)
     ground["plane"].set_object(Box([FLOOR_SIDE, FLOOR_SIDE, 0.01]), plain(FLOOR_COLOUR))
@@ -281,6 +286,7 @@ def set_stage(
     ground["grid"].set_object(
         LineSegments(PointsGeometry(ends), LineBasicMaterial(color=rgb(GRID_COLOUR)))
     )
+    # the scene is moved so that the target is the origin; three.js has its y-axis upwards
     target, offset = fitted(points, view, aspect)
     scene.set_transform(at(-target).homogeneous)
     x, y, z = offset.tolist()
@@ -417,6 +423,7 @@ def panels_of(
         for key, colour, name in _POWERS
         if key in samples
     ]
+    # panels in the order of the page; those without recorded channels are left out
     looks = "wide: commanded, solid: true, dashed: measured"
     note = "of the measured wrench, in the motion relative to the faces"
     panels = [
