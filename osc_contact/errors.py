@@ -34,7 +34,11 @@ EXTRAS = {
 
 
 def missing(error: ImportError) -> str:
-    """Command that installs the missing package of an extra; "" for any other package."""
+    """Command that installs the missing package of an extra; "" for any other package.
+
+    Args:
+        error: error of an import.
+    """
     package = (error.name or "").partition(".")[0]
     if package not in EXTRAS:
         return ""

@@ -228,7 +228,11 @@ def pose_error(X_WD: SE3, X_WO: SE3) -> Array:
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:
-    """Block-diagonal matrix of several matrices, which need not be square."""
+    """Block-diagonal matrix of several matrices, which need not be square.
+
+    Args:
+        blocks: matrices of any shapes.
+    """
     corners = np.cumsum([(0, 0), *(block.shape for block in blocks)], axis=0)
     matrix = np.zeros(tuple(corners[-1]))
     for block, (i, j) in zip(blocks, corners, strict=False):

@@ -322,6 +322,7 @@ def require_consistent(
     Raises:
         ContactError: the message names the contacts that disagree.
     """
+    # error of each column, compared with rounding errors: a share of the summands, both per length
     independent = n_gamma[keep]
     violation = np.abs(n_gamma - independent @ R)
     summands = (np.abs(n_gamma) + np.abs(independent) @ np.abs(R)) / size
@@ -330,7 +331,9 @@ def require_consistent(
         _STILL, _CONSISTENT * size[worst_column] * float(summands.max())
     ):
         return
-    share = np.abs(R[:, worst_column]) * size[keep]  # of each independent column in the worst one
+
+    # the worst column disagrees with the contacts of the columns of which it consists
+    share = np.abs(R[:, worst_column]) * size[keep]
     partners = [keep[i] for i in np.flatnonzero(share > 1e-3 * share.max())]
     names = ", ".join(dict.fromkeys(owners[i] for i in sorted([worst_column, *partners])))
     raise ContactError(

@@ -302,6 +302,9 @@ class Controller(ControllerState):
 
         The law runs with wrenches of NaN, so that it ends the tick HELD: repeated torques, or a
         hold or stop by the joint readings, as far as these can be read.
+
+        Args:
+            measurement: readings of the tick, which may be unusable.
         """
         n = self.chain.nq
         q, v = (read_joints(getattr(measurement, name, None), n) for name in "qv")

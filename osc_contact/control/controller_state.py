@@ -271,6 +271,9 @@ class ControllerState:
         """Include the contacts in the law, or not, without a transfer of the integrals.
 
         Without phases all contacts become active with it. `engage` does it without a jump.
+
+        Args:
+            engaged: True: contacts take part in the law.
         """
         self.records.memory.engaged = engaged
         self.idle.begin(waiting=not engaged)
@@ -291,6 +294,9 @@ class ControllerState:
 
         It is stored by column, too, if there are as many values as independent columns; otherwise
         the integrals of the columns are zero.
+
+        Args:
+            value: (k,) integrals of the independent columns, k ≤ 6 (N).
 
         Raises:
             InvalidInputError: more than six values, or a number that is not finite.

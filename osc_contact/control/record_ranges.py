@@ -325,7 +325,11 @@ def _read_sum(text: str) -> Sum:
 
 
 def names_in(text: str) -> set[str]:
-    """Set of the names in a relation."""
+    """Set of the names in a relation.
+
+    Args:
+        text: relation in Python's syntax.
+    """
     words: set[str] = set()
     for sums, _ in read_relation(text):
         for products in sums:

@@ -91,6 +91,9 @@ class StartCheck:
         """Compare the median of the readings with the limit, and set `refused` if it is exceeded.
 
         With a tare nothing is compared, because the tare was measured at another time.
+
+        Args:
+            controller: controller before its first torques.
         """
         if self.readings and not controller.f_tare.any():
             error = np.median(self.readings, axis=0)

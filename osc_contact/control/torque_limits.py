@@ -114,6 +114,9 @@ def _count_idle(chain: ClosedChain) -> int:
 
     A redundant arm has one for each joint more than its grasp transmits forces, and up to
     `NEAR_SINGULAR` more near singular postures.
+
+    Args:
+        chain: chain of arms and object.
     """
     total = 0
     for arm, grasp in zip(chain.arms, chain.grasps, strict=True):

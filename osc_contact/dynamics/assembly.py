@@ -227,6 +227,9 @@ def _row_groups(chain: ClosedChain) -> list[int]:
 
     Rows of forces and of couples of a grasp are two groups; those of a grasp of kind "other", which
     mix both, are one group. See `inverse_rows`.
+
+    Args:
+        chain: chain of arms and object.
     """
     groups = []
     for i, grasp in enumerate(chain.grasps):

@@ -298,6 +298,10 @@ class ClosedChain:
     def law_row(self, led: bool) -> Bytes:
         """Row of the law's MODEL for the chain, see `chain_row`.
 
+        Args:
+            led: True: the leader, if there is one, determines the object's pose; False: the pose
+                is given in MEMORY.
+
         Raises:
             ModelError: arms that the law does not support.
         """
@@ -387,6 +391,9 @@ def _sensor_frame(model: pin.Model, arm: Arm) -> int | None:
 
 def _payload_of(payload: RigidObject | pin.Inertia | None) -> RigidObject | None:
     """Check the held object; an inertia becomes a `RigidObject`, None stays None.
+
+    Args:
+        payload: argument of `ClosedChain`.
 
     Raises:
         InvalidInputError: an object of another class.

@@ -378,7 +378,12 @@ def _normal_mobility(pairs: Sequence[tuple[Array, Environment]]) -> Array:
 
 
 def _move_as_one(a: Environment, b: Environment) -> bool:
-    """True if two environments are one object, or have equal motions and do not yield."""
+    """True if two environments are one object, or have equal motions and do not yield.
+
+    Args:
+        a: first body.
+        b: second body.
+    """
     if a is b:
         return True
     if a.Phi_e.any() or b.Phi_e.any():

@@ -72,6 +72,9 @@ class LearnedFriction:
     def load(cls, path: StrPath) -> Self:
         """Read a file written by `save`.
 
+        Args:
+            path: path of the file.
+
         Raises:
             InvalidInputError: the file does not exist or has no learned friction.
         """

@@ -175,7 +175,11 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         return torch.as_tensor(x, dtype=torch.float32, device=self.device)
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Plan set points and forces of all control periods of an action (B, 6 + r)."""
+        """Plan set points and forces of all control periods of an action (B, 6 + r).
+
+        Args:
+            actions: (environments, 6 + r) actions of the policy.
+        """
         self._raw[:] = actions
         clipped = np.clip(actions.detach().cpu().numpy().astype(float), -1.0, 1.0)
         forces = 0.5 * (clipped[:, 6:] + 1.0) * self.cfg.most_force
@@ -232,7 +236,11 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         self._entity.set_joint_effort_target(self._tensor(tau), joint_ids=self._motors)
 
     def reset(self, env_ids: torch.Tensor | slice | None = None) -> None:
-        """Reset the controllers of some environments; None: of all."""
+        """Reset the controllers of some environments; None: of all.
+
+        Args:
+            env_ids: numbers of the environments that begin again; None: all.
+        """
         rows = env_ids.cpu().numpy() if isinstance(env_ids, torch.Tensor) else env_ids
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[slice(None) if rows is None else rows] = True

@@ -251,7 +251,11 @@ class OscContact(CompositeController):  # type: ignore[misc]
         self.loops = {}
 
     def set_goal(self, all_action: Array) -> None:
-        """Set the goals of all parts from one action of the environment."""
+        """Set the goals of all parts from one action of the environment.
+
+        Args:
+            all_action: action of the whole robot.
+        """
         self._begin()
         for part, controller in self.part_controllers.items():
             action = all_action[slice(*self._action_split_indexes[part])]
@@ -264,7 +268,11 @@ class OscContact(CompositeController):  # type: ignore[misc]
                 controller.set_goal(action)
 
     def run_controller(self, enabled_parts: Mapping[str, bool]) -> dict[str, Array]:
-        """Compute torques of all enabled parts for one physics step (N m)."""
+        """Compute torques of all enabled parts for one physics step (N m).
+
+        Args:
+            enabled_parts: True by the name of each part that is controlled.
+        """
         self._begin()
         self.update_state()
         return {
@@ -323,6 +331,10 @@ class OscContact(CompositeController):  # type: ignore[misc]
 
     def _require_standing_base(self, arm: str, model: MujocoArm) -> None:
         """Refuse an arm on a base or a torso that moves.
+
+        Args:
+            arm: name of the arm's part in robosuite.
+            model: arm read from the MuJoCo model, with all joints between the world and its tip.
 
         Raises:
             InvalidInputError: the message names the joints between the world and the arm.

@@ -39,6 +39,12 @@ def rate(task: Task) -> Values:
     """Products of gains (1/s) and control period (s); a sampled loop diverges from 2 on.
 
     A gain that follows from a frequency or bandwidth is named together with it in the finding.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
     """
     motion = task.gains.motion
     force = task.gains.force
@@ -61,7 +67,14 @@ def rate(task: Task) -> Values:
     ROUNDING,
 )
 def stretched(task: Task) -> Values:
-    """Excess (m) of the object's distance from the base of an arm over the stretched length."""
+    """Excess (m) of the object's distance from the base of an arm over the stretched length.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
+    """
     for arm, grasp in zip(task.chain.arms, task.chain.grasps, strict=True):
         largest = stretched_length(arm) + norm(grasp.X_TO.translation)
         distances = np.linalg.norm(task.poses[:, :3] - arm.base.translation, axis=1)
@@ -80,6 +93,9 @@ def postures(task: Task) -> Values:
 
     Extreme are the poses with the largest displacements along each axis and the largest rotation
     from the first pose. The first pose that is not reached ends the search.
+
+    Args:
+        task: task to be checked.
     """
     if any(stretched.findings(task)):
         return
@@ -125,6 +141,12 @@ def joints(task: Task) -> Values:
 
     The motion is simulated without contacts: the joints follow the commanded accelerations without
     errors. The loss of an acceleration a causes the deviation a / K_p, averaged as rms over time.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
     """
     chain = task.chain
     rigid = all(grasp.is_rigid for grasp in chain.grasps)
@@ -232,6 +254,12 @@ def motors(task: Task) -> Values:
     Evaluated in the posture in contact, at rest, for the desired forces with the largest torques:
     G τ = b_S + SᵀNα (21). If the median of the desired forces needs more than the limits, too, the
     same value is a finding although it is not above the limit for refusal.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
     """
     if not task.pairs or not task.contact.r or not task.state.d:
         return
@@ -294,6 +322,12 @@ def first_tick(task: Task) -> Values:
 
     The tick is computed by a copy of the controller. The value is 1 for an error, 0.5 for a warning
     (the controller may still be tared).
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
     """
     assert task.controller is not None and task.measured is not None
     trial = copy(task.controller)
@@ -320,6 +354,12 @@ def weights(task: Task) -> Values:
 
     The value is the share of the motor that needs most. The weight of the object is included for a
     single arm; several arms may share it in any way.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
     """
     chain = task.chain
     bias = pin.computeGeneralizedGravity(chain.model, chain.model.createData(), task.q)

@@ -30,7 +30,14 @@ _LEFT_OUT, _A_FACTOR, _ANOTHER = "left out", "a factor", "another motion"
     0.1,
 )
 def jump(task: Task) -> Values:
-    """Distance from the present pose of the object to the first reference (m)."""
+    """Distance from the present pose of the object to the first reference (m).
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
+    """
     first = task.poses[0, :3]
     current = task.state.X_WO.translation
     yield norm(first - current), {"first": rounded(first), "now": rounded(current)}
@@ -71,6 +78,12 @@ def force_ceilings(task: Task) -> Values:
     Each force, and the internal force of two arms, is compared with
     `control.safety.contact_ceiling`; the sum of all of them, internal forces included, with
     `control.safety.wrist_ceiling`.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
     """
     forces = np.abs(task.forces)
     total = forces.sum(axis=1)
@@ -97,7 +110,14 @@ def force_ceilings(task: Task) -> Values:
     1.0,
 )
 def speed_ceiling(task: Task) -> Values:
-    """Largest speed of each arm's tip by V_D, divided by the ceiling of the speed."""
+    """Largest speed of each arm's tip by V_D, divided by the ceiling of the speed.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
+    """
     ceiling = task.safety.speed_ceiling
     V = task.commanded
     if not len(V) or not ceiling < np.inf:
@@ -125,6 +145,9 @@ def lifted(task: Task) -> Values:
 
     Of a contact that becomes active later on, the change is counted from the gap at that time. At
     most some hundred references are compared; contacts with moving bodies are not.
+
+    Args:
+        task: task to be checked.
     """
     ticks = np.flatnonzero(task.times >= task.kept_from)
     ticks = ticks[:: max(1, len(ticks) // 100)]
@@ -183,7 +206,11 @@ def together(task: Task) -> Values:
     0.005,
 )
 def far_off(task: Task) -> Values:
-    """Gap (m) of contacts that become active later on and are not approached."""
+    """Gap (m) of contacts that become active later on and are not approached.
+
+    Args:
+        task: task to be checked.
+    """
     for i, pair in enumerate(task.pairs if task.active is not None else ()):
         assert task.active is not None
         is_approached = not task.bound and pushes_only(pair)

@@ -202,7 +202,12 @@ def _looks(references: Sequence[Reference]) -> Array:
 
 
 def _displacement(before: Reference, after: Reference) -> Array:
-    """Displacement (6,) of X_WD from one reference to the next (m, rad), world axes."""
+    """Displacement (6,) of X_WD from one reference to the next (m, rad), world axes.
+
+    Args:
+        before: first reference.
+        after: second reference.
+    """
     X = before.X_WD
     rotation = pin.log3(after.X_WD.rotation @ X.rotation.T)
     return np.concatenate((after.X_WD.translation - X.translation, rotation))

@@ -27,6 +27,9 @@ def _scene_of(task: Task) -> Scene:
 def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]:
     """Yield the contact points that are near the tool in the pose at the start.
 
+    Args:
+        task: task to be checked.
+
     Yields:
         Pair; point (3,) and outward normal (3,) of its face, in world axes (m); distance of the
         point from the nearest geom of the scene (m); name of that geom.
@@ -68,7 +71,14 @@ def touchable(task: Task) -> Values:
     0.7,
 )
 def masses(task: Task) -> Values:
-    """Logarithm of the ratio of modelled and true masses, of all that moves and of the load."""
+    """Logarithm of the ratio of modelled and true masses, of all that moves and of the load.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
+    """
     chain = task.chain
     compared = {
         "all that moves": (chain.moved_mass, _scene_of(task).moved_mass),
@@ -114,7 +124,14 @@ def place(task: Task) -> Values:
     30.0,
 )
 def turn(task: Task) -> Values:
-    """Angle (deg) between the modelled normal and the direction in which the scene recedes."""
+    """Angle (deg) between the modelled normal and the direction in which the scene recedes.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
+    """
     scene = _scene_of(task)
     for pair, point, normal, distance, geom in _faces(task):
         if abs(distance) > PLACE_REFUSED:
@@ -163,7 +180,14 @@ def penetration(task: Task) -> Values:
     PLACE_REFUSED,
 )
 def tool(task: Task) -> Values:
-    """Difference between the tool's distance from the scene and the least gap of contacts (m)."""
+    """Difference between the tool's distance from the scene and the least gap of contacts (m).
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
+    """
     distances = [abs(distance) for _, _, _, distance, _ in _faces(task)]
     if distances and max(distances) <= PLACE_DOUBTFUL:
         X = task.state.X_WO

@@ -222,13 +222,13 @@ class Shadow:
             v, a: (k,) speeds and accelerations of the joint (rad/s, rad/s²; m/s, m/s²).
             torque: (k,) torque beyond the model's (N m, N).
         """
-        moved = bool(np.abs(v).max() > FASTEST)
+        has_moved = bool(np.abs(v).max() > FASTEST)
         regressors = _columns(v, a)
         parameters = np.linalg.lstsq(regressors, torque)[0]
         rms = float(np.sqrt(np.mean((torque - regressors @ parameters) ** 2)))
         coulomb, viscous, offset, inertia = parameters.tolist()
         name = self.chain.joint_names[j]
-        return JointFinding(name, moved, coulomb, viscous, offset, inertia, rms)
+        return JointFinding(name, has_moved, coulomb, viscous, offset, inertia, rms)
 
     def _judge(self, joints: tuple[JointFinding, ...], bias: Array, kappa: float) -> Iterator[str]:
         """Yield a sentence on each error of model or sensor, because of which forces are unsafe.

@@ -59,12 +59,21 @@ class End:
         """
 
         def begin(now: Sensed) -> Watch:
-            """Begin to watch, with a time of zero."""
+            """Begin to watch, with a time of zero.
+
+            Args:
+                now: signals when the stage begins.
+            """
             watch = self.begin(now)
             met_for = 0.0
 
             def met(now: Sensed, dt: float) -> bool:
-                """Add a period to the time if the condition is met, else begin again at zero."""
+                """Add a period to the time if the condition is met, else begin again at zero.
+
+                Args:
+                    now: signals after the last tick.
+                    dt: control period (s).
+                """
                 nonlocal met_for
                 met_for = met_for + dt if watch(now, dt) else 0.0
                 return met_for >= seconds
@@ -84,12 +93,21 @@ def _join(left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], word
     """
 
     def begin(now: Sensed) -> Watch:
-        """Begin to watch both conditions."""
+        """Begin to watch both conditions.
+
+        Args:
+            now: signals when the stage begins.
+        """
         left_watch = left.begin(now)
         right_watch = right.begin(now)
 
         def met(now: Sensed, dt: float) -> bool:
-            """Evaluate both conditions, because each may count time, and join the results."""
+            """Evaluate both conditions, because each may count time, and join the results.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
             left_met = left_watch(now, dt)
             right_met = right_watch(now, dt)
             return rule((left_met, right_met))
@@ -163,7 +181,11 @@ def lost(*contacts: str, lasting: Time = MADE_FOR) -> End:
     """
 
     def begin(now: Sensed) -> Watch:
-        """Begin to watch, with times of zero for each contact."""
+        """Begin to watch, with times of zero for each contact.
+
+        Args:
+            now: signals when the stage begins.
+        """
         closed_for = dict.fromkeys(contacts, 0.0)
         lost_for = dict.fromkeys(contacts, 0.0)
 
@@ -225,7 +247,11 @@ def moved(
     axis = None if direction is None else unit_vector("moved: direction", direction)
 
     def has_moved(now: Sensed) -> bool:
-        """Return whether the point has moved by the distance in a tick."""
+        """Return whether the point has moved by the distance in a tick.
+
+        Args:
+            now: signals after the last tick.
+        """
         displacement = now.X.act(p) - now.where_ended(since).act(p)
         if axis is None:
             return float(np.linalg.norm(displacement)) >= distance
@@ -258,7 +284,11 @@ def at_rest(speed: Velocity = 1e-3, rate: AngularVelocity = 0.02) -> End:
     """
 
     def rests(now: Sensed) -> bool:
-        """Return whether both speeds are below their limits in a tick."""
+        """Return whether both speeds are below their limits in a tick.
+
+        Args:
+            now: signals after the last tick.
+        """
         linear = float(np.linalg.norm(now.V[:3]))
         angular = float(np.linalg.norm(now.V[3:]))
         return linear < speed and angular < rate

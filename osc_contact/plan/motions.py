@@ -81,12 +81,21 @@ class Motion:
         """Combine two motions, which are made at once, and end when both have ended."""
 
         def begin(now: Sensed) -> Course:
-            """Begin both motions."""
+            """Begin both motions.
+
+            Args:
+                now: signals when the stage begins.
+            """
             own_course = self.begin(now)
             other_course = other.begin(now)
 
             def demand(now: Sensed, dt: float) -> Demand:
-                """Stack the demands of both motions in a tick."""
+                """Stack the demands of both motions in a tick.
+
+                Args:
+                    now: signals after the last tick.
+                    dt: control period (s).
+                """
                 first_demand = own_course(now, dt)
                 second_demand = other_course(now, dt)
                 return Demand(
@@ -198,12 +207,21 @@ def turn_to(
         unit_vector("turn_to: direction", direction)
 
     def begin(now: Sensed) -> Course:
-        """Begin the rotation to `target`, the direction in world axes when the stage begins."""
+        """Begin the rotation to `target`, the direction in world axes when the stage begins.
+
+        Args:
+            now: signals when the stage begins.
+        """
         goal = direction(now) if callable(direction) else direction
         target = unit_vector("turn_to: direction", goal)
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the angular velocity that turns the object's axis to `target`."""
+            """Demand the angular velocity that turns the object's axis to `target`.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
             a = now.aim.rotation @ object_axis
             rotation = _turn_between(a, target)
             angle = float(np.linalg.norm(rotation))
@@ -234,11 +252,20 @@ def to(
     largest_rate = _positive("to: rate", rate)
 
     def begin(now: Sensed) -> Course:
-        """Begin the motion to `goal`, the pose in the world when the stage begins."""
+        """Begin the motion to `goal`, the pose in the world when the stage begins.
+
+        Args:
+            now: signals when the stage begins.
+        """
         goal = pose(now) if callable(pose) else pose
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the whole twist (6,), which moves the object straight towards `goal`."""
+            """Demand the whole twist (6,), which moves the object straight towards `goal`.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
             offset = goal.translation - now.aim.translation
             rotation = pin.log3(goal.rotation @ now.aim.rotation.T)
             distance = float(np.linalg.norm(offset))
@@ -272,12 +299,21 @@ def through(points: Points, speed: Velocity, *, relative: bool = False) -> Motio
     largest_speed = _positive("through: speed", speed)
 
     def begin(now: Sensed) -> Course:
-        """Begin the motion along `path`, the (k, 3) points in the world (m)."""
+        """Begin the motion along `path`, the (k, 3) points in the world (m).
+
+        Args:
+            now: signals when the stage begins.
+        """
         path = positions + (now.aim.translation if relative else 0.0)
         k = 0  # index of the next point
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the velocity of the origin towards the next point that is not reached."""
+            """Demand the velocity of the origin towards the next point that is not reached.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
             nonlocal k
             while k < len(path):
                 tangents = _null_space(now.N[:3].T)
@@ -348,11 +384,20 @@ def spiral(axis: Direction, pitch: Length, speed: Velocity, radius: Length) -> M
     rows = _null_space(normal[None]).T @ _LINEAR
 
     def begin(now: Sensed) -> Course:
-        """Begin at the centre of the spiral, whose radius is r = pitch / (2π) × angle (m)."""
+        """Begin at the centre of the spiral, whose radius is r = pitch / (2π) × angle (m).
+
+        Args:
+            now: signals when the stage begins.
+        """
         angle = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the velocity along the spiral, in the two axes of its plane."""
+            """Demand the velocity along the spiral, in the two axes of its plane.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
             nonlocal angle
             r = per_angle * angle
             if r >= end:
@@ -408,12 +453,21 @@ def rock(
         )
 
     def begin(now: Sensed) -> Course:
-        """Begin with an angle of zero."""
+        """Begin with an angle of zero.
+
+        Args:
+            now: signals when the stage begins.
+        """
         cycle = 0.0
         last_angle = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the angular velocity about the axis: a sine that rises in its first cycle."""
+            """Demand the angular velocity about the axis: a sine that rises in its first cycle.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
             nonlocal cycle, last_angle
             a = now.aim.rotation @ rock_axis if axes == "object" else rock_axis
             cycle = min(cycle + frequency_Hz * dt, n_cycles)
@@ -546,11 +600,20 @@ def _steady(
     """
 
     def begin(now: Sensed) -> Course:
-        """Begin the motion with a covered length of zero (m, rad)."""
+        """Begin the motion with a covered length of zero (m, rad).
+
+        Args:
+            now: signals when the stage begins.
+        """
         covered = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the speed along the direction, lower towards the end and against a force."""
+            """Demand the speed along the direction, lower towards the end and against a force.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
             nonlocal covered
             axis = now.aim.rotation @ direction if axes == "object" else direction
             row = axis @ kind.rows

@@ -399,9 +399,13 @@ def _displace_body(X_WE: pin.SE3, O: Array) -> Poses:  # noqa: E741
     """Seven poses of the touched body: the believed one, and with a step along and about each axis.
 
     Args:
-        X_WE: believed pose.
-        O: (3,) point at which displacements are stated (m).
+        X_WE: believed pose of the body in the world.
+        O: (3,) point about which the body is rotated, world (m).
+
+    Returns:
+        Poses in the world: the believed one, three translations and three rotations.
     """
+    # columns of steps: none, then one of the six displacements each (m, rad)
     steps = _STEP * np.hstack((np.zeros((6, 1)), np.eye(6)))
     turns = rotations(steps[3:])
     arm = X_WE.translation - O

@@ -30,7 +30,11 @@ def to_line(event: Json) -> str:
 
 
 def _plain(value: object) -> object:
-    """Convert JSON data so that it has text in place of NaN and infinities, at any depth."""
+    """Convert JSON data so that it has text in place of NaN and infinities, at any depth.
+
+    Args:
+        value: value of any type.
+    """
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):

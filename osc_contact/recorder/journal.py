@@ -109,6 +109,9 @@ class JournalFile:
         """Append bytes to the file, all of them or none.
 
         An error is stored in `error`, and a part that was written is cut off.
+
+        Args:
+            data: bytes to append.
         """
         remainder = memoryview(data)
         position = self._whole

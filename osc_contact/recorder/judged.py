@@ -103,7 +103,11 @@ class JudgedTicks:
 
 
 def judged_ticks(recording: Recording) -> tuple[Flags, Flags]:
-    """Flags of judged ticks: (T, r) of force magnitudes, (T,) of the run; see `JudgedTicks`."""
+    """Flags of judged ticks: (T, r) of force magnitudes, (T,) of the run; see `JudgedTicks`.
+
+    Args:
+        recording: recording of a run.
+    """
     ticks = JudgedTicks(recording)
     magnitude_flags = []
     run_flags = []

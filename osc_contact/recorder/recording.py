@@ -126,6 +126,9 @@ _UNREADABLE = (
 def _completed_file(target: Path) -> Iterator[IO[bytes]]:
     """Open a file that gets its final name only when it is complete; else an older one is kept.
 
+    Args:
+        target: path of the finished file.
+
     Raises:
         RecordingError: the file cannot be written.
     """
@@ -157,6 +160,9 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
     """Read the text and the arrays of an .npz file; large arrays stay in the file until used.
 
     Sizes are checked by the headers before anything is unpacked; all checksums are verified.
+
+    Args:
+        source: path of the file.
 
     Raises:
         RecordingError: there is no such file, or it is damaged or not a recording.
@@ -504,6 +510,9 @@ class Recording:
 
         Checksums are verified, nothing is unpickled; large channels stay in the file.
 
+        Args:
+            path: path of the file.
+
         Raises:
             RecordingError: there is no such file, or it is damaged or not a recording.
         """
@@ -667,7 +676,11 @@ def write_mcap(recording: Recording, file: IO[bytes]) -> None:
 
 
 def _finite(value: npt.ArrayLike) -> object:
-    """Number, or nested lists of numbers, with None for NaN and infinities, which JSON lacks."""
+    """Number, or nested lists of numbers, with None for NaN and infinities, which JSON lacks.
+
+    Args:
+        value: number or array of a channel.
+    """
     array = np.asarray(value)
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         is_finite = np.isfinite(array)

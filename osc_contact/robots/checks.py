@@ -370,8 +370,9 @@ def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
             "geometry", f"unknown shape <{shape.tag}>", "use box, cylinder, capsule, sphere or mesh"
         )
         return
-    if listed := ", ".join(f"{key} {size:g} m" for key, size in sizes.items() if size < 0):
-        shape.note("geometry", f"negative size: {listed}", "sizes are lengths")
+    negative_sizes = ", ".join(f"{key} {size:g} m" for key, size in sizes.items() if size < 0)
+    if negative_sizes:
+        shape.note("geometry", f"negative size: {negative_sizes}", "sizes are lengths")
 
 
 def _address_problem(mesh: Element, roots: Sequence[Path]) -> tuple[str, str] | None:

@@ -34,6 +34,9 @@ def is_mjcf(path: Path | str) -> bool:
 
     MuJoCo opens meshes and includes of an MJCF file in any folder, which a URDF must not make it
     do. Files larger than `MAX_BYTES` are not opened.
+
+    Args:
+        path: path of the file, which need not exist.
     """
     file = Path(path)
     try:
@@ -47,6 +50,9 @@ def is_mjcf(path: Path | str) -> bool:
 
 def compile_mjcf(mjcf: MjcfSource) -> MjModel:
     """Compile an MJCF file or a `MjSpec`; a `MjModel` is returned unchanged.
+
+    Args:
+        mjcf: path of the file, `MjSpec` or `MjModel`.
 
     Raises:
         ModelError: MuJoCo is not installed or refuses the file; or the file is not an MJCF file, or

@@ -105,7 +105,11 @@ def slides(model: pin.Model, joint: int) -> bool:
 
 
 def joint_axis(model: pin.Model, joint: int) -> Array:
-    """Motion subspace S (6,) of a joint of one degree of freedom, in its own frame."""
+    """Motion subspace S (6,) of a joint of one degree of freedom, in its own frame.
+
+    Args:
+        model: model of a robot.
+    """
     state = model.joints[joint].createData()
     # Pinocchio reads the joint's entry of the whole q, and does not check its length.
     model.joints[joint].calc(state, pin.neutral(model))
@@ -163,6 +167,9 @@ def _extents(model: pin.Model) -> Array:
 
     The bound is the sum of the link lengths beyond the joint and the largest distance of a centre
     of mass from its joint.
+
+    Args:
+        model: model of a robot.
     """
     length = np.array([norm(X.translation) for X in model.jointPlacements])
     lever = np.array([norm(body.lever) for body in model.inertias])
@@ -232,7 +239,11 @@ def frame_id(model: pin.Model, name: str) -> int:
 
 
 def ends_of(model: pin.Model) -> list[str]:
-    """List the bodies without children, at most one for each joint, at the ends of the tree."""
+    """List the bodies without children, at most one for each joint, at the ends of the tree.
+
+    Args:
+        model: model of a robot.
+    """
     joints = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
     carrying = {frame.parentFrame for frame in model.frames if frame.type in joints}
     ends: dict[int, str] = {}

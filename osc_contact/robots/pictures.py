@@ -252,7 +252,10 @@ def _mesh_of(corners: Array, faces: Array) -> coal.BVHModelOBBRSS:
 
 
 def _pose(place: Sequence[float]) -> pin.SE3:
-    """Convert position (m) and quaternion x, y, z, w, seven numbers, to a pose.
+    """Convert seven numbers to a pose.
+
+    Args:
+        place: position (m), then quaternion x, y, z, w.
 
     Raises:
         ValueError: another shape, numbers that are not finite, or not a unit quaternion.

@@ -240,7 +240,11 @@ def _add(parts: dict[str, Part], part: Part) -> None:
 
 
 def _inertial(element: Element) -> Inertial:
-    """Read an <inertial>; errors are noted as findings, and numbers that are missing are 0."""
+    """Read an <inertial>; errors are noted as findings, and numbers that are missing are 0.
+
+    Args:
+        element: element of the URDF, to which findings are added.
+    """
     for word in ("mass", "inertia"):
         if element.find(word) is None:
             element.note("inertia", f"<inertial> without <{word}>", f"add <{word}>")
@@ -255,7 +259,11 @@ def _inertial(element: Element) -> Inertial:
 
 
 def _joint(element: Element) -> Joint:
-    """Read a <joint>; errors are noted as findings."""
+    """Read a <joint>; errors are noted as findings.
+
+    Args:
+        element: element of the URDF, to which findings are added.
+    """
     kind = element.get("type")
     if kind in ("planar", "floating"):
         cure = "build it from prismatic and revolute joints, or fix it"
@@ -289,6 +297,9 @@ def _losses(element: Element) -> dict[str, float]:
     """Read damping (N m s/rad, N s/m) and friction (N m, N) of a <joint>; negative ones are noted.
 
     Both are 0 without <dynamics>.
+
+    Args:
+        element: element of the URDF, to which findings are added.
     """
     losses = {"damping": 0.0, "friction": 0.0}
     for dynamics in element.findall("dynamics"):
@@ -301,7 +312,11 @@ def _losses(element: Element) -> dict[str, float]:
 
 
 def _limits(element: Element) -> dict[str, float]:
-    """Read the numbers that the <limit> of a <joint> has (rad, N m, rad/s; m, N, m/s)."""
+    """Read the numbers that the <limit> of a <joint> has (rad, N m, rad/s; m, N, m/s).
+
+    Args:
+        element: element of the URDF, to which findings are added.
+    """
     limits = {}
     for limit in element.findall("limit"):
         for key in LIMITS:

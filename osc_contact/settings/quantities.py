@@ -436,7 +436,11 @@ VelocityLimit = Positive[Annotated[float, replace(_LENGTH_RATES[0], open=True)]]
 
 
 def may_be_infinite(field: FieldInfo) -> bool:
-    """True if a key, given by its declaration, is a limit that may be infinite (.inf in a file)."""
+    """True if a key, given by its declaration, is a limit that may be infinite (.inf in a file).
+
+    Args:
+        field: field of a group of settings.
+    """
     parts = (field.annotation, *get_args(field.annotation))
     marks = [*field.metadata, *(mark for part in parts for mark in get_args(part)[1:])]
     return any(getattr(mark, "open", False) for mark in marks)

@@ -482,7 +482,12 @@ def _contact_direction(a: Solid, e: Solid, closest: Nearest) -> Array:
 
 
 def _kind(a: Feature, e: Feature) -> str:
-    """Conventional name of a contact, such as "sphere on plane" for a sphere on a face."""
+    """Conventional name of a contact, such as "sphere on plane" for a sphere on a face.
+
+    Args:
+        a: feature of the object.
+        e: feature of the environment.
+    """
     of_object = "plane" if a.name == "face" and e.radius > 0.0 else a.name
     of_environment = "plane" if e.name == "face" and a.radius > 0.0 else e.name
     return f"{of_object} on {of_environment}"

@@ -106,6 +106,9 @@ def collision_shapes(path: Path | str) -> list[CollisionShape]:
     The name of a shape is that of its <collision> element, if there is one and it is unique, else
     ``<link>_<number>``. Meshes must be convex.
 
+    Args:
+        path: path of the URDF.
+
     Raises:
         ModelError: no such file, a joint moves, no collision geometry, a mesh that is not convex.
     """

@@ -69,7 +69,11 @@ class GapFunctions(PackagedPair):
             raise InvalidInputError(f"{self.name}.step = {self.step}; give 1e-5 … 0.3")
 
     def _contact(self, b: Bodies) -> Contact:
-        """N and n_γ from the first and second differences of the gaps."""
+        """N and n_γ from the first and second differences of the gaps.
+
+        Args:
+            b: poses and twists of object and environment at one instant.
+        """
         X_EA = b.X_E.actInv(b.X_A)
         to_E = np.kron(np.eye(2), b.X_E.rotation.T)
         units = np.repeat([self.length, 1.0], 3)
@@ -178,7 +182,11 @@ class CompiledPair(PackagedPair):
         return X_WO.translation[:, None] + self._evaluate(Bodies.at_O(X_WO, X_WE=X_WE))[:, 8:].T
 
     def _evaluate(self, b: Bodies) -> Array:
-        """Column of N (6), n_γ, gap and point from O (3) of each magnitude, (r, 11)."""
+        """Column of N (6), n_γ, gap and point from O (3) of each magnitude, (r, 11).
+
+        Args:
+            b: poses and twists of object and environment at one instant.
+        """
         results = np.empty((self.forces, 11))
         arguments = (b.X_A.homogeneous, b.V_A, b.X_E.homogeneous, b.V_E)
         rows = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]

@@ -109,7 +109,11 @@ class LawPair(PackagedPair):
         return self._row
 
     def _contact(self, b: Bodies) -> Contact:
-        """N and n_γ, and T (6, 6−r) of a pair that is defined by its permitted motions."""
+        """N and n_γ, and T (6, 6−r) of a pair that is defined by its permitted motions.
+
+        Args:
+            b: poses and twists of object and environment at one instant.
+        """
         A = _elements(b.X_A)
         E = _elements(b.X_E)
         columns = self._columns(A, E, b.V_A, b.V_E)

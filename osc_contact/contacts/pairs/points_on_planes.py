@@ -72,7 +72,11 @@ class PointsOnPlanes(LawPair):
         return self._into
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """Signed distances (r,) minus ρ (m), negative in an overlap."""
+        """Signed distances (r,) minus ρ (m), negative in an overlap.
+
+        Args:
+            X_EA: pose of the object in the frame of the environment's body.
+        """
         n = self._into
         points = X_EA.rotation @ self._points
         return self._reach - X_EA.translation @ n - np.einsum("ij,ij->j", points, n)

@@ -97,7 +97,11 @@ def register_pair(forces: int | None = None) -> Callable[[Pair], Pair]:
     """
 
     def enter(pair: Pair) -> Pair:
-        """Register a class of pairs by its name; a packaged one is made a dataclass."""
+        """Register a class of pairs by its name; a packaged one is made a dataclass.
+
+        Args:
+            pair: class of a pair.
+        """
         if issubclass(pair, PackagedPair) and "__dataclass_fields__" not in vars(pair):
             geometry(pair)
             _show_plain_types(pair)
@@ -111,7 +115,11 @@ def register_pair(forces: int | None = None) -> Callable[[Pair], Pair]:
 
 
 def _show_plain_types(pair: Any) -> None:
-    """Hide the annotations of keys in the signature that help and API pages show."""
+    """Hide the annotations of keys in the signature that help and API pages show.
+
+    Args:
+        pair: class of a pair.
+    """
     declared = signature(pair)
     hints = get_type_hints(pair)
     arguments = []

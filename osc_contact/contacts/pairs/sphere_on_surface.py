@@ -87,7 +87,12 @@ class SphereOnSurface(LawPair):
         return self.nearest(X_EA.act(self.centre)[:, None])[0] - self.radius
 
     def feet(self, X_WO: Poses, X_WE: Poses | None = None) -> Array:
-        """Points (3, 1, k) of the surface nearest to the ball at k instants, world (m)."""
+        """Points (3, 1, k) of the surface nearest to the ball at k instants, world (m).
+
+        Args:
+            X_WO: k poses of the object in the world.
+            X_WE: k poses of the touched body in the world; None: the world's frame.
+        """
         p = X_WO.act(self.centre[:, None])
         if X_WE is None:
             return self.nearest(p)[1][:, None]

@@ -284,7 +284,11 @@ class Screw(TangentPair):
         self._hold_tangents(self.point, axes[:, :2], on_axis, tilts, (freedom,), (thread,))
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """Signed errors (5,) (m, rad), the last one within ±π |pitch|."""
+        """Signed errors (5,) (m, rad), the last one within ±π |pitch|.
+
+        Args:
+            X_EA: pose of the object in the frame of the environment's body.
+        """
         x, y, d = self._seat.T
         spoke = X_EA.rotation @ self.assembled.rotation.T @ x  # along x when assembled
         angle = np.arctan2(y @ spoke, x @ spoke)

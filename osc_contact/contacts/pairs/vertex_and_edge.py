@@ -56,7 +56,11 @@ class FaceOnVertex(LawPair):
         store(self, surface_radius=self.radius)
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """Distance (1,) between face and vertex surface (m), negative when they overlap."""
+        """Distance (1,) between face and vertex surface (m), negative when they overlap.
+
+        Args:
+            X_EA: pose of the object in the frame of the environment's body.
+        """
         R = X_EA.rotation
         distance_vector = self.body_vertex - X_EA.translation - R @ self.point
         return np.array([R @ self.normal @ distance_vector - self.radius])

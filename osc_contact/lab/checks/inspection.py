@@ -101,7 +101,11 @@ def inspect_rig(rig: Rig) -> Inspection:
 
 
 def _stages(rig: Rig) -> Iterator[str]:
-    """Sentences on the sets of contacts that are named active, one after the other."""
+    """Sentences on the sets of contacts that are named active, one after the other.
+
+    Args:
+        rig: rig of the scenario.
+    """
     stages = rig.references.stages
     ends = [begin for begin, _ in stages[1:]] + [rig.scenario.duration]
     for (begin, active), end in zip(stages, ends, strict=False):  # none if no set is named
@@ -158,7 +162,11 @@ def _failure_words(stage: Stage) -> str:
 
 
 def _friction(rig: Rig) -> Iterator[str]:
-    """Sentences on modelled friction and rotors that limit accuracy or stability of control."""
+    """Sentences on modelled friction and rotors that limit accuracy or stability of control.
+
+    Args:
+        rig: rig of the scenario.
+    """
     how = rig.joint_friction
     for arm, joints in zip(rig.model.arms, rig.model.slices, strict=True):
         share = how.share if how and (how.learning or how.errors) else 0.0
@@ -169,7 +177,11 @@ def _friction(rig: Rig) -> Iterator[str]:
 
 
 def _normals(rig: Rig) -> Iterator[str]:
-    """Sentences on contact normals that the motion does not reveal, and the resulting errors."""
+    """Sentences on contact normals that the motion does not reveal, and the resulting errors.
+
+    Args:
+        rig: rig of the scenario.
+    """
     std = 0.5 * rig.gains.force.tilt
     if std == 0.0:
         return

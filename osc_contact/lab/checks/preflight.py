@@ -53,7 +53,11 @@ _logger = logging.getLogger("osc_contact.preflight")
 
 
 def task_of_rig(rig: Rig) -> Task:
-    """Make the task of a scenario: references, and the true chain and contacts of its plant."""
+    """Make the task of a scenario: references, and the true chain and contacts of its plant.
+
+    Args:
+        rig: rig of the scenario.
+    """
     scenario = rig.scenario
     # desired poses, twists and forces at some instants, without running the references
     times, plan = rig.references.overview
@@ -86,7 +90,11 @@ def task_of_rig(rig: Rig) -> Task:
 
 
 def _trial(rig: Rig) -> tuple[Controller, Measurement]:
-    """Controller of a scenario with its contacts engaged, and a measurement at rest in contact."""
+    """Controller of a scenario with its contacts engaged, and a measurement at rest in contact.
+
+    Args:
+        rig: rig of the scenario.
+    """
     controller = rig.controller()
     controller.engaged = True
     count = len(rig.pairs)
@@ -186,6 +194,9 @@ def tare(rig: Rig) -> Values:
     """Number of known errors of masses and wrist sensors that no tare removes.
 
     Exact plants have no tare.
+
+    Args:
+        rig: rig of the scenario.
     """
     scenario = rig.scenario
     if not rig.pairs or scenario.tare is not None or scenario.plant.exact:
@@ -210,7 +221,11 @@ def tare(rig: Rig) -> Values:
     "forces takes it for normal force; {other}give control.friction={{mu: …}}"
 )
 def friction(rig: Rig) -> Values:
-    """Friction coefficient of the plant that the filter of fig. 5 attributes to normal forces."""
+    """Friction coefficient of the plant that the filter of fig. 5 attributes to normal forces.
+
+    Args:
+        rig: rig of the scenario.
+    """
     control = rig.scenario.control
     if rig.scenario.plant.exact or control.friction is not None or not rig.pairs:
         return
@@ -251,6 +266,9 @@ def swinging(rig: Rig) -> Values:
     """First natural frequency of flexible joints without a torque loop, negated (−Hz).
 
     It is negated because a low frequency is the finding, and rules compare with upper limits.
+
+    Args:
+        rig: rig of the scenario.
     """
     if any(springs.findings(rig)) or rig.scenario.control.joint_torque is not None:
         return
@@ -270,6 +288,9 @@ def carts(rig: Rig) -> Values:
     """Largest travel (m) of carts on their rails under the commanded forces, weight and preload.
 
     The motion m s̈ + c ṡ + k s = force is integrated over the run with 2000 steps.
+
+    Args:
+        rig: rig of the scenario.
     """
     t, plan = rig.references.overview
     dt = t[1] - t[0]
@@ -318,7 +339,14 @@ def landing(rig: Rig) -> Values:
     "object: reverse contacts.{name}.face.normal"
 )
 def normals(rig: Rig) -> Values:
-    """Least distance (m) by which object and arm tips are behind a contact's own face."""
+    """Least distance (m) by which object and arm tips are behind a contact's own face.
+
+    Args:
+        rig: rig of the scenario.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
+    """
     points = np.array([rig.state.X_WO.translation, *rig.state.grasp_points])
     for spec in rig.scenario.contacts:
         face = getattr(spec, "face", None)
@@ -338,6 +366,12 @@ def start(rig: Rig) -> Values:
     """Distance (m) between the given start pose and the pose in contact.
 
     The largest distance of the object's origin and its contact points counts.
+
+    Args:
+        rig: rig of the scenario.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
     """
     X_given = rig.X_given
     X = rig.state.X_WO
@@ -387,6 +421,9 @@ class _Solid:
 def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
     """Yield the contacts that have a place, with the solids that they are between.
 
+    Args:
+        rig: rig of the scenario.
+
     Yields:
         Index of the contact; pair; solids by kind, "body" and "object".
     """
@@ -407,6 +444,12 @@ def beside(rig: Rig) -> Values:
 
     Faces of exact plants are unbounded, so that nothing is compared. One finding for each contact
     and solid is enough.
+
+    Args:
+        rig: rig of the scenario.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
     """
     if rig.scenario.plant.exact:
         return
@@ -430,6 +473,12 @@ def inverted(rig: Rig) -> Values:
 
     The distance from the body decreases along the direction of force, that from the object against
     it, unless a normal is reversed.
+
+    Args:
+        rig: rig of the scenario.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
     """
     for i, pair, solids in _solids(rig):
         if not pushes_only(pair):
@@ -459,7 +508,14 @@ def inverted(rig: Rig) -> Values:
     0.005,
 )
 def inside(rig: Rig) -> Values:
-    """Penetration (m) of the object into a body that reversed normals do not explain."""
+    """Penetration (m) of the object into a body that reversed normals do not explain.
+
+    Args:
+        rig: rig of the scenario.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
+    """
     if rig.scenario.plant.exact or any(normals.findings(rig)) or any(inverted.findings(rig)):
         return
     touched = {solids["body"].name: solids for _, _, solids in _solids(rig)}
@@ -483,6 +539,9 @@ def encoders(rig: Rig) -> Values:
 
     On unyielding faces a velocity error δV, the mean of those of the arms, causes the forces
     δα = (NᵀΦN)⁻¹κ NᵀδV.
+
+    Args:
+        rig: rig of the scenario.
     """
     brake = getattr(rig.gains.force, "brake", 0.0)
     if rig.scenario.sensors.encoder is None or not rig.pairs or not brake:
@@ -525,6 +584,9 @@ def late_brake(rig: Rig) -> Values:
     """Bandwidth that the brake needs on declared springs, over that of the encoders alone.
 
     It matters only where `control.estimate.measured_forces` is switched off.
+
+    Args:
+        rig: rig of the scenario.
     """
     if rig.measured_forces or rig.scenario.sensors.encoder is None or not rig.gains.force.brake:
         return

@@ -242,6 +242,11 @@ def _require_writable(
 ) -> None:
     """Refuse a combination of options of `view`, or a format whose program is not installed.
 
+    Args:
+        live: True: the run is shown while it lasts.
+        html, png, gif, mp4: files to be written; None: not requested.
+        time: time of a still picture (s); None: not requested.
+
     Raises:
         InvalidInputError: several results, or a time for a moving picture.
         ViewerError: no browser for a picture.
@@ -404,7 +409,11 @@ def programs() -> Iterator[tuple[str, str, str]]:
 
 
 def _page(name: str) -> Path:
-    """File of a page, inside the installed package or in the checkout."""
+    """File of a page, inside the installed package or in the checkout.
+
+    Args:
+        name: name of the page.
+    """
     package = Path(__file__).resolve().parents[2]
     places = (package / "docs" / name, package.parent / "docs" / name, package.parent / name)
     return next((place for place in places if place.is_file()), places[0])

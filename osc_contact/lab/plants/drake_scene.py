@@ -141,7 +141,11 @@ def _add(plant: Any, text: Element, name: str) -> Any:
 
 
 def _root_link(text: Element) -> str:
-    """Name of the link of a URDF that is no child of a joint."""
+    """Name of the link of a URDF that is no child of a joint.
+
+    Args:
+        text: root element of the URDF.
+    """
     children = {child.get("link") for child in text.iter("child")}
     (root,) = (
         link.get("name", "") for link in text.findall("link") if link.get("name") not in children

@@ -24,7 +24,11 @@ class TouchedLater(Touched):
 
     @classmethod
     def of(cls, compute: Callable[[], Touched]) -> Touched:
-        """Make readings from a function that computes them; it is called at most once."""
+        """Make readings from a function that computes them; it is called at most once.
+
+        Args:
+            compute: function that computes the motion of the touched bodies.
+        """
         readings = cls.__new__(cls)
         readings.__dict__["_compute"] = compute
         return readings

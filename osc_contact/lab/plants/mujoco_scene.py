@@ -161,7 +161,11 @@ def _arm(arm: Arm, file: Path) -> MjSpec:
 
 @lru_cache(maxsize=32)
 def _without_shapes(urdf: bytes) -> str:
-    """Remove shapes, which may be meshes, and losses of joints from the text of a URDF."""
+    """Remove shapes, which may be meshes, and losses of joints from the text of a URDF.
+
+    Args:
+        urdf: text of the URDF.
+    """
     root = ElementTree.fromstring(urdf)
     for element in root.iter():
         for tag in ("visual", "collision", "dynamics"):
@@ -171,7 +175,11 @@ def _without_shapes(urdf: bytes) -> str:
 
 
 def _read_body(urdf: Path) -> tuple[Any, Any]:
-    """Read the URDF of one body; return its specification and its root, which is named "root"."""
+    """Read the URDF of one body; return its specification and its root, which is named "root".
+
+    Args:
+        urdf: path of the body's URDF.
+    """
     import mujoco
 
     part = mujoco.MjSpec.from_file(str(urdf))

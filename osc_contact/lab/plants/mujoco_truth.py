@@ -96,6 +96,7 @@ class MujocoTruth(NotedWrenches):
         Args:
             start: index of the first instant.
         """
+        # rows of `note`: velocities by MuJoCo are angular first, at the centre of mass
         p, R, velocity, centre, positions = np.split(
             np.array(self._states[start:]).T, [3, 12, 18, 21]
         )

@@ -93,7 +93,7 @@ class NotedWrenches:
         Returns:
             Magnitudes (k, r) (N), and whether each contact is closed (k, contacts).
         """
-        on = self._faces.on
+        on = self._faces.on  # body of each contact
         owner = np.repeat(np.arange(len(N)), [lines.shape[1] for lines in N])
         alpha = np.zeros((touched.shape[1], len(owner)))
         presses = alpha > 0.0
@@ -102,6 +102,8 @@ class NotedWrenches:
             contacts = [i for i, other in enumerate(on) if other == body]
             if not ticks.any():
                 continue
+            # columns of N and the wrench, in object axes, then in coordinates of the root of Φ, in
+            # which the metric is the identity
             lines = [N[i] for i in contacts]
             F = np.concatenate([*lines, wrenches[body][:, None]], axis=1)[:, :, ticks]
             X = Poses(X_WO.R[:, :, ticks], X_WO.p[:, ticks])

@@ -45,6 +45,9 @@ def mujoco_files(archive: Path | None = None) -> dict[str, bytes]:
 def _read(archive: Path) -> bytes:
     """Read the npm package of MuJoCo from a file, and compare its SHA-512 with the registry's.
 
+    Args:
+        archive: archive of the npm package.
+
     Raises:
         OscContactError: the file is not there, or has another content.
     """

@@ -29,7 +29,11 @@ MOST_PROJECTED = 0.1  #: of the total power; a larger share is explained
 
 
 def verdict_table(verdict: Json) -> Table:
-    """metrics.json of a run, for people."""
+    """Make the table of a run's metrics for the terminal.
+
+    Args:
+        verdict: content of metrics.json.
+    """
     title = (
         f"{verdict['scenario']} on {verdict['plant']}, {verdict['duration_s']:g} s, "
         f"{verdict['real_time_factor']:.2f} × real time"
@@ -165,7 +169,11 @@ def _owner(force: str) -> str:
 
 
 def basis_tables(inspection: Inspection) -> Iterator[Table]:
-    """N with a column for each contact, T with a column for each motion."""
+    """Make the tables of N, with a column for each contact, and of T, one for each motion.
+
+    Args:
+        inspection: inspection of a scenario.
+    """
     where = "(at the object's origin, world axes)"
     yield _basis(
         f"N: forces the contacts transmit {where}",
@@ -254,7 +262,14 @@ def _range(low: float, high: float, digits: int = 4) -> str:
 
 
 def _basis(title: str, basis: Array, names: Sequence[str], labels: Sequence[str]) -> Table:
-    """Rows of both kinds, {} their axis."""
+    """Make the table of a basis of motions or forces.
+
+    Args:
+        title: title of the table.
+        basis: (6, k) basis, a motion or a force in each column.
+        names: names of the columns.
+        labels: names of the three linear and of the three angular rows, with {} for the axis.
+    """
     table = Table("", *names, title=title)
     for i, row in enumerate(basis):
         label = labels[i // 3].format("xyz"[i % 3])

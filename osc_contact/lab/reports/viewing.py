@@ -29,7 +29,11 @@ _LARGEST = 1e9  #: m, rad, N, W, largest plausible number in a recording
 
 
 def content_of(what: Rig | MujocoRobot | Content) -> Content:
-    """Content of pictures of a scenario's rig, or of a robot in a MuJoCo scene."""
+    """Content of pictures of a scenario's rig, or of a robot in a MuJoCo scene.
+
+    Args:
+        what: rig of a scenario, robot in a MuJoCo scene, or a content, which is returned.
+    """
     if isinstance(what, Rig):
         return _content_of_rig(what)
     if isinstance(what, Content):

@@ -230,6 +230,9 @@ def _references(rig: Rig) -> Array:
 
     Each row has X_WD (4×4 by rows), V_D, A_D and the desired forces.
 
+    Args:
+        rig: rig of the scenario.
+
     Raises:
         InvalidInputError: the task is too long for a page.
         ScenarioError: the scenario has a plan.
@@ -332,6 +335,9 @@ def _forces(rig: Rig) -> list[Json]:
     It has the name, the first and the largest command of the slider, its step and unit, and the
     index of the body that is touched. The key `wall` is −1 if several forces act on the body, so
     that MuJoCo does not give the true magnitude of this one.
+
+    Args:
+        rig: rig of the scenario.
     """
     owners, touched_bodies = rig.owners.tolist(), rig.on
     commands = rig.references.overview[1].alpha_d

@@ -295,6 +295,9 @@ def _commanded_motion(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Arr
 def rails(bodies: Sequence[EnvironmentBody]) -> list[Rail]:
     """Rail of each body in the plant, by which it moves.
 
+    Args:
+        bodies: bodies of the environment.
+
     Raises:
         ScenarioError: a driven body does not start where the contacts touch.
     """

@@ -261,7 +261,12 @@ class TorqueLoopRobot:
     """
 
     def __init__(self, plant: Plant, loop: JointTorqueLoop) -> None:
-        """Put the loop in front of the plant; sensors and `stop` are the plant's."""
+        """Put a joint torque loop between controller and plant; sensors and `stop` are the plant's.
+
+        Args:
+            plant: plant whose torques the loop computes.
+            loop: the joint torque loop.
+        """
         self.plant = plant
         self.loop = loop
         self.measure = plant.measure

@@ -60,6 +60,9 @@ def force_steps(scenario: Scenario) -> list[float]:
     """Times at which a desired contact force jumps (s), in order; forces settle after them.
 
     The engagement of contacts after a tare is such a step, too.
+
+    Args:
+        scenario: scenario with the signals of its forces.
     """
     signals = chain.from_iterable(scenario.force.values())
     steps = {signal.start for signal in signals if isinstance(signal, Step)}

@@ -72,6 +72,9 @@ FAR_M = 0.02  #: m, gap from which on a contact is named in an error about the s
 def posture_of(scenario: Scenario, chain: ClosedChain) -> Array:
     """Postures of all arms in a scenario, as joint positions (n,) (m, rad).
 
+    Args:
+        chain: chain of the scenario's arms.
+
     Raises:
         ScenarioError: the number of positions differs from that of the joints.
     """
@@ -431,7 +434,11 @@ def register_plant(
     """
 
     def enter(make: MakesPlant) -> MakesPlant:
-        """Register a function that makes a plant, under the name given to the decorator."""
+        """Register a function that makes a plant, under the name given to the decorator.
+
+        Args:
+            make: function that makes the plant.
+        """
         PLANTS[name] = make
         if truths is not None:
             TRUTHS[name] = truths
@@ -493,6 +500,10 @@ def _mujoco(rig: Rig, seed: int) -> Plant:
 @register_plant("drake", truths=_noted_wrenches)
 def _drake(rig: Rig, seed: int) -> Plant:
     """Make the Drake plant of a rig, which uses no random numbers.
+
+    Args:
+        rig: rig of the scenario.
+        seed: unused; makers of plants have equal arguments.
 
     Raises:
         ScenarioError: a body of the environment moves, or the approximation `sap` would open a

@@ -157,7 +157,11 @@ def _spectrum(signal: Array) -> Array:
 
 
 def _remove_trend(signal: Array) -> Array:
-    """Signal (n,) without its mean and linear trend."""
+    """Signal (n,) without its mean and linear trend.
+
+    Args:
+        signal: (n,) samples at equal intervals.
+    """
     x = np.linspace(-1.0, 1.0, len(signal))
     level = signal - signal.mean()
     return level - x * (x @ level) / (x @ x)

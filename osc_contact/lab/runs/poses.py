@@ -458,6 +458,11 @@ class _Slide(NamedTuple):
 def _slide(arm: Arm, press: Press, q: Array) -> _Slide:
     """Place the stylus in a posture q (n,) and choose the motion along the plate.
 
+    Args:
+        arm: arm with the stylus.
+        press: axis of the tip and force.
+        q: (n,) posture (rad, m).
+
     Raises:
         InvalidInputError: q has not one number for each joint.
     """

@@ -520,7 +520,11 @@ def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[J
 
 
 def _tick(recording: Recording) -> dict[str, float | None]:
-    """Percentiles and maximum of the tick's computing time (µs); None if it was not recorded."""
+    """Percentiles and maximum of the tick's computing time (µs); None if it was not recorded.
+
+    Args:
+        recording: recording of the run.
+    """
     keys = ("p50", "p99", "p99_9", "max")
     if "tick_s" not in recording:  # the file of its times is missing
         return dict.fromkeys(keys)

@@ -83,7 +83,11 @@ class OwnContactSpec(OnBodySpec):
     @model_validator(mode="before")
     @classmethod
     def _named_as_the_pair(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Check the methods of a custom pair, and take its name."""
+        """Check the methods of a custom pair, and take its name.
+
+        Args:
+            data: keys of a contact in the file.
+        """
         pair = data["pair"]
         missing = [key for key in ("name", "contact", "gaps") if not hasattr(pair, key)]
         if missing:
@@ -254,7 +258,11 @@ def make_pair(spec: ContactSpec, X_WB: pin.SE3, folder: Path | None = None) -> C
 
 
 def _validate(value: Any) -> Any:
-    """Validate the entry of a contact: a mapping by its `type`, or a custom pair made in Python."""
+    """Validate the entry of a contact: a mapping by its `type`, or a custom pair made in Python.
+
+    Args:
+        value: value of the key in the file.
+    """
     if isinstance(value, OwnContactSpec):
         return value
     if isinstance(value, dict) and hasattr(value.get("pair"), "contact"):

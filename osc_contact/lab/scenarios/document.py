@@ -233,7 +233,12 @@ class ScenarioDocument:
         except ScenarioError as error:
             self.problems.at_override(override, str(error))
             return
-        self.origins = {old: line for old, line in self.origins.items() if old[: len(key)] != key}
+        # the key and all keys below it come from the override now, not from lines of the file
+        self.origins = {
+            path_in_file: line
+            for path_in_file, line in self.origins.items()
+            if path_in_file[: len(key)] != key
+        }
         self.origins[key] = override
         parent[key[-1]] = document.data
 
@@ -481,6 +486,9 @@ def _options(kind: Any) -> list[Any]:
     """Members of a union without None, or the type itself in a list; annotations are removed.
 
     `ContactSpec` stands for the models of all registered contact pairs.
+
+    Args:
+        kind: annotation of a field.
     """
     origin = get_origin(kind)
     inner_types = get_args(kind)

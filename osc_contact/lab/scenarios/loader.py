@@ -146,6 +146,9 @@ class Template:
 def read_text(name_or_path: str | Path) -> tuple[str, Path]:
     """Read the text of a packaged scenario, by name, or of a YAML file, by path.
 
+    Args:
+        name_or_path: name of a packaged scenario, or path of a file.
+
     Returns:
         Text, and path of its file.
 

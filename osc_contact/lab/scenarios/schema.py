@@ -65,7 +65,11 @@ Span = Annotated[tuple[Time, Time], AfterValidator(_forward)]  #: a span of time
 
 
 def _direction(value: Any) -> Any:
-    """Validate a direction [x, y, z] as a unit vector; the word common_tangent is left as it is."""
+    """Validate a direction [x, y, z] as a unit vector; the word common_tangent is left as it is.
+
+    Args:
+        value: value of the key in the file.
+    """
     if value == "common_tangent":
         return value
     if isinstance(value, str):
@@ -74,7 +78,11 @@ def _direction(value: Any) -> Any:
 
 
 def _no_common_tangent(value: Any) -> Any:
-    """Refuse the word common_tangent, which is no axis of an angular move; return other values."""
+    """Refuse the word common_tangent, which is no axis of an angular move; return other values.
+
+    Args:
+        value: value of the key in the file.
+    """
     if value == "common_tangent":
         raise refuse(
             "common_tangent is a direction of linear moves only; give the axis of an angular move "
@@ -91,7 +99,11 @@ def _take_laws(value: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Copy of nested values in which arrays and tuples are lists, as YAML and JSON write them."""
+    """Copy of nested values in which arrays and tuples are lists, as YAML and JSON write them.
+
+    Args:
+        value: value of the key in the file.
+    """
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -284,7 +296,11 @@ class Scenario(Spec):
         return self.name if self._source is None else self._source.stem
 
     def with_source(self, source: Path | None) -> Scenario:
-        """Copy of the scenario with another file, to whose folder relative paths refer."""
+        """Copy of the scenario with another file, to whose folder relative paths refer.
+
+        Args:
+            source: path of the file; None: no file.
+        """
         copy = self.model_copy()
         copy._source = source
         return copy

@@ -219,7 +219,11 @@ def least_jerk(points: tuple[tuple[float, float], ...]) -> Polynomials:
 
 
 def _stops(values: Sequence[float]) -> set[int]:
-    """Indices of the points at which a curve rests: both ends, and points with the same value."""
+    """Indices of the points at which a curve rests: both ends, and points with the same value.
+
+    Args:
+        values: values of the signal at the way points.
+    """
     stops = {0, len(values) - 1}
     for i, (value, following) in enumerate(pairwise(values)):
         if value == following:

@@ -137,10 +137,15 @@ class Fleet:
         squeeze_d: Array | None = None,
         active: Array | None = None,
     ) -> Array:
-        """Advance all rows by one control period; return their torques (B, n_a).
+        """Advance all rows by one control period; return their torques (B, n_a) (N m, N).
 
         Args:
-            X_WD, V_D, A_D, alpha_d, squeeze_d, active: see `BatchController.tick`.
+            X_WD: (B, 4, 4) desired pose of the object in the world.
+            V_D, A_D: (B, 6) its desired twist and classical acceleration at O, world axes.
+            alpha_d: (B, r) desired contact forces (N).
+            squeeze_d: (B,) or (B, bars) desired internal forces (N); None: see
+                `BatchController.tick`.
+            active: (B, contacts) active contacts; None: those with a force.
         """
         tau = self.control.tick(
             *self.measure(),

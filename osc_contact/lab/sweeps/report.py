@@ -96,7 +96,11 @@ def _causes(summary: Json, name: str) -> str:
 
 
 def _printed_text(summary: Json) -> str:
-    """Text of `in_words`, as it is printed with a width of 160 letters."""
+    """Text of `in_words`, as it is printed with a width of 160 letters.
+
+    Args:
+        summary: summary of a sweep.
+    """
     console = Console(file=StringIO(), width=160)
     for part in in_words(summary):
         console.print(part, highlight=False, markup=False, soft_wrap=isinstance(part, str))

@@ -130,7 +130,11 @@ def _scalar(at: Callable[[float, float, float], float]) -> Make:
     """
 
     def make(parts: Sequence[str]) -> Distribution:
-        """Make the distribution of two numbers, each with the same unit or none."""
+        """Make the distribution of two numbers, each with the same unit or none.
+
+        Args:
+            parts: two texts, numbers with or without a unit.
+        """
         (first, second), unit = _quantities(parts, 2)
         at(0.5, first, second)  # refuses unsuitable numbers
         suffix = f" [{unit}]" if unit else ""
@@ -208,7 +212,14 @@ def _choice(parts: Sequence[str], values: Sequence[Cell] = ()) -> Distribution:
 
 
 def _integers(parts: Sequence[str]) -> Distribution:
-    """Distribution of the integers between two numbers, both included."""
+    """Distribution of the integers between two numbers, both included.
+
+    Args:
+        parts: two texts, whole numbers.
+
+    Raises:
+        ValueError: the first number is above the second.
+    """
     low, high = map(int, parts)
     if low > high:
         raise ValueError(f"{low} is above {high}")
@@ -480,7 +491,11 @@ class SweepStudy:
         return self.template.make([*self.overrides, *texts(sample.overrides)])
 
     def command(self, number: int) -> str | None:
-        """Command line that repeats a run; None for a scenario made in Python."""
+        """Command line that repeats a run; None for a scenario made in Python.
+
+        Args:
+            number: number of the sample.
+        """
         if self.name is None:
             return None
         sample = self.sample(number)

@@ -129,6 +129,9 @@ def tune(
 def _shipped_rows(base: SweepStudy) -> list[Row]:
     """Rows of all samples with the scenario's own values.
 
+    Args:
+        base: study of the scenario with its own gains.
+
     Raises:
         InvalidInputError: a task fails.
     """
@@ -230,7 +233,11 @@ def _gains_in_scenario(scenario: str | Path, overrides: Sequence[str]) -> tuple[
 
 
 def _storage(out: str | Path | None) -> optuna.storages.JournalStorage | None:
-    """Storage of the trials in a folder; None: in memory."""
+    """Storage of the trials in a folder; None: in memory.
+
+    Args:
+        out: folder of the trials; None: they are kept in memory.
+    """
     if out is None:
         return None
     from optuna.storages import JournalStorage
@@ -311,7 +318,11 @@ class _Judge:
         return self._mean(rows, self._objective)
 
     def excess(self, rows: Sequence[Row]) -> dict[str, float]:
-        """Share of failed tasks, and relative excess over each limit, by a text that names them."""
+        """Share of failed tasks, and relative excess over each limit, by a text that names them.
+
+        Args:
+            rows: rows of the runs of a trial.
+        """
         worst_values = self.worst(rows)
         excess = {"a task fails": float(np.mean([row["failed"] for row in rows]))}
         for name, limit in self._limits.items():

@@ -65,7 +65,11 @@ def episode_maker(study: SweepStudy, period: float) -> Callable[[int], Episode]:
 
     @cache
     def make(number: int) -> Episode:
-        """Make the episode of a sample: its rig, and its references at the ends of the steps."""
+        """Make the episode of a sample: its rig, and its references at the ends of the steps.
+
+        Args:
+            number: number of the episode.
+        """
         rig = rigs.rig(study.scenario(study.sample(number)))
         require_known_times(rig.scenario, "an environment")
         steps = np.floor(rig.scenario.duration / period + 1e-9)
@@ -234,7 +238,11 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(actions, num_envs)
 
     def _name_numbers(self, first: Episode) -> list[str]:
-        """Names of the numbers of an observation."""
+        """Names of the numbers of an observation.
+
+        Args:
+            first: first episode, whose contacts and joints name the numbers.
+        """
         chain = first.start.rig.chain
         forces = range(self._r)
         axes = ("x", "y", "z", "rx", "ry", "rz")

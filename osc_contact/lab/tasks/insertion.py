@@ -274,7 +274,13 @@ class InsertionRobot:
 
 
 def _write_file(folder: str, name: str, text: str) -> Path:
-    """Path of a new file with a text."""
+    """Path of a new file with a text.
+
+    Args:
+        folder: folder of the file.
+        name: name of the file.
+        text: content of the file.
+    """
     path = Path(folder) / name
     path.write_text(text)
     return path

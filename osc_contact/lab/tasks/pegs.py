@@ -69,7 +69,11 @@ class Inserted:
 
 
 def insert(task: Insertion) -> Inserted:
-    """Insert a peg by `peg_plan`, from the pose of `peg_start`."""
+    """Insert a peg by `peg_plan`, from the pose of `peg_start`.
+
+    Args:
+        task: insertion with its peg, hole and world.
+    """
     plan = peg_plan(task.peg, task.hole)
     robot = task.robot(peg_start(task.peg, task.hole))
     run_loop(robot, controller_of(task, plan, robot), plan)

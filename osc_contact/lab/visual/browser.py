@@ -162,6 +162,10 @@ class Browser:
     def request(self, method: str, **params: Any) -> Json:
         """Send a command, wait for its answer; complaints of the page go to `errors`.
 
+        Args:
+            method: name of the command in the DevTools protocol.
+            params: parameters of the command.
+
         Raises:
             ViewerError: a refusal, no answer within a minute, or the browser has ended.
         """
@@ -409,6 +413,9 @@ def one_palette(frames: Sequence[Image]) -> list[Image]:
     """Frames in common 256 colours, without dithering, so that static pixels compress well.
 
     Pixels that hardly change keep their colour, as invisible flicker would need most of the bytes.
+
+    Args:
+        frames: pictures of equal size.
     """
     import numpy as np
     from PIL import Image

@@ -146,7 +146,7 @@ class Viewer:
             self._fail(f"a tick does not hold numbers: {error!r}")
 
     def _note_taken_tick(self) -> None:
-        """Note that the other process has taken a tick."""
+        """Note that the viewer's process has received a tick; report the end of a stall."""
         self._stalled_since = float("inf")
         if self.stalled:
             self.stalled = False

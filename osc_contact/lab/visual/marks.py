@@ -287,7 +287,11 @@ class TwistAxes(Part):
         self.pitches = np.where(steep, pitches, LEAST_TWIST_PITCH).tolist()
 
     def draw(self, scene: Visualizer) -> None:
-        """Make the nodes of all six axes that T can have."""
+        """Make the nodes of all six axes that T can have.
+
+        Args:
+            scene: root of the drawn scene.
+        """
         paint = plain(T_COLOUR)
         half = 0.5 * SLIDE_LENGTH
         for i, pitch in enumerate(self.pitches):

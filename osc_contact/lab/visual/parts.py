@@ -49,7 +49,11 @@ class States(NamedTuple):
     visible: NDArray[np.bool_] | None = None
 
     def matrix(self, tick: int = 0) -> Array | None:
-        """Matrix (4, 4) that scales, then places the node; None without pose and scale."""
+        """Matrix (4, 4) that scales, then places the node; None without pose and scale.
+
+        Args:
+            tick: index of the tick.
+        """
         if self.poses is None and self.scale is None:
             return None
         matrix: Array = np.eye(4)
@@ -229,6 +233,9 @@ class Moving(Part):
     def states(self, samples: Samples) -> Frames:
         """Poses of all moving nodes; where q or pose is unknown (NaN) the last ones are repeated.
 
+        Args:
+            samples: channels of the ticks to be drawn.
+
         Raises:
             InvalidInputError: a channel is not recorded, or the slice of q does not fit the URDF.
         """
@@ -321,7 +328,11 @@ class Moving(Part):
 
 
 def _shapes(visual: Visual) -> tuple[pin.Model, pin.GeometryModel]:
-    """Kinematics and shapes of an arm or body, from its URDF, MJCF or picture."""
+    """Kinematics and shapes of an arm or body, from its URDF, MJCF or picture.
+
+    Args:
+        visual: shapes of a body.
+    """
     if isinstance(visual.urdf, Mapping):
         return read_picture(visual.urdf)
     if is_mjcf(visual.urdf):

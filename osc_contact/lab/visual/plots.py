@@ -339,7 +339,13 @@ def _shade(ax: Axes, t: Array, counted: Judged) -> None:
 
 
 def _scale_errors(ax: Axes, error: Array, linear: float) -> None:
-    """Errors up to `linear` to scale, larger ones by their logarithm."""
+    """Scale a vertical axis so that small errors are to scale, and large ones by their logarithm.
+
+    Args:
+        ax: axes of the plot.
+        error: errors that are drawn, of any shape.
+        linear: largest error that is drawn to scale, in the unit of the errors.
+    """
     largest = _peak(error)
     if largest > 3.0 * linear > 0.0:
         ax.set_yscale("symlog", linthresh=linear, linscale=3.0)

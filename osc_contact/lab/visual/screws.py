@@ -161,7 +161,11 @@ def tangents(N: Array) -> Array:
 
 
 def echelon(basis: ArrayLike) -> Array:
-    """Basis (6, k) of a space in reduced echelon form: translations first, then rotations."""
+    """Basis (6, k) of a space in reduced echelon form: translations first, then rotations.
+
+    Args:
+        basis: (6, k) basis of a space of motions or forces.
+    """
     rows = np.array(basis, dtype=float).T
     size = 0.1  # m: only orders the pivots, so that translations are preferred over turns
     row = 0

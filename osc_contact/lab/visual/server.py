@@ -96,7 +96,11 @@ class LivePage:
         return None
 
     def _show(self, newest: Samples) -> None:
-        """Draw a tick and send it to all browsers; the first tick makes the scene."""
+        """Draw a tick and send it to all browsers; the first tick makes the scene.
+
+        Args:
+            newest: channels of the newest tick.
+        """
         if self.scene is None:
             self.scene = Scene(self.content, newest)
             self.scene.draw(self.drawn.visualizer())
@@ -155,7 +159,11 @@ class BrowserLink(WebSocketHandler):
         self.page.count()
 
     def send(self, trails: Iterable[Json] = ()) -> None:
-        """Send what this browser does not show yet, unless it is still drawing."""
+        """Send what this browser does not show yet, unless it is still drawing.
+
+        Args:
+            trails: commands that draw what was added to the trails.
+        """
         self.late |= {command["path"]: command for command in trails}
         if self.busy or not self.page.frame:
             return

@@ -245,7 +245,11 @@ def triangle_colours(file: str | Path, count: int) -> Array | None:
 
 
 def _groups(root: ET.Element) -> Iterator[tuple[list[float], int]]:
-    """Colour and number of the triangles of one material, in the order of the file."""
+    """Colour and number of the triangles of one material, in the order of the file.
+
+    Args:
+        root: root element of the COLLADA file.
+    """
     geometries = {g.get("id"): g for g in root.findall(".//c:geometry", SPACE)}
     for instance in root.findall(".//c:visual_scene//c:instance_geometry", SPACE):
         bound = {
