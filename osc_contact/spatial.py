@@ -324,6 +324,8 @@ def _quaternions(R: Array) -> Array:
 
     Rotations by at most 120° are given with w ≥ 0; Eigen converts the larger ones.
     """
+    # with w = size/2 the vector part is that of (R − Rᵀ)/(4 w); for a small w the division is
+    # inaccurate, hence the other method below
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     size = np.sqrt(np.maximum(trace, 0.0) + 1.0)
     vector = axial(R) * (0.5 / size)

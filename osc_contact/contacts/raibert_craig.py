@@ -416,6 +416,7 @@ def _space(E: Array, p: Array, chosen: Array) -> Array:
     full = np.zeros((len(E), 6, 6))
     full[:, :3, :3] = full[:, 3:, 3:] = E
     full[:, 3:, :3] = np.einsum("bl,lij,bjk->bik", p, _SKEW, E)
+    # each frame selects r columns, whose indices nonzero lists frame by frame
     r = int(chosen[0].sum())
     columns = np.nonzero(chosen)[1].reshape(len(E), 1, r)
     return np.linalg.qr(np.take_along_axis(full, columns, axis=2))[0]

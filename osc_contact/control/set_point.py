@@ -197,6 +197,7 @@ class PoseSetPoint:
         Args:
             goal: pose of the object.
         """
+        # position and rotation vector with their derivatives; those of w become ω and ω̇
         x, v, a = self._trajectory.state
         R, v[3:], a[3:] = rotation_of(x[3:], v[3:], a[3:])
         # normalised, so that rounding errors do not accumulate over many goals

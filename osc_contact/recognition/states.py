@@ -317,9 +317,11 @@ class ContactStates:
     def distances(
         self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None, force: float | None = None
     ) -> Array:
-        """Distances D (n, n): how badly state j explains a usual wrench of state i.
+        """Distances D (n, n) of contact states: the error with which state j explains state i.
 
-        D[i, j]² is the least (f − Nα)ᵀS⁻¹(f − Nα) of state j for f = Σ of the forces of state i.
+        D[i, j]² is the least value of (f − Nα)ᵀS⁻¹(f − Nα) over the forces α that state j permits.
+        f is the wrench of state i with the same force at each of its pairs, S the covariance of its
+        errors.
 
         Args:
             X_WO: pose of the object.
@@ -332,10 +334,10 @@ class ContactStates:
         counts = np.bincount(self._owners, minlength=len(self.pairs)) if self.pairs else None
         rows = []
         for i in range(len(self.names)):
-            own = self._cones.index[i, : self.sizes[i]]
+            indices = self._cones.index[i, : self.sizes[i]]  # columns of state i
             f = np.zeros(6)
-            if counts is not None and len(own):
-                f = columns.N[:, own] @ (size / counts[self._owners[own]])
+            if counts is not None and len(indices):
+                f = columns.N[:, indices] @ (size / counts[self._owners[indices]])
             rows.append(np.sqrt(self.judge(columns, S_f, f)[1]))
         return np.array(rows)
 

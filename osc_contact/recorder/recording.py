@@ -459,9 +459,14 @@ class Recording:
         `cpu_s` and `date` of the meta) are written to another file, run.times.npz for run.npz, and
         the events to run.events.jsonl.
 
+        Args:
+            path: path of the file, which ends in .npz.
+
         Raises:
             RecordingError: the file cannot be written; an older file of the name is kept.
         """
+        # measured times, which differ between runs of the same seed, have a file of their own; it
+        # and the events name the checksum of the recording to which they belong
         target = Path(path)
         columns = self.channels.data
         times = {name: columns[name] for name in _TIMES if name in columns}

@@ -109,6 +109,7 @@ def joint_axis(model: pin.Model, joint: int) -> Array:
 
     Args:
         model: model of a robot.
+        joint: number of the joint in the model.
     """
     state = model.joints[joint].createData()
     # Pinocchio reads the joint's entry of the whole q, and does not check its length.

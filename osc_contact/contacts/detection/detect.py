@@ -67,8 +67,8 @@ def rim_on_face(
 ) -> GapFunctions:
     """Pair of the rim of a disc of the object on a plane of the environment, r = 1.
 
-    g = n·(c − p) − R |n × a|: the disc with centre c and axis a extends R sin∠(n, a) below its
-    centre. Rolling is free.
+    g = n·(c − p) − R |n × a|: the disc with centre c, axis a and radius R extends R sin∠(n, a)
+    below its centre; p is a point of the plane, n its normal. Rolling is free.
 
     Args:
         rim: rim in the frame of its body.
@@ -79,6 +79,7 @@ def rim_on_face(
         name: name of the pair.
         swapped: True if the rim is that of the environment, and the plane that of the object.
     """
+    # `_STEP` times the inclination keeps the differences on one side of the kink
     centre = rim.centre
     axis = rim.axis
     assert centre is not None and axis is not None
@@ -87,7 +88,7 @@ def rim_on_face(
 
     def gap(X: SE3) -> Array:
         """Gap (1,) (m) at the pose X of the object in the environment."""
-        if swapped:
+        if swapped:  # X is to map from the body of the rim to that of the plane
             X = X.inverse()
         reach = radius * norm(cross(normal, X.rotation @ axis))
         return np.array([normal @ (X.act(centre) - point) - reach])

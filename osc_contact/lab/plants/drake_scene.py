@@ -251,8 +251,8 @@ def _drive(plant: Any, chain: ClosedChain, joints: Sequence[Any]) -> None:
                 f"arms.friction: joint {name} has a dry friction of {friction:.3g}, which the "
                 "drake plant does not model; set it to [0], or use plant.type mujoco"
             )
-    passive = np.delete(model.armature, chain.actuated)
-    if passive.any():
+    rotors_without_motor = np.delete(model.armature, chain.actuated)
+    if rotors_without_motor.any():
         raise PlantError(
             "arms.armature: a joint without a motor has a rotor inertia, which the drake plant "
             "does not model; set it to 0, or use plant.type mujoco"

@@ -46,6 +46,9 @@ def content_of(what: Rig | MujocoRobot | Content) -> Content:
 def content_of_recording(recording: Recording) -> Content:
     """Content of pictures of a recording that has a picture in its meta data.
 
+    Args:
+        recording: recording of a run without a scenario.
+
     Raises:
         RecordingError: the picture is damaged.
     """
@@ -55,7 +58,7 @@ def content_of_recording(recording: Recording) -> Content:
         joints = len(meta["joint_names"])
         contacts = meta["contact_names"], meta["columns"]
         content = _of_picture(meta["picture"], name, contacts, joints)
-        Scene(content, {})  # refused where it is damaged
+        Scene(content, {})  # raises an error if the picture is damaged
     except (KeyError, TypeError, IndexError, ValueError, InvalidInputError) as error:
         raise RecordingError(f"its picture cannot be drawn: {error}") from error
     return content

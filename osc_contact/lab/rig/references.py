@@ -209,9 +209,11 @@ class References:
 
     @cached_property
     def stages(self) -> list[tuple[float, Array]]:
-        """Named sets in their order: time (s) from which each is active, and (contacts,) 1 or 0.
+        """Sets of active contacts of the key `active` of the scenario, in the order of time.
 
-        Empty if none are named.
+        Returns:
+            For each set the time (s) from which it is active, and (contacts,) 1 for an active
+            contact, else 0. Empty if the scenario does not name active contacts.
         """
         if self.planned is not None:
             active_sets = self.planned[1]
@@ -224,8 +226,8 @@ class References:
         if active is None:
             return []
         changes = np.any(np.diff(active, axis=0), axis=1)
-        new = np.flatnonzero(np.concatenate(([True], changes)))
-        return [(float(times[k]), active[k]) for k in new]
+        beginnings = np.flatnonzero(np.concatenate(([True], changes)))
+        return [(float(times[k]), active[k]) for k in beginnings]
 
     def active(self, t: Array) -> Array | None:
         """Matrix (k, contacts) with 1 for contacts that are active at times t (k,) (s), else 0.

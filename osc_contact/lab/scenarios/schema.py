@@ -208,7 +208,12 @@ class SurfaceMove(Spec):
         return legs, t
 
     def _lines(self) -> Any:
-        """Ends (k, 2) of the lines of a raster, in the order of the path, about the start (m)."""
+        """Ends of the parallel lines of a raster, which the path follows to and fro.
+
+        Returns:
+            (2 lines, 2) coordinates along and across the lines, relative to the centre of the
+            raster (m), in the order of the path; no rows without a raster.
+        """
         if self.raster is None:
             return np.zeros((0, 2))
         length, width, count = self.raster

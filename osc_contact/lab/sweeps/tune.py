@@ -105,6 +105,8 @@ def tune(
     import optuna
 
     tuned = tuple(vary) if vary else _gains_in_scenario(scenario, overrides)
+    # `keys` maps coordinates of a trial to values of the tuned keys; `base` has the samples of the
+    # unknown quantities, with which each trial is run
     keys = SweepStudy.of(scenario, tuned, 1, "halton", seed, overrides)
     require_long_enough(keys)
     base = replace(keys, vary=tuple(over), samples=samples)
@@ -186,11 +188,14 @@ class _Search:
         return count
 
     def result(self, shipped: Sequence[Row]) -> Tuned:
-        """Best of all completed trials, compared with the rows of the shipped values."""
-        completed = self.completed()
-        best_trial = min(
-            completed, key=lambda trial: (sum(trial.constraints.values()), trial.value)
-        )
+        """Choose the best of all completed trials, and compare it with the shipped values.
+
+        Args:
+            shipped: rows of the runs with the shipped values.
+        """
+        # a trial that breaks limits less is better, whatever its objective
+        trials = self.completed()
+        best_trial = min(trials, key=lambda trial: (sum(trial.constraints.values()), trial.value))
         after = best_trial.user_attrs["numbers"]
         before = self.judge.worst(shipped)
         return Tuned(
@@ -198,12 +203,17 @@ class _Search:
             best=best_trial.values[0],
             broken=tuple(words for words, excess in best_trial.constraints.items() if excess),
             values=best_trial.user_attrs["values"],
-            trials=len(completed),
+            trials=len(trials),
             numbers={name: (value, after[name]) for name, value in before.items()},
         )
 
     def _draw(self) -> tuple[optuna.Trial, SweepStudy]:
-        """New trial, and the study of its samples with its values."""
+        """Draw a trial.
+
+        Returns:
+            The trial, and the study of its samples, in which the tuned keys have its values.
+        """
+        # a distribution of several coordinates, such as a direction, is drawn by each of them
         trial = self.study.ask()
         coordinates = [
             trial.suggest_float(f"{path}:{i}", 0.0, 1.0)

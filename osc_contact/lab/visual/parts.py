@@ -142,12 +142,17 @@ def changes(scene: Visualizer, before: Frames, after: Frames) -> None:
         after: states of the same nodes at a later tick.
     """
     for path, states in after.items():
-        old = before.get(path, States())
+        states_before = before.get(path, States())
         matrix = states.matrix()
-        old_matrix = old.matrix()
-        if matrix is not None and (old_matrix is None or not np.array_equal(matrix, old_matrix)):
+        matrix_before = states_before.matrix()
+        if matrix is not None and (
+            matrix_before is None or not np.array_equal(matrix, matrix_before)
+        ):
             scene[path].set_transform(matrix)
-        if states.visible is not None and (old.visible is None or states.visible != old.visible):
+        visible_before = states_before.visible
+        if states.visible is not None and (
+            visible_before is None or states.visible != visible_before
+        ):
             scene[path].set_property("visible", bool(states.visible[0]))
 
 

@@ -302,14 +302,15 @@ def torques(recording: Recording) -> Figure:
     for i, name in enumerate(names):
         groups.setdefault(name.rpartition("/")[0], []).append(i)
     has_limits = all(limits.values())
-    plotted = 100.0 * tau / np.array(list(limits.values())) if has_limits else tau
+    efforts = 100.0 * tau / np.array(list(limits.values())) if has_limits else tau
     with style():
         figure, axes = panels(len(groups), 2.6)
         for ax, (title, columns) in zip(axes, groups.items(), strict=True):
-            peaks = [_peak(plotted[:, i]) for i in columns]
+            peaks = [_peak(efforts[:, i]) for i in columns]
             for i, peak in zip(columns, peaks, strict=True):
                 name = names[i].removeprefix(f"{title}/")
-                ax.plot(t, plotted[:, i], lw=0.9, label=name + f", peak {peak:.0f} %" * has_limits)
+                label = f"{name}, peak {peak:.0f} %" if has_limits else name
+                ax.plot(t, efforts[:, i], lw=0.9, label=label)
             unit = "% of its limit" if has_limits else "N m; sliding joints: N"
             ax.set(title=title.replace("_", " "), ylabel=f"effort ({unit})")
             if has_limits and max(peaks, default=0.0) > NEAR_LIMIT:
