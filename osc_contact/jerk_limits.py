@@ -54,10 +54,10 @@ class JerkLimits:
         for key, value in vars(self).items():
             try:
                 bound = np.asarray(value, dtype=np.float64)
-                sound = bound.size > 0 and bool((np.isfinite(bound) & (bound > 0.0)).all())
+                is_valid = bound.size > 0 and bool((np.isfinite(bound) & (bound > 0.0)).all())
             except (TypeError, ValueError):
-                sound = False
-            if not sound:
+                is_valid = False
+            if not is_valid:
                 raise InvalidInputError(f"{key} limit {value}; give finite numbers > 0")
 
     def each(self, n: int) -> Bounds:

@@ -266,8 +266,8 @@ def unit_diagonal(
     if np.isfinite(matrix).all() and diagonal.min(initial=1.0) > 0.0:
         size = np.sqrt(diagonal)
         scaled = matrix / np.outer(size, size)
-        skewed = np.abs(scaled - scaled.T).max(initial=0.0)
-        if skewed <= _ASYMMETRIC and np.linalg.eigvalsh(scaled).min(initial=1.0) > _NO_MOBILITY:
+        asymmetry = np.abs(scaled - scaled.T).max(initial=0.0)
+        if asymmetry <= _ASYMMETRIC and np.linalg.eigvalsh(scaled).min(initial=1.0) > _NO_MOBILITY:
             return (scaled, size)
     raise refusal(
         f"{name} is not symmetric positive definite (diagonal {np.round(diagonal, 9)}); give {cure}"

@@ -353,7 +353,9 @@ def _factor(Phi: Array) -> Array:
     Raises:
         InvalidInputError: Φ is not symmetric positive definite.
     """
-    checked = as_array("Phi_ref", Phi, (6, 6))
+    array = as_array("Phi_ref", Phi, (6, 6))
     expected = "the inverse inertia (6, 6) of the held object at O"
-    scaled, size = projections.unit_diagonal(checked, "Phi_ref", expected, InvalidInputError)
-    return size[:, None] * np.linalg.cholesky(scaled)
+    unit_diagonal_Phi, size = projections.unit_diagonal(
+        array, "Phi_ref", expected, InvalidInputError
+    )
+    return size[:, None] * np.linalg.cholesky(unit_diagonal_Phi)

@@ -84,8 +84,8 @@ def selection_columns(frame: SE3, forces: Sequence[bool], couples: Sequence[bool
     Raises:
         InvalidInputError: not three flags.
     """
-    chosen = np.concatenate((_flags("forces", forces), _flags("couples", couples)))
-    return frame.toDualActionMatrix()[:, chosen]
+    flags = np.concatenate((_flags("forces", forces), _flags("couples", couples)))
+    return frame.toDualActionMatrix()[:, flags]
 
 
 def as_raibert_craig(
@@ -132,8 +132,8 @@ def as_raibert_craig(
 
     # order and signs of the axes: the largest trace of E P, nearest to the world's axes
     P = _RELABEL[np.einsum("ij,pji->p", triads[i_best], _RELABEL).argmax()]
-    selected = (flags[i_best].reshape(2, 3) @ np.abs(P)) > 0.5
-    forces, couples = ((bool(x), bool(y), bool(z)) for x, y, z in selected)
+    axis_flags = (flags[i_best].reshape(2, 3) @ np.abs(P)) > 0.5
+    forces, couples = ((bool(x), bool(y), bool(z)) for x, y, z in axis_flags)
     is_described = sine[i_best] <= tolerance
     reason = "" if is_described else _violation_in_words(Q, size, tolerance, sum(forces))
     frame = SE3(triads[i_best] @ P, middle + size * points[i_best])
@@ -169,10 +169,10 @@ def _orthonormal(columns: Array, centre: Array, size: float) -> tuple[Array, ...
     Raises:
         ContactError: dependent or zero columns.
     """
-    scaled = carry_wrench(columns, np.zeros(3), centre)
-    scaled[3:] /= size
-    require_independent(scaled, "N")
-    U = np.linalg.svd(scaled / np.linalg.norm(scaled, axis=0))[0]
+    wrenches = carry_wrench(columns, np.zeros(3), centre)
+    wrenches[3:] /= size
+    require_independent(wrenches, "N")
+    U = np.linalg.svd(wrenches / np.linalg.norm(wrenches, axis=0))[0]
     return tuple(np.split(U, [columns.shape[1]], axis=1))
 
 
@@ -470,10 +470,10 @@ def refined(E: Array, p: Array, chosen: Array, complement: Array) -> tuple[Array
         new_p = (turn @ p[:, :, None])[:, :, 0] + step[:, :3]
         new_S = _space(new_E, new_p, chosen)
         new_across = complement.T @ new_S
-        better = (new_across**2).sum(axis=(1, 2)) < (residual**2).sum(axis=(1, 2))
-        E[better] = new_E[better]
-        p[better] = new_p[better]
-        S[better] = new_S[better]
-        residual[better] = new_across[better]
-        damping = np.where(better, 0.2 * damping, 10.0 * damping)
+        is_better = (new_across**2).sum(axis=(1, 2)) < (residual**2).sum(axis=(1, 2))
+        E[is_better] = new_E[is_better]
+        p[is_better] = new_p[is_better]
+        S[is_better] = new_S[is_better]
+        residual[is_better] = new_across[is_better]
+        damping = np.where(is_better, 0.2 * damping, 10.0 * damping)
     return (E, p)

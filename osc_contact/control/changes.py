@@ -98,10 +98,10 @@ class Changes:
         if after == before:
             return ()
         self._before = after
-        changed = {name for name, part in _PARTS.items() if after[part] != before[part]}
-        if changed <= _COMMANDS:  # the frequent case: a command that grows in every tick
+        changes = {name for name, part in _PARTS.items() if after[part] != before[part]}
+        if changes <= _COMMANDS:  # the frequent case: a command that grows in every tick
             return tuple(self._raised_ceilings(after))
-        return tuple(self._events(changed, before, after))
+        return tuple(self._events(changes, before, after))
 
     def _events(self, changed: set[str], before: bytes, after: bytes) -> Iterator[Event]:
         """Yield the events that follow from changed fields.
@@ -176,7 +176,7 @@ def _flatten(path: str, value: Any) -> dict[str, Any]:
     fields = getattr(type(value), "model_fields", None)
     if fields is None:
         return {path: value}
-    flat: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key in fields:
-        flat |= _flatten(f"{path}.{key}", getattr(value, key))
-    return flat
+        values |= _flatten(f"{path}.{key}", getattr(value, key))
+    return values

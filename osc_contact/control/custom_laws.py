@@ -298,7 +298,7 @@ class CustomParts:
         X_WO = SE3(records.work.X_WO)
         V_O = records.work.V_O.copy()
         touched = measurement.touched
-        evaluated = {}
+        results = {}
         for number, pair in self._pairs:
             if not records.memory.contacts.active[number]:
                 continue
@@ -323,8 +323,8 @@ class CustomParts:
                         f"{pair.name}: {len(points)} points of contact, {N.shape[1]} "
                         "independent forces; friction needs one for each"
                     )
-            evaluated[number] = N, columns[6], points
-        return evaluated
+            results[number] = N, columns[6], points
+        return results
 
     def _evaluate_bodies(self, records: TickRecords, touched: Touched) -> None:
         """Evaluate the custom bodies, and write Φ_e, b_e and V_e (eq. 14) to `answer` of WORK.

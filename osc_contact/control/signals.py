@@ -145,8 +145,8 @@ class Signals(TickResult):
     @cached_property
     def _active_contacts(self) -> list[int]:
         """Indices of the contacts that have active columns of N, in the order of the columns."""
-        chosen = self.records.work.chosen[: int(self.count)]
-        return list(dict.fromkeys(self.records.model.columns.contact[chosen].tolist()))
+        columns = self.records.work.chosen[: int(self.count)]
+        return list(dict.fromkeys(self.records.model.columns.contact[columns].tolist()))
 
     @cached_property
     def parts(self) -> list[Contact]:

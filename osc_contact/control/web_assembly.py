@@ -40,9 +40,9 @@ def law_wasm() -> bytes:
     Raises:
         OscContactError: it has to be compiled, and there is no compiler, or the compiler fails.
     """
-    packaged = Path(library.__file__).with_name(MODULE)
-    if packaged.is_file():
-        content = packaged.read_bytes()
+    packaged_file = Path(library.__file__).with_name(MODULE)
+    if packaged_file.is_file():
+        content = packaged_file.read_bytes()
         if library.law_hash().encode() in content:
             return content
     with TemporaryDirectory() as temporary:
@@ -54,9 +54,9 @@ def law_wasm() -> bytes:
                 (folder / item.name).write_bytes(item.read_bytes())
         store = Store(library.cache_folder() / "parts")
         key = f"web-{_hash_of(folder)}"
-        stored = store.find(key)
-        if stored is not None:
-            return stored
+        stored_module = store.find(key)
+        if stored_module is not None:
+            return stored_module
         module = _compile(folder)
     store.keep(key, module)
     return module

@@ -515,13 +515,13 @@ def _with_factors(model: pin.Model, mass_factor: float, effort_factor: float) ->
     """
     if mass_factor == 1.0 and effort_factor == 1.0:
         return model
-    scaled = model.copy()
+    scaled_model = model.copy()
     if mass_factor != 1.0:
-        for j in range(1, scaled.njoints):
-            scaled.inertias[j] = scaled_inertia(scaled.inertias[j], mass_factor)
-        for frame in scaled.frames:
+        for j in range(1, scaled_model.njoints):
+            scaled_model.inertias[j] = scaled_inertia(scaled_model.inertias[j], mass_factor)
+        for frame in scaled_model.frames:
             frame.inertia = scaled_inertia(frame.inertia, mass_factor)
     if effort_factor != 1.0:
-        scaled.upperEffortLimit *= effort_factor
-        scaled.lowerEffortLimit *= effort_factor
-    return scaled
+        scaled_model.upperEffortLimit *= effort_factor
+        scaled_model.lowerEffortLimit *= effort_factor
+    return scaled_model

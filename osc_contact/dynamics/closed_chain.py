@@ -135,8 +135,10 @@ class ClosedChain:
         # joints of each arm are adjacent in q; those without a motor are not in tau
         ends = np.cumsum([0, *(arm.model.nv for arm in self.arms)]).tolist()
         self.slices = tuple(map(slice, ends, ends[1:]))
-        passive = [f"{arm.name}/{joint}" for arm in self.arms for joint in arm.passive_joints]
-        self.actuated = np.flatnonzero(~np.isin(self.joint_names, passive))
+        passive_joints = [
+            f"{arm.name}/{joint}" for arm in self.arms for joint in arm.passive_joints
+        ]
+        self.actuated = np.flatnonzero(~np.isin(self.joint_names, passive_joints))
         self.tau_max = effort_limits(self.model, self.actuated)
         self.full_ranks = tuple(map(_full_rank, self.arms, self.grasps))
         self.arm_mass = max(map(_mass_with_rotors, self.arms))

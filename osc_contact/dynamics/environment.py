@@ -445,13 +445,13 @@ class Rail:
             if name != "through" and value.any():
                 value = unit_vector(name, value)
             object.__setattr__(self, name, value)
-        for name, number, sound in (
+        for name, number, is_valid in (
             ("inertia", self.inertia, self.inertia > 0.0),
             ("stiffness", self.stiffness, self.stiffness >= 0.0),
             ("damping", self.damping, self.damping >= 0.0),
             ("preload", self.preload, True),
         ):
-            if not (np.isfinite(number) and sound):
+            if not (np.isfinite(number) and is_valid):
                 raise InvalidInputError(f"rail.{name} = {number}; give a number a body can have")
 
     @property

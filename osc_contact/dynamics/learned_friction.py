@@ -80,7 +80,7 @@ class LearnedFriction:
         """
         try:
             content = json.loads(Path(path).read_text("utf-8"))
-            learned = cls(
+            friction = cls(
                 robot=str(content["robot"]),
                 joints=tuple(map(str, content["joints"])),
                 friction=tuple(map(float, content["friction"])),
@@ -93,16 +93,16 @@ class LearnedFriction:
                 "that LearnedFriction.save has written"
             ) from error
         # one finite number for each joint; friction and damping cannot be negative
-        columns = (learned.friction, learned.damping, learned.missing_inertia)
-        sound = all(len(column) == len(learned.joints) for column in columns)
-        sound = sound and bool(np.isfinite(columns).all())
-        sound = sound and min((*learned.friction, *learned.damping), default=0.0) >= 0.0
-        if not sound:
+        columns = (friction.friction, friction.damping, friction.missing_inertia)
+        is_valid = all(len(column) == len(friction.joints) for column in columns)
+        is_valid = is_valid and bool(np.isfinite(columns).all())
+        is_valid = is_valid and min((*friction.friction, *friction.damping), default=0.0) >= 0.0
+        if not is_valid:
             raise InvalidInputError(
-                f"{path}: give one number for each of {len(learned.joints)} joints, friction and "
+                f"{path}: give one number for each of {len(friction.joints)} joints, friction and "
                 "damping not below 0"
             )
-        return learned
+        return friction
 
     def put_on(self, arm: Arm) -> Arm:
         """Copy an arm with these values in its model, from which a controller continues to learn.

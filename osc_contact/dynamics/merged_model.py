@@ -21,10 +21,10 @@ def merge(arms: Sequence[Arm]) -> pin.Model:
     Raises:
         InvalidInputError: a joint has more position numbers than velocities.
     """
-    merged = pin.Model()
+    merged_model = pin.Model()
     rotor_inertias = []
     names: dict[str, str] = {}
-    merged.gravity = arms[0].model.gravity
+    merged_model.gravity = arms[0].model.gravity
     for arm in arms:
         model = arm.model.copy()
         for j in range(1, model.njoints):
@@ -32,17 +32,17 @@ def merge(arms: Sequence[Arm]) -> pin.Model:
         for frame in list(model.frames)[1:]:
             frame.name = f"{arm.name}/{frame.name}"
         names |= with_distinct_frames(model)
-        merged = pin.appendModel(merged, model, 0, arm.base)
+        merged_model = pin.appendModel(merged_model, model, 0, arm.base)
         rotor_inertias.append(rotor_inertia(model))
-    for frame in merged.frames:
+    for frame in merged_model.frames:
         frame.name = names[frame.name]
-    merged.armature = np.concatenate(rotor_inertias)  # appendModel of Pinocchio 4.1 omits it
-    if merged.nq != merged.nv:
+    merged_model.armature = np.concatenate(rotor_inertias)  # appendModel of Pinocchio 4.1 omits it
+    if merged_model.nq != merged_model.nv:
         raise InvalidInputError(
             "joints with nq ≠ nv are not supported; robots.load_model makes continuous joints "
             "revolute ones without end stops"
         )
-    return merged
+    return merged_model
 
 
 @dataclass(frozen=True)

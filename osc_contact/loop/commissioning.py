@@ -97,7 +97,7 @@ class Commissioning:
             "shadow: lead the arm by the hand, at the tool, after a moment of rest": self._shadow,
             f"contact: presses with {FORCES[0]:g} and {FORCES[1]:g} N, slides": self._press,
         }
-        completed = 0
+        completed_steps = 0
         for title, step in steps.items():
             if not self.holds_itself:
                 self.robot.stop("the next step is to be confirmed")
@@ -111,11 +111,11 @@ class Commissioning:
             except OscContactError as error:
                 self.lines += [f"- {title}: failed", f"  - {error}"]
                 break
-            completed += 1
+            completed_steps += 1
         self.robot.stop()
         text = "\n".join(["# Commissioning", "", *self.lines, ""])
         write_whole(text, self.folder / "report.md")
-        return completed == len(steps)
+        return completed_steps == len(steps)
 
     def _read(self) -> Measurement:
         """Read the next measurement of the robot at rest.
@@ -263,11 +263,11 @@ class Commissioning:
         picture = "" if self.draw is None else f"; ![forces]({self.draw(recording, self.folder)})"
         yield f"landed after {motion.landed * self.dt:.2f} s{picture}"
         # rms error of each commanded force over the last `JUDGE_S` before its end
-        measured = recording["alpha_meas"][:, 0]
-        commanded = recording["alpha_cmd"][:, 0]
+        reading = recording["alpha_meas"][:, 0]
+        command = recording["alpha_cmd"][:, 0]
         for k, force in zip(motion.judged, FORCES, strict=True):
             interval = slice(k - round(JUDGE_S / self.dt), k)
-            error = np.sqrt(np.mean((measured[interval] / commanded[interval] - 1.0) ** 2))
+            error = np.sqrt(np.mean((reading[interval] / command[interval] - 1.0) ** 2))
             yield f"{force:g} N: {100 * error:.2g} % rms"
             if error > ERROR:
                 raise PlantError(

@@ -206,8 +206,8 @@ class Shadow:
         for j, tau_max in enumerate(self.chain.tau_max):
             regressors = _columns(v[:, j], acceleration[:, j])
             signals = np.column_stack((remainder[:, j], push[:, j]))
-            explained = regressors @ np.linalg.lstsq(regressors, signals)[0]
-            joint_remainder, joint_push = (signals - explained).T / tau_max
+            explained_torque = regressors @ np.linalg.lstsq(regressors, signals)[0]
+            joint_remainder, joint_push = (signals - explained_torque).T / tau_max
             numerator += joint_remainder @ joint_push
             denominator += joint_push @ joint_push
         if not denominator > FELT**2 * push.size:

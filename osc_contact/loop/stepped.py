@@ -49,8 +49,8 @@ class StopCalls:
         was_stopped = self._stopped
         needed_brakes = self._needs_brakes
         self._stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
-        unbraked = bool(getattr(controller, "unbraked", None))
-        self._needs_brakes = self._stopped and (needed_brakes or unbraked)
+        has_unbraked_joint = bool(getattr(controller, "unbraked", None))
+        self._needs_brakes = self._stopped and (needed_brakes or has_unbraked_joint)
         is_new = not was_stopped or self._needs_brakes != needed_brakes
         if self._stopped and is_new:
             self.call(getattr(controller, "reason", ""))

@@ -324,7 +324,7 @@ class _Check(HeldRobot):
                 break
         # the other joints were to stay at rest, and this one to move as the model predicts
         fastest = np.abs(changes).argmax()
-        predicted = torque / inertia * PULSE * self.dt
+        predicted_change = torque / inertia * PULSE * self.dt
         if np.abs(changes).max() <= MOVED:
             raise PlantError(
                 f"joint '{name}' does not move with {torque:.3g} N m; are torques in another unit "
@@ -342,10 +342,10 @@ class _Check(HeldRobot):
                 f"the positions of joint '{name}' change by {displacement:.3g} where its speeds "
                 f"add up to {summed_speeds:.3g}; give both in rad (m) and seconds, not in degrees"
             )
-        if changes[joint] > 5.0 * predicted:
+        if changes[joint] > 5.0 * predicted_change:
             raise PlantError(
                 f"joint '{name}' gains {changes[joint]:.3g} rad/s where the model predicts "
-                f"{predicted:.3g}; are positions and speeds in degrees, or masses too large?"
+                f"{predicted_change:.3g}; are positions and speeds in degrees, or masses too large?"
             )
 
     def torque_of(self, joint: int, share: float) -> float:

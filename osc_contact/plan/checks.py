@@ -32,8 +32,10 @@ def require_stages(stages: Sequence[Stage]) -> None:
     names = [stage.name for stage in stages]
     if not names:
         raise InvalidInputError("the plan has no stages; give one at least, such as osc.Stage(…)")
-    if repeated := sorted({name for name in names if names.count(name) > 1}):
-        raise InvalidInputError(f"several stages are named {repeated[0]!r}; give each its own name")
+    if repeated_names := sorted({name for name in names if names.count(name) > 1}):
+        raise InvalidInputError(
+            f"several stages are named {repeated_names[0]!r}; give each its own name"
+        )
     for stage in stages:
         for key in ("then", "fails"):
             name = getattr(stage, key)

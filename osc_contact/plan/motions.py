@@ -445,10 +445,10 @@ def rock(
     frequency_Hz = _positive("rock: frequency", frequency)
     n_cycles = _positive("rock: cycles", cycles)
     # largest acceleration of the sine, which the plan's change of twist must be able to follow
-    required = amplitude * (2.0 * pi * frequency_Hz) ** 2
-    if required > CHANGES * ANGULAR_ACCELERATION:
+    largest = amplitude * (2.0 * pi * frequency_Hz) ** 2
+    if largest > CHANGES * ANGULAR_ACCELERATION:
         raise InvalidInputError(
-            f"rock: {amplitude:g} rad at {frequency_Hz:g} Hz need {required:.3g} rad/s², more than "
+            f"rock: {amplitude:g} rad at {frequency_Hz:g} Hz need {largest:.3g} rad/s², more than "
             f"{CHANGES * ANGULAR_ACCELERATION:g} rad/s²; lower angle or frequency"
         )
 

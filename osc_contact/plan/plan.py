@@ -244,9 +244,11 @@ class Plan:
                 "controller.reset() before plan.resume()"
             )
         # the last of the stages that were entered and may begin again
-        entered = {verdict.name for verdict in self.verdicts}
+        entered_stages = {verdict.name for verdict in self.verdicts}
         candidates = [
-            k for k, stage in enumerate(self.stages) if stage.reentry and stage.name in entered
+            k
+            for k, stage in enumerate(self.stages)
+            if stage.reentry and stage.name in entered_stages
         ]
         if not candidates:
             raise InvalidInputError(
@@ -351,10 +353,10 @@ class Plan:
         most = min(stage.largest, self.largest)
         until = stage.until
         assert isinstance(until, End)
-        alarmed = self._alarm is not None and self._alarm(now, dt)
+        is_alarm = self._alarm is not None and self._alarm(now, dt)
         if force > most:
             self._fail(f"{force:.1f} N, more than {most:g} N")
-        elif alarmed:
+        elif is_alarm:
             assert isinstance(stage.unless, End)
             self._fail(stage.unless.words)
         elif self._watch(now, dt):

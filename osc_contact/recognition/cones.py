@@ -61,9 +61,9 @@ class Cones:
             N: (6, r) columns of all candidates.
             S: (6, 6) covariance of the wrench, or (n, 6, 6), one for each candidate.
         """
-        own = np.moveaxis(N[:, self.index], 0, 1) * self.used[:, None]
-        weighted = np.linalg.solve(np.broadcast_to(S, (len(own), 6, 6)), own)
-        return own.transpose(0, 2, 1) @ weighted, weighted
+        lines = np.moveaxis(N[:, self.index], 0, 1) * self.used[:, None]
+        weighted = np.linalg.solve(np.broadcast_to(S, (len(lines), 6, 6)), lines)
+        return lines.transpose(0, 2, 1) @ weighted, weighted
 
     def fit(self, N: Array, S: Array, wrench: Array) -> tuple[Array, Array, Array]:
         """Fit a wrench f: the least (f − Nα)ᵀS⁻¹(f − Nα) of each candidate with α ≥ 0.

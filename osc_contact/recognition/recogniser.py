@@ -160,7 +160,7 @@ class Recogniser:
             assumed: names of the pairs that may be closed.
             probability: least probability of all states with other pairs together.
         """
-        other = np.array([not own <= set(assumed) for own in self.states.members])
+        other = np.array([not members <= set(assumed) for members in self.states.members])
         if self.probabilities[other].sum() < probability:
             return ""
         return self.states.names[int(np.where(other, self.probabilities, -1.0).argmax())]

@@ -209,19 +209,19 @@ class ContactStates:
         F = np.zeros((r, 6, 6))
         exists = np.zeros(r, dtype=bool)
         for i, pair in enumerate(self.pairs.values()):
-            own = self._owners == i
+            indices = self._owners == i
             try:
                 all_columns = normals_over(pair, here, near)  # (6, own, 7)
             except ContactError:  # edges are parallel
-                N[2, own] = 1.0
+                N[2, indices] = 1.0
                 continue
-            exists[own] = True
-            N[:, own] = all_columns[:, :, 0]
+            exists[indices] = True
+            N[:, indices] = all_columns[:, :, 0]
             change = (all_columns[:, :, 1:] - all_columns[:, :, :1]) / _STEP
-            J[own] = change.transpose(1, 0, 2)
+            J[indices] = change.transpose(1, 0, 2)
             if has_known_points(pair):
                 points = pair.points_of_contact(X_WO, X_WE) - X_WO.translation[:, None]
-                F[own] = [
+                F[indices] = [
                     _along_tangents(normal, point)
                     for normal, point in zip(all_columns[:3, :, 0].T, points.T, strict=True)
                 ]
@@ -277,8 +277,8 @@ class ContactStates:
         """
         order = list(self.pairs)
         found = {name: 0.0 for name in order if name in self.members[state]}
-        own = self._cones.index[state, : self.sizes[state]]
-        for column, magnitude in zip(own.tolist(), alpha[state].tolist(), strict=False):
+        indices = self._cones.index[state, : self.sizes[state]]
+        for column, magnitude in zip(indices.tolist(), alpha[state].tolist(), strict=False):
             found[order[self._owners[column]]] += magnitude
         return found
 

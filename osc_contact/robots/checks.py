@@ -132,11 +132,11 @@ def _check_limits_of(joint: Joint) -> None:
     by_hand = f", or give limits={{{joint.name!r}: JointLimits(…)}} when loading"
     element = joint.element.part("limit")
     limits = joint.limits
-    required = ("effort", "velocity") if joint.kind == "continuous" else LIMITS
-    missing = [key for key in required if key not in limits]
+    required_keys = ("effort", "velocity") if joint.kind == "continuous" else LIMITS
+    missing = [key for key in required_keys if key not in limits]
     # no <limit> at all is one finding; otherwise each missing attribute is one
-    if element is joint.element and len(missing) == len(required):
-        keys = " ".join(f'{key}="…"' for key in required)
+    if element is joint.element and len(missing) == len(required_keys):
+        keys = " ".join(f'{key}="…"' for key in required_keys)
         element.note("limit", "has no <limit>", f"add <limit {keys}/>{by_hand}")
         return
     for key in missing:
@@ -215,20 +215,20 @@ def check_inertias(document: Document, inertias: Inertias) -> None:
     # principal moments of all bodies at once; `slack` is the rounding error of those of a body
     tensors = [[body.moments[key] for key in _TENSOR] for body in bodies]
     for body, moments, slack in zip(bodies, *_principal(tensors), strict=True):
-        listed = f"principal moments {_moments_text(moments)} kg m²"
+        moments_text = f"principal moments {_moments_text(moments)} kg m²"
         # of a real body no moment exceeds the sum of the other two; moments are in ascending order
         excess = moments[2] - moments[0] - moments[1]
         if body.mass < 0:
             continue
         if body.mass == 0 and np.abs(moments).max() > slack:
-            reason = f"mass 0 kg with {listed}"
+            reason = f"mass 0 kg with {moments_text}"
             cure = "give it a mass"
         elif moments[0] < -slack:
-            reason = f"the inertia is not positive: {listed}"
+            reason = f"the inertia is not positive: {moments_text}"
             cure = "check the signs of ixy, ixz, iyz"
         elif excess > slack:
             reason = (
-                f"no body has the {listed}: the largest exceeds the sum of the others by "
+                f"no body has the {moments_text}: the largest exceeds the sum of the others by "
                 f"{excess:.3g}"
             )
             cure = "check the units (kg m², about the centre of mass)"

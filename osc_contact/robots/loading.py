@@ -303,9 +303,9 @@ def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path,
     Raises:
         ModelError: nothing is found; the message names the places searched.
     """
-    packaged = _find_packaged(reference)
-    if packaged is not None:
-        return (packaged, ())
+    packaged_file = _find_packaged(reference)
+    if packaged_file is not None:
+        return (packaged_file, ())
     path = ((relative_to or Path.cwd()) / reference).resolve()
     if path.is_file():
         return (path, (path.parent,))
@@ -321,8 +321,8 @@ def resolve_urdf(reference: str, relative_to: Path | None = None) -> tuple[Path,
 
 def _find_packaged(name: str) -> Path | None:
     """Path of a packaged URDF by its name with or without suffix; None if no file has the name."""
-    packaged = _packaged_urdfs()
-    return packaged.get(name) or packaged.get(f"{name}.urdf")
+    urdfs = _packaged_urdfs()
+    return urdfs.get(name) or urdfs.get(f"{name}.urdf")
 
 
 def _packaged_urdfs() -> dict[str, Path]:

@@ -127,8 +127,8 @@ def rotors(model: pin.Model) -> Array:
 
     In kg m² of a revolute joint, kg of a prismatic one.
     """
-    geared = np.array(model.rotorInertia) * np.array(model.rotorGearRatio) ** 2
-    return np.where(model.armature != 0.0, model.armature, geared)
+    geared_inertia = np.array(model.rotorInertia) * np.array(model.rotorGearRatio) ** 2
+    return np.where(model.armature != 0.0, model.armature, geared_inertia)
 
 
 def check_mass_matrix(model: pin.Model, document: Document | None = None) -> None:
@@ -152,7 +152,7 @@ def check_mass_matrix(model: pin.Model, document: Document | None = None) -> Non
         weak = _massless(M, floor)
         if not weak.any():
             continue
-        names = [name for name, bad in zip(joint_names(model), weak, strict=True) if bad]
+        names = [name for name, is_weak in zip(joint_names(model), weak, strict=True) if is_weak]
         reason = (
             f"the mass matrix is not positive definite at q = {np.round(q, 3).tolist()}: "
             f"joint {', '.join(names)} can move without moving mass"

@@ -244,12 +244,12 @@ class SafetySettings(OrderedSpec):
             total: largest sum of all commands (N).
         """
         commands = {"contact_ceiling": largest, "wrist_ceiling": total}
-        derived = {
+        derived_limits = {
             key: max(LEAST_CEILING, HEADROOM * command)
             for key, command in commands.items()
             if getattr(self, key) is None
         }
-        return self.replaced(**derived)
+        return self.replaced(**derived_limits)
 
     @classmethod
     def motors_only(cls, **keys: Any) -> SafetySettings:

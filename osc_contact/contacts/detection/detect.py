@@ -295,8 +295,8 @@ def merged(
     """
     shapes = {shape.name: shape for shape in object_geometry}
     distinct: list[Detected] = []
-    ranked = sorted(contacts, key=lambda c: (-c.r, c.object_feature.radius == 0.0, c.distance))
-    for contact in ranked:
+    by_priority = sorted(contacts, key=lambda c: (-c.r, c.object_feature.radius == 0.0, c.distance))
+    for contact in by_priority:
         if not any(
             _same_plane(contact, other, margin, angle)
             and (

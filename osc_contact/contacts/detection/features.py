@@ -428,8 +428,8 @@ def _collinear(points: Array) -> bool:
 
 def _round_trip(points: Array, normal: Array) -> Array:
     """Corners (k, 3) of a convex face in counterclockwise order about its normal (3,)."""
-    flat = (points - points.mean(axis=0)) @ triad(normal)[:, :2]
-    return points[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))]
+    plane_coordinates = (points - points.mean(axis=0)) @ triad(normal)[:, :2]
+    return points[np.argsort(np.arctan2(plane_coordinates[:, 1], plane_coordinates[:, 0]))]
 
 
 # --- The patch that two features share ------------------------------------------------------------
@@ -497,15 +497,15 @@ def _clip(subject: Array, window: Array) -> Array:
     for start, end in zip(window, np.roll(window, -1, axis=0), strict=True):
         inward = np.array((start[1] - end[1], end[0] - start[0]))
         depth = [float(inward @ (p - start)) for p in points]
-        clipped = []
+        part_inside = []
         for i, (p, h) in enumerate(zip(points, depth, strict=True)):
             previous = points[i - 1]
             before = depth[i - 1]
             if (h < 0.0) != (before < 0.0):
-                clipped.append(previous + (p - previous) * (before / (before - h)))
+                part_inside.append(previous + (p - previous) * (before / (before - h)))
             if h >= 0.0:
-                clipped.append(p)
-        points = clipped
+                part_inside.append(p)
+        points = part_inside
     return np.array(points).reshape(-1, 2)
 
 

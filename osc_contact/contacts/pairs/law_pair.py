@@ -54,8 +54,8 @@ class PairRow(NamedTuple):
 def shape(*parts: Array | float) -> Array:
     """Concatenate numbers of one column or permitted motion to a row (16,), padded with zeros."""
     row = np.zeros(16)
-    flat = np.concatenate([np.atleast_1d(part) for part in parts])
-    row[: len(flat)] = flat
+    numbers = np.concatenate([np.atleast_1d(part) for part in parts])
+    row[: len(numbers)] = numbers
     return row
 
 
@@ -71,8 +71,8 @@ def law_row(pair: ContactPair) -> PairRow | None:
     classes = type(pair).__mro__
     declared_by = next(kind for kind in classes if "row" in vars(kind))
     newer = classes[: classes.index(declared_by)]
-    changed = any(name in vars(kind) for kind in newer for name in _GIVEN_BY_ROW)
-    return None if changed else row()
+    is_overridden = any(name in vars(kind) for kind in newer for name in _GIVEN_BY_ROW)
+    return None if is_overridden else row()
 
 
 class LawPair(PackagedPair):

@@ -128,8 +128,8 @@ def loose_joints(mj: Any, body: int, dofs: Array) -> dict[str, float]:
     from mujoco import mjtEq
 
     tree = mj.body_rootid == mj.body_rootid[body]
-    coupled = mj.eq_type == mjtEq.mjEQ_JOINT
-    coupled_joints = {*mj.eq_obj1id[coupled].tolist(), *mj.eq_obj2id[coupled].tolist()}
+    is_coupling = mj.eq_type == mjtEq.mjEQ_JOINT
+    coupled_joints = {*mj.eq_obj1id[is_coupling].tolist(), *mj.eq_obj2id[is_coupling].tolist()}
     masses = {}
     for j in range(mj.njnt):
         position_gains = mj.actuator_biasprm[motors_of(mj, j), 1]

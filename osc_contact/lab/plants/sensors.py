@@ -308,10 +308,10 @@ def _pictures(vision: VisionSpec, n: int, rng: np.random.Generator) -> Callable[
 
     def corrupt(X: Array) -> Array:
         """Measured poses (n, 4, 4) in the camera's frame, of true poses X (n, 4, 4)."""
-        measured = X.copy()
-        measured[:, :3, 3] = add_position_errors(X[:, :3, 3] @ R_CW.T + offset)
+        poses = X.copy()
+        poses[:, :3, 3] = add_position_errors(X[:, :3, 3] @ R_CW.T + offset)
         for i, error in enumerate(add_rotation_errors(np.zeros((n, 3)))):
-            measured[i, :3, :3] = pin.exp3(error) @ R_CW @ X[i, :3, :3]
-        return measured
+            poses[i, :3, :3] = pin.exp3(error) @ R_CW @ X[i, :3, :3]
+        return poses
 
     return corrupt

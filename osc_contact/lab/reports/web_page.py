@@ -286,9 +286,9 @@ def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
     model = plant.model
     names = rig.chain.joint_names
     joints = [model.joint(name) for name in names]
-    sensed = {arm.name for arm in rig.chain.arms if arm.wrist_sensor is not None}
+    arms_with_sensors = {arm.name for arm in rig.chain.arms if arm.wrist_sensor is not None}
     first = [
-        int(model.sensor(f"{arm.name}/force").adr[0]) if arm.name in sensed else -6
+        int(model.sensor(f"{arm.name}/force").adr[0]) if arm.name in arms_with_sensors else -6
         for arm in rig.chain.arms
     ]
     rate = rig.scenario.control.rate

@@ -699,7 +699,7 @@ def landings(rig: Rig) -> list[Landing]:
     directions = np.vstack([feet(pair, state.X_WO)[1] for pair in rig.pairs])
     commands = rig.references.overview[1].commands
     columns = zip(rig.force_names, rig.owners, directions, (contact.N @ contact.R).T, strict=True)
-    expected = []
+    results = []
     # mass (kg) of object and arms along the force, and stiffness of the plant's contact for it
     for (name, owner, direction, N), desired in zip(columns, commands.T, strict=True):
         if not pushes_only(rig.pairs[owner]):
@@ -718,5 +718,5 @@ def landings(rig: Rig) -> list[Landing]:
         command = desired.max()
         peak = max(life.speed * impedance, command)
         is_open = rig.scenario.tare is not None or not desired[0] > 0.0
-        expected.append(Landing(name, life.speed, mass, stiffness, command, peak, is_open))
-    return expected
+        results.append(Landing(name, life.speed, mass, stiffness, command, peak, is_open))
+    return results

@@ -88,15 +88,18 @@ def scenario_of(meta: Json, path: Path, folder: StrPath | None = None) -> Scenar
     folders = list(dict.fromkeys(folders))  # each once
     missing = ModelError()
     for candidate in folders:
-        located = scenario.with_source(candidate / str(meta.get("source")))
+        candidate_scenario = scenario.with_source(candidate / str(meta.get("source")))
         try:
-            for urdf in (*(arm.urdf for arm in located.arms), located.object.urdf):
+            for urdf in (
+                *(arm.urdf for arm in candidate_scenario.arms),
+                candidate_scenario.object.urdf,
+            ):
                 resolve_urdf(urdf, candidate)
-            environment_bodies(located)
+            environment_bodies(candidate_scenario)
         except ModelError as error:
             missing = error
         else:
-            return located
+            return candidate_scenario
     raise RecordingError(
         f"{path} needs files of its scenario, which are not in {', '.join(map(str, folders))}. "
         "Give the scenario's folder (--folder, or folder= in Python), or start there, or copy them "

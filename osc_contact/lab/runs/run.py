@@ -83,16 +83,16 @@ def run(
     rig = build(scenario)
     doubts = check(rig)
     # the recorder writes rows to the journal during the run, and reads them again at its end
-    simulated, controller = start(rig, seed, install)
+    plant_of_run, controller = start(rig, seed, install)
     ticks = round(scenario.duration * scenario.control.rate)
     recorder = Recorder(
         controller,
-        simulated,
+        plant_of_run,
         subject=rig.subject(controller),
         journal=journal,
         meta=_describe(rig, seed, doubts),
     )
-    robot = rig.robot(simulated, controller)
+    robot = rig.robot(plant_of_run, controller)
     taring = controller if scenario.tare is None else Taring(rig, controller)
     if scenario.plan is not None:
         plan = scenario.plan.made()

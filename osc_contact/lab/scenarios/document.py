@@ -72,8 +72,8 @@ class Problems:
             ScenarioError: all messages, one in each line, each once.
         """
         if self.found:
-            ordered = sorted(self.found, key=lambda item: item[0])
-            raise ScenarioError("\n".join(dict.fromkeys(text for _, text in ordered)))
+            ordered_problems = sorted(self.found, key=lambda item: item[0])
+            raise ScenarioError("\n".join(dict.fromkeys(text for _, text in ordered_problems)))
 
 
 def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | None:
@@ -274,9 +274,9 @@ class ScenarioDocument:
         while remaining:
             part = remaining.pop(0)
             if isinstance(parent, dict) and part not in parent and remaining:
-                dotted = f"{part}.{remaining[0]}"  # a force magnitude, such as pad.1
-                if dotted in parent:
-                    part = dotted
+                path_text = f"{part}.{remaining[0]}"  # a force magnitude, such as pad.1
+                if path_text in parent:
+                    part = path_text
                     del remaining[0]
             where = ".".join(parents) or "the scenario"
             if not part:

@@ -273,15 +273,15 @@ def worst_rows(table: pyarrow.Table, study: SweepStudy) -> list[Json]:
         study: study of the runs.
     """
     judged = [name for name in judged_columns(table) if name.endswith(".rms_error_rel")]
-    ranked = []  # whether the run failed, its largest error, and its description
+    row_order = []  # whether the run failed, its largest error, and its description
     for row in table.to_pylist():
         errors = {name: row[name] or 0.0 for name in judged}
         name = max(judged, key=errors.__getitem__, default=None)
         about = {key: row[key] for key in ("row", "word", "why")}
         about |= {"column": name, "value": name and row[name]}
-        ranked.append((row["failed"], max(errors.values(), default=0.0), about))
-    ranked.sort(key=lambda entry: entry[:2], reverse=True)
-    selected = [about for _, _, about in ranked[:_WORST]]
+        row_order.append((row["failed"], max(errors.values(), default=0.0), about))
+    row_order.sort(key=lambda entry: entry[:2], reverse=True)
+    selected = [about for _, _, about in row_order[:_WORST]]
     return [about | {"command": study.command(about["row"])} for about in selected]
 
 

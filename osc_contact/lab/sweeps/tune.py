@@ -234,12 +234,12 @@ def _gains_in_scenario(scenario: str | Path, overrides: Sequence[str]) -> tuple[
     """
     some_variation = ["seed=integers(0, 1)"]  # a study needs one, only its template is used
     template = SweepStudy.of(scenario, some_variation, 1, overrides=overrides).template
-    stated = []
+    gains = []
     for gain in GAINS:
         path, _, _ = gain.partition("=")
         if template.value(path, overrides):
-            stated.append(gain)
-    return tuple(stated)
+            gains.append(gain)
+    return tuple(gains)
 
 
 def _storage(out: str | Path | None) -> optuna.storages.JournalStorage | None:

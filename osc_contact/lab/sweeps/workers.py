@@ -177,17 +177,17 @@ def _hand_out(
         OscContactError: the cluster is lost.
     """
     job_iterator = iter(jobs)
-    submitted: dict[Future[list[Row]], Job] = {}
+    jobs_by_future: dict[Future[list[Row]], Job] = {}
     try:
         while True:
             # number of jobs that may be submitted now; workers may join or leave at any time
-            free = max(0, workers.count() * _AHEAD - len(submitted))
-            for job in islice(job_iterator, free):
-                submitted[workers.submit(make, *job)] = job
-            if not submitted:
+            free_places = max(0, workers.count() * _AHEAD - len(jobs_by_future))
+            for job in islice(job_iterator, free_places):
+                jobs_by_future[workers.submit(make, *job)] = job
+            if not jobs_by_future:
                 return
-            for future in wait(submitted, return_when=FIRST_COMPLETED).done:
-                job = submitted.pop(future)
+            for future in wait(jobs_by_future, return_when=FIRST_COMPLETED).done:
+                job = jobs_by_future.pop(future)
                 try:
                     rows = future.result()
                 except workers.deaths:
@@ -198,7 +198,7 @@ def _hand_out(
             "the cluster is lost; start it again, and the same call continues with what is done"
         ) from error
     finally:
-        for future in submitted:
+        for future in jobs_by_future:
             future.cancel()
 
 

@@ -308,8 +308,8 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
             )
         ]
     # the stages in their order: slide into a corner of the mouth, turn upright, press to the bottom
-    cornered = {**dict.fromkeys(way.sides, 4.0), "tip on face": 4.0}
-    seated = when(lambda now: depth(now) > hole.depth - 4e-3, "at the bottom")
+    corner_forces = {**dict.fromkeys(way.sides, 4.0), "tip on face": 4.0}
+    is_seated = when(lambda now: depth(now) > hole.depth - 4e-3, "at the bottom")
     is_upright = (
         when(lambda now: depth(now) > 12e-3, "12 mm deep")
         | when(lambda now: now.t > 2.5 and depth(now) > 3e-3, "upright")
@@ -320,12 +320,12 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
         *edges,
         Stage(
             "corner",
-            cornered,
+            corner_forces,
             until=made(*way.sides, lasting=0.3) | (at_rest().lasting(0.5) & after(1.0)),
             within=4.0,
             unless=lost("tip on face", lasting=0.8) & after(1.5),
             fails="back",
-            places=dict.fromkeys(cornered, face_found) if way.placed else {},
+            places=dict.fromkeys(corner_forces, face_found) if way.placed else {},
         ),
         Stage(
             "upright",
@@ -341,7 +341,7 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
             "insert",
             {"hole": 0.0},
             along([0, 0, 1], 12e-3, axes="object", yields=10.0),
-            until=(seated & pressed(6.0, into) & at_rest(2e-3, 0.05)).lasting(0.3),
+            until=(is_seated & pressed(6.0, into) & at_rest(2e-3, 0.05)).lasting(0.3),
             within=10.0,
             fails="back",
             places={"hole": lambda now: hole.found_at(now.X)},

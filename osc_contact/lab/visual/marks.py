@@ -151,10 +151,10 @@ class ContactForce(Part):
                 node[f"{state}/line/pitch"].set_object(tube(path, 0.002), paint)
         for arrow in self.arrows:
             # the measured force is black and beside the true one; a couple has a second head
-            measured = arrow.name == "measured"
+            is_measured = arrow.name == "measured"
             part = node[arrow.name]
-            part.set_transform(at([BESIDE if measured else 0.0, 0.0, 0.0]).homogeneous)
-            paint = material(BLACK if measured else self.colour, arrow.opacity, glow=0.12)
+            part.set_transform(at([BESIDE if is_measured else 0.0, 0.0, 0.0]).homogeneous)
+            paint = material(BLACK if is_measured else self.colour, arrow.opacity, glow=0.12)
             cylinder(part["shaft/rod"], paint, (-1.0, 0.0), arrow.radius)
             cones = [("cone", 0.0)]
             if self.couple:
@@ -173,18 +173,18 @@ class ContactForce(Part):
             States of each node by its path in the scene.
         """
         poses, _ = self._place(samples)
-        known, pressed, active = (flags[:, self.column] for flags in samples["normals"][1:])
+        known, is_pressed, active = (flags[:, self.column] for flags in samples["normals"][1:])
         frames = {
             self.path: States(poses),
-            f"{self.path}/closed": States(visible=pressed & active),
-            f"{self.path}/lost": States(visible=known & active & ~pressed),
+            f"{self.path}/closed": States(visible=is_pressed & active),
+            f"{self.path}/lost": States(visible=known & active & ~is_pressed),
             f"{self.path}/known": States(visible=known & ~active),
         }
         unit = METRES_PER_NEWTON_METRE if self.couple else METRES_PER_NEWTON
         longest = np.zeros(len(poses))
         for arrow in self.arrows:
             alpha = samples[arrow.channel][:, self.column]
-            is_drawn = pressed if arrow.name == "true" else known & active
+            is_drawn = is_pressed if arrow.name == "true" else known & active
             path = f"{self.path}/{arrow.name}"
             frames[path] = States(visible=is_drawn & (alpha > SHOWN_FROM))
             frames |= arrow_states(path, unit * alpha)

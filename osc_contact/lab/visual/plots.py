@@ -95,14 +95,14 @@ def save(
     """
     base = Path(path_without_suffix)
     paths = []
-    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):
         _lay_out(figure)
         for suffix in suffixes:
             paths.append(base.with_name(base.name + suffix))
             with whole_file(paths[-1]) as unfinished:
                 figure.savefig(
-                    unfinished, dpi=_DPI, format=suffix[1:], metadata=undated.get(suffix)
+                    unfinished, dpi=_DPI, format=suffix[1:], metadata=metadata.get(suffix)
                 )
     return tuple(paths)
 
@@ -167,16 +167,16 @@ def contact_forces(recording: Recording, judged: Judged | None = None) -> Figure
         desired, measured, true = (
             recording[key] for key in ("alpha_cmd", "alpha_meas", "alpha_true")
         )
-        counted = _counting_mask(true.shape, judged)
+        is_counted = _counting_mask(true.shape, judged)
         for i, (name, ax) in enumerate(zip(names, axes, strict=False)):
             ax.plot(t, desired[:, i], color="#B4BAC2", lw=5.0, label="desired")
             ax.plot(t, true[:, i], color=contact_colour(i), lw=1.8, label="true")
             ax.plot(t, measured[:, i], color="black", lw=0.9, ls=(0, (4, 6)), label="measured")
             ax.set(title=name, ylabel=rf"$\alpha_{{{i + 1}}}$ (N)")
-            _shade(ax, t, counted[:, i])
+            _shade(ax, t, is_counted[:, i])
             legend(ax)
         draw_errors(below, recording, judged)
-        note = "" if counted.all() else " (shaded: not in rms and peak)"
+        note = "" if is_counted.all() else " (shaded: not in rms and peak)"
         below.set_title(f"error: true − desired{note}")
     return figure
 
@@ -195,15 +195,15 @@ def draw_errors(
     """
     t = recording["t"]
     error = recording["alpha_true"] - recording["alpha_cmd"]
-    counted = _counting_mask(error.shape, judged)
+    is_counted = _counting_mask(error.shape, judged)
     for i, name in enumerate(recording.magnitude_names):
-        counted_error = error[counted[:, i], i]
+        counted_error = error[is_counted[:, i], i]
         sizes = f"rms {_si(_rms(counted_error))}N, peak {_si(_peak(counted_error))}N"
         label = f"{name.replace('_', ' ')}\n{sizes}"
         ax.plot(t, error[:, i], color=contact_colour(i), lw=0.9, label=label)
     ax.set_ylabel("error (N)")
-    _shade(ax, t, np.asarray(counted.any(axis=1)))
-    _scale_errors(ax, error, linear or _peak(error[counted]))
+    _shade(ax, t, np.asarray(is_counted.any(axis=1)))
+    _scale_errors(ax, error, linear or _peak(error[is_counted]))
     legend(ax)
 
 
@@ -221,8 +221,8 @@ def power(recording: Recording, judged: Judged | None = None) -> Figure:
     t = recording["t"]
     total = recording["power_total"]
     projected = recording["power_projected"]
-    counted = _counting_mask(total.shape, judged)
-    of_total, of_projected = (f"rms {_si(_rms(x[counted]))}W" for x in (total, projected))
+    is_counted = _counting_mask(total.shape, judged)
+    of_total, of_projected = (f"rms {_si(_rms(x[is_counted]))}W" for x in (total, projected))
     total_limits = _limits(np.concatenate([total, projected]))
     # three panels: total power, projected power on the same scale, and enlarged
     contents = (
@@ -233,14 +233,14 @@ def power(recording: Recording, judged: Judged | None = None) -> Figure:
             "vermillion",
             total_limits,
         ),
-        (projected, "projected, enlarged", "vermillion", _limits(projected[counted])),
+        (projected, "projected, enlarged", "vermillion", _limits(projected[is_counted])),
     )
     with style():
         figure, axes = panels(3, 2.1)
         for ax, (series, title, colour, limits) in zip(axes, contents, strict=True):
             ax.plot(t, series, color=OKABE_ITO[colour], lw=0.9)
             ax.set(title=title, ylabel="power (W)", ylim=limits)
-            _shade(ax, t, counted)
+            _shade(ax, t, is_counted)
         if axes[0].patches:
             words = "not in the rms: settling, landings, force steps"
             axes[0].legend(
@@ -266,13 +266,13 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
     t = recording["t"]
     error = 1e3 * recording["motion_error"]
     position = 1e3 * recording["pose"][:, :3]
-    counted = _counting_mask(t.shape, t >= judged_from - 1e-9)
+    is_counted = _counting_mask(t.shape, t >= judged_from - 1e-9)
     contents = [(position - position[0], "object position, from its start", "position (mm)", "")]
     for part, quantity, kind, unit, about in (
         (error[:, 3:], "rotation", "angular", "mrad", "about "),
         (error[:, :3], "motion", "linear", "mm", ""),
     ):
-        rms = _rms(np.linalg.norm(part[counted], axis=1))
+        rms = _rms(np.linalg.norm(part[is_counted], axis=1))
         title = f"{quantity} error along the free directions: rms {rms:.3g} {unit}"
         contents.insert(0, (part, title, f"{kind} error ({unit})", about))
     with style():
@@ -280,7 +280,7 @@ def tracking(recording: Recording, judged_from: float = 0.0) -> Figure:
         for ax, (series, title, unit, about) in zip(axes, contents, strict=True):
             ax.plot(t, series, label=[about + axis for axis in "xyz"])
             ax.set(title=title, ylabel=unit)
-            _shade(ax, t, counted)
+            _shade(ax, t, is_counted)
             legend(ax)
     return figure
 
