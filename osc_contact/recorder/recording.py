@@ -671,6 +671,7 @@ def write_mcap(recording: Recording, file: IO[bytes]) -> None:
     channel = writer.register_channel("tick", "json", kind)
     number = 0
     for piece in recording.pieces():
+        # one message for each tick; without a channel of times the number of the tick is its time
         for t, *values in zip(piece.get("t", count(number)), *piece.values(), strict=False):
             message = dict(zip(piece, map(_finite, values), strict=True))
             nanoseconds = round(float(t) * 1e9)

@@ -368,6 +368,7 @@ class RigidPlant:
         N, n_gamma = stacked(parts)
         J = self._jacobian(X)
         tips = chain.tip_poses(self.data)
+        # closure of the loops: every arm but the leader must move the object as the leader does
         first = object_columns(chain, J)
         gamma_O = np.zeros(6) if chain.leader is None else self._drift(chain.leader, X)
         right_sides = []
@@ -383,12 +384,15 @@ class RigidPlant:
             right_sides.append(drift)
             normals.append(basis)
         ends = np.cumsum([0, *map(len, right_sides)])
+        # contacts: no acceleration along N relative to the faces
         by_rail, face_drift = faces.closing(parts, O)
         right_sides.append(N.T @ gamma_O - n_gamma - face_drift)
+        # smooth friction of the joints, dry · tanh(v/v_slip), and its slope for the implicit step
         dry = np.array(model.upperDryFrictionLimit)
         share = np.tanh(self.v / self._slip)
         slope = model.damping + dry / self._slip * (1.0 - share**2)
         force = -self.data.nle - (model.damping * self.v + dry * share)
+        # without a leader the object's motion has coordinates of its own, as have bodies on rails
         M = np.array(self.data.M)
         if chain.leader is None:
             body = chain.reference.terms(X, V, model.gravity.linear)

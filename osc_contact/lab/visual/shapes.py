@@ -126,6 +126,7 @@ def tube(points: ArrayLike, radius: float, sides: int = 6) -> Any:
         path = np.vstack([path, path[-1] + [0.0, 0.0, 1e-4]])
     forward = np.gradient(path, axis=0)
     forward /= np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-12)
+    # a direction across the path, begun with the axis that is least parallel to it
     side = np.cross(forward[0], np.eye(3)[np.argmin(np.abs(forward[0]))])
     angles = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     circle = radius * np.array([np.cos(angles), np.sin(angles)]).T
@@ -134,6 +135,7 @@ def tube(points: ArrayLike, radius: float, sides: int = 6) -> Any:
         side = side - (side @ ahead) * ahead  # carried along without twisting
         side /= max(norm(side), 1e-12)
         rings.append(point + circle @ [side, np.cross(ahead, side)])
+    # two triangles for each side between neighbouring rings, by the indices of their corners
     first = np.arange((len(path) - 1) * sides).reshape(-1, sides)
     second = np.roll(first, -1, axis=1)
     faces = [[first, second, first + sides], [second, second + sides, first + sides]]
