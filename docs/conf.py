@@ -64,7 +64,7 @@ autodoc_type_aliases = {"Array": "Array", "npt.ArrayLike": "ArrayLike", "Outward
 autodoc_type_aliases |= dict.fromkeys(("Direction", "Place", "Points"), "ArrayLike")
 for quantity in ("Angle", "Force", "Frequency", "Length", "Number", "Time", "Torque"):
     autodoc_type_aliases[quantity] = "float"
-for quantity in ("Velocity", "AngularVelocity", "Positive[Time]", "Positive[Force]"):
+for quantity in ("Velocity", "AngularVelocity"):
     autodoc_type_aliases[quantity] = "float"
 autodoc_default_options = {"members": True}
 autoclass_content = "both"

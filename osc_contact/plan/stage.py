@@ -12,7 +12,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.plan.ends import End, as_end
 from osc_contact.plan.motions import Motion, dwell
 from osc_contact.plan.sensed import Sensed
-from osc_contact.settings.quantities import Force, Positive, Time
+from osc_contact.settings.quantities import Force, Time
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Stage:
     forces: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
     motion: Motion = field(default_factory=dwell)
     until: End | Callable[[Sensed], bool] = field(kw_only=True)
-    within: Positive[Time] = field(kw_only=True)
+    within: Time = field(kw_only=True)
     unless: End | Callable[[Sensed], bool] | None = field(default=None, kw_only=True)
     then: str | None = field(default=None, kw_only=True)
     fails: str | None = field(default=None, kw_only=True)
-    largest: Positive[Force] = field(default=inf, kw_only=True)
+    largest: Force = field(default=inf, kw_only=True)
     reentry: bool = field(default=False, kw_only=True)
     places: Mapping[str, pin.SE3 | Callable[[Sensed], pin.SE3]] = field(
         default_factory=dict, kw_only=True
