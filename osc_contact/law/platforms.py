@@ -55,9 +55,15 @@ def own_target() -> llvm.TargetMachine:
 
 
 def pass_builder(target: llvm.TargetMachine) -> llvm.PassBuilder:
-    """Builder of LLVM's optimisation passes (level 3) for a target."""
-    tuning = llvm.create_pipeline_tuning_options(3)
-    tuning.loop_vectorization = tuning.slp_vectorization = True
+    """Builder of LLVM's optimisation passes for a target.
+
+    Loops of the law are short (arms, joints, columns of N), so that vectorised and specialised
+    copies of them (level 3) cost instruction cache and gain nothing: level 2 makes the object 11 %
+    smaller and ticks 1 % faster. Vectorisation of straight-line code makes ticks 10 % faster.
+    """
+    tuning = llvm.create_pipeline_tuning_options(2)
+    tuning.loop_vectorization = False
+    tuning.slp_vectorization = True
     return llvm.create_pass_builder(target, tuning)
 
 
