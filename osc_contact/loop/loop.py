@@ -94,7 +94,7 @@ def run_loop(
         shadow=Shadow(controller) if shadow else None,
         progress=progress,
     )
-    # `signals.busy` defers signals, so that the last stop of the robot is not interrupted
+    # while `busy` is true signals are deferred: the last stop of the robot is not interrupted
     with raised_signals() as signals, _process(realtime, recorder, report) as side:
         try:
             loop.run(loop.begin(references, check=check), signals, side)
