@@ -9,7 +9,7 @@ from benchmarks.combined_errors import ERRORS
 from osc_contact.contacts.feet import feet
 from osc_contact.lab.checks.inspection import inspect_rig
 from osc_contact.lab.reports.report import verdict_table
-from osc_contact.lab.rig.references import known_to, showing_twist, slides
+from osc_contact.lab.rig.dither import known_to, showing_twist, slides
 from osc_contact.settings.control import Dither
 
 H = 1e-5

@@ -11,7 +11,7 @@ from pytest import approx
 from samples import parametrize
 
 import osc_contact as osc
-from osc_contact.lab.rig.rig import landings
+from osc_contact.lab.rig.landings import landings
 
 
 def drake_of(*changes, name="two_contact_rod"):

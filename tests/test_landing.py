@@ -7,7 +7,7 @@ from samples import aligned, first, parametrize
 from scenario_runs import run_of, verdict_of, worst_force
 
 import osc_contact as osc
-from osc_contact.lab.rig.rig import landings
+from osc_contact.lab.rig.landings import landings
 
 PUSH = 10.0  # N, of either end of the rod
 

@@ -13,8 +13,9 @@ from osc_contact.contacts.pairs.pair import ContactPair, has_known_points, pushe
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.files import Json
-from osc_contact.lab.rig.references import gain_in_words, known_to
-from osc_contact.lab.rig.rig import Rig, landings
+from osc_contact.lab.rig.dither import gain_in_words, known_to
+from osc_contact.lab.rig.landings import landings
+from osc_contact.lab.rig.rig import Rig
 from osc_contact.lab.visual.screws import common_perpendicular, echelon
 from osc_contact.law.joint_friction import LAG
 from osc_contact.plan.ends import End

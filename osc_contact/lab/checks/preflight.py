@@ -33,7 +33,8 @@ from osc_contact.errors import InvalidInputError, ModelError, OscContactError, S
 from osc_contact.interface import Measurement, Reference, Robot, Touched
 from osc_contact.lab.rig import hardware
 from osc_contact.lab.rig.contacts import urdf_of
-from osc_contact.lab.rig.rig import Rig, landings
+from osc_contact.lab.rig.landings import landings
+from osc_contact.lab.rig.rig import Rig
 from osc_contact.lab.scenarios.bodies import CartSpec
 from osc_contact.loop.arm_rules import weights
 from osc_contact.loop.reference_rules import pulls

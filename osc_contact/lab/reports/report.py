@@ -12,7 +12,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.files import Json, write_whole
 from osc_contact.lab.checks.inspection import Inspection
 from osc_contact.lab.reports.viewing import write_scene_of
-from osc_contact.lab.rig.references import gain_in_words
+from osc_contact.lab.rig.dither import gain_in_words
 from osc_contact.lab.rig.rig import build_rig
 from osc_contact.lab.runs.verdict import metrics
 from osc_contact.lab.scenarios.schema import Scenario

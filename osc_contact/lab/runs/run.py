@@ -17,7 +17,8 @@ from osc_contact.errors import (
 from osc_contact.files import Json
 from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.checks.preflight import require_ready
-from osc_contact.lab.rig.references import force_steps, known_to
+from osc_contact.lab.rig.dither import known_to
+from osc_contact.lab.rig.references import force_steps
 from osc_contact.lab.rig.rig import Rig, build_rig
 from osc_contact.lab.scenarios.named import as_scenario
 from osc_contact.lab.scenarios.schema import Scenario
