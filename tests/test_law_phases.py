@@ -168,17 +168,15 @@ def test_torques_go_gently_around_a_change_but_for_fast_joints():
         assert law.max_speed_ratio(t) == approx(most)
 
 
-@parametrize("chosen, expected", [(0, 200.0), (1, 0.45 * 20.0)])
-@parametrize("passing", [{"phase": APPROACHING}, {"phase": CLOSED, "unloading": 0.02}])
-def test_torques_go_gently_while_a_named_contact_comes_or_goes(passing, chosen, expected):
+def test_torques_go_gently_while_a_contact_is_unloaded_but_not_while_one_is_approached():
+    """A slow torque would make an object that sticks and slips swing."""
     t = records(contacts=2, torque_rate=200.0, phase_rate=20.0, phased=1)
-    t.memory.contacts.phase = CLOSED
+    t.memory.contacts.phase = (CLOSED, APPROACHING)
     t.memory.contacts.since = 9.0
-    t.memory.chosen_set = chosen
+    t.memory.chosen_set = 1
     assert law.torque_rate(t, 0.0) == 200.0
-    for name, value in passing.items():
-        setattr(t.memory.contacts[1], name, value)
-    assert law.torque_rate(t, 0.0) == approx(expected)
+    t.memory.contacts[0].unloading = 0.02
+    assert law.torque_rate(t, 0.0) == approx(0.45 * 20.0)
 
 
 def meet(alpha, speed, mass=0.5, k=None, ticks=700):

@@ -360,8 +360,8 @@ def torque_rate(t, share):
     """Largest rate of the motor torques (1/s, as a multiple of the torque limits).
 
     After a change of phase it is smaller, except where joints are fast: there a delayed torque
-    would make a joint deviate from its path. Where the user names active contacts, it is smaller
-    also while a contact is unloaded or approached.
+    would make a joint deviate from its path. It is smaller
+    also while a contact is unloaded.
 
     Args:
         t: Tick.
@@ -377,8 +377,7 @@ def torque_rate(t, share):
     if changes and slow > 0.0:
         for c in range(model.n_contacts):
             contact = t.memory.contacts[c]
-            passes = contact.unloading > 0.0 or contact.phase == APPROACHING
-            if contact.since < _CHANGES or (passes and t.memory.chosen_set):
+            if contact.since < _CHANGES or contact.unloading > 0.0:
                 rate = min(rate, gently / (slow * slow))
     return rate
 

@@ -56,7 +56,6 @@ from osc_contact.law.force_law import command_force, contact_laws, last_integral
 from osc_contact.law.hopping import watch_hops
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.joint_friction import compensate_friction
-from osc_contact.law.landing import oppose_landings
 from osc_contact.law.levelling import level_approaches
 from osc_contact.law.normals import load_normal_estimates
 from osc_contact.law.plausibility import check_readings
@@ -452,8 +451,6 @@ def command(t, flags):
     work.reaction[:] = 0.0
     if model.reading == LEAST_SQUARES:
         oppose_friction(t)
-    if model.phased and memory.chosen_set:
-        oppose_landings(t)
     command_object(t)
     return NO_REASON
 
