@@ -45,8 +45,9 @@ def object_pose(chain: ClosedChain, q: Array, data: pin.Data | None = None) -> S
 def reach(chain: ClosedChain, q: ArrayLike, X_WO: SE3, tolerance: float = 1e-6) -> Array:
     """Compute joint positions (n,) whose grasps are nearest to an object pose (inverse kinematics).
 
-    Levenberg–Marquardt on the energy-weighted pose errors, (object's inertia)½ × displacement,
-    within the joints' limits: a joint at its end stop stays there if a step would pass it.
+    Levenberg–Marquardt on the energy-weighted pose errors, square root of the object's inertia
+    times displacement, within the joints' limits: a joint at its end stop stays there if a step
+    would pass it.
 
     Args:
         chain: the arms.

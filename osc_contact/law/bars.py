@@ -132,11 +132,14 @@ def _compute_levers(t, bars, n_locked):
 def _find_internal_torques(t, count, n_locked):
     """Find torques that change bar forces and, being in null(G), do not move the object.
 
-    G (6, n) maps torques to the wrench on the object. Torques are weighted by effort, τ/τ_max. They
-    are selected by their angle to null(G), not by size, because singular postures exaggerate some
-    forces. Reads J̄ of the joints (n, 6), whose rows along the free axes are the columns of G;
-    weights the joint elements of `bar_effects`. Fills `bar_torques` (s, n) with these torques, and
-    `moving_torques` (6, n) with an orthonormal basis of the torques that move the object.
+    G (6, n) maps torques to the wrench on the object. Torques are counted in units of τ_max. In a
+    singular posture some rows of `bar_effects` are huge; therefore torques are selected by their
+    angle to the torques that move the object, not by size. Reads J̄ of the joints (n, 6), whose rows
+    along the free axes are the columns of G, and `effort` (τ_max²) of the joints. Changes
+    `bar_effects` (count, n_locked + n), whose rows have the effects of locked wrenches, then of
+    each joint's torque, on one bar force: the elements of the joints are multiplied by τ_max. Fills
+    `bar_torques` (s, n) with the torques, and `moving_torques` (6, n) with an orthonormal basis of
+    the torques that move the object.
 
     Args:
         t: Tick.
@@ -152,18 +155,19 @@ def _find_internal_torques(t, count, n_locked):
     loading = work.bar_torques
     moving_torques = work.moving_torques
     for j in range(n):
-        effort = sqrt(t.model.joints[j].effort)
-        driven = turned(work, work.joints[j].J_bar)
-        for row in range(6):
-            moving_torques[row, j] = driven[row] * effort if row >= work.locked else 0.0
+        tau_max = sqrt(t.model.joints[j].effort)
+        wrench = turned(work, work.joints[j].J_bar)
+        for row in range(6):  # the first rows are locked axes, along which no torque moves it
+            moving_torques[row, j] = wrench[row] * tau_max if row >= work.locked else 0.0
         for row in range(count):
-            effects[row, n_locked + j] *= effort
+            effects[row, n_locked + j] *= tau_max
             loading[row, j] = effects[row, n_locked + j]
     n_moving = _orthonormalise(moving_torques, 6, n, _DEPENDENT)
     n_loading = _orthonormalise(loading, count, n, _DEPENDENT)
+    # What remains of a unit row is as long as the sine of its angle to the torques that move.
     for row in range(n_loading):
         _take_out(moving_torques, n_moving, n, loading[row])
-    one_sided_jacobi(loading, n_loading, n, 0)
+    one_sided_jacobi(loading, n_loading, n, 0)  # principal directions, with the sines as lengths
     tolerance = t.model.angle_tolerance
     return _keep(loading, n_loading, n, n, tolerance * tolerance, inf)
 
@@ -318,8 +322,8 @@ def _keep(X, count, length, width, low, high):
         count: number of rows.
         length: number of elements of y.
         width: number of elements of a row that are moved.
-        low, high: bounds of |y|².
         low: lower bound of |y|²; a negative one keeps rows of zeros.
+        high: upper bound of |y|².
 
     Returns:
         Number of these rows.

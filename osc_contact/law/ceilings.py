@@ -181,10 +181,11 @@ def carried_force(t, acceleration):
 
 @leaf
 def _largest_load(t, acceleration):
-    """Find the wrist with the largest force, from which weight and inertial force are subtracted.
+    """Find the wrist with the largest force, less that by which it carries the object.
 
-    Reads `net` of the arms, the reading of the wrist less weight and inertia of the bodies between
-    it and the object.
+    Of each wrist an equal share of the object's weight and inertial force is subtracted. Reads
+    `net` of the arms, the reading of the wrist less weight and inertia of the bodies between it and
+    the object.
 
     Args:
         t: Tick.

@@ -30,9 +30,10 @@ def integral_room(setting, desired):
 def last_integral(t, a):
     """Return the force integral of a kept column (N) after the last tick.
 
-    It is 0 if the number of columns changed. If the set of active contacts changed, it is the sum
-    of the integrals of all active columns, weighted by their shares. Reads `force_sum`,
-    `force_rank`, `by_column` and `integral` of the columns of MEMORY, and `share`.
+    If nothing has changed it is `force_sum`. After a change of the active contacts (`by_column` is
+    1) it is the sum of `integral` of all active columns, weighted by their `share` of the kept one.
+    If only the number of kept columns has changed, since one became dependent, it is 0. Reads the
+    fields named here and `force_rank`, of MEMORY and WORK.
 
     Args:
         t: Tick.

@@ -292,10 +292,11 @@ def _learn(t, j, sound, rate, inertial, dt):
 def _begin_estimate(t, j, missing, dt):
     """Update the state of a joint's friction estimate θ until its identification begins.
 
-    UNKNOWN becomes MODEL_ONLY, where θ (friction, rotor inertia, bias, error of the masses) and its
-    covariance are those of the model and the prior. MODEL_ONLY becomes SUSPECTED (the estimate has
-    to differ from the model first) or LEARNED once residuals have exceeded rounding for
-    `_EVIDENCE`.
+    θ = (F, D, A, bias, μ) has two values: `theta` is compensated, `estimate` is identified. UNKNOWN
+    becomes MODEL_ONLY, where both are those of the model, and the covariance P (5, 5) is that of
+    the prior. MODEL_ONLY ends once residuals have exceeded rounding for `_EVIDENCE`; at once if
+    errors of the masses are compensated, too. It becomes SUSPECTED if `estimate` has to differ from
+    the model by `sure` standard deviations before it is used, else (`sure` = 0) LEARNED.
 
     Args:
         t: Tick.
@@ -317,7 +318,7 @@ def _begin_estimate(t, j, missing, dt):
             friction_row.theta[i] = friction_row.estimate[i] = t.model.joints[j].theta[i]
             friction_row.P[i, i] = prior.doubt[i] * prior.doubt[i]
         deviation = _MASSES * t.work.joints[j].h
-        friction_row.P[3, 3] += deviation * deviation
+        friction_row.P[3, 3] += deviation * deviation  # the bias takes errors of the masses, too
     if state == MODEL_ONLY:
         change = dt if abs(missing) > prior.rounding else -dt
         friction_row.evidence = max(friction_row.evidence + change, 0.0)
@@ -469,15 +470,17 @@ def _regress(prior, friction_row, phi, r, k, dt):
 
     θ (5,) has F, D, A, bias and μ, φ (5,) their regressors in the residual r (N m, N), and R is the
     variance of r that θ does not explain. R follows the mean square of r − φᵀθ; it is increased for
-    outliers beyond three standard deviations. Old residuals are forgotten exponentially, as long as
-    P stays below its bound.
+    outliers beyond `_SEEN` standard deviations. Old residuals are forgotten with the time constant
+    `_FORGET`, for those elements of θ that now affect r by more than `_SEEN` times its noise, and
+    whose standard deviation is below `spread` of the prior.
 
     Args:
         prior: PRIOR of a joint.
         friction_row: its FRICTION, of which `estimate`, `P` and `noise` are changed.
         phi: (5,) regressors φ: sign, speed, acceleration, 1, load.
         r: residual (N m, N).
-        k: share of one update in r.
+        k: weight (0 … 1) of the latest residual in the low-pass that gives r. Successive r are
+            correlated, so an update counts as a measurement with the variance R/k.
         dt: time since the last update (s).
     """
     gain = local(_SIZE)
@@ -498,8 +501,9 @@ def _regress(prior, friction_row, phi, r, k, dt):
     total *= max(miss * miss / (_SEEN * _SEEN * (R + variance)), 1.0)  # outliers count less
     for i in range(_SIZE):
         estimate[i] += gain[i] * miss / total
-        forgetting = 1.0 + 0.5 * dt / _FORGET
+        forgetting = 1.0 + 0.5 * dt / _FORGET  # of a standard deviation: half that of P
         deviation = forgetting * sqrt(max(P[i, i] - gain[i] * gain[i] / total, 0.0))
+        # what has no effect is not measured now, and would only be forgotten
         has_effect = abs(phi[i]) * prior.spread[i] > _SEEN * noise
         growth[i] = forgetting if has_effect and deviation < prior.spread[i] else 1.0
     for i in range(_SIZE):

@@ -158,16 +158,19 @@ def _compute_mobility(p, X, accelerations, mobility, row_maximum, factor):
 
 @inner
 def _respond(p):
-    """Compute the motion and the contact force caused by `scale` units of each motor's torque.
+    """Compute the response of the object and of the contacts to each motor: δη̇ and δα.
 
-    For each column g of G times `scale`, the wrench of a motor in energy coordinates, the rotated
-    contact forces ψ solve UDUᵀψ = UNᵀΛ⁻¹g, with U and D of `_compute_mobility`; then δα = Uᵀψ and
-    δη̇ = Λ⁻¹(g − N_μδα) (eqs. 17, 18).
+    The torque of motor j is `scale[j]`, and its wrench g = `G[j] scale[j]`, in energy coordinates
+    of which the last d axes are free. Contact forces are computed as ψ = Uδα; the rotation U makes
+    the rows of UNᵀ orthogonal, so that nearly dependent contacts can be distinguished. With the
+    mobility UDUᵀ (1/kg) of `_compute_mobility`,
 
-    Reads `G`, `Lambda`, `N`, `pushed`, `Phi_e` and `scale`. Fills `motion` (a, 6), δη̇ (energy
-    coordinates) along the d free axes; `force` (a, 6), δα (N) of the r columns; and the first 6 + d
-    elements of each row of `rows`: δη̇, then N δα weighted by the root of `_FORCE`, whose squares
-    are energies (N²/kg).
+        UDUᵀψ = UNᵀΛ⁻¹g,   δα = Uᵀψ,   δη̇ = Λ⁻¹(g − N_μδα)   (eqs. 17, 18)
+
+    Reads `G`, `Lambda` (Λ), `N`, `pushed` (N_μ), `Phi_e` and `scale`. Fills `motion` (a, 6), δη̇
+    (energy coordinates) along the d free axes; `force` (a, 6), δα (N) of the r columns; and the
+    first 6 + d elements of each row of `rows`, residuals of the least-squares program: δη̇ (d),
+    then √`_FORCE` N δα (6).
 
     Args:
         p: PROGRAM.
@@ -178,7 +181,7 @@ def _respond(p):
     d = p.d
     r = p.r
     n_motors = len(p.scale)
-    X = local(6, 18)  # rows of UNᵀ, U(N_μ − N)ᵀ and U
+    X = local(6, 18)  # each row: UNᵀ (6, the d free axes first), U(N_μ − N)ᵀ (d), U (r)
     accelerations = local(6, 6)  # rows of UN_μᵀΛ⁻¹
     mobility = local(6, 6)
     row_maximum = local(6)
@@ -201,9 +204,9 @@ def _respond(p):
         psi = six(force)  # copied, since `force` becomes δα = Uᵀψ
         fill(force, ZERO)
         for a in range(r):
-            add_scaled(-psi[a], accelerations[a], d, motion)
-            add_scaled(psi[a], X[a, 6 + d :], r, force)
-            add_scaled(sqrt(_FORCE) * psi[a], X[a], 6, row[d:])
+            add_scaled(-psi[a], accelerations[a], d, motion)  # δη̇ −= Λ⁻¹N_μUᵀψ
+            add_scaled(psi[a], X[a, 6 + d :], r, force)  # δα = Uᵀψ
+            add_scaled(sqrt(_FORCE) * psi[a], X[a], 6, row[d:])  # N δα = (UNᵀ)ᵀψ
         add_scaled(1.0, motion, d, row)
     return True
 

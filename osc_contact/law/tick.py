@@ -484,8 +484,9 @@ def watch(t):
 def finish(t):
     """Compute motor torques and status of a tick, and update MEMORY.
 
-    Fills `tau` of the motors, `status` (OK, DEGRADED or SATURATED) and the fields that the
-    functions called here fill.
+    Fills `tau` of the motors and `status`: SATURATED if torques were limited, else DEGRADED if
+    directions of motion were lost near a singular posture, else HOPPING if a contact hops, else
+    unchanged (OK). The functions called here state what they fill.
 
     Args:
         t: Tick after `command`.
@@ -500,10 +501,11 @@ def finish(t):
     reason = allocate_torques(t)
     if reason != NO_REASON:
         return reason
-    if model.rubs:
+    if model.rubs:  # joints have friction
         compensate_friction(t)
     internal_forces(t)
     excess, is_finite_result = limit_torques(t)
+    # NaN if an integral is not finite
     s = finiteness(work.motion_next, 6) + finiteness(work.force_next, work.rank)
     if not (is_finite_result and isfinite(s)):
         return NOT_FINITE
@@ -514,7 +516,7 @@ def finish(t):
     if not excess:
         phases.limit_changes(t, t.memory.ticked != 0)
     remember(t)
-    if work.status == OK and t.memory.hopping > 0:  # the law computed it without a loss
+    if work.status == OK and t.memory.hopping > 0:  # the other statuses are more grave
         work.status = HOPPING
     return NO_REASON
 

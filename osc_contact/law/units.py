@@ -344,8 +344,8 @@ def _plain(library: _Helper, name: str, symbol: str) -> bytes:
         symbol: new name of the function.
 
     Returns:
-        Compressed list of modules; empty if a helper was compiled before its plain bitcode could be
-        stored.
+        Compressed pickle of name, symbol and list of modules; empty if a helper was compiled before
+        its plain bitcode could be stored.
     """
     libraries = [library]
     for member in libraries:  # the list grows during the loop
@@ -394,8 +394,9 @@ def _call_of(part: Part) -> Call:
 def called(unit: Unit) -> Any:
     """Intrinsic with which compiled code calls a unit by its symbol.
 
-    An inlined unit takes array fields of records as arrays of any size, so that one translation
-    serves all sizes; LLVM recovers the sizes when it inlines the unit.
+    A unit is a function of the law, and a part its translation for one set of argument types, with
+    a symbol of its own. An inlined unit takes array fields of records as arrays of any size, so
+    that one translation serves all sizes; LLVM recovers the sizes when it inlines the unit.
 
     Args:
         unit: the function of the law.
@@ -411,6 +412,7 @@ def called(unit: Unit) -> Any:
             typing: typing context of numba.
             argument_types: types of the arguments.
         """
+        # one translation serves all constants
         argument_types = tuple(types.unliteral(argument_type) for argument_type in argument_types)
         kinds = (
             tuple(_any_size(argument_type) for argument_type in argument_types)
@@ -426,6 +428,7 @@ def called(unit: Unit) -> Any:
             convention = context.call_conv
             kind = convention.get_function_type(part.returned, kinds)
             function = cgutils.get_or_insert_function(builder.module, kind, part.symbol)
+            # a nested array is passed as it is: the same data, only the unit does not know its size
             cast_values = [
                 value
                 if from_kind is not to_kind and isinstance(from_kind, types.NestedArray)
@@ -436,6 +439,7 @@ def called(unit: Unit) -> Any:
 
         return part.returned(*argument_types), generate
 
+    # numba reads number and names of the arguments from the signature
     parameter = inspect.Parameter
     names = ("typing", *inspect.signature(unit.py_func).parameters)
     typed.__signature__ = inspect.Signature(  # type: ignore[attr-defined]

@@ -58,10 +58,11 @@ def measure_approached_forces(t):
     """Compute the measured force of each approached column, and the part that may be none of it.
 
     Reads `alpha_meas`, `reading_e`, `N`, `pushed`, `V_O`, `out_T`, `filtered_twist`, and the fields
-    that `reading_of_force` reads. Fills the fields of `_explain` (N) of the active columns:
-    `touch`, the force by the reading alone; `touch_inertia`, the inertial force in it; and
-    `explained`, the part that friction of other contacts or noise may cause. All are 0 unless one
-    contact is approached while friction may act at another one, and all columns are independent.
+    that `reading_of_force` reads. Fills the fields of `_estimate_approached_forces` (N) of the
+    active columns: `touch`, the force by the reading alone; `touch_inertia`, the inertial force in
+    it; and `explained`, the part that friction of other contacts or noise may cause. All are 0
+    unless one contact is approached while friction may act at another one, and all columns are
+    independent.
 
     Args:
         t: Tick.
@@ -75,7 +76,7 @@ def measure_approached_forces(t):
         work.columns[column].touch_inertia = 0.0
         work.columns[column].explained = 0.0
     if is_needed and work.rank == work.count and t.model.friction_bound > 0.0:
-        _explain(t)
+        _estimate_approached_forces(t)
 
 
 @inner
@@ -95,15 +96,17 @@ def _beside(t, column):
 
 
 @inner
-def _explain(t):
-    """Fill `touch`, `touch_inertia` and `explained` (N) of approached columns.
+def _estimate_approached_forces(t):
+    """Estimate the forces of approached columns from a reading, while other contacts rub.
 
-    N (6, r) are the columns of contact forces with friction, R (6, 6) is the covariance of the
-    friction of other contacts and 3² times that of noise, and g (6,) the row of (NᵀR⁻¹N)⁻¹NᵀR⁻¹ for
-    an approached column, which picks its force from a reading. `touch` is gᵀ times the reading less
-    bias; `touch_inertia` is gᵀ times the inertial force of the measured acceleration; `explained`
-    is the bound of `_bound_friction` on what friction of other contacts contributes, plus the part
-    of three standard deviations of the noise in gᵀ times the reading that is above `force_on`.
+    The force is gᵀ(reading), a weighted least-squares estimate: gᵀ is the column's row of
+    (NᵀR⁻¹N)⁻¹NᵀR⁻¹, with N (6, r) the wrenches of unit forces with their friction, and R (6, 6) the
+    covariance of the other contacts' friction and of `_SURE` times the noise. Fills, for approached
+    columns beside which another contact may rub, `touch` (N), gᵀ times the reading less bias, and
+    `touch_inertia` (N), the part of it that the measured acceleration of the object causes. Adds to
+    `explained` (N) what needs no new contact: the largest contribution of friction
+    (`_bound_friction`), and `_SURE` standard deviations of the noise as far as they are above
+    `force_on`.
 
     Args:
         t: Tick.
@@ -113,7 +116,8 @@ def _explain(t):
     R = local(6, 6)
     noise = local(6, 6)
     factor = local(6, 6)
-    H = local(6, 6)
+    N = local(6, 6)
+    matrix_of_equations = local(6, 6)
     weighed = local(6, 6)
     normal = local(6, 6)
     row_of_inverse = local(1, 6)
@@ -124,20 +128,20 @@ def _explain(t):
     _add_friction(t, noise, R)
     if not cholesky(R, 0, 6, factor) > 0.0:  # also if NaN
         return
-    for a in range(r):  # H = N by rows; `weighed` becomes HᵀR⁻¹, `normal` HᵀR⁻¹H
-        fill(H[a], work.pushed[a])
-        fill(weighed[a], H[a])
+    for a in range(r):  # N by rows; `weighed` becomes NᵀR⁻¹, `normal` NᵀR⁻¹N
+        fill(N[a], work.pushed[a])
+        fill(weighed[a], N[a])
         cholesky_solve(factor, 6, weighed[a])
-    gram(H, r, weighed, r, normal)
+    gram(N, r, weighed, r, normal)
     for a in range(r):
         column = work.chosen[a]
         if contact_of(t, column).phase != APPROACHING or not _beside(t, column):
             continue
-        for b in range(r):  # H is not needed any more: `lu_solve` destroys a copy of `normal` in it
+        for b in range(r):  # a copy of `normal`, since `lu_solve` overwrites it
             row_of_inverse[0, b] = 1.0 if a == b else 0.0
             for c in range(r):
-                H[b, c] = normal[b, c]
-        if not lu_solve(H, r, row_of_inverse, 1):
+                matrix_of_equations[b, c] = normal[b, c]
+        if not lu_solve(matrix_of_equations, r, row_of_inverse, 1):
             return
         fill(g, combined(row_of_inverse[0], weighed, r))
         row = work.columns[column]

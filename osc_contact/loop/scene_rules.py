@@ -47,11 +47,15 @@ def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]
 
 @rule("{why}")
 def period(task: Task) -> Values:
-    """Find a control period that is not a whole number of the scene's steps."""
+    """Yield 1 if the control period is not a whole number of the scene's steps.
+
+    Args:
+        task: task, of which the period `dt` (s) is read.
+    """
     try:
         _scene_of(task).require_period(task.dt)
     except PlantError as error:
-        yield 1.0, {"why": error}
+        yield 1.0, {"why": error}  # above 0, the limit of this rule: the task is refused
 
 
 @rule(

@@ -191,11 +191,11 @@ def _massless(M: Array, floor: Array) -> Array:
     weak = ~(np.diag(M) > floor) | ~np.isfinite(scale)
     if weak.any():
         return weak
-    values, vectors = np.linalg.eigh(unit, UPLO="U")
+    values, vectors = np.linalg.eigh(unit, UPLO="U")  # crba fills the upper triangle only
     if values[0] > _EIGENVALUE_FLOOR:
         return weak
     vector = np.abs(vectors[:, 0])
-    return vector > 0.1 * vector.max()
+    return vector > 0.1 * vector.max()  # the joints with a considerable part in the motion
 
 
 def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterator[Array]:
