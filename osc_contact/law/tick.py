@@ -501,7 +501,7 @@ def finish(t):
     reason = allocate_torques(t)
     if reason != NO_REASON:
         return reason
-    if model.rubs:  # joints have friction
+    if model.rubs:  # if the law does so at all
         compensate_friction(t)
     internal_forces(t)
     excess, is_finite_result = limit_torques(t)
