@@ -288,7 +288,8 @@ def sliding(pairs, X_WO, V_O, V_c, touched, slip):
     """List p from O (3,), normal n (3,) and direction of slip s (3,) of each contact point.
 
     With the commanded tangential velocity v_c, its difference e from the measured one and
-    w = (v_0² + v_c²)/(v_0² + v_c² + e²), s = v/√(v² + v_0²(1 − 0.95w)²), v = (1 − w) v_t + w v_c.
+    w = (v_0² + 0.03v_c²)/(v_0² + 0.03v_c² + e²), s = v/√(v² + v_0²(1 − 0.95w)²), and
+    v = (1 − w) v_t + w v_c.
 
     Args:
         pairs: pairs with a point of contact each. X_WO, V_O: pose and twist of the object.
@@ -304,7 +305,7 @@ def sliding(pairs, X_WO, V_O, V_c, touched, slip):
             velocity_at(Bodies.at_O(X_WO, V, *face).V_rel, p) @ (np.eye(3) - np.outer(n, n))
             for V in (V_O, V_c)
         )
-        certain = slip**2 + v_c @ v_c
+        certain = slip**2 + 0.03 * v_c @ v_c
         w = certain / (certain + np.sum((v_c - v_t) ** 2))
         v = (1.0 - w) * v_t + w * v_c
         out.append((p, n, v / np.sqrt(v @ v + (slip * (1.0 - 0.95 * w)) ** 2)))

@@ -430,13 +430,27 @@ def scenarios_with_one_edit(scenario, *sections):
                 break
 
 
+#: Keys that a plan takes the place of.
+WITHOUT_A_PLAN = ("force", "active", "motion", "squeeze", "tare")
+
+
 def test_every_key_of_a_scenario_makes_another_robot_but_errors_and_limits():
     """A key that is left out by mistake would give a run another run's robot, silently."""
     scenario = osc.load_scenario("workcell")
     found = dict(scenarios_with_one_edit(scenario))
     paths = [path for path, _ in leaves(scenario.as_dict())]
     assert len(found) > 0.9 * len(paths)
-    assert {path[0] for path in found} == {path[0] for path in paths}
+    assert {path[0] for path in found} == {path[0] for path in paths} - {"plan"}
+    stage = {"name": "press", "forces": {scenario.contacts[0].name: 5.0}, "within": 2.0}
+    unplanned = {key: x for key, x in scenario.as_dict().items() if key not in WITHOUT_A_PLAN}
+    planned = [
+        osc.Scenario.from_dict(
+            unplanned | {"plan": {"largest": most, "stages": [stage | {"until": "at_rest"}]}},
+            scenario.source,
+        )
+        for most in (20.0, 30.0)
+    ]
+    assert len({robot_key(one) for one in (scenario, *planned)}) == 3
     same = {path for path, other in found.items() if robot_key(other) == robot_key(scenario)}
     left_out = {path for path in found if path[0] in ("model_error", "verdict")}
     assert same == left_out - {("model_error", "hidden_mass")}

@@ -146,12 +146,15 @@ def _take_evaluated(columns, first, count, evaluated):
 # reverses when it is meant to; v_t is right about motions that are not commanded. With
 # e = v_c − v_t,
 #
-#     v = v_t + w e,   w = (v_0² + v_c²) / (v_0² + v_c² + e²),   s = v / √(v² + v_1²),
+#     v = v_t + w e,   w = (v_0² + c v_c²) / (v_0² + c v_c² + e²),   s = v / √(v² + v_1²),
 #     v_1 = v_0 (1 − 0.95 w)
 #
-# so a contact that follows its command, or sticks behind it, has the direction of the command, and
-# one that moves otherwise by more than v_0 has the direction in which it moves.
+# so a contact that follows its command, or sticks behind a slow one, has the direction of the
+# command, and one that moves otherwise by more than v_0 and √c v_c the direction of its motion.
 
+#: c: deviations e up to a sixth of v_c are noise or stiction. With more (1: all of v_c) friction is
+#: compensated along the command where a contact oscillates on a spring, too, and adds to that.
+_BELIEVED = 0.03
 _KNOWN = 0.95  #: share of v_0 that is not needed where the sliding speed is the commanded one
 
 
@@ -219,7 +222,7 @@ def _slide(measured, commanded, mu, slip, column):
     v_t = tangential_part(velocity_at(measured, column.point), column.N)
     v_c = tangential_part(velocity_at(commanded, column.point), column.N)
     e = minus3(v_c, v_t)
-    certain = slip * slip + dot3(v_c, v_c)
+    certain = slip * slip + _BELIEVED * dot3(v_c, v_c)
     w = certain / (certain + dot3(e, e))
     v = add3(v_t, w, e)
     v_1 = slip * (1.0 - _KNOWN * w)
