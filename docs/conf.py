@@ -44,6 +44,7 @@ nitpick_ignore_regex = [
     ("py:class", r"(npt\.)?(Array|ArrayLike)|TypeAliasForwardRef"),
     ("py:class", r"(Force|Motion|Structure)Command|Block"),
     ("py:class", r"FieldInfo|NoneType|Outward|(Body)?(Point|Direction)"),  # of pairs' fields
+    ("py:class", r"Radius|Extent|Angle|Field|pi"),  # likewise
     ("py:class", r"(pin\.)?(SE3|Inertia|Model|Data)|Path|Sequence|Callable|Mapping|Any"),
     ("py:class", r"(numpy|pinocchio|coal|enum|os|pathlib|collections|typing)\..*"),
     ("py:class", r"MjcfSource|MjModel|Progress|Design|ArmOptions|(np|npt|pyarrow|distributed)\..*"),
@@ -64,7 +65,7 @@ autodoc_type_aliases = {"Array": "Array", "npt.ArrayLike": "ArrayLike", "Outward
 autodoc_type_aliases |= dict.fromkeys(("Direction", "Place", "Points"), "ArrayLike")
 for quantity in ("Angle", "Force", "Frequency", "Length", "Number", "Time", "Torque"):
     autodoc_type_aliases[quantity] = "float"
-for quantity in ("Velocity", "AngularVelocity"):
+for quantity in ("Velocity", "AngularVelocity", "Radius", "Extent"):
     autodoc_type_aliases[quantity] = "float"
 autodoc_default_options = {"members": True}
 autoclass_content = "both"
