@@ -154,7 +154,7 @@ def _take_evaluated(columns, first, count, evaluated):
 
 #: c: deviations e up to a sixth of v_c are noise or stiction. With more (1: all of v_c) friction is
 #: compensated along the command where a contact oscillates on a spring, too, and adds to that.
-_BELIEVED = 0.03
+_COMMAND_WEIGHT = 0.03
 _KNOWN = 0.95  #: share of v_0 that is not needed where the sliding speed is the commanded one
 
 
@@ -222,7 +222,7 @@ def _slide(measured, commanded, mu, slip, column):
     v_t = tangential_part(velocity_at(measured, column.point), column.N)
     v_c = tangential_part(velocity_at(commanded, column.point), column.N)
     e = minus3(v_c, v_t)
-    certain = slip * slip + _BELIEVED * dot3(v_c, v_c)
+    certain = slip * slip + _COMMAND_WEIGHT * dot3(v_c, v_c)
     w = certain / (certain + dot3(e, e))
     v = add3(v_t, w, e)
     v_1 = slip * (1.0 - _KNOWN * w)

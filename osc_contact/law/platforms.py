@@ -58,8 +58,8 @@ def pass_builder(target: llvm.TargetMachine) -> llvm.PassBuilder:
     """Builder of LLVM's optimisation passes for a target.
 
     Loops of the law are short (arms, joints, columns of N), so that vectorised and specialised
-    copies of them (level 3) cost instruction cache and gain nothing: level 2 makes the object 11 %
-    smaller and ticks 1 % faster. Vectorisation of straight-line code makes ticks 10 % faster.
+    copies of them (level 3) cost instruction cache and gain nothing. Vectorisation of straight-line
+    code makes ticks faster.
     """
     tuning = llvm.create_pipeline_tuning_options(2)
     tuning.loop_vectorization = False

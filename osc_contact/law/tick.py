@@ -501,7 +501,7 @@ def finish(t):
     reason = allocate_torques(t)
     if reason != NO_REASON:
         return reason
-    if model.rubs:  # if the law does so at all
+    if model.rubs:
         compensate_friction(t)
     internal_forces(t)
     excess, is_finite_result = limit_torques(t)
