@@ -5,6 +5,7 @@ import json
 import numpy as np
 from command_line import call, read_json
 from complaints import invalid_input, refusals
+from numpy.testing import assert_array_equal
 from pytest import approx
 from samples import aligned, parametrize
 from scenario_runs import run_of
@@ -14,6 +15,7 @@ import osc_contact as osc
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.lab.reports.report import task_lines, verdict_table
 from osc_contact.lab.runs.verdict import RULES, Rule, judge_task
+from osc_contact.recorder.judged import JudgedTicks
 from osc_contact.settings.control import MonitorLimits, VerdictSpec
 
 RATE = 1000
@@ -168,6 +170,51 @@ def test_a_contact_that_is_not_active_is_not_judged():
     assert osc.metrics(made(**approached))["task"]["word"] == "LOST"
     resting = never | changed("contact_phase", 0, TICKS, 0)
     assert osc.metrics(made(**resting))["task"]["word"] == "OK"
+
+
+def test_contacts_that_stay_are_judged_while_another_one_is_unloaded():
+    recording = run_of("two_contact_rod", "active.left_end=[[0 s, 1.5 s]]", duration=2.0)
+    unloading = np.flatnonzero((recording["t"] >= 1.5) & (recording["t"] < 1.75))
+    assert osc.metrics(recording)["task"]["word"] == "OK"
+    for contact, words in ((0, ("OK", "OK")), (1, ("POOR", "LOST"))):
+        words_found = []
+        for name in ("alpha_true", "closed"):
+            values = recording[name].copy()
+            values[unloading, contact] = 0
+            found = osc.Recording(recording.meta, dict(recording.channels) | {name: values})
+            words_found.append(osc.metrics(found)["task"]["word"])
+        assert tuple(words_found) == words
+
+
+def test_a_command_that_jumps_to_zero_is_unloading_and_a_ramp_to_zero_is_not():
+    """The recording is read in pieces of any length."""
+    ticks = np.arange(TICKS)[:, None]
+    jump = np.where((ticks >= 1500) & (ticks < 2000), 0.0, 10.0)
+    ramp = np.clip(10.0 - 0.01 * (ticks - 1500), 0.0, 10.0)
+    for command, unloaded in ((jump, range(1500, 1600)), (ramp, ())):
+        recording = made({"force_rise_s": 0.05}, alpha_cmd=command, alpha_true=command)
+        for length in (1, 7, TICKS):
+            judged = JudgedTicks(recording)
+            flags = []
+            for start in range(0, TICKS, length):
+                names = ("t", "alpha_cmd", "closed", "contact_phase")
+                flags.append(judged.add({k: recording[k][start : start + length] for k in names}))
+            contacts, magnitudes, run = map(np.concatenate, zip(*flags, strict=True))
+            assert_array_equal(np.flatnonzero(~contacts[1000:, 0]) + 1000, unloaded)
+            assert_array_equal(magnitudes, contacts)
+            assert run[1000:].all()
+
+
+def test_the_overshoot_of_a_step_is_not_that_of_a_release_after_it():
+    command = np.full((TICKS, 1), 10.0)
+    command[2000:2200] = 14.0
+    command[2200:] = 0.0
+    truth = command.copy()
+    truth[2200:2300] = 9.0  # still pressed
+    (_, step) = osc.metrics(made({"force_steps_s": [2.0]}, alpha_cmd=command, alpha_true=truth))[
+        "steps"
+    ]
+    assert step["to_N"] == 14.0 and step["overshoot_N"] == 0.0
 
 
 def test_the_gravest_word_is_given_and_every_reason():

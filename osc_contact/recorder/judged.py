@@ -3,6 +3,8 @@
 The phases of a contact are approach, landing and closed contact. A force is judged only in the last
 one; the approach has no force, and the landing is judged by its overshoot. After the landing all
 ticks count, even if the contact is lost, until no force is commanded and the contact is not active.
+A contact whose command jumps to zero is unloaded first: until its force has settled, it alone is
+not judged.
 """
 
 from collections.abc import Iterator, Mapping
@@ -39,11 +41,13 @@ class JudgedTicks:
         meta = recording.meta
         contacts = len(meta["contact_names"])
         self.columns = np.array(meta.get("columns", range(contacts)), dtype=int)
-        blank = STEP_BLANK_S + meta.get("force_rise_s", 0.0)
-        self._blanks = [(step, step + blank) for step in meta.get("force_steps_s", ())]
+        self._blank = STEP_BLANK_S + meta.get("force_rise_s", 0.0)
+        self._blanks = [(step, step + self._blank) for step in meta.get("force_steps_s", ())]
         self.landed: list[float | None] = [None] * contacts
         self.open = [False] * contacts
         self._since: list[float | None] = [None] * contacts
+        self._commands = np.zeros((2, len(self.columns)))  # of the last two ticks (N)
+        self._released = [-np.inf] * contacts  # time at which the command last jumped to zero (s)
 
     def add(self, piece: Mapping[str, npt.NDArray[np.generic]]) -> tuple[Flags, Flags, Flags]:
         """Flags of judged ticks in the next piece of the recording.
@@ -54,21 +58,43 @@ class JudgedTicks:
         Returns:
             (k, c) flags of each contact; (k, r) flags of each force magnitude, not set while a
             commanded step rises; (k,) flags of the run as a whole, set after it has settled while
-            no contact is approached or lands and no step rises.
+            no contact is approached or lands and no step rises. A contact that is unloaded is not
+            judged itself; the others and the run are.
         """
         t = np.asarray(piece["t"], dtype=float)
         contacts = np.zeros((len(t), len(self.landed)), dtype=bool)
         is_whole = t >= SETTLE_S - 1e-9
+        commands = np.concatenate((self._commands, piece["alpha_cmd"]))
+        self._commands = commands[-2:]
         for i in range(len(self.landed)):
-            commanded = (piece["alpha_cmd"][:, self.columns == i] != 0.0).any(axis=1)
+            own = commands[:, self.columns == i]
+            commanded = (own[2:] != 0.0).any(axis=1)
             commanded |= piece["contact_phase"][:, i] != OPEN
             closed = np.asarray(piece["closed"], dtype=bool)[:, i]
-            contacts[:, i] = self._judged_ticks(i, t, commanded, closed)
-            is_whole &= contacts[:, i] | ~commanded
+            settled = self._judged_ticks(i, t, commanded, closed)
+            is_whole &= settled | ~commanded
+            contacts[:, i] = settled & ~self._unloaded(i, t, own)
         quiet = np.ones(len(t), dtype=bool)
         for begin, end in self._blanks:
             quiet &= ~((t >= begin - 1e-9) & (t < end - 1e-9))
         return (contacts, contacts[:, self.columns] & quiet[:, None], is_whole & quiet)
+
+    def _unloaded(self, i: int, t: Array, commands: Array) -> Flags:
+        """Flags (k,) of the ticks in which contact i is unloaded, since its command jumped to zero.
+
+        A command that reaches zero as it changed before, such as a ramp or a sine, does not jump.
+
+        Args:
+            i: index of the contact.
+            t: (k,) times (s).
+            commands: (2 + k, m) commanded forces of the contact (N), beginning two ticks before t.
+        """
+        before_last, last, now = commands[:-2], commands[1:-1], commands[2:]
+        is_zero = (now == 0.0).all(axis=1)
+        jumps = (np.abs(last) > 2.0 * np.abs(last - before_last)).any(axis=1) & is_zero
+        released = np.maximum.accumulate(np.where(jumps, t, self._released[i]))
+        self._released[i] = float(released[-1]) if len(t) else self._released[i]
+        return is_zero & (t < released + self._blank - 1e-9)
 
     def _judged_ticks(self, i: int, t: Array, commanded: Flags, closed: Flags) -> Flags:
         """Flags (k,) of the ticks at which contact i is judged.

@@ -57,15 +57,13 @@ def force_names(scenario: Scenario) -> list[str]:
 def force_steps(scenario: Scenario) -> list[float]:
     """Times at which a desired contact force jumps (s), in order; forces settle after them.
 
-    The engagement of contacts after a tare is such a step, too, and so is the end of a span in
-    which a contact is active: its desired force goes to zero before the contact leaves.
+    The engagement of contacts after a tare is such a step, too.
 
     Args:
         scenario: scenario with the signals of its forces.
     """
     signals = chain.from_iterable(scenario.force.values())
     steps = {signal.start for signal in signals if isinstance(signal, Step)}
-    steps |= {end for _, end in chain.from_iterable(scenario.active.values())}
     if scenario.tare is not None and scenario.control.life is None:
         steps.add(scenario.tare.duration + scenario.tare.approach)
     return sorted(steps)

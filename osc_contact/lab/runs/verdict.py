@@ -609,6 +609,9 @@ def _answer(
             return None
     if goal == start:
         return None
+    if goal != 0.0:  # the window ends where the contact is released
+        released = np.flatnonzero(command[after] == 0.0)
+        after = after[: released[0]] if len(released) else after
     excess = np.sign(goal - start) * (truth - command)
     peak = after[np.argmax(excess[after])]
     overshoot = max(0.0, excess[peak])
