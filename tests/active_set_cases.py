@@ -82,15 +82,13 @@ class Scene:
 
     def controller(self, **how):
         """Controller of all known contacts, without limits and joint friction."""
+        settings = {"gains": GAINS, "reading": "filter", "safety": UNLIMITED}
         controller = osc.Controller(
             self.rest.case.chain,
             [contact.pair for contact in self.contacts],
-            GAINS,
-            reading="filter",
             posture=self.rest.case.q,
-            safety=UNLIMITED,
             joint_friction=False,
-            **how,
+            **settings | how,
         )
         controller.records.model.phase_rate = 1e9  # torques may jump
         return controller
