@@ -133,6 +133,22 @@ def test_a_first_use_loads_no_more_than_the_layer(room):
     assert not others
 
 
+SCENARIO = """
+import osc_contact as osc
+stage = "{name: press, forces: {edge: 5 N}, until: {after: 0.1 s}, within: 1 s}"
+scenario = osc.load_scenario("panda_edge", ["force={}", "motion=[]", f"plan={{stages: [{stage}]}}"])
+assert scenario.plan.made().contacts == ("edge",)
+"""
+#: What runs a scenario, and is not needed to read one: rooms, and modules of rooms.
+RUNS = {"loop", "control.controller", "dynamics.closed_chain", "law.tick", "lab.rig", "lab.plants"}
+
+
+def test_a_scenario_with_a_plan_is_read_without_what_runs_it():
+    loaded = python("-c", f"{SCENARIO}import sys; print(*sys.modules)").stdout.split()
+    assert f"{PACKAGE}.plan.plan" in loaded
+    assert {f"{PACKAGE}.{name}" for name in RUNS} & set(loaded) == set()
+
+
 # --- what only a reader sees ----------------------------------------------------------------------
 
 

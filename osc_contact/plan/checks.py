@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -10,7 +11,6 @@ import pinocchio as pin
 from osc_contact.contacts.contact import Contact
 from osc_contact.contacts.feet import force_owners
 from osc_contact.contacts.pairs.pair import AT_REST
-from osc_contact.control.controller import Controller
 from osc_contact.control.status import Phase
 from osc_contact.errors import InvalidInputError, OscContactError, did_you_mean
 from osc_contact.plan.ends import End
@@ -19,6 +19,9 @@ from osc_contact.plan.sensed import Sensed, forces_of
 from osc_contact.plan.stage import Stage
 from osc_contact.recognition.recogniser import Recogniser
 from osc_contact.spatial import Array
+
+if TYPE_CHECKING:
+    from osc_contact.control.controller import Controller
 
 BLOCKED = 0.99  #: share of a motion that contacts take away above which it is refused
 

@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import Enum
 from math import inf, sqrt
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.feet import force_owners
-from osc_contact.control.controller import Controller
 from osc_contact.control.status import SafetyState, Status
 from osc_contact.errors import InvalidInputError
 from osc_contact.interface import Measurement, Reference, Touched
@@ -30,6 +29,9 @@ from osc_contact.plan.sensed import Sensed, Senses, forces_of
 from osc_contact.plan.stage import Stage, StageVerdict
 from osc_contact.recognition.recogniser import Recogniser
 from osc_contact.spatial import Array, pose_error
+
+if TYPE_CHECKING:
+    from osc_contact.control.controller import Controller
 
 SETTLED = 0.1  #: time at the beginning of a stage that tares, whose readings are left out (s)
 BRAKED = 1.0  #: time after a stop for which a plan gives references while the arms are braked (s)

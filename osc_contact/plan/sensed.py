@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.feet import force_owners
-from osc_contact.control.controller import Controller
 from osc_contact.control.status import Phase
 from osc_contact.errors import InvalidInputError, did_you_mean
 from osc_contact.recognition.recogniser import Recogniser
 from osc_contact.spatial import Array
+
+if TYPE_CHECKING:
+    from osc_contact.control.controller import Controller
 
 SMOOTHING = 5e-3  #: s, time constant of the low-pass of measured forces
 
