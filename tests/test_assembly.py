@@ -2,13 +2,16 @@
 
 import numpy as np
 import pinocchio as pin
+from command_line import answered, call, done, read_json, refused
 from numpy.testing import assert_allclose
-from pytest import approx, fixture
+from pytest import MonkeyPatch, approx, fixture, raises
 from samples import parametrize
 
 import osc_contact as osc
 from benchmarks.assembly import summary
+from osc_contact.lab.tasks import pegs
 from osc_contact.lab.tasks.insertion import DEPTH, PERIOD, WIDTH, Insertion, World
+from osc_contact.lab.tasks.packaged import TASKS, task_content
 from osc_contact.lab.tasks.pegs import (
     Inserted,
     controller_of,
@@ -118,6 +121,67 @@ def test_contacts_of_the_plan_are_those_of_the_controller(robot):
     assert [pair.name for pair in controller.contacts] == list(plan.contacts)
     plan.begin(controller, robot.measure())  # which checks it
     assert plan.stage.name == "weigh"
+
+
+# --- packaged tasks: one command, with files and a verdict ----------------------------------------
+
+
+@fixture(scope="module")
+def weighed(tmp_path_factory):
+    """Run of the command with a plan of its first stage only, which ends above the hole."""
+    folder = tmp_path_factory.mktemp("task")
+    with MonkeyPatch.context() as patch:
+        patch.setattr(pegs, "peg_plan", lambda *of: osc.Plan(peg_plan(*of).stages[:1]))
+        result = call(f"run round_peg --seed 4 --out {folder} --json {folder}/again.json")
+    return result, folder
+
+
+def test_a_task_is_one_command(weighed):
+    result, folder = weighed
+    files = ("metrics.json", "recording.npz", "scene.html")
+    assert all((folder / name).stat().st_size > 100 for name in files)
+    assert not (folder / "unfinished.mcap").exists()
+    verdict = read_json(folder / "metrics.json")
+    assert verdict == read_json(folder / "again.json")
+    assert (verdict["scenario"], verdict["seed"]) == ("round_peg", 4)
+    (stage,) = verdict["plan"]["stages"]
+    assert stage["name"] == "weigh" and stage["duration"] == approx(0.4, abs=2e-3)
+    assert "stage weigh" in result.stdout
+
+
+def test_a_peg_that_is_not_in_its_hole_fails_the_task(weighed):
+    """The plan is done, and the verdict is that of the truth."""
+    result, folder = weighed
+    verdict = read_json(folder / "metrics.json")
+    assert verdict["plan"]["outcome"] == "done"
+    assert verdict["task"]["word"] == "NOT DONE" and result.exit_code == 1
+    (why,) = verdict["task"]["why"]
+    depth = 1e3 * verdict["inserted"]["depth"]
+    assert depth < -3.0 and why.startswith(f"the peg is {depth:.1f} mm deep, tilted by ")
+
+
+def test_a_recording_of_a_task_is_drawn_with_the_true_hole(weighed, tmp_path):
+    _, folder = weighed
+    recording = osc.Recording.load(folder / "recording.npz")
+    block = task_content(recording).bodies[1]
+    task = task_of(4, "round")
+    assert_allclose(block.base.homogeneous, task.true_hole.pose.homogeneous)
+    page = tmp_path / "task.html"
+    done(f"view {folder} --html {page}")
+    assert page.stat().st_size > 100_000
+    recording.meta["packaged_task"] = "round_pegs"
+    with raises(osc.RecordingError, match="'round_pegs'; did you mean 'round_peg'"):
+        task_content(recording)
+
+
+@parametrize("option", ["--set control.rate=2kHz", "--plant rigid", "--duration 2"])
+def test_options_of_scenarios_are_refused(option):
+    assert "change scenarios, not a task" in refused(f"run square_peg {option}")
+
+
+def test_tasks_are_listed():
+    _, found = answered("list")
+    assert set(found["tasks"]) == {"round_peg", "square_peg"} == set(TASKS)
 
 
 def test_summary():

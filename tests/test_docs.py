@@ -22,6 +22,7 @@ import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
 from osc_contact.lab.cli.app import app
 from osc_contact.lab.scenarios.contact_keys import contact_types
+from osc_contact.lab.tasks.packaged import TASKS
 
 PAGES = [
     *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY", "CODE_OF_CONDUCT")),
@@ -94,7 +95,7 @@ def test_command_exists_and_parses(line):
     assert name in group.commands, f"{name} is no command of osc-contact"
     group.commands[name].make_context(name, list(arguments))  # raises on unknown options
     # what the newcomer's page makes there is run below
-    if name in ("run", "inspect") and arguments[0] not in ("SCENARIO", "my_rod.yaml"):
+    if name in ("run", "inspect") and arguments[0] not in ("SCENARIO", "my_rod.yaml", *TASKS):
         changes = [value for option, value in pairwise(arguments) if option == "--set"]
         osc.load_scenario(arguments[0], changes)
 
@@ -254,10 +255,10 @@ def test_every_entry_of_the_meta_is_named(recording):
 # Gallery and glossary --------------------------------------------------------------------------
 
 
-def test_every_packaged_scenario_has_a_card_and_studies_follow():
+def test_every_packaged_scenario_and_task_has_a_card_and_studies_follow():
     """Made by `make gallery`: a picture, the command and the verdict of its run."""
     cards = text_of("gallery.md").split("\n## ")[1:]
-    scenarios = list(osc.list_scenarios())
+    scenarios = [*osc.list_scenarios(), *TASKS]
     studies = ["fig2", "fig3", "kinematic_stability"]  # others are scenarios or figures of pages
     names = [card.split("\n")[0] for card in cards]
     assert names[: len(scenarios)] == scenarios

@@ -1,7 +1,7 @@
-"""`make gallery`: a card for every packaged scenario and study, and the README's moving picture.
+"""`make gallery`: cards of packaged scenarios, tasks and studies, and the README's moving picture.
 
-Runs each scenario and films it, makes each study's figure, and writes docs/gallery.md with the
-verdicts of these runs. `make gallery NAMES="ur5_wipe fig2"` makes the cards of these alone.
+Runs each scenario and task and films it, makes each study's figure, and writes docs/gallery.md with
+the verdicts of these runs. `make gallery NAMES="ur5_wipe fig2"` makes the cards of these alone.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from PIL import Image
 import osc_contact as osc
 from osc_contact.lab.reports.viewing import write_scene_of
 from osc_contact.lab.rig.rig import build_rig
+from osc_contact.lab.tasks.packaged import TASKS, run_task, task_content, task_verdict
 from osc_contact.lab.visual.browser import write_gif
 from paper.report import STUDIES
 from paper.statements import PAPER, judge
@@ -26,9 +27,9 @@ PICTURES = DOCS / "images" / "gallery"
 README_MOST, CARD_MOST, FIGURE_MOST = 3_000_000, 1_500_000, 300_000  # bytes
 HEAD = """# Gallery
 
-Every packaged scenario and study, with its command and the verdict of the run shown. Arrows are
-contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines are lines
-of force, thin curves are trails. `make gallery` makes this page and its pictures anew;
+Every packaged scenario, task and study, with its command and the verdict of the run shown. Arrows
+are contact forces (10 mm per newton; wide and pale: commanded, black: measured), long lines are
+lines of force, thin curves are trails. `make gallery` makes this page and its pictures anew;
 `osc-contact view SCENARIO --gif FILE` makes another; on the
 [web page](viewing.md#a-page-that-runs-the-task) of `osc-contact page SCENARIO --out FOLDER` you set
 forces and walls yourself.
@@ -102,6 +103,33 @@ def film(name: str) -> str:
     )
 
 
+def film_task(name: str) -> str:
+    """Run a packaged task, write its moving picture; returns its card."""
+    print(name, flush=True)
+    task = TASKS[name]
+    recording = run_task(task)
+    t = recording["t"]
+    file = Path("out/gallery") / f"{name}.html"
+    page = write_scene_of(recording, task_content(recording), file)
+    picture = PICTURES / f"{name}.gif"
+    begin, end = float(t[0]), float(t[-1])
+    write_gif(page, picture, begin, end, (420, 370), "contacts", 48)
+    require_small(picture, CARD_MOST)
+    verdict = task_verdict(recording)
+    inserted = verdict["inserted"]
+    words = (
+        f"**{verdict['task']['word']}**; seed {verdict['seed']}: {1e3 * inserted['depth']:.1f} mm "
+        f"deep after {inserted['time']:.1f} s, {inserted['tries']} tries; largest sum of the "
+        f"contact forces {inserted['largest_sum']:.0f} N"
+    )
+    sentence = task.description[0].upper() + task.description[1:]
+    return (
+        f"## {name}\n\n![{name.replace('_', ' ')}, moving](images/gallery/{name}.gif)\n\n"
+        f"{sentence} ([insert a peg](insert_a_peg.md)).\n\n"
+        f"    osc-contact run {name}\n\n{words}\n"
+    )
+
+
 def draw(name: str) -> str:
     """Make a study, write its figure; returns its card."""
     print(name, flush=True)
@@ -139,8 +167,9 @@ def main() -> None:
     """Make all cards, or those named."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     Path("out/gallery").mkdir(parents=True, exist_ok=True)
-    names = sys.argv[1:] or [*osc.list_scenarios(), *STUDIED]
-    cards = [draw(name) if name in STUDIED else film(name) for name in names]
+    names = sys.argv[1:] or [*osc.list_scenarios(), *TASKS, *STUDIED]
+    makers = {**dict.fromkeys(TASKS, film_task), **dict.fromkeys(STUDIED, draw)}
+    cards = [makers.get(name, film)(name) for name in names]
     if not sys.argv[1:]:
         text = "\n".join([HEAD, *cards])
         (DOCS / "gallery.md").write_text(text, encoding="utf-8")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from enum import Enum
 from math import inf, sqrt
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ import pinocchio as pin
 from osc_contact.contacts.feet import force_owners
 from osc_contact.control.status import SafetyState, Status
 from osc_contact.errors import InvalidInputError
+from osc_contact.files import Json
 from osc_contact.interface import Measurement, Reference, Touched
 from osc_contact.plan.checks import require_plan, require_stages, require_states
 from osc_contact.plan.ends import End, Watch
@@ -214,6 +215,14 @@ class Plan:
     def stage(self) -> Stage:
         """Stage that the plan is in, or was in when it ended."""
         return self.stages[self._k]
+
+    def as_dict(self) -> Json:
+        """Outcome, reason, and the fields of each verdict under `stages`, as data for JSON."""
+        return {
+            "outcome": self.outcome.value,
+            "reason": self.reason,
+            "stages": [asdict(verdict) for verdict in self.verdicts],
+        }
 
     # --- a person's side ------------------------------------------------------------------------
 

@@ -35,10 +35,13 @@ from osc_contact.lab.cli.console import (
     load_task,
     open_recording,
     out,
+    record_task,
     recording_in,
+    refuse_changes,
     report_run,
     require,
     require_report,
+    run_packaged_task,
     run_with_progress,
     say,
     show_live,
@@ -50,6 +53,7 @@ from osc_contact.lab.rig.rig import build_rig
 from osc_contact.lab.runs.tape import build as build_library
 from osc_contact.lab.scenarios.loader import FILES, list_scenarios
 from osc_contact.lab.sweeps.workers import available_cores
+from osc_contact.lab.tasks.packaged import TASKS, task_content
 from osc_contact.lab.visual.browser import find_browser, write_gif, write_mp4
 from osc_contact.lab.visual.run_figures import FigureProcess
 from osc_contact.law import compiled
@@ -117,7 +121,11 @@ def run(
     set_: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Run a scenario; write metrics.json, the recording, figures and an HTML scene."""
+    """Run a scenario or packaged task; write metrics.json, recording, figures and an HTML scene."""
+    if scenario in TASKS:
+        refuse_changes("a task, which takes --seed", set_, plant, duration)
+        folder = out_dir or Path("out") / scenario
+        raise Exit(int(run_packaged_task(TASKS[scenario], seed, folder, json_file)))
     task = load_task(scenario, set_, plant, duration)
     folder = out_dir or Path("out") / task.file_stem
     require_report(task)
@@ -207,11 +215,14 @@ def view(
     recording = scenario = None
     what = recording_in(what)
     if what.endswith(RECORDINGS):
-        if set_ or plant or duration is not None:
-            raise InvalidInputError("--set, --plant and --duration change runs, not recordings")
+        refuse_changes("recordings", set_, plant, duration)
         recording = open_recording(what, folder)
         content = shown_of(recording, Path(what), folder)
         viewing.require_drawable(recording, content, what)
+    elif what in TASKS:
+        refuse_changes("a task, which takes --seed", set_, plant, duration)
+        recording = record_task(TASKS[what], seed)
+        content = task_content(recording)
     else:
         scenario = load_task(what, set_, plant, duration)
         content = viewing.content_of(build_rig(scenario))
@@ -317,12 +328,13 @@ def inspect(
 
 @app.command("list")
 def list_(json_file: JsonOption = None) -> None:
-    """List the packaged scenarios."""
+    """List the packaged scenarios and tasks."""
     scenarios = list_scenarios()
-    out.print(report.scenario_table(scenarios))
+    tasks = {name: task.description for name, task in TASKS.items()}
+    out.print(report.scenario_table(scenarios | tasks))
     say("osc-contact reproduce --help lists the figures")
     if json_file:
-        report.write_json({"scenarios": scenarios}, json_file)
+        report.write_json({"scenarios": scenarios, "tasks": tasks}, json_file)
 
 
 @app.command(context_settings=PASSED_ON)

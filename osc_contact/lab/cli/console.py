@@ -29,6 +29,7 @@ from osc_contact.lab.runs.recovery import recover
 from osc_contact.lab.runs.run import run
 from osc_contact.lab.scenarios.loader import load_scenario
 from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.lab.tasks.packaged import PackagedTask, run_task
 from osc_contact.lab.visual.parts import Content
 from osc_contact.lab.visual.run_figures import FigureProcess
 from osc_contact.loop.protocols import Shows
@@ -189,6 +190,61 @@ def run_with_progress(
                 forget_rows(folder)
                 error.add_note(f"recorded until then: {folder / PARTIAL}")
             raise
+
+
+def record_task(task: PackagedTask, seed: int, journal: Path | None = None) -> Recording:
+    """Run a packaged task with a progress bar, and return its recording.
+
+    Args:
+        task: packaged task.
+        seed: seed of everything random.
+        journal: file of the rows while it runs; None: a temporary file.
+    """
+    with progress_bar(TextColumn("{task.completed:.1f} s")) as bar:
+        row = bar.add_task(f"{task.name}, seed {seed}", total=None)
+        return run_task(
+            task, seed, journal=journal, progress=lambda t: bar.update(row, completed=t)
+        )
+
+
+def run_packaged_task(task: PackagedTask, seed: int, folder: Path, json_file: Path | None) -> bool:
+    """Run a packaged task, write its results, and print its verdict.
+
+    Args:
+        task: packaged task.
+        seed: seed of everything random.
+        folder: folder for the files.
+        json_file: another file for the verdict.
+
+    Returns:
+        Whether the task failed.
+    """
+    with sole_user(folder):
+        recording = record_task(task, seed, folder / UNFINISHED)
+        verdict = report.write_task_report(recording, folder)
+        forget_rows(folder)
+    out.print(report.inserted_table(verdict))
+    say(*report.task_lines(verdict))
+    if json_file:
+        report.write_json(verdict, json_file)
+    say(f"written to {folder}: metrics.json, recording.npz, scene.html")
+    return bool(verdict["task"]["failed"])
+
+
+def refuse_changes(
+    what: str, overrides: list[str] | None, plant: str | None, duration: float | None
+) -> None:
+    """Refuse options that change scenarios, for a recording or a packaged task.
+
+    Args:
+        what: what is run or shown, in words.
+        overrides, plant, duration: see `changed`.
+
+    Raises:
+        InvalidInputError: one of the options is given.
+    """
+    if overrides or plant or duration is not None:
+        raise InvalidInputError(f"--set, --plant and --duration change scenarios, not {what}")
 
 
 def forget_rows(folder: Path) -> None:

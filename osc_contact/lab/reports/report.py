@@ -16,6 +16,7 @@ from osc_contact.lab.rig.dither import gain_in_words
 from osc_contact.lab.rig.rig import build_rig
 from osc_contact.lab.runs.verdict import metrics
 from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.lab.tasks.packaged import task_content, task_verdict
 from osc_contact.lab.visual.run_figures import RECORDING, FigureProcess, draw_figures
 from osc_contact.loop.realtime import latency
 from osc_contact.plan.stage import StageVerdict
@@ -80,14 +81,38 @@ def verdict_table(verdict: Json) -> Table:
     if words := gain_in_words(verdict["force_per_normal"], largest_std):
         table.add_row("", words)
     table.add_row("tick", f"p50 {tick['p50']:.0f} µs, p99 {tick['p99']:.0f} µs")
-    for stage in (verdict.get("plan") or {}).get("stages", ()):
-        table.add_row(f"stage {stage['name']}", str(StageVerdict(**stage)).partition(": ")[2])
+    for row in _stage_rows(verdict):
+        table.add_row(*row)
     if verdict.get("loop"):
         table.add_row("measurement to torques", latency(verdict["loop"]))
     table.add_row("ticks", ", ".join(f"{n} {name}" for name, n in verdict["status"].items() if n))
     if verdict["at_limit"]:
         motors = ", ".join(f"{joint} {n}" for joint, n in verdict["at_limit"])
         table.add_row("ticks at a motor limit", motors)
+    return table
+
+
+def _stage_rows(verdict: Json) -> Iterator[tuple[str, str]]:
+    """Row of each stage that a plan passed; none without a plan."""
+    for stage in (verdict.get("plan") or {}).get("stages", ()):
+        yield f"stage {stage['name']}", str(StageVerdict(**stage)).partition(": ")[2]
+
+
+def inserted_table(verdict: Json) -> Table:
+    """Make the table of a packaged task's verdict for the terminal.
+
+    Args:
+        verdict: result of `task_verdict`.
+    """
+    inserted = verdict["inserted"]
+    title = f"{verdict['scenario']}, seed {verdict['seed']}, {verdict['duration_s']:.1f} s"
+    table = Table("quantity", "value", title=title)
+    for row in _stage_rows(verdict):
+        table.add_row(*row)
+    depth = f"{1e3 * inserted['depth']:.1f} mm deep, tilted by {np.rad2deg(inserted['tilt']):.2f}°"
+    table.add_row("peg in the true hole", f"{depth}, {inserted['tries']} tries")
+    forces = f"sum {inserted['largest_sum']:.0f} N, single {inserted['largest_single']:.0f} N"
+    table.add_row("largest contact forces", forces)
     return table
 
 
@@ -192,8 +217,8 @@ def basis_tables(inspection: Inspection) -> Iterator[Table]:
 
 
 def scenario_table(scenarios: Mapping[str, str]) -> Table:
-    """Names and descriptions of the packaged scenarios."""
-    table = Table("scenario", "what it is", title="osc-contact run SCENARIO")
+    """Names and descriptions of the packaged scenarios and tasks."""
+    table = Table("name", "what it is", title="osc-contact run NAME")
     for name, words in scenarios.items():
         table.add_row(name, words.strip())
     return table
@@ -315,6 +340,21 @@ def write_report(
     write_scene_of(recording, build_rig(scenario), folder / "scene.html")
     if figures is None or not figures.finish():
         draw_figures(recording, folder)
+    return verdict
+
+
+def write_task_report(recording: Recording, folder: Path) -> Json:
+    """Write metrics.json, recording.npz and scene.html of a packaged task; returns the verdict.
+
+    Args:
+        recording: recording by `run_task`.
+        folder: folder for the files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    recording.save(folder / RECORDING)
+    verdict = task_verdict(recording)
+    write_json(verdict, folder / "metrics.json")
+    write_scene_of(recording, task_content(recording), folder / "scene.html")
     return verdict
 
 

@@ -18,6 +18,7 @@ from osc_contact.lab.plants.own_mujoco import MujocoRobot
 from osc_contact.lab.rig.rig import Rig, build_rig
 from osc_contact.lab.runs.recovery import scenario_of
 from osc_contact.lab.scenarios.schema import Scenario
+from osc_contact.lab.tasks.packaged import task_content
 from osc_contact.lab.visual.browser import write_png
 from osc_contact.lab.visual.live import CHANNELS, Viewer
 from osc_contact.lab.visual.parts import Content, Visual
@@ -80,7 +81,7 @@ def _of_picture(
 
 
 def shown_of(recording: Recording, path: Path, folder: StrPath | None = None) -> Content:
-    """Content of pictures of a recording, from the picture in its meta data or its scenario.
+    """Content of pictures of a recording, from its picture, its packaged task or its scenario.
 
     Args:
         recording: the recording.
@@ -92,6 +93,8 @@ def shown_of(recording: Recording, path: Path, folder: StrPath | None = None) ->
     """
     if "picture" in recording.meta:
         return content_of_recording(recording)
+    if "packaged_task" in recording.meta:
+        return task_content(recording)
     return content_of(build_rig(scenario_of(recording.meta, path, folder)))
 
 

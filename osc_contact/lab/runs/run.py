@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -107,7 +106,7 @@ def run(
                 progress=_aborting(plan, scenario.duration, progress),
                 check=False,
             )
-        return recorder.recording({"plan": _course(plan)})
+        return recorder.recording({"plan": plan.as_dict()})
     references = rig.references.each(ticks, controller.dt)
     with _recorded_to_the_end(recorder, ticks, controller.dt):
         run_loop(
@@ -138,15 +137,6 @@ def _aborting(plan: Plan, duration: float, progress: Progress | None) -> Progres
             progress(t)
 
     return note
-
-
-def _course(plan: Plan) -> Json:
-    """Outcome of a plan with the verdicts on the stages passed, for a recording's `meta`."""
-    return {
-        "outcome": plan.outcome.value,
-        "reason": plan.reason,
-        "stages": [asdict(verdict) for verdict in plan.verdicts],
-    }
 
 
 @contextmanager

@@ -32,10 +32,13 @@ from osc_contact.settings.control import EstimateSpec
 from osc_contact.spatial import Array
 
 PERIOD = 1e-3  #: control period (s)
-FINGERS = ("panda_finger_joint1", "panda_finger_joint2")  #: locked joints of the hand
+ROBOT = "panda"  #: robot of example-robot-data that holds the peg
+#: Positions of the locked joints of the hand (m).
+FINGERS = {"panda_finger_joint1": 0.01, "panda_finger_joint2": 0.01}
 WIDTH = 0.02  #: width of the peg (m)
 LENGTH = 0.06  #: length of the peg (m)
 DEPTH = 0.03  #: depth of the hole (m)
+CLEARANCE = 2e-4  #: width of the hole less that of the peg, unless a task has its own (m)
 WALL = 0.04  #: thickness of the block around the hole (m)
 #: Modelled pose of the hole in the world.
 BELIEVED = pin.SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.5, 0.0, 0.3]))
@@ -123,11 +126,11 @@ class Insertion:
             held: factor of the mass of the peg.
         """
         arm = Arm.from_urdf(
-            robots.find_robot("panda")[0],
-            name="panda",
+            robots.find_robot(ROBOT)[0],
+            name=ROBOT,
             tip="panda_hand_tcp",
             wrist_sensor="panda_hand",
-            locked=dict.fromkeys(FINGERS, 0.01),
+            locked=FINGERS,
             mass_factor=mass,
         )
         with TemporaryDirectory() as folder:
@@ -175,7 +178,7 @@ class InsertionRobot:
         with TemporaryDirectory() as folder:
             self.plant = MujocoPlant(
                 chain,
-                [robots.find_robot("panda")[0]],
+                [robots.find_robot(ROBOT)[0]],
                 _write_file(folder, "peg.urdf", peg_urdf(task.peg)),
                 [],
                 [
@@ -310,8 +313,14 @@ def peg_urdf(peg: Peg) -> str:
     )
 
 
-def hole_urdf(hole: Hole) -> str:
-    """URDF of a block with a hole in the frame of the hole."""
+def hole_boxes(hole: Hole) -> list[tuple[Array, Array, float]]:
+    """Boxes of a block with a hole: centre (3,) (m), edges (3,) (m) and turn about z (rad) of each.
+
+    They are in the frame of the hole; the first one is the bottom.
+
+    Args:
+        hole: hole, whose pose does not matter.
+    """
     half = 0.5 * hole.width
     thick = 0.5 * WALL
     boxes = [((0.0, 0.0, hole.depth + 0.005), (3.0 * WALL, 3.0 * WALL, 0.01), 0.0)]
@@ -327,9 +336,15 @@ def hole_urdf(hole: Hole) -> str:
         for angle in np.arange(SECTORS) * (2.0 * pi / SECTORS):
             at = (half + thick) * np.array([np.cos(angle), np.sin(angle)])
             boxes.append(((*at.tolist(), middle), (WALL, width, hole.depth), float(angle)))
+    return [(np.array(centre), np.array(edges), turn) for centre, edges, turn in boxes]
+
+
+def hole_urdf(hole: Hole) -> str:
+    """URDF of a block with a hole in the frame of the hole."""
     parts = []
-    for (x, y, z), size, yaw in boxes:
-        shape = f'<geometry><box size="{" ".join(map(str, size))}"/></geometry>'
-        body = f'<origin xyz="{x} {y} {z}" rpy="0 0 {yaw}"/>{shape}'
+    for centre, edges, turn in hole_boxes(hole):
+        shape = f'<geometry><box size="{" ".join(map(str, edges))}"/></geometry>'
+        xyz = " ".join(map(str, centre))
+        body = f'<origin xyz="{xyz}" rpy="0 0 {turn}"/>{shape}'
         parts.append(f"<visual>{body}</visual><collision>{body}</collision>")
     return f'<robot name="hole"><link name="hole">{"".join(parts)}</link></robot>'

@@ -74,10 +74,20 @@ def insert(task: Insertion) -> Inserted:
     Args:
         task: insertion with its peg, hole and world.
     """
+    robot, plan, controller = prepared(task)
+    run_loop(robot, controller, plan)
+    return judged(task, robot, plan)
+
+
+def prepared(task: Insertion) -> tuple[InsertionRobot, Plan, Controller]:
+    """Robot at its start, plan, and controller of an insertion.
+
+    Args:
+        task: insertion with its peg, hole and world.
+    """
     plan = peg_plan(task.peg, task.hole)
     robot = task.robot(peg_start(task.peg, task.hole))
-    run_loop(robot, controller_of(task, plan, robot), plan)
-    return judged(task, robot, plan)
+    return robot, plan, controller_of(task, plan, robot)
 
 
 def controller_of(task: Insertion, plan: Plan, robot: InsertionRobot) -> Controller:

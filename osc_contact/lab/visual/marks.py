@@ -4,7 +4,7 @@ The length of an arrow is 10 mm per newton (100 mm per N m of a couple); its tip
 and its direction is that in which the object pushes into the environment. The true force is on its
 line; the commanded one is a wide, pale arrow around it; the measured one is thin and black and
 displaced, so that it is visible even if it equals the true force. A lost contact is grey; a known
-one that is not active is faint.
+one that is not active is faint and has no label.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ class ContactForce(Part):
             frames[path] = States(visible=is_drawn & (alpha > SHOWN_FROM))
             frames |= arrow_states(path, unit * alpha)
             longest = np.maximum(longest, np.nan_to_num(unit * alpha, posinf=0.0))
-        frames[f"{self.path}/label"] = States(on_y_axis(-longest - 0.045))
+        frames[f"{self.path}/label"] = States(on_y_axis(-longest - 0.045), visible=active)
         return frames
 
     def corners(self, samples: Samples) -> Array:
