@@ -14,6 +14,8 @@ from scipy.optimize import nnls
 import osc_contact as osc
 from benchmarks.recognition import ERRORS as BELIEVED
 from benchmarks.recognition import Truth, square_peg_states, true_forces
+from osc_contact.lab.checks.inspection import inspect_rig
+from osc_contact.lab.checks.states import undistinguished, wrench_errors
 from osc_contact.recognition.states import Columns
 
 POSE = pin.SE3(pin.exp3(np.array([3.0, 0.2, -0.1])), np.array([0.5, 0.1, 0.3]))  #: of the hole
@@ -306,3 +308,25 @@ test_refusals = refusals(
         ).probability("c"),
     },
 )
+
+
+# --- what inspect says before a run ---------------------------------------------------------------
+
+WALLS = ("'wall_x'", "'wall_y'", "'wall_x' and 'wall_y'")
+
+
+@parametrize("noise, group", [(0.2, ()), (6.0, WALLS), (20.0, ("none", *WALLS))])
+def test_inspect_names_sets_of_contacts_that_a_wrist_does_not_distinguish(noise, group):
+    """A ball in a corner of two walls, whose wrenches are 90 degrees apart."""
+    wrist = f"{{rate: 1 kHz, force: {{noise: {noise} N}}, torque: {{noise: {noise / 10} Nm}}}}"
+    rig = osc.build_rig(osc.load_scenario("scara_peg", [f"sensors.wrist={wrist}"]))
+    lines = [line for line in inspect_rig(rig).lines if line.startswith("not told apart")]
+    assert [line.rpartition(": ")[2] for line in lines] == ["; ".join(group) + "."] * bool(group)
+    errors = wrench_errors(rig)
+    assert (errors.force, errors.torque, errors.friction) == (noise, noise / 10, 0.3)
+    at_sensor = rig.state.X_WO.act(np.asarray(errors.sensor))
+    assert_allclose(at_sensor, rig.state.sensors[0].translation, atol=1e-12)
+
+
+def test_sets_of_contacts_of_several_arms_are_not_judged():
+    assert list(undistinguished(osc.build_rig("two_contact_rod"))) == []

@@ -13,6 +13,7 @@ from osc_contact.contacts.pairs.pair import ContactPair, has_known_points, pushe
 from osc_contact.contacts.pairs.points_on_planes import VertexOnFace
 from osc_contact.dynamics.chain_state import ChainState
 from osc_contact.files import Json
+from osc_contact.lab.checks.states import undistinguished
 from osc_contact.lab.rig.dither import gain_in_words, known_to
 from osc_contact.lab.rig.landings import landings
 from osc_contact.lab.rig.rig import Rig
@@ -85,6 +86,7 @@ def inspect_rig(rig: Rig) -> Inspection:
         *(f"{one.sentence} (v √(k m))." for one in landings(rig)),
         *_skew(rig),
         *_normals(rig),
+        *undistinguished(rig),
         *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
         *_redundancy(len(rig.chain.arms), internal, arm_motions),
         f"conditioning of the contact forces: {conditioning:.3g} (1 = independent of each other)",
