@@ -17,7 +17,10 @@ Event = tuple[str, dict[str, Any]]  #: kind of the event, and its values by name
 
 RISE = 1.1  #: times the ceiling that was noted last; smaller rises are no event
 _STATES = tuple(SafetyState)
-#: Fields of MEMORY whose change is an event, or may be a part of one.
+#: Kinds of force ceilings, and the field of MEMORY with the largest command of each.
+_CEILINGS = {"contact": "largest_force", "wrist": "largest_sum"}
+#: Fields of MEMORY whose change is an event, or may be a part of one. The last ones, the commands,
+#: change often.
 _WATCHED = (
     "state",
     "engaged",
@@ -25,12 +28,8 @@ _WATCHED = (
     "hopping",
     "f_tare",
     "f_bias",
-    "largest_force",
-    "largest_sum",
+    *_CEILINGS.values(),
 )
-#: Kinds of force ceilings, and the field of MEMORY with the largest command of each.
-_CEILINGS = {"contact": "largest_force", "wrist": "largest_sum"}
-_COMMANDS = set(_CEILINGS.values())
 
 
 def _field_slices() -> dict[str, slice]:
@@ -43,6 +42,7 @@ def _field_slices() -> dict[str, slice]:
 
 
 _PARTS = _field_slices()
+_COMMANDS_BEGIN = _PARTS[next(iter(_CEILINGS.values()))].start  #: where the bytes of commands begin
 
 
 def _field(watched: bytes, name: str) -> np.ndarray[Any, Any]:
@@ -81,6 +81,7 @@ class Changes:
         self._headroom = {key: float(records.model[f"{key}_headroom"]) for key in _CEILINGS}
         self._least = {key: float(records.model[f"{key}_ceiling"]) for key in _CEILINGS}
         self._buffer = np.zeros(len(self._places), np.int64)
+        self._commands = self._buffer[_COMMANDS_BEGIN // 8 :].view(np.float64)  # the largest ones
         self._before = self._read()
 
     def _read(self) -> bytes:
@@ -98,9 +99,9 @@ class Changes:
         if after == before:
             return ()
         self._before = after
+        if after[:_COMMANDS_BEGIN] == before[:_COMMANDS_BEGIN]:  # often: a command grows
+            return tuple(self._raised_ceilings())
         changes = {name for name, part in _PARTS.items() if after[part] != before[part]}
-        if changes <= _COMMANDS:  # the frequent case: a command that grows in every tick
-            return tuple(self._raised_ceilings(after))
         return tuple(self._events(changes, before, after))
 
     def _events(self, changed: set[str], before: bytes, after: bytes) -> Iterator[Event]:
@@ -129,18 +130,15 @@ class Changes:
             self._unbraked = joint
         if "hopping" in changed and _field(after, "hopping")[0]:
             yield "hopping", {"reason": hopping_contact(controller.records, controller.settings)}
-        yield from self._raised_ceilings(after)
+        yield from self._raised_ceilings()
 
-    def _raised_ceilings(self, after: bytes) -> Iterator[Event]:
+    def _raised_ceilings(self) -> Iterator[Event]:
         """Yield an event for each force ceiling (N) that has risen by the factor `RISE`.
 
         Ceilings that are not set by the user follow the largest command: headroom × command.
-
-        Args:
-            after: bytes of all watched fields.
         """
-        for key, command in _CEILINGS.items():
-            ceiling = self._headroom[key] * float(_field(after, command)[0])
+        for key, command in zip(_CEILINGS, self._commands.tolist(), strict=True):
+            ceiling = self._headroom[key] * command
             if ceiling > max(RISE * self._ceilings.get(key, 0.0), self._least[key]):
                 self._ceilings[key] = ceiling
                 yield "ceiling", {"name": f"{key}_ceiling", "value": ceiling}

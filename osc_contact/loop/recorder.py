@@ -169,10 +169,12 @@ class Recorder:
         self._numbers = np.zeros(sum(numbers.values()))
         self._squeezes, self._given_up = np.split(self._numbers[2:], [squeezes])
         self._squeeze: float | None = None  #: of the last tick, if `_squeezes` still has it
-        # numbers copied from the controller's records: α, speeds, results, normal_std
-        self._floats = np.zeros(2 * r + sum(results.values()) + r)
-        self._results, self._normal_std = np.split(self._floats, [len(self._floats) - r])
-        self._integers = np.zeros(sum(integers.values()), np.int64)
+        # words copied from the controller's records: α, speeds, results, normal_std, then integers
+        results_end = 2 * r + sum(results.values())
+        self._words = np.zeros(results_end + r + sum(integers.values()), np.int64)
+        self._results = self._words[:results_end].view(np.float64)
+        self._normal_std = self._words[results_end : results_end + r].view(np.float64)
+        self._integers = self._words[results_end + r :]
 
     @property
     def _patience(self) -> float:
@@ -197,7 +199,7 @@ class Recorder:
         if self._k == _BLOCK or perf_counter() - self._flushed > self._patience:
             self.flush()
         status = self._controller.status
-        self._note_numbers(reference, seconds)
+        self._note_numbers(reference, seconds, status)
         values = (tau, self._numbers, self._normal_std, self._integers)
         row = self._rows[self._k]
         try:
@@ -224,7 +226,7 @@ class Recorder:
         self._k += 1
         self.count += 1
 
-    def _note_numbers(self, reference: Reference, seconds: float) -> None:
+    def _note_numbers(self, reference: Reference, seconds: float, status: Status) -> None:
         """Set the numbers of a row that are known for every tick, also for one without a result.
 
         These are computing time, status, desired internal forces and forces that were given up;
@@ -233,8 +235,8 @@ class Recorder:
         Args:
             reference: input of the tick.
             seconds: computing time (s).
+            status: status of the tick.
         """
-        status = self._controller.status
         self._numbers[0] = seconds
         self._numbers[1] = status
         squeeze = reference.squeeze_d
@@ -280,9 +282,7 @@ class Recorder:
         if result is not self._last:
             self._last = result
             self._locate(result)
-        words = self._record_words
-        words.view(np.float64).take(self._float_places, out=self._floats, mode="clip")
-        words.take(self._integer_places, out=self._integers, mode="clip")
+        self._record_words.take(self._places, out=self._words, mode="clip")
 
     def _locate(self, result: TickResult) -> None:
         """Find the position of each stored number in the controller's records.
@@ -298,10 +298,9 @@ class Recorder:
         if self.of.phased:
             integers += [contacts.phase, columns.closed, columns.collision]
         self._record_words = records.rows.raw.view(np.int64)
-        self._float_places = records.places(
-            columns.alpha, columns.speed, *results, columns.normal_std
+        self._places = records.places(
+            columns.alpha, columns.speed, *results, columns.normal_std, *integers
         )
-        self._integer_places = records.places(*integers)
 
     def flush(self) -> None:
         """Append the rows stored since the last call to the journal."""

@@ -49,10 +49,12 @@ class StopCalls:
         was_stopped = self._stopped
         needed_brakes = self._needs_brakes
         self._stopped = getattr(controller, "state", None) is SafetyState.SAFE_STOP
+        if not self._stopped:  # the usual tick reads nothing else
+            self._needs_brakes = False
+            return
         has_unbraked_joint = bool(getattr(controller, "unbraked", None))
-        self._needs_brakes = self._stopped and (needed_brakes or has_unbraked_joint)
-        is_new = not was_stopped or self._needs_brakes != needed_brakes
-        if self._stopped and is_new:
+        self._needs_brakes = needed_brakes or has_unbraked_joint
+        if not was_stopped or self._needs_brakes != needed_brakes:
             self.call(getattr(controller, "reason", ""))
 
     def call(self, reason: str) -> Exception | None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
 
 from osc_contact.contacts.pairs import ContactPair
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -15,9 +16,12 @@ from osc_contact.spatial import Array, cross
 
 if TYPE_CHECKING:
     from mujoco import MjData, MjModel
+    from mujoco._structs import _MjContactList
 
 OBJECT = -1  #: in `Noted.body_of`: a geom of the object
 OTHER = -2  #: neither of the object nor of the environment
+
+_NONE = np.zeros((0, 1))  #: in place of the words of contacts where there are none
 
 
 class Noted(Protocol):
@@ -71,22 +75,25 @@ class MujocoTruth(NotedWrenches):
             data.subtree_com[root],
         )
         self._contact_count = -1  # in the last call of `note`
+        self._layout: np.dtype[np.void] = np.dtype([])  #: of a contact's record
         self._states: list[Array] = []
-        self._points: list[Array] = []
+        self._contact_records: list[Array] = []  #: see `_contact_words`, of each instant
+        self._forces: list[Array] = []  #: constraint forces of each instant (N, N m)
 
     def note(self) -> None:
         """Append the present poses of object and rails, and MuJoCo's contacts with their forces."""
         data = self._plant.data
         self._states.append(np.concatenate((*self._parts, data.qpos.take(self._plant.face_q))))
         if data.ncon != self._contact_count:
-            # views of the contacts stay valid: they are at the start of MuJoCo's arena in all steps
-            contact = data.contact
+            # a view of the contacts stays valid: they are at the start of MuJoCo's arena in all
+            # steps
             self._contact_count = data.ncon
-            self._address = contact.efc_address[:, None]
-            self._contact = contact.geom, self._address, contact.pos, contact.frame[:, :3]
-        force = data.efc_force
-        normal = force.take(self._address) if len(force) else np.zeros((self._contact_count, 1))
-        self._points.append(np.concatenate((*self._contact, normal), axis=1))
+            if self._contact_count:
+                self._layout, self._words = _contact_words(data.contact)
+            else:
+                self._words = _NONE
+        self._contact_records.append(self._words.copy())
+        self._forces.append(data.efc_force.copy())
 
     def noted(self, start: int = 0) -> Array:
         """States of object and environment at the k instants recorded since `start`, (k, m).
@@ -124,19 +131,25 @@ class MujocoTruth(NotedWrenches):
         bodies = len(self._plant.faces.rails)
         wrenches = np.zeros((bodies, k, 6))
         touched = np.zeros((bodies, k))
-        counts = [len(points) for points in self._points[start:]]
-        # columns: two geoms, address of the constraint (−1: none), position, normal, normal force
-        points = np.concatenate(self._points[start:])
-        between = self._plant.body_of[points[:, :2].astype(int)]
+        counts = [len(records) for records in self._contact_records[start:]]
+        if not any(counts):
+            return wrenches.transpose(0, 2, 1).reshape(-1, k), touched
+        records = np.concatenate([words for words in self._contact_records[start:] if len(words)])
+        contacts = records.view(self._layout)[:, 0]
+        between = self._plant.body_of[contacts["geom"]]
         chosen = (between.min(axis=1) == OBJECT) & (between.max(axis=1) >= 0)
-        points = points[chosen]
+        contacts = contacts[chosen]
         tick = np.repeat(np.arange(k), counts)[chosen]
         body = between[chosen].max(axis=1)
-        presses = points[:, 2] >= 0.0
+        presses = contacts["efc_address"] >= 0
+        # the first constraint force of each contact, in the forces of all instants
+        forces = np.concatenate([np.zeros(1), *self._forces[start:]])
+        before = np.cumsum([1, *(len(force) for force in self._forces[start:])])
+        normal = forces[np.where(presses, before[tick] + contacts["efc_address"], 0)]
         # the normal points from the first geom to the second
         sign = np.where(between[chosen, 0] == OBJECT, 1.0, -1.0)
-        f = np.where(presses, sign * points[:, 9], 0.0) * points[:, 6:9].T
-        moment = cross(points[:, 3:6].T - O[:, tick], f)
+        f = np.where(presses, sign * normal, 0.0) * contacts["normal"].T
+        moment = cross(contacts["pos"].T - O[:, tick], f)
         np.add.at(wrenches, (body, tick), np.concatenate((f, moment)).T)
         np.logical_or.at(touched, (body, tick), presses)
         return wrenches.transpose(0, 2, 1).reshape(-1, k), touched
@@ -144,4 +157,38 @@ class MujocoTruth(NotedWrenches):
     def clear(self) -> None:
         """Delete the recorded instants."""
         self._states.clear()
-        self._points.clear()
+        self._contact_records.clear()
+        self._forces.clear()
+
+
+def _contact_words(contact: _MjContactList) -> tuple[np.dtype[np.void], Array]:
+    """Layout of MuJoCo's records of contacts, and a view of all of them.
+
+    The copy of this view is one block of memory, which is faster than copies of its fields.
+
+    Args:
+        contact: `MjData.contact`, with one contact at least.
+
+    Returns:
+        Record type with the fields pos (3; m), normal (3; the first row of the frame, world axes),
+        geom (2) and efc_address (of the first constraint; −1: none), and a view (contacts, words)
+        as words of eight bytes.
+    """
+    size = contact.dist.strides[0]
+    fields = {
+        "pos": ("3<f8", contact.pos),
+        "normal": ("3<f8", contact.frame),
+        "geom": ("2<i4", contact.geom),
+        "efc_address": ("<i4", contact.efc_address),
+    }
+    first = contact.dist.ctypes.data  # the first field of a record
+    layout = np.dtype(
+        {
+            "names": list(fields),
+            "formats": [code for code, _ in fields.values()],
+            "offsets": [values.ctypes.data - first for _, values in fields.values()],
+            "itemsize": size,
+        }
+    )
+    words = as_strided(contact.dist, (len(contact.dist), size // 8), (size, 8), writeable=False)
+    return layout, words
