@@ -63,7 +63,7 @@ JUDGES = {
     "law_watch": ("safety", *SENSORS),
     "contact_kinds": ("contact",),
     "pairs": ("contact",),
-    "chain_state": ("arm_motion", "chain", "operational", "vectors", "grasps"),
+    "chain_state": ("arm_motion", "chain", "operational", "singular", "vectors", "grasps"),
     "grasps": ("grasps", "reading"),
     "projections": (),
     "spans": (),
@@ -76,11 +76,11 @@ JUDGES = {
     "friction": (),
     "reading": (),
     "moving_environment": (),
-    "singular": (),
+    "singular": ("singular",),
     "tilted_faces": ("contact",),
     "controller": (),
     "operational_space": ("operational",),
-    "joint_friction": ("joint_friction",),
+    "joint_friction": ("joint_friction", "friction_estimate"),
 }
 SLOW = 6  #: s; a test that takes longer without compilation is no judge
 CHECK = 2.0  #: s of tests that have to pass without any mutant, three times

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
-from law_calls import joint_friction, records, write
+from law_calls import friction_estimate, joint_friction, records, write
 from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
@@ -49,8 +49,8 @@ def learned(Phi, r, noise, dt=0.0):
     row.P[:] = np.diag(PRIOR)
     row.noise = noise
     for phi, one in aligned(Phi, r):
-        joint_friction._regress(prior, row, phi, one, 1.0, dt)
-    joint_friction._keep_bounds(prior, row, np.zeros((5, 5)))
+        friction_estimate._regress(prior, row, phi, one, 1.0, dt)
+    friction_estimate._keep_bounds(prior, row, np.zeros((5, 5)))
     return (row.theta, row)
 
 
@@ -62,7 +62,7 @@ def watched(known, residual, side, most=MOST):
     t.memory.friction_known[0] = known
     joint = t.memory.joints[0]
     joint.residual = residual
-    joint.means[[joint_friction.SIGN, joint_friction.SPEED]] = (side, 0.1 * side)
+    joint.means[[friction_estimate.SIGN, friction_estimate.SPEED]] = (side, 0.1 * side)
     return (t, t.memory.friction[0])
 
 
@@ -120,7 +120,7 @@ def test_joints_without_friction_learn_none(dt):
 @parametrize("most, found", {20.0: 8.0, 5.0: 5.0})
 def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, found):
     """The estimate, too: beyond its bound it would have to come back before F could."""
-    t, learned = watched(joint_friction.LEARNED, 8.0, 1.0, most)
+    t, learned = watched(friction_estimate.LEARNED, 8.0, 1.0, most)
     learn(t, 500)
     assert learned.estimate[0] == approx(found) == learned.theta[0]
 
@@ -128,7 +128,7 @@ def test_stiction_raises_F_to_what_is_shown_and_never_beyond_its_bound(most, fou
 @parametrize("estimate, F, after", [(4.0, 5.0, 0.0), (9.0, 9.0, 0.1)])
 def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
     """It shows 5 beside an estimated bias of 3; θ takes all for bias while friction may be none."""
-    t, learned = watched(joint_friction.SUSPECTED, -2.0, -1.0)
+    t, learned = watched(friction_estimate.SUSPECTED, -2.0, -1.0)
     t.model.priors.low = -MOST
     t.model.priors.sure = 1e9
     learned.estimate[:] = (estimate, 0.0, 0.0, 3.0, 0.0)
@@ -136,7 +136,7 @@ def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
     sure = []
     for _ in range(500):
         learn(t)
-        sure.append(t.memory.friction_known[0] == joint_friction.LEARNED)
+        sure.append(t.memory.friction_known[0] == friction_estimate.LEARNED)
     assert after <= 1e-3 * sure.index(True) < after + 0.05
     assert learned.estimate[0] == approx(F) == learned.theta[0]
 
@@ -144,9 +144,9 @@ def test_a_joint_that_rests_for_long_has_friction(estimate, F, after):
 @parametrize("rest, F", {9: 0.0, 12: 8.0})
 def test_joints_that_rest_for_less_than_10_ms_show_no_stiction(rest, F):
     """A knock inboard of the sensor turns a joint back: 88 N m of F if a moment were enough."""
-    t, learned = watched(joint_friction.LEARNED, 8.0, 1.0)
+    t, learned = watched(friction_estimate.LEARNED, 8.0, 1.0)
     learned.smooth = t.memory.joints[0].means
-    learned.smooth[joint_friction.TORQUE] = 8.0
+    learned.smooth[friction_estimate.TORQUE] = 8.0
     learn(t, rest)
     assert learned.estimate[0] == approx(F)
 
@@ -154,10 +154,10 @@ def test_joints_that_rest_for_less_than_10_ms_show_no_stiction(rest, F):
 @parametrize("unbalanced, aim", {0.0: 2.0, 0.01: 0.0})
 def test_the_observer_follows_what_is_not_learned_while_the_wrist_is_credible(unbalanced, aim):
     t = records(1, 1, friction_errors=1, friction_smoothing=70.0)
-    t.memory.friction_known[0] = joint_friction.LEARNED
+    t.memory.friction_known[0] = friction_estimate.LEARNED
     joint = t.memory.joints[0]
     joint.residual = 3.0
-    joint.means[joint_friction.FRICTION] = 1.0
+    joint.means[friction_estimate.FRICTION] = 1.0
     joint.unlearned = 1.0
     joint.unbalanced = unbalanced
     for n in range(1, 51):
@@ -183,7 +183,7 @@ def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase
     t = records(1, 1, 1, friction_learning=1, wrist_error=1.0)
     t.model.joints.tau_max = 100.0
     t.memory.contacts.phase = phase
-    t.memory.friction_known[0] = joint_friction.LEARNED
+    t.memory.friction_known[0] = friction_estimate.LEARNED
     t.memory.friction[0].theta[0] = 8.0
     t.memory.joints[0].sign = -1.0
     applied = []
@@ -199,7 +199,7 @@ def test_the_inertia_takes_in_what_is_certain_of_a_learned_rotor(missing, certai
     """All but two standard deviations, within 0.1 s; what is forgotten leaves it again."""
     t = records(1, 1, 1, friction_learning=1)
     t.memory.contacts.phase = CLOSED
-    t.memory.friction_known[0] = joint_friction.LEARNED
+    t.memory.friction_known[0] = friction_estimate.LEARNED
     row = t.memory.friction[0]
     row.applied = 1.0
     row.theta[2] = missing
@@ -212,7 +212,7 @@ def test_the_inertia_takes_in_what_is_certain_of_a_learned_rotor(missing, certai
     for n in range(1, 301):
         learn(t)
         assert joint.rotor == approx(certain * (1.0 - 1.01**-n))
-    t.memory.friction_known[0] = joint_friction.MODEL_ONLY
+    t.memory.friction_known[0] = friction_estimate.MODEL_ONLY
     for _ in range(1000):
         learn(t)
     assert abs(joint.rotor) < 1e-4
@@ -230,7 +230,7 @@ def test_a_rotor_that_is_taken_in_acts_as_one_of_the_model():
         for joints in ({"armature": ROTORS, **dry}, dry)
     )
     memory = lacking.records.memory
-    memory.friction_known[:] = joint_friction.LEARNED
+    memory.friction_known[:] = friction_estimate.LEARNED
     memory.friction.applied = 1.0
     memory.friction.theta[:, 0] = DRY
     memory.friction.theta[:, 2] = ROTORS
@@ -241,7 +241,7 @@ def test_a_rotor_that_is_taken_in_acts_as_one_of_the_model():
         tau = [ticked(controller, unloaded(q, v), desired) for controller in (known, lacking)]
         assert_near(tau[1], tau[0], atol=1e-6)
         memory.joints.rotor = ROTORS
-        memory.friction_known[:] = joint_friction.LEARNED
+        memory.friction_known[:] = friction_estimate.LEARNED
 
 
 @parametrize("sign", [1.0, -1.0])
@@ -250,7 +250,7 @@ def test_what_is_applied_of_learned_friction_is_bounded_as_e_is(sign):
     t = records(1, 1, wrist_error=0.05)
     t.model.joints.tau_max = 100.0
     t.model.joints.theta[0, :2] = (2.0, 1.0)
-    t.memory.friction_known[0] = joint_friction.LEARNED
+    t.memory.friction_known[0] = friction_estimate.LEARNED
     learned = t.memory.friction[0]
     learned.applied = 1.0
     write(t.memory.joints[0], sign=sign, speed=sign * 0.5)
@@ -271,7 +271,7 @@ def test_friction_that_is_not_there_any_more_is_forgotten_in_50_ms(residual, mov
     t = records(1, 1, friction_learning=1, wrist_error=1.0)
     t.model.joints.tau_max = 100.0
     write(t.model.priors[0], noise=0.3, doubt=1.0)
-    t.memory.friction_known[0] = joint_friction.LEARNED
+    t.memory.friction_known[0] = friction_estimate.LEARNED
     learned = t.memory.friction[0]
     learned.P[:] = 1.0
     write(learned, applied=1.0, theta=[8.0], estimate=[8.0])
@@ -288,7 +288,7 @@ def test_friction_that_is_not_there_any_more_is_forgotten_in_50_ms(residual, mov
     assert joint_friction.believed_friction(t, 0) == (0.0 if forgotten else 8.0)
     if forgotten:
         learn(t)
-        assert t.memory.friction_known[0] < joint_friction.LEARNED and joint.unlearned == 0.0
+        assert t.memory.friction_known[0] < friction_estimate.LEARNED and joint.unlearned == 0.0
         assert_array_equal(learned.P, np.eye(5), "nothing of before is left in it")
 
 
@@ -300,7 +300,7 @@ def test_nothing_is_learned_of_rounding_or_of_a_short_pulse():
         controller = rig.controller()
         osc.run_loop(rig.plant(), controller, rig.references.each(6000, controller.dt))
         memory = controller.records.memory
-        assert (memory.friction_known == joint_friction.LEARNED).any() == learns
+        assert (memory.friction_known == friction_estimate.LEARNED).any() == learns
         assert memory.joints.unlearned.any() == learns
 
 
@@ -393,7 +393,7 @@ def test_errors_of_links_are_compensated_beside_a_tare(mass):
         verdict = verdict_of("panda_edge", *words, duration=3.0)
         rms.append(verdict["force"]["edge"]["rms_error_rel"])
         memory = controller.records.memory
-        missing = memory.joints.residual - memory.joints.means[:, joint_friction.FRICTION]
+        missing = memory.joints.residual - memory.joints.means[:, friction_estimate.FRICTION]
         e = memory.joints.unlearned
         assert_near(e, missing * (not changes), atol=0.02 * largest(missing))
         most = np.minimum(0.3 * np.abs(controller.records.work.joints.h), 0.05 * rig.model.tau_max)
@@ -405,7 +405,7 @@ def test_what_was_learned_is_the_start_of_the_next_controller():
     controller = osc.Controller(panda(damping=VISCOUS, friction=DRY), [])
     assert_array_equal(controller.joint_friction, np.column_stack([DRY, VISCOUS]))
     memory = controller.records.memory
-    memory.friction_known[2] = joint_friction.LEARNED
+    memory.friction_known[2] = friction_estimate.LEARNED
     memory.friction.theta[2, 0] = 7.0
     assert controller.joint_friction[2, 0] == 7.0
     friction, damping = controller.joint_friction.T
@@ -428,7 +428,7 @@ def test_settings_out_of_range_are_refused():
 def test_what_was_learned_is_kept_in_a_file_and_put_on_the_same_robot(tmp_path):
     controller = osc.Controller(panda(damping=VISCOUS, friction=DRY), [])
     memory = controller.records.memory
-    memory.friction_known[2] = joint_friction.LEARNED
+    memory.friction_known[2] = friction_estimate.LEARNED
     memory.friction.theta[2, :3] = (7.0, 3.0, 0.05)
     (learned,) = controller.learned_friction
     again = osc.LearnedFriction.load(learned.save(tmp_path / "panda.friction.json"))

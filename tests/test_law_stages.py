@@ -14,10 +14,10 @@ from law_calls import (
     allocation,
     commands,
     force_law,
-    operational,
     phases,
     reading,
     records,
+    singular,
     tick,
     write,
 )
@@ -137,7 +137,7 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
     arm = Record(full_rank=5)
     for factor, kept, expected in ((0.999, 5, False), (1.001, 5, True), (1e-9, 4, True)):
         own = Record(Lambda=factor * Lambda, n_kept=kept)
-        assert operational.may_be_singular(t, arm, own) == expected
+        assert singular.may_be_singular(t, arm, own) == expected
 
 
 @parametrize("chi", [0.0, 1e-10])
@@ -145,7 +145,7 @@ def test_a_posture_may_be_singular_where_its_inertia_beside_the_reference_is_lar
 def test_a_motion_that_does_nothing_is_any_that_is_new(n, chi):
     """The axes before it are spanned already: only the last ones are new."""
     rng = rng_of(n)
-    small = operational._unit_row
+    small = singular._unit_row
     for k in range(n):
         X = np.zeros((n + 1, n + 2))
         X[:k, :k] = qr(rng.standard_normal((k, k)))[0]

@@ -11,8 +11,9 @@ from math import sqrt
 
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.commands import pose_error
+from osc_contact.law.friction_estimate import SPEED, V
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.joint_friction import SPEED, V, observe_arm
+from osc_contact.law.joint_friction import observe_arm
 from osc_contact.law.phases import APPROACHING, collect
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import OTHER, contact_of
@@ -53,8 +54,9 @@ def compare_speeds(t):
     The speed of a contact is NᵀV_rel (m/s): the twist V_rel of the object relative to the face,
     along the column N. An approach with speed sensors that read too little would accelerate towards
     its face. The twist from positions is computed from the poses `X_WO` of the last tick and of
-    this one; both speeds are low-passed. Changes `speed`; fills `velocity_from_positions` and
-    `velocity_from_encoders` of the columns.
+    this one; both speeds are low-passed. A column that was not in N in the last tick (`known` = 0)
+    begins without a past. Changes `speed` (m/s) of the kept columns; fills
+    `velocity_from_positions` and `velocity_from_encoders` (m/s) of the columns in MEMORY.
 
     Args:
         t: Tick.
@@ -124,8 +126,10 @@ def _balance_arm(t, k, dt):
     Torques above half of the bound suspend the identification of friction for up to `_DOUBTED`,
     longer than the detection of a fault takes.
 
-    Reads the fields that `observe_arm` fills. Updates of the joints in MEMORY `trusted`, `rubbed`,
-    `slid`, `unexplained`, `usual` and `unbalanced`, and `doubtful` of the arm.
+    Reads the fields that `observe_arm` fills. Updates of the joints in MEMORY `trusted` (F, D and
+    |A| over a long time), `rubbed` (mean magnitude of the residual in motion; N m, N), `slid` (s of
+    motion), `unexplained` and its long-term mean `usual` (N m, N), `unbalanced` (s above the
+    bound), and `doubtful` of the arm (s above half of the bound).
 
     Args:
         t: Tick.
@@ -142,7 +146,8 @@ def _balance_arm(t, k, dt):
     observe_arm(
         t, arm, t.work.arms[k], arm_memory.doubtful == 0.0 or arm_memory.doubtful > _DOUBTED, dt
     )
-    first_share = 1.0 / t.memory.balanced  # low-passes begin as plain means
+    # shares of one tick in the low-passes, which begin as plain means
+    first_share = 1.0 / t.memory.balanced
     fast_share = max(dt / (_BALANCE + dt), first_share)
     slow_share = max(dt / (_USUAL + dt), first_share)
     for j in range(arm.first, arm.sensor_joint + 1):
@@ -168,9 +173,11 @@ def _balance_arm(t, k, dt):
             joint_memory.unexplained
         ):
             bound *= 2.0  # the torque opposes the motion, like friction not identified yet
+        # mean residual while the joint slides
         if abs(joint_memory.past_v) > _RUBBING:
             joint_memory.rubbed += fast_share * (abs(joint_memory.residual) - joint_memory.rubbed)
             joint_memory.slid += dt
+        # unexplained torque and its long-term mean, whose difference is compared with the bound
         unexplained = joint_memory.residual - clamped(joint_memory.residual, friction)
         unexplained = clamped(unexplained, _OUTLIER * bound)
         joint_memory.unexplained += fast_share * (unexplained - joint_memory.unexplained)

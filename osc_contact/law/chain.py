@@ -9,12 +9,13 @@ from osc_contact.law.arm_motion import move_arm, place_arm, place_frame
 from osc_contact.law.grasps import add_slip, centre_object, filter_outboard, find_object, find_twist
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.joint_friction import SLIDES, believed_friction
-from osc_contact.law.operational import arm_terms, effort_metric, find_lost, may_be_singular
+from osc_contact.law.operational import arm_terms, effort_metric
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
     GIVEN_POSE,
     GIVEN_TWIST,
 )
+from osc_contact.law.singular import find_lost, may_be_singular
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,
@@ -80,6 +81,7 @@ def solve_chain(t):
     model = t.model
     memory = t.memory
     work = t.work
+    # positions, then velocities with Jacobians and bias forces
     for k in range(model.n_arms):
         place_arm(t, model.arms[k], t.input.q)
     if not _place_object(t):
@@ -97,7 +99,8 @@ def solve_chain(t):
     work.Lambda[:] = 0.0
     work.effort[:] = 0.0
     work.out_T[:] = 0.0
-    count = 0
+    # sums of inertia, effort and bias over the arms, then the object's
+    count = 0  # locked wrenches of the arms so far
     work.n_lost = 0
     for k in range(model.n_arms):
         reason, n_rows = _add_arm(t, model.arms[k], work.arms[k], count)
@@ -108,6 +111,7 @@ def solve_chain(t):
         _combine_twists(t)
     _add_object(t)
     _intersect(t, count)
+    # turned coordinates: locked axes first, free ones last
     if work.locked > 0:
         reflect_sides(work, work.Lambda)
         reflect_sides(work, work.effort)
@@ -196,8 +200,8 @@ def _combine_twists(t):
     """
     work = t.work
     P = local(6, 6)
-    S = local(6, 6)
-    before = local(6, 6)
+    S = local(6, 6)  # P + G_i, then its Cholesky factor
+    before = local(6, 6)  # P before the arm
     K = local(6, 6)
     P[:] = 0.0
     _add_covariance(t, 0, P)
@@ -248,7 +252,9 @@ def _add_arm(t, arm, arm_work, row):
 
     Reads `axes` and `V_C`. Fills ARM_WORK, J, J̄, `offset` and `h` of its joints, and
     `locked_rows`. Adds to `Lambda`, `effort`, `chain_bias`, and for the bodies beyond its wrist
-    sensor to `out_T`, `bias_e` and `bias_links`.
+    sensor to `out_T`, `bias_e` and `bias_links`. `drift` and `gamma` of the arm are the
+    acceleration γ of its tip at q̈ = 0 in world axes and in energy coordinates, `resisted` its
+    locked wrenches; `wide` is 1 with redundant joints.
 
     Args:
         t: Tick.
@@ -282,10 +288,12 @@ def _add_arm(t, arm, arm_work, row):
     )  # else the torques are unique
     if model.n_motors > 0 and shared and not effort_metric(t, lo, n, m, arm_work, arm_work.effort):
         return UNACTUATED, 0
+    # locked wrenches u, each followed by the acceleration uᵀγ along it
     for k in range(count):
         locked = work.locked_rows[row + k]
         locked[6] = dot6(locked, arm_work.gamma)
         fill(arm_work.resisted[k], locked)
+    # sums: bias J̄ᵀh − Λγ, inertia and effort
     bias = six(work.chain_bias)
     for j in range(lo, arm.end):
         if model.rubs != 0 and model.joints[j].motor < 0:  # passive: other motors compensate it

@@ -1,18 +1,15 @@
-"""Operational-space terms of one arm, and motions lost near a singular posture."""
+"""Operational-space terms of one arm: J̄ and Λ, locked wrenches, effort, posture law."""
 
 from __future__ import annotations
 
-from math import isfinite, sqrt
+from math import isfinite
 
 from osc_contact.law.algebra import (
-    add_scaled,
-    backward,
     cholesky,
     dot,
     form_q,
     forward_rows,
     one_sided_jacobi,
-    orthonormalise,
     qr_rows,
 )
 from osc_contact.law.arm_motion import move_arm, place_arm, place_point, weight_on_joint
@@ -155,7 +152,7 @@ def _decompose(t, lo, n, arm, row):
     work = t.work
     joints = work.joints
     K = local(MAX_JOINTS, MAX_JOINTS)
-    A = local(MAX_JOINTS, 6)
+    A = local(MAX_JOINTS, 6)  # (J K⁻ᵀ)ᵀ with more than six joints, else J
     Q = local(MAX_JOINTS, 6)
     R_T = local(6, 6)
     R_inv_T = local(6, 6)
@@ -171,14 +168,8 @@ def _decompose(t, lo, n, arm, row):
                 A[i, j] = joints[lo + j].J[i]
     if not _qr_tall(A, max(n, 6), columns, Q, R_T):
         return False
-    arm.n_kept = columns
-    arm.n_locked = 6 - columns
-    for k in range(6):
-        for i in range(6):
-            if k >= n:
-                work.locked_rows[row + k - n, i] = Q[i, k]
-            else:
-                arm.kept[k, i] = arm.passed[k, i] if wide else Q[i, k]
+    _store_wrenches(work.locked_rows, arm, row, n, Q)
+    # rows of Q R⁻ᵀ: with more than six joints those of A⁺, else columns of J̄
     set_identity(R_inv_T)
     forward_rows(R_T, columns, R_inv_T)
     for i in range(max(n, 6)):
@@ -195,6 +186,30 @@ def _decompose(t, lo, n, arm, row):
     else:
         _congruence_of_inertia(joints, lo, n, arm.Lambda)
     return True
+
+
+@leaf
+def _store_wrenches(locked_rows, arm, row, n, Q):
+    """Store the wrenches that the joints of an arm of full rank resist, and its locked wrenches.
+
+    With up to six joints these are the first n columns and the other columns of Q (6, 6). With more
+    joints the arm resists all wrenches that its grasp transmits, and none is locked.
+
+    Args:
+        locked_rows: `locked_rows` of WORK, filled from `row` on.
+        arm: ARM_WORK row, of which `kept`, `n_kept` and `n_locked` are filled.
+        row: first row for the locked wrenches of this arm.
+        n: number of its joints.
+        Q: (6, 6) or larger, orthogonal factor of the Jacobian; not read with more than six joints.
+    """
+    arm.n_kept = min(n, 6)
+    arm.n_locked = 6 - arm.n_kept
+    for k in range(6):
+        for i in range(6):
+            if k >= n:
+                locked_rows[row + k - n, i] = Q[i, k]
+            else:
+                arm.kept[k, i] = arm.passed[k, i] if n > 6 else Q[i, k]
 
 
 @inner
@@ -262,6 +277,7 @@ def _qr_tall(A, rows, columns, Q, L):
         fill(Q[i], ZERO)
         if i < 6:
             Q[i, i] = 1.0
+    # Q is the product of the reflections, applied to the identity
     for k in range(columns - 1, -1, -1):
         t = ZERO
         for i in range(k, rows):
@@ -306,6 +322,7 @@ def _separate(t, lo, n, m, arm, row):
     one_sided_jacobi(X, m, n, 6)
     for j in range(n):
         fill(joints[lo + j].J_bar, ZERO)
+    # rows of X are orthogonal now: each is a direction u with its singular value σ
     arm.n_locked = 0
     arm.n_kept = 0
     largest = 0.0
@@ -392,10 +409,11 @@ def effort_metric(t, lo, n, m, arm, out):
     factor = local(6, 6)
     x = local(6)
     out[:] = 0.0
-    if n <= m:
+    if n <= m:  # J̄ᵀ τ_max² J̄
         for j in range(lo, lo + n):
             add_square(table[j].effort, joints[j].J_bar, out)
         return True
+    # A = U J τ_max⁻² JᵀUᵀ, and UᵀA⁻¹U by its Cholesky factor
     A[:] = 0.0
     fill(x, ZERO)
     for j in range(lo, lo + n):
@@ -410,156 +428,6 @@ def effort_metric(t, lo, n, m, arm, out):
     for a in range(count):
         add_square(1.0, A[a], out)
     return True
-
-
-# --- Motions that an arm is about to lose near a singular posture ---------------------------------
-#
-# The reference inertia Λ_ref is that of the object and of a ball at its centre of mass that is as
-# heavy as the heaviest arm. With Λ_ref = LLᵀ and M = KKᵀ
-#
-#     LᵀJK⁻ᵀ = U diag(χ) Vᵀ
-#
-# is dimensionless, and 1/χ² is the apparent inertia of the arm in the direction u relative to
-# Λ_ref. In energy coordinates Λ_ref is diagonal.
-
-NONE_LEFT = 0.05  #: χ up to which a command is zero
-FULL = 0.3  #: χ from which on a command is not reduced
-_SMALL = 1e-9  #: χ below which a direction does not determine a motion of the joints
-
-
-@leaf
-def may_be_singular(t, arm, arm_work):
-    """Test whether an arm may be near a singular posture, by a conservative bound.
-
-    χ is the distance of a direction from its singular posture. For the least one, Σ_ij
-    Λ_ij²/(Λ_ref,ii Λ_ref,jj) ≥ 1/χ⁴ in energy coordinates, where the reference inertia Λ_ref is
-    diagonal.
-
-    Args:
-        t: Tick.
-        arm: ARM row.
-        arm_work: its ARM_WORK.
-
-    Returns:
-        False if no χ of the arm is below `FULL`.
-    """
-    if arm_work.n_kept < arm.full_rank:
-        return True
-    s = 0.0
-    for i in range(6):
-        row = 0.0
-        for j in range(6):
-            row += arm_work.Lambda[i, j] * arm_work.Lambda[i, j] * t.model.lightness[j]
-        s += row * t.model.lightness[i]
-    return s * FULL * FULL * FULL * FULL >= 1.0
-
-
-@inner
-def find_lost(t, arm, arm_work):
-    """Find all directions of an arm along which it is about to lose its motion.
-
-    With Λ_ref = LLᵀ the reference inertia, M = KKᵀ and the Jacobian J (6, n), LᵀJK⁻ᵀ = U diag(χ)
-    Vᵀ; a direction u with χ below `FULL` is about to be lost. Reads `passed`, `n_kept`, and J and M
-    of the joints. Fills `n_lost` of the arm and, for each direction, `chi` (χ, dimensionless),
-    `share` (the share of the command that is executed), `gone` (1 if the chain counts the direction
-    as locked), `lost` (its wrench Lu) and `mode` (its joint motion K⁻ᵀv); adds to `n_lost` of WORK.
-
-    Args:
-        t: Tick.
-        arm: ARM row.
-        arm_work: its ARM_WORK.
-    """
-    work = t.work
-    n = arm.end - arm.first
-    m = arm.m
-    K = local(MAX_JOINTS, MAX_JOINTS)
-    weighed = local(MAX_JOINTS, 6)
-    wrenches = local(6, 6)  # wrenches that the grasp transmits, weighted by Λ_ref
-    factor = local(6, 6)
-    root = local(6)
-    X = local(6, JOINTS_AND_SIX)
-    if not weigh_joints(work.joints, arm.first, n, K, weighed):
-        return
-    for i in range(6):
-        root[i] = sqrt(t.model.reference[i])
-        for a in range(m):
-            wrenches[a, i] = arm_work.passed[a, i] / root[i]
-        for j in range(n):
-            weighed[j, i] *= root[i]
-    orthonormalise(wrenches, m, 0, wrenches, factor)
-    multiply_rows(wrenches, m, weighed, n, X)
-    one_sided_jacobi(X, m, n, 6)
-    _sort_rows(X, m, n)
-    for k in range(arm.full_rank):
-        chi = sqrt(dot(X[k], X[k], n))
-        _unit_row(X, k, n, chi)
-        if chi >= FULL:
-            continue
-        at = arm_work.n_lost
-        arm_work.chi[at] = chi
-        s = max((chi - NONE_LEFT) / (FULL - NONE_LEFT), 0.0)
-        arm_work.share[at] = s * s * (3.0 - 2.0 * s)  # 0 at χ ≤ NONE_LEFT, 1 at FULL
-        arm_work.gone[at] = k >= arm_work.n_kept
-        for i in range(6):
-            arm_work.lost[at, i] = root[i] * X[k, n + i]
-        for j in range(n):
-            arm_work.mode[at, j] = X[k, j]
-        backward(K, n, arm_work.mode[at])
-        arm_work.n_lost += 1
-        work.n_lost += 1
-
-
-@inner
-def _sort_rows(X, m, n):
-    """Sort the rows of a matrix by descending norm of their first n elements.
-
-    Args:
-        X: (m, n + 6), whose rows are exchanged as a whole.
-        m: number of rows.
-        n: number of leading elements of a row whose norm counts.
-    """
-    for a in range(m):
-        selected = a
-        largest_square = -1.0
-        for b in range(a, m):
-            square = dot(X[b], X[b], n)
-            if square > largest_square:
-                selected = b
-                largest_square = square
-        if selected != a:
-            for j in range(n + 6):
-                X[a, j], X[selected, j] = X[selected, j], X[a, j]
-
-
-@inner
-def _unit_row(X, k, n, chi):
-    """Normalise the row X[k, :n]; replace a zero row by a unit vector orthogonal to those before.
-
-    Args:
-        X: matrix.
-        k: index of the row.
-        n: number of elements that are normalised.
-        chi: norm of these elements.
-    """
-    norm = chi
-    if not chi > _SMALL:  # also if NaN
-        axis = 0
-        largest = -1.0
-        for e in range(n):  # axis with the largest part outside the span of the former rows
-            remainder = 1.0
-            for b in range(k):
-                remainder -= X[b, e] * X[b, e]
-            if remainder > largest:
-                axis = e
-                largest = remainder
-        for j in range(n):
-            X[k, j] = 1.0 if j == axis else 0.0
-        for _ in range(2):  # twice: the first pass leaves rounding errors
-            for b in range(k):
-                add_scaled(-dot(X[b], X[k], n), X[b], n, X[k])
-        norm = sqrt(dot(X[k], X[k], n))
-    for j in range(n):
-        X[k, j] /= norm
 
 
 @inner

@@ -181,7 +181,7 @@ _MODEL = _record(
     gravity=3,  # m/s², world axes
     roots=4,  # square roots of mass and principal moments of the object
     principal=4,  # mass and principal moments of the object
-    reference=6,  # diagonal of Λ_ref, see `operational`
+    reference=6,  # diagonal of Λ_ref, see `singular`
     lightness=6,  # its inverse
     X_LO=12,  # frame of the object in the leader's last joint: rotation by rows, then point
     X_LP=12,  # frame of its principal axes there; without a leader in the object's frame
@@ -229,7 +229,7 @@ JOINT = _record(
         "most",  # rad/s², m/s², largest push
         "slip",  # s_0, speed below which dry friction is regularised
     ),
-    theta=5,  # initial θ of `joint_friction`
+    theta=5,  # initial θ of `friction_estimate`
     placement=12,  # frame in the joint before it, or in the world: rotation by rows, then point
     link=13,  # mass, centre of mass, inertia about it by rows
 )
@@ -473,11 +473,11 @@ JOINT_MEMORY = _record(
         "slid",  # s of motion
     ),
     trusted=3,  # F, D and |A| low-passed over a long time, see `agreement`
-    means=6,  # low-passed signals, see `joint_friction`
+    means=6,  # low-passed signals, see `friction_estimate`
 )
 PAST = _record(history=(HISTORY, 8))  #: signals of a joint in former ticks, for delayed wrenches
-#: Estimate of a joint's friction, see `joint_friction`: variance of residuals, s of evidence, s of
-#: rest, share that is applied, s of contradiction; θ, θ without bounds and its covariance;
+#: Estimate of a joint's friction, see `friction_estimate`: variance of residuals, s of evidence,
+#: s of rest, share that is applied, s of contradiction; θ, θ without bounds and its covariance;
 #: regressors after the second low-pass.
 FRICTION = _record(
     number=("noise", "evidence", "rested", "applied", "contradicted"),
@@ -607,7 +607,7 @@ ARM_WORK = _record(
         "drift",  # of the tip at C
         "bias",  # wrench of the outboard bodies at q̈ = 0, at C
         "gamma",  # drift, _e
-        # of lost directions, see `operational.find_lost`
+        # of lost directions, see `singular.find_lost`
         "chi",  # χ, distance from the singular posture
         "share",  # φ, share of the command that is executed
         "gone",  # 1 if the chain counts them as locked
