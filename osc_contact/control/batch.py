@@ -160,9 +160,7 @@ class BatchController:
             self._structure[name] for name in ("n_joints", "n_arms", "n_columns", "n_contacts")
         )
         flags = self._command_squeeze(squeeze_d)
-        motion = STILL
         if touched is not None:
-            motion = _table("touched", touched, (B, c, 28))
             flags |= law.MOVING
         joints = _table("q", q, (B, n))
         args = (
@@ -173,7 +171,7 @@ class BatchController:
             _table("V_D", V_D, (B, 6)),
             _table("A_D", A_D, (B, 6)),
             _table("alpha_d", alpha_d, (B, r)),
-            motion,
+            STILL if touched is None else _table("touched", touched, (B, c, 28)),
             UNNAMED if active is None else _table("active", active, (B, c)).ravel(),
         )
         if wrench_valid is not None:

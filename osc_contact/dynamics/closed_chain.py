@@ -132,6 +132,10 @@ class ClosedChain:
         self.allow_unactuated = allow_unactuated
         self.model = merge(self.arms)
         self.data = self.model.createData()
+        self._find_joints_and_frames()
+
+    def _find_joints_and_frames(self) -> None:
+        """Find joints, motors and frames of each arm in the merged model."""
         # joints of each arm are adjacent in q; those without a motor are not in tau
         ends = np.cumsum([0, *(arm.model.nv for arm in self.arms)]).tolist()
         self.slices = tuple(map(slice, ends, ends[1:]))

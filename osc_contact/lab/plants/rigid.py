@@ -355,6 +355,38 @@ class RigidPlant:
             self._cached_equations = (state, self._make_equations())
         return self._cached_equations[1]
 
+    def _close_loops(
+        self, X: pin.SE3, V: Array, J: Array, gamma_O: Array
+    ) -> tuple[list[Array], list[Array]]:
+        """Closure of the loops: every arm but the leader must move the object as the leader does.
+
+        Args:
+            X: pose of the object.
+            V: (6,) its twist at O in world axes (m/s, rad/s).
+            J: (6, n) Jacobians of all arms side by side, at O in world axes.
+            gamma_O: (6,) acceleration of the object by the velocities of the leader's joints at
+                q̈ = 0 (m/s², rad/s²).
+
+        Returns:
+            For each other arm: the accelerations (m_i,) by velocities that its joints have to
+            balance, and the wrenches (6, m_i) that its grasp transmits, in world axes at O.
+        """
+        chain = self.chain
+        tips = chain.tip_poses(self.data)
+        right_sides = []
+        normals = []
+        for i, (s, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
+            if i == chain.leader:
+                continue
+            drift = self._drift(i, X) - gamma_O
+            basis = np.eye(6)
+            if not grasp.is_rigid:  # N is carried by the tip while the object slips
+                basis = grasp.wrenches_at(tips[i], X.translation)
+                drift = basis.T @ (drift + cross_twist(J[:, s] @ self.v[s], V))
+            right_sides.append(drift)
+            normals.append(basis)
+        return right_sides, normals
+
     def _make_equations(self) -> Equations:
         """Compute the equations of motion in the present state."""
         chain = self.chain
@@ -367,22 +399,9 @@ class RigidPlant:
         parts = faces.parts(self.contacts, X, V)
         N, n_gamma = stacked(parts)
         J = self._jacobian(X)
-        tips = chain.tip_poses(self.data)
-        # closure of the loops: every arm but the leader must move the object as the leader does
         first = object_columns(chain, J)
         gamma_O = np.zeros(6) if chain.leader is None else self._drift(chain.leader, X)
-        right_sides = []
-        normals = []
-        for i, (s, grasp) in enumerate(zip(chain.slices, chain.grasps, strict=True)):
-            if i == chain.leader:
-                continue
-            drift = self._drift(i, X) - gamma_O
-            basis = np.eye(6)
-            if not grasp.is_rigid:  # N is carried by the tip while the object slips
-                basis = grasp.wrenches_at(tips[i], O)
-                drift = basis.T @ (drift + cross_twist(J[:, s] @ self.v[s], V))
-            right_sides.append(drift)
-            normals.append(basis)
+        right_sides, normals = self._close_loops(X, V, J, gamma_O)
         ends = np.cumsum([0, *map(len, right_sides)])
         # contacts: no acceleration along N relative to the faces
         by_rail, face_drift = faces.closing(parts, O)

@@ -230,12 +230,16 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self._forces = np.zeros((num_envs, self._r))
         self._over = np.zeros(num_envs, dtype=bool)
         self.names = self._name_numbers(first)
+        self._make_spaces()
+
+    def _make_spaces(self) -> None:
+        """Make the spaces of observations and actions, of one environment and of all."""
         numbers = gymnasium.spaces.Box(-np.inf, np.inf, (len(self.names),), np.float64)
         actions = gymnasium.spaces.Box(-1.0, 1.0, (6 + self._r,), np.float64)
         self.single_observation_space = numbers
         self.single_action_space = actions
-        self.observation_space = batch_space(numbers, num_envs)
-        self.action_space = batch_space(actions, num_envs)
+        self.observation_space = batch_space(numbers, self.num_envs)
+        self.action_space = batch_space(actions, self.num_envs)
 
     def _name_numbers(self, first: Episode) -> list[str]:
         """Names of the numbers of an observation.
