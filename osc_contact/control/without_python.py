@@ -14,6 +14,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from osc_contact.control.packing import GAIN_FIELDS, PHASE_NAMES
 from osc_contact.control.record_ranges import (
     ENDS,
@@ -39,6 +41,8 @@ from osc_contact.law.tick import BAD_INPUT, STOPPED
 from osc_contact.settings.control import PhaseSettings
 from osc_contact.settings.gains import Gains
 from osc_contact.settings.quantities import Dimension, meaning
+
+_Dtype = np.dtype[Any]  #: type of a record, of a row of a table, or of numbers
 
 #: Names and meanings of enum osc_error, in the order of its codes 0, −1, …
 ERRORS = {
@@ -181,9 +185,14 @@ def _gains() -> list[_Gain]:
     return gains
 
 
-def _offset(row: Any, field: str) -> int:
+def _fields_of(dtype: _Dtype) -> dict[str, tuple[_Dtype, int]]:
+    """Fields of a structured dtype by name: type and offset (bytes); empty for numbers."""
+    return {name: (field[0], field[1]) for name, field in (dtype.fields or {}).items()}
+
+
+def _offset(row: _Dtype, field: str) -> int:
     """Offset (bytes) of a field in a row of a structured dtype."""
-    return int(row.fields[field][1])
+    return _fields_of(row)[field][1]
 
 
 class _PhaseSetting(NamedTuple):
@@ -229,8 +238,8 @@ def _layout() -> str:
     """Write osc_layout.h: offsets of fields, slots of tables, and tables of gains and texts."""
     lines = ["/* Written with osc_controller.h: where fields and tables of the records are. */"]
     for name, kind in RECORDS.items():
-        fields: Any = kind.dtype.fields
-        lines += [f"#define {name}_{field} {at}" for field, (_, at, *_) in fields.items()]
+        fields = _fields_of(kind.dtype)
+        lines += [f"#define {name}_{field} {at}" for field, (_, at) in fields.items()]
         lines += [f"#define {name}_{table} {kind.start(table)}" for table in kind.tables]
     words = len(records.MEMORY.tables) + len(records.MEMORY.counts)
     numbers = {
@@ -290,16 +299,16 @@ def _rows() -> list[str]:
         ("MODEL", records.MODEL, {"joints": ("theta",)}),
     ):
         for table, columns in fields_by_table.items():
-            dtype: Any = kind.tables[table][0]
+            dtype = kind.tables[table][0]
             lines.append(f"#define {name}_{table}_BYTES {dtype.itemsize}")
-            lines += [f"#define {name}_{table}_{key} {dtype.fields[key][1]}" for key in columns]
+            lines += [f"#define {name}_{table}_{key} {_offset(dtype, key)}" for key in columns]
     return lines
 
 
 def _structure() -> list[str]:
     """Write the sizes of the records' heads and tables, and the counts that are also in MODEL."""
     heads = ", ".join(str(kind.dtype.itemsize) for kind in RECORDS.values())
-    fields: Any = records.MODEL.dtype.fields
+    fields = _fields_of(records.MODEL.dtype)
     tables = []
     count_rows = []
     for name, kind in RECORDS.items():
@@ -347,13 +356,13 @@ def _parts_to_reset() -> list[tuple[int, int, int, int, int]]:
         For each part the offset of its table's entry in the layout (−1: the head), the slot of its
         number of rows, bytes of a row, offset in the row, and bytes to clear.
     """
-    fields: Any = records.MEMORY.dtype.fields
+    fields = _fields_of(records.MEMORY.dtype)
     parts = [(-1, 0, 0, fields[name][1], fields[name][0].itemsize) for name in FORGOTTEN]
     for table, names in FORGOTTEN_TABLES.items():
         dtype, sizes = records.MEMORY.tables[table]
         slot = records.MEMORY.start(table)
         count = records.MEMORY.slot(sizes[0])
-        columns: Any = dtype.fields
+        columns = _fields_of(dtype)
         if not names:  # the whole row
             parts.append((slot, count, dtype.itemsize, 0, dtype.itemsize))
         for name in names:
@@ -388,7 +397,7 @@ def _surface_shapes() -> list[str]:
     """
     shapes = records.MODEL.start("shapes")
     shape, _ = records.MODEL.tables["shapes"]
-    pair: Any = records.PAIR.fields
+    pair = _fields_of(records.PAIR)
     count = records.MODEL.slot("s")
     return [
         "static int64_t surface_shapes(const unsigned char *model, const unsigned char *pair) {",
@@ -434,7 +443,7 @@ def _relations(name: str) -> list[str]:
         lines += [f"        for (; row < rows; row++, own += {dtype.itemsize}) {{"]
         lines += [f"            if (!({_in_c(text, name, table)})) return 0;" for text in relations]
         if "motor" in (dtype.names or ()):
-            fields: Any = dtype.fields
+            fields = _fields_of(dtype)
             lines += [f"            motors_before += whole(own, {fields['motor'][1]}) >= 0;"]
         lines += ["        }", "        (void)motors_before;"]
         # after the loop `row` and `motors_before` are totals, which ENDS compares with the head
@@ -490,8 +499,8 @@ def _name_in_c(word: str, name: str, table: str) -> str:
     kind = RECORDS[name]
     dtype = kind.tables[table][0] if table else kind.dtype
     pointer = "own" if table else "head"
-    fields: Any = dtype.fields or {}
-    model: Any = records.MODEL.dtype.fields
+    fields = _fields_of(dtype)
+    model = _fields_of(records.MODEL.dtype)
     if word == table:
         return f"whole{'' if dtype.itemsize == 8 else 8 * dtype.itemsize}({pointer}, 0)"
     if word in fields:
@@ -521,8 +530,8 @@ def _number_rows(name: str) -> list[str]:
             dtype, sizes = kind.tables[table]
         else:
             dtype, sizes = kind.dtype, [1]
-        fields: Any = dtype.fields or {table: (dtype, 0)}
-        item, offset = fields[field][:2]
+        fields = _fields_of(dtype) or {table: (dtype, 0)}
+        item, offset = fields[field]
         rows, columns = _sizes_in_c(kind, sizes)
         slot = kind.start(table) if table else -1
         bounds = ", ".join(_number_in_c(x) for x in (low, high))

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from osc_contact.errors import PlantError, did_you_mean
 from osc_contact.robots.mjcf import joint_name, motors_of
 from osc_contact.spatial import Array
+
+if TYPE_CHECKING:
+    from mujoco import MjData, MjModel
 
 
 class TorqueInputs:
@@ -24,7 +27,7 @@ class TorqueInputs:
         joints: numbers of the joints with a motor, in the order of the torques.
     """
 
-    def __init__(self, mj: Any, joints: Array) -> None:
+    def __init__(self, mj: MjModel, joints: Array) -> None:
         """Find the motor of each joint whose force is proportional to its control.
 
         Other actuators of these joints are switched off, and torques are applied to the joint
@@ -51,7 +54,7 @@ class TorqueInputs:
         self._direct = mj.jnt_dofadr[joints][~self._driven]
         self._per_torque = per_torque[self._motors]
 
-    def send(self, data: Any, tau: Array) -> None:
+    def send(self, data: MjData, tau: Array) -> None:
         """Write torques of the joints into MuJoCo's data.
 
         Args:
@@ -62,7 +65,7 @@ class TorqueInputs:
         data.qfrc_applied[self._direct] = tau[~self._driven]
 
 
-def sensor_rows(mj: Any, site: str) -> Array:
+def sensor_rows(mj: MjModel, site: str) -> Array:
     """Places (6,) of a wrist sensor's force and torque in MuJoCo's sensor data.
 
     Args:
@@ -88,7 +91,7 @@ def sensor_rows(mj: Any, site: str) -> Array:
     return np.concatenate(rows)
 
 
-def geoms_beyond(mj: Any, body: int) -> Array:
+def geoms_beyond(mj: MjModel, body: int) -> Array:
     """Indices of the geoms of a body and of all its descendants.
 
     Args:
@@ -102,7 +105,7 @@ def geoms_beyond(mj: Any, body: int) -> Array:
     return np.flatnonzero(np.isin(mj.geom_bodyid, bodies))
 
 
-def moving_geoms(mj: Any, body: int) -> Array:
+def moving_geoms(mj: MjModel, body: int) -> Array:
     """Mask (ngeom,) of the geoms in the kinematic tree of a body that can move.
 
     Args:
@@ -114,7 +117,7 @@ def moving_geoms(mj: Any, body: int) -> Array:
     return tree & (mj.body_weldid[bodies] != 0)
 
 
-def loose_joints(mj: Any, body: int, dofs: Array) -> dict[str, float]:
+def loose_joints(mj: MjModel, body: int, dofs: Array) -> dict[str, float]:
     """Joints of an arm that neither the controller nor the scene holds, with the mass beyond each.
 
     Args:

@@ -16,7 +16,7 @@ from osc_contact.settings.quantities import sentence
 # --- YAML text to nodes ---------------------------------------------------------------------------
 
 _DEEPEST = 32  #: largest depth of nested values
-_FAST: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  #: loader in C, ten times as fast
+_FAST: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  #: loader in C, ten times as fast
 _FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 #: Words with a meaning in YAML, in lower case.
 _WORDS: dict[str, Any] = {
@@ -451,7 +451,7 @@ def _locate(loc: Iterable[str | int], root: type[BaseModel]) -> tuple[Key, type[
     return place, owner
 
 
-def _is_model(kind: Any) -> bool:
+def _is_model(kind: object) -> bool:
     """Return whether a type is a model of pydantic."""
     return isinstance(kind, type) and issubclass(kind, BaseModel)
 
@@ -482,7 +482,7 @@ def _inside(kind: Any, part: str | int) -> list[Any]:
     return _options(inner_types[1]) if origin is dict else []
 
 
-def _options(kind: Any) -> list[Any]:
+def _options(kind: object) -> list[Any]:
     """Members of a union without None, or the type itself in a list; annotations are removed.
 
     `ContactSpec` stands for the models of all registered contact pairs.
