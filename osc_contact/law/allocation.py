@@ -310,6 +310,7 @@ def allocate_torques(t):
             joints[j].tau = joints[j].rest + dot6(joints[j].J, f)
         work.n_internal = 0
         return NO_REASON
+    # rows of A that are kept: those of G, of the internal forces, of the motions of single arms
     for i in range(d):
         b[i] = work.f_S[work.locked + i]
     count = internal_rows(t, d)
@@ -332,6 +333,7 @@ def allocate_torques(t):
                 work.extra[size - d, j] = work.extra[e, j]
         if add_row(t, size - d):
             size += 1
+    # b becomes Z⁻¹(b − A τ_0), and each row of A contributes its part of the torques
     cholesky_solve(work.factor, size, b)
     y = _embed_free(work, b)
     for k in range(model.n_arms):
@@ -472,6 +474,7 @@ def _own_motions(t, d, first):
                 work.extra[count, lo + i] = motions[a, i]
             work.sides[d + count] = side
             count += 1
+    # force on the object by the torques without command, which G must balance
     if count > first or work.n_lost > 0:
         x = ZERO
         for j in range(model.n_joints):

@@ -182,6 +182,7 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
     outer_body = local(13)
     fill(V, ZERO)
     fill(gamma, ZERO)
+    # from the base: Jacobian, twist and drift, and the wrench that moves each link at q̈ = 0
     for j in range(arm.first, arm.end):
         w = work[j]
         axis = (w.R[0, 2], w.R[1, 2], w.R[2, 2])

@@ -164,7 +164,7 @@ def _find_internal_torques(t, count, n_locked):
             loading[row, j] = effects[row, n_locked + j]
     n_moving = _orthonormalise(moving_torques, 6, n, _DEPENDENT)
     n_loading = _orthonormalise(loading, count, n, _DEPENDENT)
-    # What remains of a unit row is as long as the sine of its angle to the torques that move.
+    # The remainder of a unit row is as long as the sine of its angle to the torques that move.
     for row in range(n_loading):
         _take_out(moving_torques, n_moving, n, loading[row])
     one_sided_jacobi(loading, n_loading, n, 0)  # principal directions, with the sines as lengths
@@ -418,6 +418,7 @@ def internal_rows(t, d):
     bars = model.n_bars
     if work.commanded == 0:
         return 0
+    # grasp points, and forces that structures of arms carry instead of motors
     locked = 0
     for i in range(model.n_arms):
         arm = model.arms[i]
@@ -427,6 +428,7 @@ def internal_rows(t, d):
             fill3(work.carried[locked], divided3(force, model.roots[0]))
             work.owners[locked] = i
             locked += 1
+    # a row of E and its side for each combination of bars that motors can set
     count = settable_bars(t, locked)
     for e in range(count):
         side = 0.0

@@ -52,7 +52,10 @@ def watch_ceilings(t):
 
     Time below a ceiling is subtracted from the time above it, as for the limits of `safety`. If
     wrists were not read in this tick, their time does not change. Updates in MEMORY `over_contact`,
-    `over_wrist`, `over_tip` (s) and the largest commands; fills `culprit`, `reached` and `ceiling`.
+    `over_wrist`, `over_tip` (s) and the largest commands `largest_force`, `largest_sum` (N); fills
+    `culprit` (column or arm concerned), `reached` and `ceiling` (N, m/s). A ceiling of force is
+    `contact_ceiling` or `wrist_ceiling` (N), at least the headroom times the largest command so
+    far.
 
     Args:
         t: Tick after `command`.
@@ -68,7 +71,7 @@ def watch_ceilings(t):
     memory.over_contact = collect(memory.over_contact, t.work.dt, force > ceiling)
     if force > ceiling and memory.over_contact > model.ceiling_time:
         return _stop(memory, CONTACT_ABOVE_CEILING, column, force, ceiling)
-    rate = _follow_centre(t)
+    rate = _follow_centre(t)  # acceleration of the object's centre of mass
     if memory.wrench_missing == 0 and memory.balanced > 0:
         ceiling = max(model.wrist_ceiling, model.wrist_headroom * memory.largest_sum)
         arm, force = _largest_load(t, rate)

@@ -92,6 +92,7 @@ def keep_columns(t):
     work = t.work
     columns = work.columns
     count = work.count
+    # all columns are kept at first, up to six
     for j in range(count):
         column = columns[work.chosen[j]]
         fill(column.energy, wrench_to_energy(work, column.N))
@@ -102,6 +103,7 @@ def keep_columns(t):
             fill(work.N_e[j], column.energy)
             work.kept[j] = work.chosen[j]
     work.rank = count
+    # whether they are independent; more than six never are
     may_depend = count > 6
     if 1 < count <= 6:
         least_ratio = orthonormalise(work.N_e, count, 0, work.N_basis, work.N_factor)
@@ -114,7 +116,7 @@ def keep_columns(t):
         column = columns[work.kept[a]]
         work.n_gamma[a] = column.n_gamma
         fill(work.N_e[a], column.energy)
-    if work.rank < count or count == 1:
+    if work.rank < count or count == 1:  # else the basis is known already
         orthonormalise(work.N_e, work.rank, 0, work.N_basis, work.N_factor)
     return NO_REASON
 
@@ -138,6 +140,7 @@ def _reduce(t):
     """
     work = t.work
     columns = work.columns
+    # parts outside the span of the selected columns, of columns with the length 1
     rank = 0
     for j in range(work.count):
         column = columns[work.chosen[j]]

@@ -145,6 +145,7 @@ def _judge_reach(t):
     basis = local(6, 6)
     if not cholesky(work.Lambda, m, d, factor) > 0.0:  # also if NaN
         return BAD_METRIC
+    # mobility NᵀΛ_S⁻¹N of each column, as the square of its weighted free part
     for a in range(r):
         N = work.N_t[a]
         fill(weighed[a], N)
@@ -153,6 +154,7 @@ def _judge_reach(t):
         if not work.reason_amount > _REACH:  # also if NaN
             work.where = a
             return UNREACHABLE
+    # least part of a weighted column outside the span of the others
     work.reason_amount = orthonormalise(weighed, r, m, basis, factor)
     if not work.reason_amount > _APART:  # also if NaN
         return INSEPARABLE
@@ -260,6 +262,8 @@ def reduce_motion(t):
     step = local(6)
     row = local(6)
     zero = local(6)
+    # H = 1 + Σ w u uᵀ and the right side Σ w y u (in `step`) of the unconstrained minimum, with the
+    # weights w = (1 − φ)/(φ |u|²)
     fill(step, ZERO)
     set_identity(H)
     a = turned_back(work, work.acceleration_t)
@@ -267,7 +271,7 @@ def reduce_motion(t):
         arm_work = work.arms[k]
         arm = t.model.arms[k]
         for e in range(arm_work.n_lost):
-            target = 0.0
+            target = 0.0  # y
             for i in range(arm.first, arm.end):
                 target += arm_work.mode[e, i - arm.first] * retreat(
                     t, arm, i, t.model.retreat_damping
@@ -282,6 +286,7 @@ def reduce_motion(t):
             weight = (1.0 - arm_work.share[e]) / (max(arm_work.share[e], _HARD) * size)
             accumulate(step, weight * target, row)
             add_square(weight, row, H)
+    # Δ = H⁻¹ Σ w y u, then its projection to NᵀΔ = 0
     fill(zero, ZERO)
     cholesky(H, m, 6 - m, factor)
     cholesky_solve(factor, 6 - m, step[m:])

@@ -150,6 +150,10 @@ def shape_steps(t, is_custom):
     `integral_scale` (0 … 1), the factor of the integral gain, which is 0 while a large part of a
     step remains.
 
+    A step begins at the last desired force (`desired` of MEMORY, if `has_desired`), else at the
+    measured one (`alpha`, N). Contacts that unload or have been active for less than the rise time
+    (`unloading`, `since`; s) do not reduce `integral_scale`.
+
     Args:
         t: Tick.
         is_custom: whether the force law is the user's own, for which steps are not shaped.
@@ -163,6 +167,7 @@ def shape_steps(t, is_custom):
     if remaining > 0.0:
         remaining = max(remaining - dt / last_time, 0.0)
     is_shaped = remaining > 0.0 or rise_time > 0.0
+    # first loop: size of each step of a desired force, and whether one is sudden
     is_sudden = False
     for i in range(work.count):
         j = work.chosen[i]
@@ -183,8 +188,9 @@ def shape_steps(t, is_custom):
         row.to_come[0] = goal - start  # holds the step until the second loop
         is_sudden = is_sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
     is_sudden = is_sudden and rise_time > 0.0
+    # second loop: new steps are added to those that are still to come
     stretch = rise_time / last_time if remaining > 0.0 else 1.0
-    largest = 0.0
+    largest = 0.0  # w as a share of the size of the force
     for i in range(work.count):
         j = work.chosen[i]
         row = work.columns[j]
@@ -226,6 +232,7 @@ def shape_squeeze(t):
     remaining = memory.squeeze_left  # share 1 − x of the rise time
     if remaining > 0.0:
         remaining = max(remaining - dt / last_time, 0.0)
+    # first loop: size of each step, and whether one is sudden; second loop: sum of all steps
     is_sudden = False
     for bar in range(t.model.n_bars):
         row = work.internal[bar]
@@ -413,6 +420,10 @@ def _deflection(t, a, j):
     speed of the face, s (m/N) its compliance, α̇_s (N/s) the rate of the commanded force. p is the
     integral of u, with forgetting. While the contact is approached, u is NᵀV_rel and p is 0.
 
+    Reads `speed` (NᵀV_rel), `V_N` (speed of the face along N, m/s) and `alpha_meas` (N), `goal`
+    (α_s, N) of the column, and of the column in MEMORY `driven` (state of v̂, m/s), `deflection`
+    (p), `eased` (last α_s, N), `eased_rate` (N/s) and `alpha_mean` (low-passed α_meas, N).
+
     Args:
         t: Tick.
         a: index of the column among the kept ones, with `V_N` = 0 where the motion of the face is
@@ -507,6 +518,15 @@ def keep_steps(t):
     its covariance are retained for the next contact with the same face. The lasting speed v̄
     (`drift`) follows the speed of a contact that presses only as far as it is not attributed to the
     normal.
+
+    Reads of the columns in WORK `here` (1 if in N), `goal` (N; of the column α_s, of the table
+    α_d), `scale` (size of the force, N), `shaped`, `to_come` (part of the step that is still to
+    come), `alpha` (measured force, N), `speeds` (NᵀV_rel, m/s), `slides` and `turned` (see
+    `follow_face`), and `integral_scale` (0 during a step). Changes of the columns in MEMORY
+    `has_desired`, `desired` and `scale` (last desired force and its size, N), `predicted` (force to
+    be expected, N), `drift` (v̄, m/s), `to_come`, `turn` (of the normal), the fields that
+    `learn_normal` and `_keep_deflections` change, `step_left` (share of the rise time) and
+    `step_time` (s).
 
     Args:
         t: Tick whose torques have been computed.

@@ -107,6 +107,7 @@ def find_twist(t, is_given):
         row = work.arms[k]
         if arm.m == 6:
             continue
+        # N and T of the grasp at the present tip, made orthonormal
         place_frame(work.joints[arm.tip_joint], arm.tip, row.tip, row.tip[3])
         grasp_rows(arm, row, work.p_C, work.axes, row.passed)
         motions = row.passed[arm.m :]
@@ -114,7 +115,7 @@ def find_twist(t, is_given):
             return False
         if not orthonormalise(motions, 6 - arm.m, 0, motions, factor) > 0.0:  # also if NaN
             return False
-        if model.leader < 0 and not is_given:
+        if model.leader < 0 and not is_given:  # conditions NᵀV = NᵀV_tip
             twist = energy_motion(work.axes, row.V)
             for a in range(arm.m):
                 _add_condition(row.passed[a], dot6(row.passed[a], twist), A, x)
@@ -188,6 +189,7 @@ def filter_outboard(t, arm, arm_work, bias):
     H = local(6, 6)  # P J̄
     G = local(MAX_JOINTS, 6)  # rows: the columns of E
     X = local(6, JOINTS_AND_SIX)  # T E, behind it the identity
+    # H = P J̄, and the bias at q̈ = −J̄γ, the joint acceleration at rest of the object
     H[:] = 0.0
     fill(bias, energy_wrench(work.axes, bias))
     for j in range(arm.first, arm.end):
@@ -197,6 +199,7 @@ def filter_outboard(t, arm, arm_work, bias):
         accumulate(bias, -dot6(bar, arm_work.gamma), P)
         for a in range(6):
             accumulate(H[a], P[a], bar)
+    # E = P − H J by columns, and the singular value decomposition of T E
     largest = 0.0
     for j in range(n):
         P = work.joints[arm.first + j].outboard
@@ -209,6 +212,7 @@ def filter_outboard(t, arm, arm_work, bias):
         for b in range(count):
             X[a, n + b] = 1.0 if a == b else 0.0
     one_sided_jacobi(X, count, n, count)
+    # F = 1 − Σ (E v/σ²)(uᵀT) over the singular values σ of T E that are not zero
     set_identity(F)
     for k in range(count):
         square = dot(X[k], X[k], n)
@@ -218,6 +222,7 @@ def filter_outboard(t, arm, arm_work, bias):
         detector = combined(X[k, n:], T, count)
         for a in range(6):
             accumulate(F[a], -own_reading[a] / square, detector)
+    # Λ_out = F H, of which `out_T` has the transpose
     fill(work.bias_e, plus(work.bias_e, times6(F, bias)))
     for a in range(6):
         x = combined(F[a], H, 6)
@@ -395,6 +400,9 @@ def _take_off(R, p, twist):
 def centre_object(t, X):
     """Fill operational point `p_O`, centre of mass `p_C` and `axes` of energy coordinates.
 
+    `X_LP` (12,) of MODEL is the frame of its principal axes in the object's frame: rotation by
+    rows, then the centre of mass (m); `roots` are the square roots of mass and principal moments.
+
     Args:
         t: Tick.
         X: (4, 4) pose of the object.
@@ -435,6 +443,7 @@ def find_object(t, X):
     _square_up(X)
     size = 1.0
     for _ in range(50):
+        # normal equations of the position errors of all grasps
         centre_object(t, X)
         fill(x, ZERO)
         A[:] = 0.0
@@ -455,6 +464,7 @@ def find_object(t, X):
                 _add_condition(arm_work.passed[a], -r[a], A, x)
         if not cholesky(A, 0, 6, factor) > KNOWN:  # also if NaN
             return False
+        # the step turns and moves the object about O
         cholesky_solve(factor, 6, x)
         step = carry_motion(world_motion(work.axes, x), work.p_C, work.p_O)
         rotate(X, step[3:])

@@ -78,8 +78,9 @@ def _level(t, factor, first, end):
     D = local(6, 6)
     share = local(1, 6)
     response = local(6)
-    mean = 0.0
-    touch_force = 0.0
+    mean = 0.0  # N, mean command of the columns
+    touch_force = 0.0  # N, largest force that a column bears already
+    # D = NᵀΛ⁻¹N along the free axes
     for a in range(n):
         share[0, a] = 1.0
         mean += work.alpha_u[first + a] / n
@@ -91,6 +92,7 @@ def _level(t, factor, first, end):
     untouched_share = 1.0 - touch_force / (_TOUCHED * t.model.force_on)
     if untouched_share <= 0.0 or not lu_solve(D, n, share, 1):
         return
+    # the mean stays; the ratios are those of D⁻¹[1 … 1]ᵀ, as far as no column bears a force
     total = 0.0
     for a in range(n):
         total += share[0, a]

@@ -413,11 +413,14 @@ class TorqueLimits:
         """Allocate the record for the largest numbers, and solve once so that all is compiled.
 
         Args:
-            n_a, k_max, s_max, p: largest numbers of motors, of contacts that must not pull, of
-                squeeze rows, and of joint motions of redundant arms.
+            n_a: largest number of motors.
+            k_max: largest number of contacts that must not pull.
+            s_max: largest number of squeeze rows.
+            p: largest number of joint motions of redundant arms.
         """
-        v = n_a + k_max
-        w = 12 + s_max + p + v + k_max
+        v = n_a + k_max  # variables: torques and slack variables
+        w = 12 + s_max + p + v + k_max  # energies of motion, force, squeeze, … of one variable
+        # letters of sizes in the declaration of PROGRAM
         counts = {"a": n_a, "k": k_max, "s": s_max, "p": p, "v": v, "w": w, "k1": k_max + 1}
         self.__setstate__(PROGRAM.new({**counts, "vv": v * v, "kv": k_max * v, "vk": v + k_max}))
         self.program.mass = 1.0
@@ -447,7 +450,7 @@ class TorqueLimits:
 
         p = self.program
         k = int(p.k)
-        for slack in (0, k):
+        for slack in (0, k):  # slack variables only if the ranges of forces cannot be kept
             v = len(p.tau) + slack
             end = v + k
             if not prepare(self.raw, slack):

@@ -105,11 +105,13 @@ def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
     last = t.memory.columns[pair.first]
     N = column.N
     length = sqrt(dot3(N, N))
+    # desired velocity v_t along the face, and the unexplained speed NᵀV_rel − v̄ per unit of N
     v = tangential_part(velocity_at(V_goal, _tracked(pair, shapes, X_WO, X_WE, column)), N)
     if pair.kind == EDGES:
         v = _shown_by_edges(shapes[pair.shape_at].row, X_WO, X_WE, column, v)
     column.lever = square = dot3(v, v)
     column.unexplained = (dot6(N, V_rel) - column.drift) / length
+    # both in axes of the body that carries the face, with the prior covariance of the normal
     axes = X_WO if pair.kind == FACE_ON_VERTEX else X_WE
     v = rotated_back(axes, v)
     normal = rotated_back(axes, scaled3(1.0 / length, N))
@@ -119,10 +121,12 @@ def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
             tangential = (1.0 if i == j else 0.0) - normal[i] * normal[j]
             share = normal[i] * normal[j] if pair.kind == EDGES else tangential
             column.prior[3 * i + j] = 0.25 * model.tilt * model.tilt * share
+    # σ, reduced by λ: the share of the speed that an error of the normal explains
     expected = square * _quadratic(last.covariance, column.shown)
     column.slides = square * square / (square * square + _SLIDES**4)
     if expected > 0.0:
         column.slides *= expected / (expected + last.residual)
+    # the turned normal, within `tilt` of the declared one
     gain = model.drift_share * column.slides * column.unexplained / max(square, _LEAST_SQUARE)
     normal = add3(plus3(column.believed, column.turn), -gain, v)
     turn = minus3(divided3(normal, sqrt(dot3(normal, normal))), column.believed)
@@ -184,17 +188,19 @@ def learn_normal(share, last, column):
     """
     P = last.covariance
     u = column.shown
-    if P[0] + P[4] + P[8] == 0.0:
+    if P[0] + P[4] + P[8] == 0.0:  # a new estimate begins with the prior
         for i in range(9):
             P[i] = column.prior[i]
     if share == 0.0 and last.normal_std > 0.0:
         return
+    # r: low-passed excess of the unexplained speed's square over |g|² ĝᵀPĝ, while the point slides
     square = column.lever * column.lever
     last.unexplained += _FASTER * share * (column.unexplained - last.unexplained)
     unexplained_square = last.unexplained * last.unexplained - column.lever * _quadratic(P, u)
     last.residual += (
         share * square / (square + _SLIDES**4) * (max(unexplained_square, 0.0) - last.residual)
     )
+    # P, multiplied out with w = Pĝ
     k = share * column.slides
     w = rotated9(P, u)
     noise = last.residual / (max(column.lever, _LEAST_SQUARE) * max(share, 1e-12))

@@ -179,17 +179,20 @@ def _rate(p, n, p_dot, n_dot):
 def _on_surface(shapes, at, motion, column):
     """Fill N and n_γ of a ball of the object on a curved surface of the body; return |∇F|.
 
-    n rotates with the body and changes along the surface with the velocity of the ball.
+    n (3,), the unit normal at the nearest point of the surface, rotates with the body and changes
+    along the surface with the velocity of the ball. The estimated turn of the normal (`turn` of the
+    column) is subtracted, and n normalised again.
 
     Args:
         shapes: SHAPE rows.
         at: index of the first SHAPE row of this surface, see `surfaces`.
         motion: `Motion`.
-        column: COLUMN_WORK, filled (`believed`, too).
+        column: COLUMN_WORK, filled: N, n_γ, and `believed`, the declared normal in the axes of the
+            body.
     """
     X_WO, _, X_WE, _, V_rel, _ = motion
     p = rotated(X_WO, shapes[at].row)
-    p_E = rotated_back(X_WE, minus3(plus3(p, origin(X_WO)), origin(X_WE)))
+    p_E = rotated_back(X_WE, minus3(plus3(p, origin(X_WO)), origin(X_WE)))  # in the body's frame
     v = velocity_at(V_rel, p)
     size, n, n_dot = normal_at(shapes, at, p_E, rotated_back(X_WE, v))
     fill3(column.believed, scaled3(-1.0, n))
@@ -197,6 +200,7 @@ def _on_surface(shapes, at, motion, column):
     s = 1.0 / sqrt(dot3(n, n))
     n = scaled3(s, n)
     fill_line(column.N, p, n)
+    # normal acceleration by the curvature, with the velocity v − (n·v) n along the surface
     bend = dot3(rotated(X_WE, scaled3(s, n_dot)), add3(v, -dot3(n, v), n))
     column.n_gamma = _normal_acceleration(p, n, motion) + bend
     return size
@@ -359,6 +363,7 @@ def _tangents(pair, shapes, motion, columns):
         columns: COLUMN_WORK rows, filled.
     """
     X_WO, V_O, X_WE, V_E, V_rel, _ = motion
+    # Ṫβ: slides turn with the body, axes of rotation with the object
     Tdot_beta = ZERO
     for k in range(pair.count, pair.count + pair.freedoms):
         row = shapes[pair.shape_at + k].row

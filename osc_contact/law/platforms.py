@@ -60,6 +60,9 @@ def pass_builder(target: llvm.TargetMachine) -> llvm.PassBuilder:
     Loops of the law are short (arms, joints, columns of N), so that vectorised and specialised
     copies of them (level 3) cost instruction cache and gain nothing. Vectorisation of straight-line
     code makes ticks faster.
+
+    Args:
+        target: processor for which machine code is made.
     """
     tuning = llvm.create_pipeline_tuning_options(2)
     tuning.loop_vectorization = False

@@ -114,7 +114,7 @@ def object_wrench(t, k, reading):
     work = t.work
     arm = t.model.arms[k]
     wrench = read_wrist(reading, work.joints[arm.sensor_joint], arm.sensor, work.p_C)
-    if arm.filtered:
+    if arm.filtered:  # the gripper can move by itself, which the reading contains (`filter`)
         wrench = filter_reading(work.axes, work.arms[k].filter, wrench)
     return wrench
 
@@ -210,17 +210,18 @@ def _solve_magnitudes(t, response, f, bias_acceleration, inertial):
     required = local(6)
     alpha = local(1, 6)
     for a in range(r):
-        # Without inertia `inertial` = 0 leaves out what accelerations add.
+        # Without inertia `inertial` = 0 leaves out the terms of accelerations.
         required[a] = inertial * (work.n_gamma[a] + work.b_N[a])
         for b in range(r):
             yielding[b, a] = inertial * work.Phi_mu[a, b]
-    forward(L, r, required)
-    forward_each(L, r, yielding, r)
+    forward(L, r, required)  # L⁻¹(n_γ + b_N)
+    forward_each(L, r, yielding, r)  # L⁻¹Φ_μ
     gram(response, r, work.pushed, r, D)
     for a in range(r):
         for b in range(r):
             D[a, b] += yielding[b, a]
     factor_times(L, r, D, r, work.mobility)
+    # right side, then the unknown Lᵀα, then α
     for a in range(r):
         alpha[0, a] = dot6(response[a], f) + bias_acceleration[a] - required[a]
     forward_each(L, r, D, r)
@@ -262,6 +263,7 @@ def _measure_at_tip(t):
             bias_acceleration[a] = 0.0
             fill(response[a], work.N_basis[a])
         return _solve_magnitudes(t, response, six(work.reading_e), bias_acceleration, 0.0)
+    # S by rows, the inertia SᵀΛ_outS, and QᵀS(SᵀΛ_outS)⁻¹ with the basis Q of the contact forces
     S = local(6, 6)
     inertia = local(6, 6)
     response_S = local(6, 6)
@@ -345,7 +347,8 @@ def weigh_magnitudes(t):
     yields = local(6)
     remainder = local(6)
     fill(remainder, minus(work.reading_e, desired_inertia_force(t)))
-    largest = _likely_errors(t, R)
+    largest = _likely_errors(t, R)  # N, largest size of a contact force
+    # H, and with it the errors in proportion to the contact forces
     for a in range(r):
         h = six(work.pushed[a])
         if work.moving:
@@ -360,12 +363,13 @@ def weigh_magnitudes(t):
         fill(weighed[a], H[a])
         cholesky_solve(R_factor, 6, weighed[a])
         alpha[0, a] = dot6(weighed[a], remainder)
-    gram(weighed, r, H, r, normal)
+    gram(weighed, r, H, r, normal)  # HᵀR⁻¹H
     work.weightless = 0
     if t.model.phased:
         _find_mobility(t, weighed, normal)
     if not lu_solve(normal, r, alpha, 1):
         return False
+    # f − Hα, then R⁻¹ times it
     for a in range(r):
         work.alpha_meas[a] = alpha[0, a]
         accumulate(remainder, -alpha[0, a], H[a])
@@ -536,6 +540,7 @@ def oppose_friction(t):
         x[0, a] = 0.0
     for j in range(t.model.n_columns):
         fill3(work.columns[j].tangential, ZERO_3)
+    # the wrench f_t of all contacts, and NᵀΦ_e f_t (in `x`) if bodies yield to it
     for j in range(work.count):
         index = work.chosen[j]
         if not has_point(t, index):
@@ -551,9 +556,10 @@ def oppose_friction(t):
                     x[0, a] += dot6(work.yields[a], f)
         _find_tangential(t, column, index, last_force)
     fill(tangential_wrench, wrench)
+    # NᵀΦ_0 f_t is added, and D solved for the reaction
     factor = local(6, 6)
     D = local(6, 6)
-    response = local(6)
+    response = local(6)  # Φ_0 times a column of N
     solvable = d > 0 and cholesky(work.Lambda, m, d, factor) > 0.0
     if solvable:
         for a in range(r):

@@ -34,7 +34,7 @@ def refine(p, slack):
     A = matrix(p.A, 0, k, v)
     y = p.y
     target = p.offset
-    f = _fix_variables(p, A, v, w)
+    f = _fix_variables(p, A, v, w)  # number of free variables
     eliminated = _eliminate_limits(p, v, w, f)
     remaining = p.reduced[eliminated:]
     if not qr_rows(remaining, f - eliminated, w, p.diagonal, p.beta):

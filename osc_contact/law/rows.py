@@ -58,8 +58,9 @@ def _load_input(t, arrays, count, i, flags):
     """Copy the values of one row from the input arrays to INPUT.
 
     Positions, speeds and wrenches of a wrong size are replaced by NaN; the other arrays are not
-    read if a size is wrong (MISFIT). Missing wrenches are those of the last tick. Fills `moving`
-    and `chosen_set`, too.
+    read if a size is wrong (MISFIT). Missing wrenches (`wrench_missing`) are those of the last
+    tick. Fills `moving` (motions of touched bodies are given) and `chosen_set` (active contacts are
+    named), too.
 
     Args:
         t: Tick.

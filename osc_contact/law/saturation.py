@@ -97,6 +97,11 @@ def fill_program(raw, at, i, program):
     squeeze, with the squeeze E M J̄ᵀ that inertial forces of a motion cause, the joint motions of
     redundant arms, and the forces that must not pull.
 
+    Fills of PROGRAM `desired`, `tau_max` (a; N m, N), `G` (a, 6), `E` (s, a), `idle` (joint motions
+    (p, a)), `Lambda`, `alpha` (α_u, N), `N`, `pushed` (N_μ), `Phi_e` (Φ_μ), `carried` (E M J̄ᵀ
+    (s, 6)), and the numbers `d` of free axes, `r` of columns, `s` of squeeze rows, `k` of forces
+    that must not pull.
+
     Args:
         raw: bytes of `records.Rows`.
         at: offset of the JOB.
@@ -109,6 +114,7 @@ def fill_program(raw, at, i, program):
     work = t.work
     joints = work.joints
     rows = work.extra
+    # motors: torques, limits, wrench on the object and squeeze per torque
     for j in range(model.n_joints):
         motor = model.joints[j].motor
         if motor < 0:
@@ -126,6 +132,7 @@ def fill_program(raw, at, i, program):
         fill(p.N[a], work.N_t[a])
         fill(p.pushed[a], work.pushed_t[a])
         fill(p.Phi_e[a], work.Phi_mu[a])
+    # squeeze E M J̄ᵀ by inertial forces, for each row e of E
     for e in range(work.n_internal):
         inertial_squeeze = ZERO
         for k in range(model.n_arms):
@@ -150,8 +157,11 @@ def settle(raw, at, i, program):
     """Apply the solution of the program to the records: torques, force integrals, internal forces.
 
     The program finds the torques within the motors' limits that lose least force and motion. They
-    are limited in their rate; the lost force is excluded from the integral of the force law.
-    Changes `tau` and `bars` of WORK, and `torques` and `force_sum` of MEMORY.
+    are limited in their rate; the lost force is excluded from the integral of the force law. Reads
+    `tau` (n_a; N m, N), `lost_force` (r; N) and `lost_squeeze` (s; N) of PROGRAM, the gains `gain`
+    (1/s), the integrals `force_next` (N) and `basis` (columns: settable combinations of bar
+    forces). Changes `tau` and `bars` (internal forces, N) of WORK, and `torques` and `force_sum` of
+    MEMORY.
 
     Args:
         raw: bytes of `records.Rows`.

@@ -1,4 +1,4 @@
-"""What wrists read of friction: at points of contact, and along what pairs without points permit.
+"""Friction in wrist readings: at points of contact, and along permitted motions of other pairs.
 
 A pair that pushes at known points rubs along its tangents there. In a hole, a groove or a hinge it
 is not known where bodies touch: friction acts along the slides that the pair permits, and about its

@@ -144,12 +144,15 @@ _BEYOND = 1e302  #: makes forces above 2 MN overflow; rounding errors would rema
 def look(t, flags):
     """Check the input, advance the phases of contacts, solve the closed chain; return a reason.
 
-    Fills `status`, `dt`, `commanded`, `moving`, and the fields that `take_in`, `choose_columns` and
-    `solve_chain` fill.
+    Contacts count only while the controller is `engaged`. Readings are checked in a controller
+    (`guarded`), not in a chain alone. Fills `status`, `dt` (s, lost ticks included), `commanded` (1
+    if internal forces are commanded), `moving` (1 if bodies move), and the fields that `take_in`,
+    `choose_columns` and `solve_chain` fill.
 
     Args:
         t: Tick.
-        flags: COMMANDED, PARTIAL, MISFIT and NO_FORCES are read.
+        flags: sum of COMMANDED (internal forces are given), PARTIAL (the number of columns is not
+            known yet), MISFIT (an input has a wrong size) and NO_FORCES (alpha_d is empty).
     """
     model = t.model
     memory = t.memory
@@ -159,6 +162,7 @@ def look(t, flags):
     work.moving = t.input.moving
     work.rank = 0
     work.count = 0
+    # time since the last tick, and whether the tick has contacts with desired forces
     lost_ticks = memory.gap if memory.ticked else 0  # no time passes before the first tick
     work.dt = model.period * (1 + min(lost_ticks, MOST_LOST))
     has_contacts = memory.engaged != 0 and model.n_contacts > 0
@@ -194,6 +198,7 @@ def is_finite(t, engaged, moving):
     """
     model = t.model
     row = t.input
+    # a sum of products with 0, which is NaN if a value is not finite
     zero = finiteness(row.q, model.n_joints) + finiteness(row.v, model.n_joints)
     zero += finiteness(row.V_D, 6) + finiteness(row.A_D, 6)
     for c in range(max(model.n_bars, 1)):
@@ -270,6 +275,7 @@ def measure(t):
     work.mu = max(model.mu + t.memory.more_friction, 0.0)
     work.more_friction = t.memory.more_friction
     work.slid = t.memory.slid
+    # geometry: N and n_γ of the active columns, motion of the touched bodies, independent columns
     if work.count > 0:
         load_normal_estimates(t)
         if not place_contacts(t):
@@ -279,6 +285,7 @@ def measure(t):
     reason = keep_columns(t)
     if reason != NO_REASON:
         return reason
+    # operands of the measured forces: N with friction, bodies along N, sum of the wrist readings
     predict_friction(t)
     add_friction(t)
     project_bodies(t)
@@ -288,6 +295,7 @@ def measure(t):
     if work.rank == 0:
         spread_magnitudes(t)
         return NO_REASON
+    # measured forces α_meas, then their wrench N α_meas and the speeds along N
     if model.reading == LEAST_SQUARES:
         if not weigh_magnitudes(t):
             return BLIND
@@ -313,8 +321,9 @@ def set_desired_forces(t, flags):
 
     Steps are shaped and oscillating contacts braked, except with a force law of the user. Fills
     `alpha_d` (r,) and `felt` (r,), the measured force that the integral compares with it (of an
-    approaching contact the force K_a NᵀV_rel of its speed law); changes `gain`, `brake` and
-    `damping`.
+    approaching contact the force K_a NᵀV_rel of its speed law); changes `gain` (K_i, 1/s), `brake`
+    (m/s²) and `damping` (K_v, N s/m). Reads `goal` (N) and `share` (r,; magnitudes of the kept
+    columns with the same wrench) of the active columns, and `alpha_meas` (r,; N).
 
     Args:
         t: Tick.
@@ -408,8 +417,11 @@ def transfer_integral(t):
 def command(t, flags):
     """Evaluate force law, motion law, motion filter and control structure.
 
-    Changes `motion_next` from the permitted error to the motion integral after this tick. Fills the
-    fields that the functions called here fill.
+    Changes `motion_next` from the permitted error (m, rad) to the motion integral after this tick
+    (m s, rad s), whose bound is `integral_motion` (m/s², rad/s²) divided by the gain. Without new
+    wrenches (`wrench_missing`) the force integrals stay. `hand_over` of MEMORY converts the motion
+    integral once to a constant wrench. Fills `alpha_u` (N), `force_next` (N), `a_u`,
+    `acceleration_t`, `f_S` and the other fields that the functions called here fill.
 
     Args:
         t: Tick.
@@ -422,6 +434,7 @@ def command(t, flags):
     model = t.model
     work = t.work
     memory = t.memory
+    # force law: α_u, or the user's own, which keeps the integral and brakes approaches only
     users_own = flags & OWN_FORCE != 0
     for a in range(work.rank):
         if users_own:
@@ -437,12 +450,14 @@ def command(t, flags):
     if memory.hand_over:
         memory.hand_over = 0
         transfer_integral(t)
+    # motion law: a_u, with the integral of the error within its bound (m s, rad s)
     bound = model.integral_motion / model.integral if model.integral > 0.0 else inf
     for i in range(6):
         integral = memory.motion_sum[i] + work.motion_next[i] * work.dt
         work.motion_next[i] = clamped(integral, bound)
     if flags & OWN_MOTION == 0:
         command_motion(t)
+    # motion filter, then the control structure
     reason = filter_motion(t)
     if reason != NO_REASON:
         return reason
@@ -486,7 +501,7 @@ def finish(t):
 
     Fills `tau` of the motors and `status`: SATURATED if torques were limited, else DEGRADED if
     directions of motion were lost near a singular posture, else HOPPING if a contact hops, else
-    unchanged (OK). The functions called here state what they fill.
+    unchanged (OK). The functions called here state which fields they fill.
 
     Args:
         t: Tick after `command`.
@@ -509,7 +524,7 @@ def finish(t):
     s = finiteness(work.motion_next, 6) + finiteness(work.force_next, work.rank)
     if not (is_finite_result and isfinite(s)):
         return NOT_FINITE
-    if excess:
+    if excess:  # a motor limit was reached
         work.status = SATURATED
     elif work.n_lost > 0:
         work.status = DEGRADED
@@ -527,6 +542,12 @@ def remember(t):
 
     Integrals keep their values where motors are saturated; the motion integral also where commands
     are reduced.
+
+    Changes in MEMORY `ticked` (number of computed ticks), `fresh` and `located` (1: a tick was
+    computed, the pose is known), `more_friction` and `slid` of the identified coefficient, `X_WO`,
+    `force_sum` and `motion_sum` (integrals: N; m s, rad s), of the columns `alpha` (N), `speed`
+    (NᵀV_rel, m/s) and `tangential` (N), and the fields of `keep_integrals`, `keep_steps` and
+    `phases.low_pass`.
 
     Args:
         t: Tick.

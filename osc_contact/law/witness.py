@@ -104,7 +104,7 @@ def _estimate_approached_forces(t):
     covariance of the other contacts' friction and of `_SURE` times the noise. Fills, for approached
     columns beside which another contact may rub, `touch` (N), gᵀ times the reading less bias, and
     `touch_inertia` (N), the part of it that the measured acceleration of the object causes. Adds to
-    `explained` (N) what needs no new contact: the largest contribution of friction
+    `explained` (N) the part that needs no new contact: the largest contribution of friction
     (`_bound_friction`), and `_SURE` standard deviations of the noise as far as they are above
     `force_on`.
 
@@ -154,7 +154,7 @@ def _estimate_approached_forces(t):
 
 @inner
 def _add_friction(t, noise, R):
-    """Fill the covariance of what closed contacts' friction and noise add to a reading.
+    """Fill the covariance of the errors of a reading by noise and by friction of closed contacts.
 
         R = Σ_j (μ_b α_j)² T_jT_jᵀ + 3² cov ν
 
