@@ -136,11 +136,13 @@ def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:
     k = dual.shape[1]
     if k == 0:
         return np.zeros((6, 6))
+    # well-conditioned bases D and K of both ranges, with the powers DᵀK of their columns
     rows, U, C = span(dual)
     rows_c, U_c, C_c = span(complement)
     D = rows * U[:, :k]
     K = rows_c * U_c[:, :k]
     power = D.T @ K
+    # least singular values: of the powers, relative to the sums of magnitudes, and of unit columns
     summands = (np.abs(D).T @ np.abs(K)).max()
     common = np.linalg.svd(power, compute_uv=False)[-1] / (summands or 1.0)
     independent = min(least(C)[0], least(C_c)[0])

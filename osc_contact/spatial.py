@@ -12,7 +12,7 @@
   velocities refer to a far-away origin and lose digits.)
 * Accelerations are *spatial* (Featherstone): the derivative of the twist in coordinates that
   stay at a fixed point. They are vectors: they carry from point to point like twists, and
-  accelerations of two bodies can be subtracted. Classical (what an accelerometer measures)
+  accelerations of two bodies can be subtracted. Classical (as of an accelerometer)
   = spatial + [ω × v; 0]; the conversion happens once, where references enter.
 * Poses are `pin.SE3`, named `X_WO`: "pose of O in W", maps O-coordinates to W-coordinates.
 """

@@ -24,7 +24,7 @@ class Status(IntEnum):
     OK = 0
     SATURATED = 1  #: a motor limit was reached: `given_up` has the cost
     HELD = 2  #: bad measurement or degenerate posture: the last good torques were repeated
-    DEGRADED = 3  #: near a singular posture: `lost_directions` has what was not commanded
+    DEGRADED = 3  #: near a singular posture: `lost_directions` has the motions left out
     HOPPING = 4  #: computed without a loss, but a contact hops: `reason` names it
 
 

@@ -1,4 +1,4 @@
-"""Rules on what controller and arms can do: rate, reach, joint limits, motors, the load at rest."""
+"""Rules on abilities of controller and arms: rate, reach, joint limits, motors, load at rest."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _GATE = 4.0  #: standard deviations of a gap beyond which the contact is taken f
 
 
 class LearnedPlace:
-    """Pose of a touched body, and what is known of it.
+    """Pose of a touched body, with the accuracy to which it is known.
 
     Args:
         at: (3,) point of the body at which displacements are stated, for example the middle of the

@@ -35,7 +35,7 @@ _STEP = 1e-6  #: displacement of the touched body for derivatives of N (m, rad)
 
 @dataclass(frozen=True)
 class WrenchErrors:
-    """Standard deviations of what makes the wrench of a contact state uncertain.
+    """Standard deviations of the errors that make the wrench of a contact state uncertain.
 
     Attributes:
         force, torque: of the wrench reading at `sensor` (N, N m), with errors of masses and tare.
@@ -92,7 +92,7 @@ class WrenchErrors:
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns of N of all pairs of the candidates, and what their errors depend on.
+    """Columns of N of all pairs of the candidates, and the geometry on which their errors depend.
 
     Attributes:
         N: (6, r) columns at O in world axes.
@@ -297,7 +297,7 @@ class ContactStates:
         return S + np.einsum("nk,nkab->nab", friction, columns.F[cones.index])
 
     def _freedom(self, G: Array, G_f: Array) -> Array:
-        """½ log det(1 + ρ² G_f⁻¹ G) (n,): what a state loses by the freedom of its magnitudes.
+        """½ log det(1 + ρ² G_f⁻¹ G) (n,): loss of likelihood by the freedom of its magnitudes.
 
         Args:
             G, G_f: (n, k, k) Gram matrices with all errors, and with those of the reading.

@@ -1,1 +1,1 @@
-"""Judgements of a rig before it runs, and of what its contacts transmit and permit."""
+"""Judgements of a rig before it runs, and of the forces and motions of its contacts."""

@@ -1,4 +1,4 @@
-"""A page with all its files inside, which opens from disk, and the licences of what runs in it."""
+"""A page with all its files inside, which opens from disk, and licences of the software in it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from osc_contact.lab.reports.mujoco_web import PACKAGE
 from osc_contact.lab.visual.page import asset, filled
 
 _SCRIPTS = ("mujoco.js", "controller.mjs", "worker.mjs")
-#: What a module has and a classic script has not, with what stands in its place.
+#: Text that only a module may contain, with its replacement in a classic script.
 _OF_MODULES = (
     (r"\bimport\.meta\.url\b", "self.location.href"),
     (r"(?m)^import .*$", ""),
@@ -32,7 +32,7 @@ def packed_files(contents: Mapping[str, str | bytes]) -> str:
         contents: text of each file by name, three modules of JavaScript among them.
 
     Raises:
-        OscContactError: a module has what a classic script cannot have.
+        OscContactError: a module contains a statement that no classic script may contain.
     """
     script = "\n".join(_classic(name, _text(contents[name])) for name in _SCRIPTS)
     inside = {name: content for name, content in contents.items() if name not in _SCRIPTS}
@@ -71,7 +71,7 @@ def _bytes(content: str | bytes) -> bytes:
 
 
 def licences() -> str:
-    """Licences of MuJoCo, meshcat with what it contains, DAQP and wasi-libc."""
+    """Licences of MuJoCo, meshcat with its parts, DAQP and wasi-libc."""
     own_licence = distribution("osc-contact").metadata["License-Expression"]
     viewer = files("meshcat") / "viewer"
     sources = files("osc_contact.control") / "c_files" / "daqp-0.11.0.tar.xz"

@@ -222,7 +222,7 @@ def _rough(scenario: Scenario) -> Rig:
     return build_rig(scenario.replaced(plant={**dict(scenario.plant), "friction": 0.1}))
 
 
-# --- What the worker reads ------------------------------------------------------------------------
+# --- Data of the worker ------------------------------------------------------------------------
 
 
 def _references(rig: Rig) -> Array:
@@ -474,12 +474,14 @@ class _Drawn:
         }
 
     def _marks(self) -> list[Json]:
-        """Description of each force with the place of its arrows.
+        """Descriptions of all forces for the page's script, each with the place of its arrows.
 
-        The place is a point in the object's frame (m), with the rotation of the arrows at the start
-        in the world (4×4 by rows).
+        Returns:
+            For each force the keys of its description in `_forces`; path of its node in the scene;
+            point of its foot in the object's frame (m); rotation of its arrows at the start in the
+            world (4×4 by rows); names of its arrows; unit (m per N or N m).
         """
-        place = next(node for node in self._nodes if node["object"])
+        place = next(node for node in self._nodes if node["object"])  # node of the object
         marks = []
         for force, about in zip(self._scene.forces, self._forces, strict=True):
             poses = self._frames[force.path].poses

@@ -73,7 +73,8 @@ def require_known_times(scenario: Scenario, use: str) -> None:
     """Refuse a plan where the references of all times are needed before a run.
 
     Args:
-        scenario: scenario of the run. use: what needs them, such as "a page", for the message.
+        scenario: scenario of the run.
+        use: purpose that needs them, such as "a page", for the message.
 
     Raises:
         ScenarioError: the scenario has a plan.

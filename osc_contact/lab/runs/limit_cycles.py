@@ -6,8 +6,9 @@ by half, with a Hann window and the Fourier transform. An oscillation is a limit
 * it dominates: a band of ±20 % about its frequency, with its second and third harmonic, holds half
   of the power of all that is not correlated with the command;
 * it lasts: over the window the logarithm of its envelope falls by less than 30 % and scatters by
-  less than 0.35 about a straight line. What rings down, or is struck again and again, does not,
-  and neither does noise: the logarithm of the envelope of narrow-band noise scatters by 0.64;
+  less than 0.35 about a straight line. A decaying oscillation, or one that is struck again and
+  again, does not, and neither does noise: the logarithm of the envelope of narrow-band noise
+  scatters by 0.64;
 * it is not correlated with the command: lines of the commanded forces, of the object's motion
   along its contacts, of faces driven by a sine, and the second and third harmonics of all these
   (friction, centripetal forces) are left out before.

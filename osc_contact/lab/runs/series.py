@@ -16,6 +16,7 @@ class Series:
 
     def __init__(self) -> None:
         """Begin before the first tick."""
+        # of the finite values of each signal (m,): number, sum, sum of squares, largest magnitude
         self._counts = np.zeros(1)
         self._sums = np.zeros(1)
         self._squares = np.zeros(1)
@@ -60,9 +61,9 @@ class WorstSecond:
 
     def __init__(self) -> None:
         """Begin before the first tick."""
-        self._squares: list[Array] = []
-        self._counts: list[Array] = []
-        self._ticks: list[int] = []
+        self._squares: list[Array] = []  #: sums of squared errors (m,) of each tenth of a second
+        self._counts: list[Array] = []  #: numbers (m,) of their finite errors
+        self._ticks: list[int] = []  #: numbers of their ticks
 
     def add(self, t: Array, error: Array) -> None:
         """Include k further ticks.

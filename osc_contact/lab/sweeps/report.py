@@ -117,7 +117,7 @@ def _picture(path: Path) -> str:
 
 
 def _draw(table: pyarrow.Table, study: SweepStudy, summary: Json, folder: Path) -> list[Path]:
-    """Draw distributions of errors, and errors over what varies; return the PNG files.
+    """Draw distributions of errors, and errors over varied values; return the PNG files.
 
     Args:
         table, study, folder: see `write_report`.
@@ -181,7 +181,7 @@ def summarise(table: pyarrow.Table, study: SweepStudy) -> Json:
 
     Returns:
         rows, success_rate, words {word: runs}, quantiles {column: {"50 %": …}}, sensitivities
-        {column: {what varied: ρ}}, variances {column: {key: {first, total}}} of the design
+        {column: {varied key: ρ}}, variances {column: {key: {first, total}}} of the design
         "saltelli", worst [{row, word, why, column, value, command}].
     """
     words = Counter(table.column("word").to_pylist())

@@ -193,7 +193,7 @@ class _Search:
         Args:
             shipped: rows of the runs with the shipped values.
         """
-        # a trial that breaks limits less is better, whatever its objective
+        # a trial that breaks limits less is better, for any value of its objective
         trials = self.completed()
         best_trial = min(trials, key=lambda trial: (sum(trial.constraints.values()), trial.value))
         after = best_trial.user_attrs["numbers"]

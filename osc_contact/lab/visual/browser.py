@@ -205,7 +205,7 @@ class Browser:
         return answer
 
     def run(self, script: str) -> Any:
-        """Value of a JavaScript expression in the page; of a promise, what it resolves to.
+        """Value of a JavaScript expression in the page, or the value to which a promise resolves.
 
         Raises:
             ViewerError: the script threw.
@@ -383,7 +383,7 @@ def write_mp4(
     with whole_file(path) as unfinished, av.open(str(unfinished), "w", format="mp4") as video:
         stream = video.add_stream("libx264", rate=VIDEO_RATE, options={"crf": "20"})
         stream.width, stream.height = size
-        stream.pix_fmt = "yuv420p"  # what every player shows
+        stream.pix_fmt = "yuv420p"  # the format that every player shows
         for picture in photographs(page, times, size):
             frame = av.VideoFrame.from_ndarray(np.asarray(picture), format="rgb24")
             video.mux(stream.encode(frame))

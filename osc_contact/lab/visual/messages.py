@@ -18,7 +18,7 @@ def packed_map(entries: Mapping[str, bytes]) -> bytes:
 
 
 def packed_list(entries: Sequence[bytes], count: int | None = None) -> bytes:
-    """A list of what is packed already.
+    """A list whose items are packed already.
 
     Args:
         entries: packed.

@@ -98,8 +98,8 @@ def page_text(sink: CommandSink, title: str, config: Json, around: Around | None
     Args:
         sink: the drawing commands.
         title: heading of the page.
-        config: what the page's scripts need (see `Scene.config`); JSON-able.
-        around: what moves a live page; default: the server of the live view.
+        config: data for the page's scripts (see `Scene.config`); JSON-able.
+        around: source of a live page's motion; default: the server of the live view.
 
     Raises:
         InvalidInputError: a colour is not of the form ``#RRGGBB``.
@@ -134,10 +134,10 @@ def write_page(sink: CommandSink, path: str | Path, title: str, config: Json = E
     """Write `page_text` to a file, which appears complete or not at all; returns its path.
 
     Args:
-        sink: what has been drawn.
+        sink: commands drawn so far.
         path: file to write.
         title: title of the page.
-        config: what the page's scripts need.
+        config: data for the page's scripts.
 
     Raises:
         InvalidInputError: as `page_text`.

@@ -36,7 +36,7 @@ Samples = Mapping[str, Any]
 class States(NamedTuple):
     """States of a node in its parent at F ticks.
 
-    None leaves a property at what it was drawn with.
+    None leaves a property at the value with which it was drawn.
 
     Attributes:
         poses: (F, 7) in the parent node, x y z (m) and quaternion x y z w.

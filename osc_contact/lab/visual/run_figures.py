@@ -1,6 +1,6 @@
 """The figures of a run: contact forces, power, tracking and torques, PNG and SVG.
 
-They are most of what is left to do once a run has ended. `FigureProcess` draws them in a process
+They take most of the time after the end of a run. `FigureProcess` draws them in a process
 that imports matplotlib while the run lasts, and draws while the scene is written.
 """
 
@@ -85,7 +85,7 @@ class FigureProcess:
 def _draw_on_request() -> None:
     """Draw the figures of the recording in the folder that the input names, if it names one.
 
-    Ctrl-C is for the run: it ends in order, and what is there is drawn. A second process, which
+    Ctrl-C is for the run: it ends in order, and the ticks so far are drawn. A second process, which
     need not import anything, draws its share of them meanwhile.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)

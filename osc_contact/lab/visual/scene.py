@@ -41,7 +41,7 @@ class Scene:
 
         Args:
             content: description of the arms, bodies and contacts.
-            first: channels of the first tick by name, which determine what is drawn.
+            first: channels of the first tick by name, which determine the parts of the picture.
         """
         # forces are drawn only if the recording has the points at which they act
         has_points = {"contact_point", "contact_direction", "pose"} <= first.keys()
@@ -253,7 +253,7 @@ FILLED = 0.9
 TURNS = (25, -25, 10, -10, 40, -40, 55, -55)
 """Headings from the object's side (deg) that are compared; the first of equal ones is taken."""
 COVERED, NEARER = 0.04, 0.02
-"""A point of an arm hides what is so near to it in the picture, and so far behind it (m)."""
+"""A point of an arm hides objects within this distance in the picture, and this far behind (m)."""
 
 
 def set_stage(

@@ -71,7 +71,7 @@ class LivePage:
     def update(self) -> None:
         """Draw the newest tick; an error ends the process, and is reported to the run's process.
 
-        tornado would log whatever a callback raises and continue: `serve` raises it after the loop.
+        tornado would log an exception of a callback and continue: `serve` raises it after the loop.
         """
         try:
             newest = self._newest()
@@ -159,10 +159,10 @@ class BrowserLink(WebSocketHandler):
         self.page.count()
 
     def send(self, trails: Iterable[Json] = ()) -> None:
-        """Send what this browser does not show yet, unless it is still drawing.
+        """Send the changes that this browser does not show yet, unless it is still drawing.
 
         Args:
-            trails: commands that draw what was added to the trails.
+            trails: commands that draw the additions to the trails.
         """
         self.late |= {command["path"]: command for command in trails}
         if self.busy or not self.page.frame:
@@ -199,7 +199,7 @@ def serve(link: socket.socket, content: Content) -> None:
 
     Args:
         link: to the process that runs the loop.
-        content: what the page shows.
+        content: bodies and contacts of the page.
     """
     link.setblocking(False)
     page = LivePage(link, content)

@@ -65,7 +65,7 @@ def rgb(colour: str | ArrayLike, share: float = 1.0) -> int:
 
 
 def plain(colour: str | ArrayLike, opacity: float = 1.0) -> Any:
-    """Material of exactly this colour, whatever the light."""
+    """Material of exactly this colour, in any light."""
     from meshcat.geometry import MeshBasicMaterial
 
     return MeshBasicMaterial(color=rgb(colour), opacity=opacity, depthWrite=opacity == 1.0)
