@@ -252,9 +252,8 @@ def _add_arm(t, arm, arm_work, row):
 
     Reads `axes` and `V_C`. Fills ARM_WORK, J, J̄, `offset` and `h` of its joints, and
     `locked_rows`. Adds to `Lambda`, `effort`, `chain_bias`, and for the bodies beyond its wrist
-    sensor to `out_T`, `bias_e` and `bias_links`. `drift` and `gamma` of the arm are the
-    acceleration γ of its tip at q̈ = 0 in world axes and in energy coordinates, `resisted` its
-    locked wrenches; `wide` is 1 with redundant joints.
+    sensor to `out_T`, `bias_e` and `bias_links`. `drift` and `gamma` are the acceleration γ of its
+    tip at q̈ = 0 in world axes and in energy coordinates, `resisted` its locked wrenches.
 
     Args:
         t: Tick.
@@ -288,13 +287,11 @@ def _add_arm(t, arm, arm_work, row):
     )  # else the torques are unique
     if model.n_motors > 0 and shared and not effort_metric(t, lo, n, m, arm_work, arm_work.effort):
         return UNACTUATED, 0
-    # locked wrenches u, each followed by the acceleration uᵀγ along it
     for k in range(count):
         locked = work.locked_rows[row + k]
-        locked[6] = dot6(locked, arm_work.gamma)
+        locked[6] = dot6(locked, arm_work.gamma)  # acceleration along the locked wrench
         fill(arm_work.resisted[k], locked)
-    # sums: bias J̄ᵀh − Λγ, inertia and effort
-    bias = six(work.chain_bias)
+    bias = six(work.chain_bias)  # sum of J̄ᵀh − Λγ
     for j in range(lo, arm.end):
         if model.rubs != 0 and model.joints[j].motor < 0:  # passive: other motors compensate it
             joints[j].h += believed_friction(t, j)

@@ -189,7 +189,6 @@ def filter_outboard(t, arm, arm_work, bias):
     H = local(6, 6)  # P J̄
     G = local(MAX_JOINTS, 6)  # rows: the columns of E
     X = local(6, JOINTS_AND_SIX)  # T E, behind it the identity
-    # H = P J̄, and the bias at q̈ = −J̄γ, the joint acceleration at rest of the object
     H[:] = 0.0
     fill(bias, energy_wrench(work.axes, bias))
     for j in range(arm.first, arm.end):
@@ -212,8 +211,7 @@ def filter_outboard(t, arm, arm_work, bias):
         for b in range(count):
             X[a, n + b] = 1.0 if a == b else 0.0
     one_sided_jacobi(X, count, n, count)
-    # F = 1 − Σ (E v/σ²)(uᵀT) over the singular values σ of T E that are not zero
-    set_identity(F)
+    set_identity(F)  # F = 1 − Σ (E v/σ²)(uᵀT) over the singular values σ of T E
     for k in range(count):
         square = dot(X[k], X[k], n)
         if not sqrt(square) > _MOVES * largest:  # also if NaN
@@ -222,10 +220,9 @@ def filter_outboard(t, arm, arm_work, bias):
         detector = combined(X[k, n:], T, count)
         for a in range(6):
             accumulate(F[a], -own_reading[a] / square, detector)
-    # Λ_out = F H, of which `out_T` has the transpose
     fill(work.bias_e, plus(work.bias_e, times6(F, bias)))
     for a in range(6):
-        x = combined(F[a], H, 6)
+        x = combined(F[a], H, 6)  # row of Λ_out = F H
         for b in range(6):
             work.out_T[b, a] += x[b]
 

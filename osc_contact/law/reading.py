@@ -533,14 +533,13 @@ def oppose_friction(t):
     m = work.locked
     d = 6 - m
     r = work.rank
-    x = local(1, 6)
-    tangential_wrench = local(6)
+    x = local(1, 6)  # NᵀΦ_e f_t, then with NᵀΦ_0 f_t, then the reaction
+    tangential_wrench = local(6)  # f_t
     wrench = ZERO
     for a in range(r):
         x[0, a] = 0.0
     for j in range(t.model.n_columns):
         fill3(work.columns[j].tangential, ZERO_3)
-    # the wrench f_t of all contacts, and NᵀΦ_e f_t (in `x`) if bodies yield to it
     for j in range(work.count):
         index = work.chosen[j]
         if not has_point(t, index):
@@ -556,7 +555,6 @@ def oppose_friction(t):
                     x[0, a] += dot6(work.yields[a], f)
         _find_tangential(t, column, index, last_force)
     fill(tangential_wrench, wrench)
-    # NᵀΦ_0 f_t is added, and D solved for the reaction
     factor = local(6, 6)
     D = local(6, 6)
     response = local(6)  # Φ_0 times a column of N

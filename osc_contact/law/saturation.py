@@ -114,7 +114,6 @@ def fill_program(raw, at, i, program):
     work = t.work
     joints = work.joints
     rows = work.extra
-    # motors: torques, limits, wrench on the object and squeeze per torque
     for j in range(model.n_joints):
         motor = model.joints[j].motor
         if motor < 0:

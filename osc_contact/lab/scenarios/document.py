@@ -76,7 +76,7 @@ class Problems:
             raise ScenarioError("\n".join(dict.fromkeys(text for _, text in ordered_problems)))
 
 
-def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | None:
+def compose(text: str, problems: Problems, loader: type = _FAST) -> yaml.Node | None:
     """Parse YAML to nodes; anchors, aliases, tags and deep nesting are refused.
 
     Args:
@@ -111,7 +111,7 @@ def compose(text: str, problems: Problems, loader: Any = _FAST) -> yaml.Node | N
     return None
 
 
-def _refuse_extras(text: str, problems: Problems, loader: Any) -> None:
+def _refuse_extras(text: str, problems: Problems, loader: type) -> None:
     """Find anchors, aliases, tags and deep nesting, before nodes are made of the text.
 
     Args:
