@@ -68,6 +68,7 @@ ASSUMED = {
     "two points": frozenset({"edge -x", "edge -y"}),
     "corner": frozenset({"edge -x", "edge -y", "side +x", "side +y"}),
     "upright": frozenset({"edge -x", "edge -y", "side +x", "side +y"}),
+    "turn on": frozenset({"edge -x", "edge -y", "side +x", "side +y"}),
 }
 
 

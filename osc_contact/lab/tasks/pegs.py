@@ -10,7 +10,7 @@ diagonal, so that its lowest point is a corner; a round peg about y.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import acos, atan2, hypot, radians, sqrt
+from math import acos, atan2, cos, hypot, radians, sqrt
 
 import numpy as np
 import pinocchio as pin
@@ -19,7 +19,7 @@ from osc_contact.contacts.insertion import CORNERS, SIDES, Hole, Peg, pairs_betw
 from osc_contact.control.controller import Controller
 from osc_contact.lab.tasks.insertion import Insertion, InsertionRobot
 from osc_contact.loop.loop import run_loop
-from osc_contact.plan.ends import after, at_rest, finished, lost, made, moved, pressed, when
+from osc_contact.plan.ends import End, after, at_rest, finished, lost, made, moved, pressed, when
 from osc_contact.plan.motions import along, to, turn_to
 from osc_contact.plan.plan import Outcome, Plan
 from osc_contact.plan.sensed import Sensed
@@ -32,7 +32,9 @@ LEAD = 3.5e-3  #: distance from the rims outward to the point where the tip touc
 HEIGHT = 6e-3  #: height of the tip above the face at the start (m)
 LARGEST = 100.0  #: ceiling of the contact forces (N)
 SEATED = 2e-3  #: largest distance of a seated peg from the bottom (m)
-RESTING = 1e-3  #: speed below which a peg rests (m/s)
+PARALLEL = radians(0.5)  #: angle of two axes that are parallel (rad)
+STILL = 1e-3  #: speed below which a peg rests, by the truth (m/s)
+RESTING = (2e-3, 0.05)  #: measured speeds below which a peg rests (m/s, rad/s)
 GAINS = Gains(
     motion=MotionGains(frequency=6.0, damping_ratio=1.0),
     force=ForceGains(integral=4.0, damping=0.0, brake=60.0, rise=0.25),
@@ -126,7 +128,7 @@ def judged(task: Insertion, robot: InsertionRobot, plan: Plan) -> Inserted:
     across = task.clearance * float(np.linalg.norm(_way(task.peg).lowest))  # corners: the diagonal
     permitted = across / (task.hole.depth - SEATED)
     seated = abs(task.hole.depth - depth) < SEATED and tilt <= permitted
-    resting = robot.speed() < RESTING
+    resting = robot.speed() < STILL
     return Inserted(
         success=plan.outcome is Outcome.DONE and seated and resting,
         reason=plan.reason,
@@ -150,6 +152,8 @@ class _Way:
         sides: both contacts of the sides with the rims over which the point dropped, and the
             direction (3,) of each.
         upright: contacts with their forces (N) while the peg rotates.
+        turned: contacts with their forces (N) of the rest of the rotation, after one of those was
+            lost, and for a moment after the rotation; none if round.
         placed: whether the hole is placed where face and rims were touched, before it is entered.
     """
 
@@ -158,6 +162,7 @@ class _Way:
     edges: tuple[str, ...]
     sides: dict[str, Array]
     upright: dict[str, float]
+    turned: dict[str, float]
     placed: bool
 
 
@@ -171,6 +176,7 @@ _SQUARE = _Way(
         "side +x on rim +x, b": 2.0,
         "side +y on rim +y": 4.0,
     },
+    turned={"side +x on rim +x": 4.0, "side +y on rim +y": 4.0},
     placed=False,
 )
 _BESIDE = {
@@ -183,6 +189,7 @@ _ROUND = _Way(
     edges=(),
     sides={f"side +x on rim +x, {end}": side for end, side in _BESIDE.items()},
     upright={f"side +x on rim +x, {end}": 3.0 for end in _BESIDE},
+    turned={},
     placed=True,
 )
 
@@ -282,6 +289,18 @@ def _found(now: Sensed, peg: Peg, hole: Hole, *, aside: bool) -> pin.SE3:
     return hole.found_at(pin.SE3(pose.rotation, pose.translation + shift))
 
 
+def _depth(now: Sensed, peg: Peg, into: Array) -> float:
+    """Depth of the tip's origin below the point that touched the face (m).
+
+    Args:
+        now: signals after the stage "find".
+        peg: peg.
+        into: (3,) direction into the believed hole.
+    """
+    touched = now.passed["find"].act(lowest_point(peg))
+    return float(into @ (now.X.translation - touched))
+
+
 def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
     """Stages from a dropped tip to the bottom of the hole.
 
@@ -292,72 +311,97 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
     way = _way(peg)
     into = hole.pose.rotation[:, 2]
 
-    def depth(now: Sensed) -> float:
-        """Depth of the tip's origin below the point that touched the face (m)."""
-        touched = now.passed["find"].act(lowest_point(peg))
-        return float(into @ (now.X.translation - touched))
-
     def face_found(now: Sensed) -> pin.SE3:
         """Hole as high as the face that was touched."""
         return _found(now, peg, hole, aside=False)
 
-    def rims_found(now: Sensed) -> pin.SE3:
-        """Hole as high as the face, where the sides touch its rims."""
-        return _found(now, peg, hole, aside=True)
-
     edges = []
     if way.edges:
         push = dict.fromkeys(way.edges, 3.5)
-        edges = [
-            Stage(
-                "two points",
-                push,
-                until=after(0.4),
-                within=2.0,
-                fails="back",
-            )
-        ]
-    # the stages in their order: slide into a corner of the mouth, turn upright, press to the bottom
+        edges = [Stage("two points", push, until=after(0.4), within=2.0, fails="back")]
     corner_forces = {**dict.fromkeys(way.sides, 4.0), "tip on face": 4.0}
-    is_seated = when(lambda now: depth(now) > hole.depth - 4e-3, "at the bottom")
-    is_upright = (
-        when(lambda now: depth(now) > 12e-3, "12 mm deep")
-        | when(lambda now: now.t > 2.5 and depth(now) > 3e-3, "upright")
-        | (lost(*way.upright, lasting=0.5) & when(lambda now: depth(now) > 2.5e-3, "in the mouth"))
-        | after(6.0)
-    )
+    is_pressed = made(*way.sides, lasting=0.3) | (at_rest(*RESTING).lasting(0.3) & after(0.8))
+    is_seated = when(lambda now: _depth(now, peg, into) > hole.depth - 4e-3, "at the bottom")
     return [
         *edges,
         Stage(
             "corner",
             corner_forces,
-            until=made(*way.sides, lasting=0.3) | (at_rest().lasting(0.5) & after(1.0)),
+            until=is_pressed,
             within=4.0,
             unless=lost("tip on face", lasting=0.8) & after(1.5),
             fails="back",
             places=dict.fromkeys(corner_forces, face_found) if way.placed else {},
         ),
-        Stage(
-            "upright",
-            way.upright,
-            turn_to([0, 0, 1], into, 0.5 * tilt_of(peg, hole)) & along(into, 5e-3, yields=6.0),
-            until=is_upright,
-            within=8.0,
-            unless=lost(*way.upright, lasting=0.8),
-            fails="back",
-            places=dict.fromkeys(way.upright, rims_found) if way.placed else {},
-        ),
+        *_turn_stages(peg, hole),
         Stage(
             "insert",
             {"hole": 0.0},
-            along([0, 0, 1], 12e-3, axes="object", yields=10.0),
-            until=(is_seated & pressed(6.0, into) & at_rest(2e-3, 0.05)).lasting(0.3),
+            along([0, 0, 1], 14e-3, axes="object", yields=12.5),
+            until=(is_seated & pressed(6.0, into) & at_rest(*RESTING)).lasting(0.3),
             within=10.0,
             fails="back",
             places={"hole": lambda now: hole.found_at(now.X)},
             then="done",
         ),
     ]
+
+
+def _turn_stages(peg: Peg, hole: Hole) -> list[Stage]:
+    """Stages in which a peg that is pressed into a corner of the mouth rotates until it is upright.
+
+    Of a square peg, a side that is lost does not end the rotation, which goes on with fewer
+    contacts.
+
+    Args:
+        peg: peg with its width.
+        hole: hole at its believed pose.
+    """
+    way = _way(peg)
+    into = hole.pose.rotation[:, 2]
+
+    def is_parallel(now: Sensed) -> bool:
+        """Whether the commanded axis of the peg is that of the believed hole."""
+        return float(now.aim.rotation[:, 2] @ into) > cos(PARALLEL)
+
+    def rims_found(now: Sensed) -> pin.SE3:
+        """Hole as high as the face, where the sides touch its rims."""
+        return _found(now, peg, hole, aside=True)
+
+    def deeper_than(depth: float, words: str) -> End:
+        """Condition that the tip is deeper than a depth (m)."""
+        return when(lambda now: _depth(now, peg, into) > depth, words)
+
+    motion = turn_to([0, 0, 1], into, 0.5 * tilt_of(peg, hole)) & along(into, 5e-3, yields=6.0)
+    is_deep = deeper_than(2.5e-3, "in the mouth")
+    is_upright = (when(is_parallel, "upright") & deeper_than(3e-3, "3 mm deep")).lasting(0.2)
+    until = deeper_than(12e-3, "12 mm deep") | is_upright
+    if way.turned:
+        is_lost = lost(*way.upright, lasting=0.7)
+    else:
+        is_lost = lost(*way.upright, lasting=0.5) & is_deep
+    upright = Stage(
+        "upright",
+        way.upright,
+        motion,
+        until=until | is_lost,
+        within=8.0,
+        unless=lost(*way.upright, lasting=0.8),
+        fails="back",
+        places=dict.fromkeys(way.upright, rims_found) if way.placed else {},
+    )
+    if not way.turned:
+        return [upright]
+    turn_on = Stage(
+        "turn on",
+        way.turned,
+        motion,
+        until=until | (lost(*way.turned, lasting=0.5) & is_deep),
+        within=4.0,
+        unless=lost(*way.turned, lasting=0.9),
+        fails="back",
+    )
+    return [upright, turn_on]
 
 
 def _last_stages(peg: Peg, hole: Hole) -> list[Stage]:
