@@ -154,6 +154,8 @@ class _Way:
         upright: contacts with their forces (N) while the peg rotates.
         turned: contacts with their forces (N) of the rest of the rotation, after one of those was
             lost, and for a moment after the rotation; none if round.
+        speed: speed on the way into the hole (m/s).
+        yields: force (N) at which this motion stops.
         placed: whether the hole is placed where face and rims were touched, before it is entered.
     """
 
@@ -163,6 +165,8 @@ class _Way:
     sides: dict[str, Array]
     upright: dict[str, float]
     turned: dict[str, float]
+    speed: float
+    yields: float
     placed: bool
 
 
@@ -177,6 +181,8 @@ _SQUARE = _Way(
         "side +y on rim +y": 4.0,
     },
     turned={"side +x on rim +x": 4.0, "side +y on rim +y": 4.0},
+    speed=14e-3,
+    yields=12.5,
     placed=False,
 )
 _BESIDE = {
@@ -190,6 +196,8 @@ _ROUND = _Way(
     sides={f"side +x on rim +x, {end}": side for end, side in _BESIDE.items()},
     upright={f"side +x on rim +x, {end}": 3.0 for end in _BESIDE},
     turned={},
+    speed=12e-3,
+    yields=10.0,
     placed=True,
 )
 
@@ -337,7 +345,7 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
         Stage(
             "insert",
             {"hole": 0.0},
-            along([0, 0, 1], 14e-3, axes="object", yields=12.5),
+            along([0, 0, 1], way.speed, axes="object", yields=way.yields),
             until=(is_seated & pressed(6.0, into) & at_rest(*RESTING)).lasting(0.3),
             within=10.0,
             fails="back",
