@@ -358,10 +358,14 @@ def dropped() -> ends.End:
     return ends.End(begin, f"dropped by {1e3 * DROP:g} mm")
 
 
+#: Forces and motion of an approach, and the condition that the face is touched.
+Approach = tuple[dict[str, float], motions.Motion, ends.End]
+
+
 def _stages(
     episode: Episode,
     start: pin.SE3,
-    approach: tuple[dict[str, float], motions.Motion, ends.End],
+    approach: Approach,
     inside: dict[str, float],
 ) -> list[osc.Stage]:
     """Stages of a plan: weigh, touch, search, insert; after a failure back to the start.
@@ -482,7 +486,7 @@ def ours(episode: Episode) -> str:
     else:
         axis = hole.rotation[:, 2]
         inside = osc.CylinderInHole([0, 0, 0], [0, 0, 1], hole.translation, axis, name="hole")
-    approach = ({"face": PRESS}, motions.dwell(), ends.made("face", lasting=0.1))
+    approach: Approach = ({"face": PRESS}, motions.dwell(), ends.made("face", lasting=0.1))
     start = arm.chain.state(q).X_WO
     plan = osc.Plan(_stages(episode, start, approach, {"hole": 0.0}), largest=CEILING)
     controller = osc.Controller(
@@ -508,7 +512,7 @@ def impedance(episode: Episode) -> str:
     arm = _arm(episode)
     q = arm.measure().q
     push = motions.along(DOWN, 0.01, yields=PRESS)
-    approach = ({}, push, ends.pressed(0.6 * PRESS, DOWN))
+    approach: Approach = ({}, push, ends.pressed(0.6 * PRESS, DOWN))
     start = arm.chain.state(q).X_WO
     plan = osc.Plan(_stages(episode, start, approach, {}), largest=CEILING)
     controller = osc.Controller(
