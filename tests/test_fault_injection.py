@@ -49,6 +49,8 @@ ELSEWHERE = (
 LET_GO = (
     (Case(), IN_CONTACT),
     (Case(scenario="limited_rod"), IN_CONTACT),  # the first arm sinks: its motors are too weak
+    (Case(scenario="workcell", seed=1), IN_CONTACT),  # biased wrists; the gripper swung at 12 rad/s
+    (Case(scenario="workcell", every=3, seed=3), IN_CONTACT),
     (Case(scenario="dual_panda_rod"), 1.2),
     (Case(scenario="two_contact_rod", every=3), 2.3),
     (Case(scenario="three_arm_plate"), 1.7),
@@ -126,6 +128,32 @@ def test_arms_that_fight_by_a_drifting_encoder_ask_for_brakes(where):
     assert verdict.state is SAFE_STOP and verdict.unbraked and not verdict.wrong, verdict
 
 
+def test_the_other_arm_shows_that_an_encoder_of_a_vertical_axis_drifts():
+    """It turns the object about its own grasp point, which stays where it was."""
+    name = "encoder drifts by 0.2 rad/s"
+    run = Run(Case(scenario="collisions", seed=2911), name, begin=1.5)
+    run.trial.kept[f"pick{len(run.act)}"] = len(run.act) - 1
+    verdict = Verdict(name, run.case)
+    while run.k < run.first:
+        run.step(verdict)
+    verdict = run.judge(name, fault_for=1.0, stopped_for=0.3)
+    assert verdict.stopped is not None and verdict.stopped < 0.5, verdict
+    assert "away from where the others hold" in verdict.reason and verdict.unbraked
+    assert not verdict.wrong, verdict
+
+
+def test_arms_that_are_stopped_ask_for_brakes_once_an_encoder_makes_them_fight():
+    """They are stopped by bad references; half a second later an encoder drifts."""
+    run = Run(Case(scenario="collisions", seed=2911), "encoder drifts by 0.2 rad/s", begin=1.5)
+    run.trial.kept[f"pick{len(run.act)}"] = len(run.act) - 2
+    seen = Verdict("no fault", run.case)
+    drift, bad = FAULTS["encoder drifts by 0.2 rad/s"], FAULTS["X_WD no rotation"]
+    while run.k < run.first + 2000 and run.controller.unbraked is None:
+        run.step(seen, None if run.k < run.first - 500 else bad if run.k < run.first else drift)
+    assert "is not a rotation matrix" in run.controller.reason
+    assert run.controller.unbraked is not None, run.k - run.first
+
+
 def test_arms_of_which_one_has_let_go_are_not_taken_for_arms_that_fight():
     """Encoders place them apart, too, and rightly so; the wrist of one shows no load."""
     name = "encoder drifts by 0.2 rad/s"
@@ -141,7 +169,7 @@ def test_arms_of_which_one_has_let_go_are_not_taken_for_arms_that_fight():
     assert run.controller.unbraked is None
 
 
-@parametrize("where", first(LET_GO, 2), ids=str)
+@parametrize("where", first(LET_GO, 3), ids=str)
 def test_arms_of_which_one_has_let_go_of_the_object_come_to_rest(where):
     """The one that holds it carries all of it, the other one nothing."""
     verdict = try_fault("a grasp lets go", *where, stopped_for=3.0)

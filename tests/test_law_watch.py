@@ -958,9 +958,84 @@ def test_a_stopped_arm_has_let_go_once_its_load_is_light_for_20_ms(light_for, go
     def weigh(force, ticks):
         t.memory.wrenches[0, :3] = force
         for _ in range(ticks):
-            holding._weigh(t, 0, np.zeros(3), np.zeros(6))
+            holding._weigh(t, 0, np.zeros(3), np.eye(4))
 
     weigh(share, 5)
     weigh(np.zeros(3), light_for)
     weigh(share, 100)
     assert t.memory.arms[0].let_go == gone
+
+
+def test_a_gripper_that_swings_bears_no_load():
+    """Its own weight and inertia are in the reading: 1 kg that swings with 40 N, and 9.81 N."""
+    t = records(arms=2, joints=2, period=DT, held=1, gravity=(0.0, 0.0, -9.81))
+    t.model.principal[0] = 2.0  # kg
+    t.memory.state = at.SAFE_STOP
+    write(t.work.joints, R=np.eye(3), p=np.zeros(3))
+    write(t.model.arms, sensor_joint=[0, 1], outer_joint=[0, 1], first=[0, 1], end=[1, 2])
+    t.model.arms.sensor[:, :9] = np.eye(3).ravel()
+    t.model.arms.outer[:, 0] = 1.0
+    t.work.joints.outboard[0, 0] = 1.0  # kg m: along x
+    omega, speed = 60.0, 40.0 / 60.0
+    for k in range(400):
+        t.memory.v[0] = speed * np.sin(omega * k * DT)
+        t.memory.wrenches[0, :3] = (omega * speed * np.cos(omega * k * DT), 0.0, 9.81)
+        holding._weigh(t, 0, np.zeros(3), np.eye(4))
+    assert np.linalg.norm(t.memory.arms[0].load) < 1.5  # N, with speeds that are half a tick late
+    assert t.memory.arms[0].let_go == 1
+
+
+def two_at_a_rod(turn=0.0, shift=0.0):
+    """Two stopped arms that hold a rod at ∓0.15 m; the second is turned (rad) and shifted (m)."""
+    t = records(arms=2, joints=2, period=DT, held=1, leader=0, closure_error=0.02)
+    write(t.model, gravity=(0.0, 0.0, -9.81))
+    t.model.principal[0] = 2.0  # kg
+    t.memory.state = at.SAFE_STOP
+    write(t.model.arms, tip_joint=[0, 1], sensor_joint=[0, 1], outer_joint=-1)
+    write(t.model.arms, kind=at.RIGID, first=[0, 1], end=[1, 2])
+    for frame in (t.model.arms.tip, t.model.arms.X_TO, t.model.arms.sensor):
+        frame[:, :9] = np.eye(3).ravel()
+    t.model.arms.point[:, 0] = (-0.15, 0.15)
+    t.model.arms.X_TO[:, 9] = (0.15, -0.15)
+    t.model.X_LO[:9] = np.eye(3).ravel()
+    t.model.X_LO[9] = 0.15
+    write(t.work.joints, R=np.eye(3))
+    t.work.joints.p[:, 0] = (-0.15, 0.15)
+    t.work.joints.p[1, 2] = shift
+    t.work.joints.R[1] = pin.exp3(vector(0.0, 0.0, turn))
+    return t
+
+
+@parametrize(
+    "turn, shift, apart",
+    [(0.0, 0.0199, False), (0.0, 0.0201, True), (0.066, 0.0, False), (0.067, 0.0, True)],
+)
+def test_arms_are_apart_where_one_shifts_or_turns_the_object_by_20_mm(turn, shift, apart):
+    """A turn by φ moves the grasp point of the other arm, at 0.3 m, by 0.6 m sin(φ/2)."""
+    t = two_at_a_rod(turn, shift)
+    for _ in range(3):
+        holding._compare_places(t, np.full((4, 4), np.nan))
+    assert_near(t.memory.apart, 3 * DT if apart else 0.0)
+
+
+@parametrize("turn, gone", [(0.0, False), (0.1, True)])
+def test_an_arm_that_is_apart_from_the_object_has_let_go_below_half_of_its_share(turn, gone):
+    """As far as a bias of its wrist may be, without a load."""
+    t = two_at_a_rod(turn)
+    X = np.eye(4)
+    t.memory.wrenches[1, :3] = (0.0, 0.0, 0.45 * 9.81)
+    for _ in range(60):
+        holding._compare_places(t, X)
+        holding._weigh(t, 1, np.zeros(3), X)
+    assert t.memory.arms[1].let_go == gone
+
+
+@parametrize("apart, bears, brakes", [(0.09, 0.6, False), (0.11, 0.6, True), (0.11, 0.4, False)])
+def test_stopped_arms_that_fight_have_no_sound_estimated_speeds(apart, bears, brakes):
+    """Whatever they were stopped for: they hold an object apart, and both bear a load."""
+    t = two_at_a_rod(0.1)
+    write(t.memory, derived=1, apart=apart, age=5000, cause=WRIST_FROZEN)
+    t.memory.arms.load[:, 2] = (9.81, bears * 9.81)
+    isolation.isolate_arms(t)
+    both = at.FAULTY_POSITION | at.FAULTY_SPEED
+    assert (t.memory.joints.faulty == (both if brakes else 0)).all()

@@ -9,15 +9,25 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.arm_motion import place_point
+from osc_contact.law.arm_motion import place_point, place_pose
 from osc_contact.law.commands import pose_error
 from osc_contact.law.friction_estimate import SPEED, V
-from osc_contact.law.jit import inner, leaf
+from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.joint_friction import observe_arm
 from osc_contact.law.phases import APPROACHING, collect
 from osc_contact.law.reasons import NO_REASON, declare_reason
-from osc_contact.law.records import OTHER, contact_of
-from osc_contact.law.vectors import clamped, dot3, dot6, minus3, origin, scaled, transformed
+from osc_contact.law.records import OTHER, RIGID, contact_of
+from osc_contact.law.vectors import (
+    clamped,
+    dot3,
+    dot6,
+    minus3,
+    origin,
+    plus3,
+    rotated9,
+    scaled,
+    transformed,
+)
 
 UNBALANCED = declare_reason(
     "UNBALANCED",
@@ -44,7 +54,10 @@ _DOUBTED = 0.2  #: s, longest suspension
 _OUTLIER = 10.0  #: largest unexplained torque of one tick, as a multiple of the bound
 _RUBBING = 2e-3  #: rad/s, m/s, speed above which a joint has dry friction along its motion
 _RUBS = 0.5  #: possible error of the modelled friction, as a share
-_APART = 0.01  #: s for which arms may place the object differently
+APART_TIME = 0.01  #: s for which arms may place the object differently
+#: share of its part of the object's weight above which a stopped arm holds the object if no other
+#: arm does, or if encoders place the arms apart
+HEAVY = 0.5
 
 
 @inner
@@ -102,7 +115,7 @@ def check_arms(t):
     dt = model.period * (1 + max(memory.gap, memory.wrench_age))
     arm = _find_apart(t)
     memory.apart = collect(memory.apart, dt, arm >= 0)
-    if arm >= 0 and memory.apart > _APART:
+    if arm >= 0 and memory.apart > APART_TIME:
         memory.culprit = arm
         return APART
     if memory.wrench_missing or memory.ticked == 0:
@@ -191,11 +204,12 @@ def _balance_arm(t, k, dt):
     return contradicts
 
 
-@leaf
+@inner
 def _find_apart(t):
-    """Find an arm whose grasp point deviates by more than `closure_error` (m) from the object.
+    """Find an arm that places the object more than `closure_error` (m) apart from the leader.
 
-    Reads `X_WO`, and R and p of the joints. Arms with grasps of the kind OTHER are not compared.
+    Without a leader, the arm that holds the object rigidly, an arm whose grasp point is that far
+    from the object. Reads `X_WO`, and R and p of the joints.
 
     Args:
         t: Tick.
@@ -204,14 +218,74 @@ def _find_apart(t):
         Index of the last such arm, or −1; −1 also for a single arm.
     """
     model = t.model
-    X = t.work.X_WO
     deviating_arm = -1
     if model.n_arms == 1:
         return deviating_arm
     for k in range(model.n_arms):
-        arm = model.arms[k]
-        tip = place_point(t.work.joints[arm.tip_joint], arm.tip[9:])
-        gap = transformed(minus3(origin(X), tip), X, arm.point)
-        if arm.kind != OTHER and sqrt(dot3(gap, gap)) > model.closure_error:
+        if k != model.leader and is_apart(t, k, t.work.X_WO):
             deviating_arm = k
     return deviating_arm
+
+
+@inner
+def is_apart(t, k, X):
+    """Determine whether arm k places the object more than `closure_error` apart from the leader.
+
+    Compared is the grasp point of the arm, and that of the leader if the arm holds the object
+    rigidly, which contains the angle by which they turn the object differently.
+
+    Args:
+        t: Tick after `place_arm` of all arms.
+        k: arm, not the leader.
+        X: (4, 4) pose of the object by the leader; without one, that of WORK.
+    """
+    bound = t.model.closure_error
+    if grasp_gap(t, k, X) > bound:
+        return True
+    return t.model.leader >= 0 and t.model.arms[k].kind == RIGID and leader_gap(t, k) > bound
+
+
+@leaf
+def grasp_gap(t, k, X):
+    """Compute the distance between the grasp point of arm k and where the object has it (m).
+
+    It is zero for grasps of the kind OTHER.
+
+    Args:
+        t: Tick, of which R and p of the joints are read.
+        k: index of the arm.
+        X: (4, 4) pose of the object.
+    """
+    arm = t.model.arms[k]
+    tip = place_point(t.work.joints[arm.tip_joint], arm.tip[9:])
+    gap = transformed(minus3(origin(X), tip), X, arm.point)
+    return sqrt(dot3(gap, gap)) if arm.kind != OTHER else 0.0
+
+
+@inner
+def leader_gap(t, k):
+    """Compute the distance of the leader's grasp point from where arm k has it (m).
+
+    Args:
+        t: Tick, of which R and p of the joints are read.
+        k: index of the arm, which holds the object rigidly.
+    """
+    model = t.model
+    arm = model.arms[k]
+    leader = model.arms[model.leader]
+    X = local(4, 4)
+    place_pose(t.work.joints[arm.tip_joint], arm.tip, X)
+    expected = plus3(rotated9(arm.X_TO, leader.point), arm.X_TO[9:])
+    tip = place_point(t.work.joints[leader.tip_joint], leader.tip[9:])
+    gap = transformed(minus3(origin(X), tip), X, expected)
+    return sqrt(dot3(gap, gap))
+
+
+@leaf
+def weight_share(t):
+    """Compute the weight of the object divided by the number of arms (N).
+
+    Args:
+        t: Tick.
+    """
+    return t.model.principal[0] * sqrt(dot3(t.model.gravity, t.model.gravity)) / t.model.n_arms

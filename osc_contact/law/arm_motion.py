@@ -55,6 +55,23 @@ def place_frame(joint, X, R, p):
     fill3(p, place_point(joint, X[9:]))
 
 
+@inner
+def place_pose(joint, X, pose):
+    """Transform a frame that is fixed to a joint to the world.
+
+    Args:
+        joint: JOINT_WORK row.
+        X: (12,) frame in the joint: rotation by rows, then origin (m).
+        pose: (4, 4), filled with the pose of the frame in the world.
+    """
+    p = local(3)
+    place_frame(joint, X, pose, p)
+    for i in range(3):
+        pose[i, 3] = p[i]
+        pose[3, i] = 0.0
+    pose[3, 3] = 1.0
+
+
 @leaf
 def turn_axes(R, rotation, out):
     """Multiply two rotations, the second given by rows, and write the product to `out`.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.algebra import cholesky, cholesky_solve, dot, one_sided_jacobi, qr_rows
-from osc_contact.law.arm_motion import move_arm, place_arm, place_frame
+from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, place_pose
 from osc_contact.law.grasps import add_slip, centre_object, filter_outboard, find_object, find_twist
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.joint_friction import SLIDES, believed_friction
@@ -28,9 +28,11 @@ from osc_contact.law.vectors import (
     energy_motion,
     energy_wrench,
     fill,
+    fill3,
     join,
     minus,
     minus3,
+    origin,
     plus,
     reflect_sides,
     rotated,
@@ -138,11 +140,8 @@ def _place_object(t):
     work = t.work
     if model.leader >= 0:
         tip = work.joints[model.arms[model.leader].tip_joint]
-        place_frame(tip, model.X_LO, work.X_WO, work.p_O)
-        for i in range(3):
-            work.X_WO[i, 3] = work.p_O[i]
-            work.X_WO[3, i] = 0.0
-        work.X_WO[3, 3] = 1.0
+        place_pose(tip, model.X_LO, work.X_WO)
+        fill3(work.p_O, origin(work.X_WO))
         R = local(3, 3)
         place_frame(tip, model.X_LP, R, work.p_C)
         set_axes(R, model.roots, work.axes)

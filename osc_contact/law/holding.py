@@ -9,10 +9,16 @@ from __future__ import annotations
 
 from math import isfinite, sqrt
 
-from osc_contact.law.agreement import UNBALANCED
-from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, turn_axes
+from osc_contact.law.agreement import (
+    APART_TIME,
+    HEAVY,
+    UNBALANCED,
+    is_apart,
+    weight_share,
+)
+from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, place_pose, turn_axes
 from osc_contact.law.jit import inner, leaf, local
-from osc_contact.law.phases import slew
+from osc_contact.law.phases import collect, slew
 from osc_contact.law.reading import read_wrist
 from osc_contact.law.records import BRAKED, SAFE_STOP, SETTLED
 from osc_contact.law.sensors import WRIST_FROZEN
@@ -46,7 +52,6 @@ BRAKE_RATE = 40.0  #: 1/s, rate of the torques of a hold, as a multiple of their
 _HASTE = 4.0  #: factor of that rate if a joint is above its speed limit
 _LIGHT = 0.25  #: share of its part of the object's weight below which an arm has let go
 LET_GO_TIME = 0.02  #: s for which the load has to be below that share until an arm has let go
-_HEAVY = 0.5  #: share of its part above which an arm holds the object, if no other arm does
 _SHAKES = 0.02  #: s, time constant of the low-pass of the load of a wrist
 
 
@@ -83,16 +88,19 @@ def hold_posture(t):
     world = local(3)  # origin of the world
     twist = local(6)
     drift = local(6)
-    outboard = local(6)
+    outboard = local(6)  # a result of `move_arm` that is not needed
+    X = local(4, 4)  # of the object
     R = local(3, 3)
     centre = local(3)
     weight = local(6)
     fill3(world, ZERO_3)
     for k in range(model.n_arms):
         place_arm(t, model.arms[k], q)
+    _compare_places(t, X)
+    for k in range(model.n_arms):
         fill(outboard, ZERO)
         move_arm(t, model.arms[k], speed, world, twist, drift, outboard)
-        _weigh(t, k, world, outboard)
+        _weigh(t, k, world, X)
     object_is_known = _carry_weight(t, R, centre, weight)
     n_holding = _count_holding(t)
     omega = model.hold_rate
@@ -173,7 +181,7 @@ def _count_holding(t):
     """Number of arms that hold the object, without stopped arms that have let go of it.
 
     If no arm bears a load, all arms count as holding, because contacts may carry the object. If it
-    is falling instead, the first arm whose load exceeds `_HEAVY` times its share of the weight is
+    is falling instead, the first arm whose load exceeds `HEAVY` times its share of the weight is
     the one that holds it; its `let_go` is revoked and its `holds` set.
 
     Args:
@@ -192,61 +200,120 @@ def _count_holding(t):
             if load > largest_square:
                 heaviest = k
                 largest_square = load
-        if n_holding == 0 and sqrt(largest_square) > _HEAVY * _weight_share(t):
+        if n_holding == 0 and sqrt(largest_square) > HEAVY * weight_share(t):
             t.memory.arms[heaviest].let_go = 0
             t.memory.arms[heaviest].holds = 1
             n_holding = 1
     return n_holding if n_holding > 0 else n
 
 
-@leaf
-def _weight_share(t):
-    """Compute the weight of the object divided by the number of arms (N).
+@inner
+def _compare_places(t, X):
+    """Accumulate the time for which stopped arms place the object differently.
+
+    Updates `apart` of MEMORY (s).
 
     Args:
-        t: Tick.
+        t: Tick after `place_arm` of all arms.
+        X: (4, 4), filled with the pose of the object by the arm that holds it rigidly.
     """
-    return t.model.principal[0] * sqrt(dot3(t.model.gravity, t.model.gravity)) / t.model.n_arms
+    model = t.model
+    memory = t.memory
+    if memory.state != SAFE_STOP or model.n_arms == 1 or model.leader < 0:
+        return
+    place_pose(t.work.joints[model.arms[model.leader].tip_joint], model.X_LO, X)
+    any_apart = False
+    for k in range(model.n_arms):
+        any_apart = any_apart or (k != model.leader and is_apart(t, k, X))
+    memory.apart = collect(memory.apart, model.period, any_apart)
 
 
-@leaf
-def _weigh(t, k, world, outboard):
+@inner
+def _weigh(t, k, world, X):
     """Low-pass the load on the wrist of a stopped arm k, and detect whether it has let go.
+
+    The load f is the force by which the gripper carries the object: the reading F less weight mg
+    and inertial force ṗ of the gripper, with its momentum p. Its low-pass with the time constant
+    T = `_SHAKES`
+
+        s ← s + dt/(T + dt) (F + m g + p/T − s),   f = s − p/T
+
+    is that of F + m g − ṗ, without a difference of speeds.
 
     An arm whose load is below `_LIGHT` times its share of the object's weight for `LET_GO_TIME` has
     let go; this is not revoked until the next stop as long as other arms hold the object, because
-    vibrations or errors of the sensor may look like a load later. The load of an arm that holds
-    passes zero, too, as braking shakes the object: in a few milliseconds. Wrists are no evidence if
-    motor torques have contradicted one of them, as an error of scale, range or wiring concerns all;
-    nor is a wrist whose reading repeats. Fills `load`, `light`, `weighed` and `let_go` of the arm
-    in MEMORY.
+    vibrations or errors of the sensor may look like a load later. A bias of the sensor may exceed
+    that bound: where encoders place the arm and the object apart, `HEAVY` times the share
+    suffices. Arms that hold a rigid object apart by a wrong encoder bear more, at the latest when
+    it has drifted on: there a load above that bound for as long revokes it. The load of an arm
+    that holds passes zero, too, as braking shakes the object: in a few milliseconds. Wrists are no
+    evidence if motor torques have contradicted one of them, as an error of scale, range or wiring
+    concerns all; nor is a wrist whose reading repeats. Fills `load`, `weighing` (s), `light`,
+    `weighed` and `let_go` of the arm in MEMORY.
 
     Args:
         t: Tick after `move_arm`.
         k: arm.
         world: (3,) origin of the world, reference point of the wrenches.
-        outboard: (6,) wrench there of the bodies outboard of the wrist.
+        X: (4, 4) pose of the object by the leader; read only after `_compare_places` has filled it.
     """
     model = t.model
+    memory = t.memory
     arm = model.arms[k]
-    arm_memory = t.memory.arms[k]
-    if arm.sensor_joint < 0 or t.memory.state != SAFE_STOP:
+    row = memory.arms[k]
+    if arm.sensor_joint < 0 or memory.state != SAFE_STOP:
         return
     joint = t.work.joints[arm.sensor_joint]
-    wrench = read_wrist(t.memory.wrenches[k], joint, arm.sensor, world)
-    share = model.period / (_SHAKES + model.period) if arm_memory.weighed else 1.0
-    if arm_memory.weighed == 0:
-        arm_memory.let_go = arm_memory.holds = 0
-        arm_memory.light = 0.0
-    arm_memory.weighed = 1
-    load = add3(arm_memory.load, share, minus3(minus3(wrench, outboard), arm_memory.load))
-    fill3(arm_memory.load, load)
-    is_frozen = t.memory.cause == WRIST_FROZEN and t.memory.culprit == k
-    is_light = arm_memory.holds == 0 and sqrt(dot3(load, load)) < _LIGHT * _weight_share(t)
-    is_light = is_light and not is_frozen and t.memory.cause != UNBALANCED
-    arm_memory.light = arm_memory.light + model.period if is_light else 0.0
-    if arm_memory.light > LET_GO_TIME:
-        arm_memory.let_go = 1
+    wrench = read_wrist(memory.wrenches[k], joint, arm.sensor, world)
+    share = model.period / (_SHAKES + model.period) if row.weighed else 1.0
+    if row.weighed == 0:
+        row.let_go = row.holds = 0
+        row.light = 0.0
+    row.weighed = 1
+    inertial = scaled3(1.0 / _SHAKES, _gripper_momentum(t, arm))
+    force = plus3(add3(wrench, _gripper_mass(t, arm), model.gravity), inertial)
+    fill3(row.weighing, add3(row.weighing, share, minus3(force, row.weighing)))
+    fill3(row.load, minus3(row.weighing, inertial))
+    is_frozen = memory.cause == WRIST_FROZEN and memory.culprit == k
+    if is_frozen or memory.cause == UNBALANCED:
+        return
+    may_be_apart = memory.apart > APART_TIME and model.leader >= 0 and k != model.leader
+    is_away = may_be_apart and is_apart(t, k, X)
+    bound = (HEAVY if is_away else _LIGHT) * weight_share(t)
+    is_light = dot3(row.load, row.load) < bound * bound
+    contradicts = is_away and not is_light if row.let_go else row.holds == 0 and is_light
+    row.light = row.light + model.period if contradicts else 0.0
+    if row.light > LET_GO_TIME:
+        row.let_go = 1 - row.let_go
+        row.light = 0.0
+
+
+@leaf
+def _gripper_mass(t, arm):
+    """Mass of the bodies of an arm beyond its wrist sensor (kg).
+
+    Args:
+        t: Tick after `move_arm`, of which `body` of the joints is read.
+        arm: ARM row.
+    """
+    if arm.outer_joint < 0:
+        return 0.0
+    beyond = arm.outer_joint + 1
+    return arm.outer[0] + (t.work.joints[beyond].body[0] if beyond < arm.end else 0.0)
+
+
+@leaf
+def _gripper_momentum(t, arm):
+    """Compute the linear momentum of the bodies of an arm beyond its wrist sensor (N s).
+
+    Args:
+        t: Tick after `move_arm`, of which `outboard` of the joints is read, and v of MEMORY.
+        arm: ARM row.
+    """
+    momentum = ZERO_3
+    for j in range(arm.first, arm.end if arm.outer_joint >= 0 else arm.first):
+        momentum = add3(momentum, t.memory.v[j], t.work.joints[j].outboard)
+    return momentum
 
 
 @inner

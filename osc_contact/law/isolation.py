@@ -7,7 +7,7 @@ sound readings. Missing and faulty positions and speeds are estimated from sound
 
 from __future__ import annotations
 
-from osc_contact.law.agreement import APART, UNBALANCED_TIME
+from osc_contact.law.agreement import APART, HEAVY, UNBALANCED_TIME, weight_share
 from osc_contact.law.ceilings import carried_force
 from osc_contact.law.jit import inner
 from osc_contact.law.records import FAULTY_POSITION, FAULTY_SPEED, SAFE_STOP
@@ -119,23 +119,31 @@ def isolate_posture(t):
 def isolate_arms(t):
     """Mark all readings of joints as faulty if stopped arms fight each other by a wrong encoder.
 
-    Arms that encoders placed apart at one object have been stopped: an encoder is wrong, or an arm
-    has let go of the object, which its wrist shows within `_WEIGHED`. If all bear a load then, they
-    hold an object that is rigid, and hold it apart. Which encoder is wrong is not known; if speeds
-    are estimated from encoders, it contradicts none of them, and the arms follow its drift.
+    Encoders place stopped arms apart at one object: an encoder is wrong, or an arm has let go of
+    the object, which its wrist shows within `_WEIGHED`. If all bear a load then, they hold an
+    object that is rigid, and hold it apart. Which encoder is wrong is not known; if speeds are
+    estimated from encoders, it contradicts none of them, and the arms follow its drift. Arms that
+    were stopped for another reason, and are placed apart later, bear more than `HEAVY` times their
+    shares of the weight then.
 
     Arms without a wrist sensor do not show whether they hold the object: nothing is marked.
 
     Args:
-        t: Tick, of which `let_go` of the arms in MEMORY is read.
+        t: Tick, of which `apart`, and `let_go` and `load` of the arms in MEMORY are read.
     """
     model = t.model
     memory = t.memory
-    is_due = memory.state == SAFE_STOP and memory.cause == APART and memory.derived != 0
-    if not is_due or memory.age * model.period < _WEIGHED:
+    if memory.state != SAFE_STOP or memory.derived == 0:
         return
+    is_cause = memory.cause == APART
+    if (memory.age * model.period if is_cause else memory.apart) < _WEIGHED:
+        return
+    heavy = HEAVY * weight_share(t)
     for k in range(model.n_arms):
-        if model.arms[k].sensor_joint < 0 or memory.arms[k].let_go:
+        row = memory.arms[k]
+        if model.arms[k].sensor_joint < 0 or row.let_go:
+            return
+        if not is_cause and dot3(row.load, row.load) < heavy * heavy:
             return
     for j in range(model.n_joints):
         memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED

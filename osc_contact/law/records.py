@@ -489,10 +489,13 @@ FRICTION = _record(
 #: State of an arm: ticks since its wrist was read; of a stopped arm (see `holding`), 1 once the
 #: load of its wrist was read, 1 if it has let go of the object, 1 if it alone holds the object; s
 #: of identical readings of its wrist, s for which motor torques contradict the wrist, s for which
-#: the load of a stopped arm is too light for its share of the object; force on its wrist (N),
-#: low-passed.
+#: the load of a stopped arm contradicts that it has, or has not, let go; force by which its gripper
+#: carries the object (N), low-passed; and the state of this low-pass (N).
 ARM_MEMORY = _record(
-    whole=("unread", "weighed", "let_go", "holds"), number=("same", "doubtful", "light"), load=3
+    whole=("unread", "weighed", "let_go", "holds"),
+    number=("same", "doubtful", "light"),
+    load=3,
+    weighing=3,
 )
 
 # Intermediate results of a tick -----------------------------------------------------------------
