@@ -151,6 +151,29 @@ def test_the_way_back_to_a_lost_contact_is_no_faster_than_set(fastest):
     assert_near(goal, [k.damping * fastest])
 
 
+def test_an_approach_at_rest_beside_a_closed_contact_pushes_on_where_it_meets_force():
+    """By twice what is certain of it, on all columns of a contact; alone it stays gentle."""
+    k = PhaseSettings()
+
+    def pushes(explained, noise=0.0, net=5.0, touch=(0.5, 0.4)):
+        phases = Phases([0, 1, 1], [True, True], phase=[CLOSED, APPROACHING])
+        phases.contacts.since = 0.5  # the force of the closed contact has risen
+        phases.columns.net = phases.columns.force = net
+        phases.columns.noise = noise
+        phases.columns.touch[1:] = touch
+        phases.columns.explained[1:] = explained
+        _, goal = phases.begin(np.full(3, 6.0), judge=False)
+        assert goal[0] == 6.0
+        return goal[1:]
+
+    gentle = 0.5 * k.force_on
+    assert_near(pushes(0.1), [gentle + 2.0 * 0.3] * 2)  # of the column that meets less
+    assert_near(pushes(0.1, noise=0.2, net=0.4), [gentle + 2.0 * 0.2] * 2)
+    assert_near(pushes(0.1, touch=(3.0, 3.0)), [k.push] * 2)  # never more than an approach
+    for alike in (pushes(0.0), pushes(0.45), pushes(0.1, net=-1.0), pushes((0.1, 0.0))):
+        assert_near(alike, [gentle] * 2)
+
+
 def test_torques_go_gently_around_a_change_but_for_fast_joints():
     def rate(since, share=0.0, phased=1):
         t = records(contacts=2, torque_rate=200.0, phase_rate=20.0, phased=phased)

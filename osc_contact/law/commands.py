@@ -542,7 +542,9 @@ def keep_steps(t):
         if work.here[j] == 0.0:  # not in N: the next contact begins without a past
             row.has_desired = 0
             row.desired = row.scale = row.predicted = 0.0
-            row.drift = row.driven = row.deflection = row.eased = row.eased_rate = 0.0
+            row.drift = row.approach = row.driven = row.deflection = row.eased = row.eased_rate = (
+                0.0
+            )
             row.yielded = row.alpha_mean = row.eased_mean = row.correlation = row.excitation = 0.0
             row.to_come[:] = 0.0
             if t.input.chosen_set:  # the next contact is with the same face

@@ -96,6 +96,7 @@ _FULL = 0.7  #: |sign s| from which on friction is identified, away from reversa
 _LESS = 0.5  #: share of the friction identified beyond the model whose absence contradicts it
 _CONTRADICTED = 0.05  #: s of this contradiction after which the identified friction is discarded
 _RISE = 0.1  #: s in which identified friction is phased in; integrals have balanced it before
+_APPROACH = 0.006  #: s, time constant of the low-pass of an approach's speed
 _TURNS = 4  #: each joint is updated every fourth tick, for speed; residuals change more slowly
 _FASTEST = 1e6  #: rad/s, m/s; speed limit of joints without one, so that squares are finite
 _CERTAIN = 2.0  #: standard deviations of A that M leaves out
@@ -391,13 +392,15 @@ def permit_speeds(t):
     V_D is the desired twist of the object, P the projection on the motions that the contacts
     permit, J̄ (n, 6) maps motions of the object to those of the joints. Along N, the columns of
     contact forces, the speed is that of the touched face, plus the speed of the approach for
-    contacts that are being approached. A_D is not added, because a step of it would change contact
-    forces at once.
+    contacts that are being approached. The latter follows measured speeds and forces, so it is
+    low-passed: the torque A ṡ of a rotor would return their noise to them. A_D is not added,
+    because a step of it would change contact forces at once.
 
     Reads the desired twist `V_D`, the speeds `V_N` of the faces (m/s), `alpha_d` (N) and `damping`
     (N s/m), whose quotient is the speed of an approach, the factors `N_factor_t` and `N_basis_t` of
     N, and J̄ of the joints; `rated` (speed limit) and `slip` (s_0) of the joints. Fills in MEMORY
-    of each joint `speed` s, its rate `turn` since the last tick, and its mean sign `sign`.
+    of each joint `speed` s, its rate `turn` since the last tick, and its mean sign `sign`; of each
+    kept column `approach`, the low-passed speed of its approach (m/s).
 
     Args:
         t: Tick.
@@ -407,10 +410,14 @@ def permit_speeds(t):
     normal = local(6)  # NᵀV
     fill_free(x, work, motion_to_energy(work, work.V_D))
     for a in range(work.rank):
-        normal[a] = work.V_N[a]
+        column = t.memory.columns[work.kept[a]]
         is_approached = contact_of(t, work.kept[a]).phase == APPROACHING
         if is_approached and work.damping[a] > 0.0:
-            normal[a] += work.alpha_d[a] / work.damping[a]
+            change = work.alpha_d[a] / work.damping[a] - column.approach
+            column.approach += work.dt / (_APPROACH + work.dt) * change
+        else:
+            column.approach = 0.0
+        normal[a] = work.V_N[a] + column.approach
     if work.rank > 0:
         project_onto_columns(work.N_factor_t, work.N_basis_t, work.rank, x, normal)
     fill(x, turned_back(work, x))

@@ -38,6 +38,7 @@ _SLOWED = 0.5  #: share of v_a; a contact is made once its approach is slower th
 _SOFT = 0.5  #: s of force after which a contact is made even if its approach is not slower
 _FELT = 1.5  #: largest net force of an impact, as a multiple of the measured force
 _NOISE = 0.05  #: s, time constant of the estimate of a force's noise
+_PUSHED_BACK = 2.0  #: push of an approach at rest beside closed contacts, over the force it meets
 _GENTLE = 0.5  #: share of `force_on` with which an approach at the speed v_a accelerates
 
 
@@ -232,9 +233,7 @@ def _monitor_contact(t, c):
         if row.closed == 0:  # a failing sensor of wrists or speeds resembles an impact
             flies = row.speed > _SLOWED * model.approach_speed and row.high_for < _SOFT
             dwell = inf if flies else model.dwell
-            force = min(row.net, _FELT * row.force) - row.noise
-            if row.explained > 0.0:  # more force than the friction of closed contacts explains
-                force = min(force, row.touch - row.explained)
+            force = _certain_force(row)
         monitor(model, row, force, row.speed, t.work.dt, dwell, margin)
         if contact.phase == OPEN:
             row.closed = 0
@@ -247,6 +246,40 @@ def _monitor_contact(t, c):
         is_light = goal <= model.force_on  # such a force cannot be distinguished from zero
         all_closed = all_closed and (is_light or row.closed != 0)
     return is_desired, some_closed and all_closed
+
+
+@leaf
+def _certain_force(row):
+    """Compute the force (N) that a column of an approached contact certainly has; may be negative.
+
+    It is the measured force less its noise, and not more than wrists alone show, nor than friction
+    of closed contacts leaves unexplained.
+
+    Args:
+        row: COLUMN_MEMORY, of which `net`, `force`, `noise`, `touch` and `explained` are read.
+    """
+    force = min(row.net, _FELT * row.force) - row.noise
+    if row.explained > 0.0:
+        force = min(force, row.touch - row.explained)
+    return force
+
+
+@inner
+def _pushed_back(t, contact):
+    """Compute the least certain force (N) of an approached contact's columns, beside closed ones.
+
+    It is 0 if there are no closed contacts whose friction might hold the object.
+
+    Args:
+        t: Tick.
+        contact: index of the contact.
+    """
+    least = inf
+    for j in range(t.model.n_columns):
+        if t.model.columns[j].contact == contact:
+            row = t.memory.columns[j]
+            least = min(least, _certain_force(row) if row.explained > 0.0 else 0.0)
+    return max(least, 0.0)
 
 
 @inner
@@ -314,6 +347,7 @@ def set_goals(t):
             # A force little above that of the present speed limits the acceleration.
             gentle = _GENTLE * model.force_on * speed / model.approach_speed
             slowest = slowest_column(t, model.columns[j].contact)
+            gentle += _PUSHED_BACK * _pushed_back(t, model.columns[j].contact)
             start = min(start, gentle + model.approach_damping * slowest)
             if contact.since * model.approach_speed >= model.travel:
                 start = 0.0  # no face within `travel`: the approach ends

@@ -381,6 +381,7 @@ COLUMN_MEMORY = _record(
         "desired",  # N, last desired force
         "scale",  # N, its size
         "drift",  # m/s, lasting speed v̄
+        "approach",  # m/s, speed of its approach, see `joint_friction`
         # brake on a yielding face, see `commands`
         "driven",  # m/s, state of v̂
         "deflection",  # m, p
