@@ -151,6 +151,32 @@ def test_joints_that_rest_for_less_than_10_ms_show_no_stiction(rest, F):
     assert learned.estimate[0] == approx(F)
 
 
+@parametrize("ticks, F", {90: 0.0, 400: 2.0})
+def test_a_joint_that_is_stuck_for_long_shows_friction_beside_noise(ticks, F):
+    """Noise of encoders is 5 mrad/s here, and that of the residual half of the friction."""
+    t, learned = watched(friction_estimate.LEARNED, 2.0, 1.0)
+    learned.noise = 1.0
+    t.memory.joints[0].means[[friction_estimate.SPEED, friction_estimate.V]] = (0.2, 0.005)
+    learn(t, ticks)
+    assert learned.estimate[0] == approx(F, abs=0.01)
+
+
+@parametrize("bits", [17, 20])
+def test_a_light_joint_with_unknown_friction_turns_as_commanded(bits):
+    """The last joint of a SCARA: its torques are small until its friction is known."""
+    turn, travel = 2.0 * np.pi / 2**bits, 0.5 / 2**bits
+    angle = f"{{resolution: {turn}, noise: {turn / 2}}}"
+    length = f"{{resolution: {travel}, noise: {travel / 2}}}"
+    words = ["gains={}", "tare={}", "model_error.joint_friction=0", "model_error.armature=0"]
+    words += [
+        "arms.scara.friction=[1, 0.6, 3.5, 0.17]",
+        "arms.scara.armature=[0.12, 0.07, 0.4, 0.02]",
+    ]
+    words += [f"sensors.encoder={{rate: 1000, angle: {angle}, length: {length}}}"]
+    recording = osc.run(osc.load_scenario("scara_peg", words), duration=3.0)
+    assert largest(recording["motion_error"][:, 5]) < 0.3
+
+
 @parametrize("unbalanced, aim", {0.0: 2.0, 0.01: 0.0})
 def test_the_observer_follows_what_is_not_learned_while_the_wrist_is_credible(unbalanced, aim):
     t = records(1, 1, friction_errors=1, friction_smoothing=70.0)

@@ -18,7 +18,7 @@ from osc_contact.law.jit import inner, leaf, local
 
 _EVIDENCE = 0.15  #: s for which residuals must exceed rounding until identification begins
 _STANDS = 0.01  #: s of rest until stiction is identified; knocks move the joint sooner
-_HOLDS = 0.1  #: s of rest until a joint is certain to have friction
+_HOLDS = 0.1  #: s of rest, or stuck, until a joint is certain to have friction
 _FORGET = 2.0  #: s, time constant of forgetting
 _SCATTER = 0.5  #: s, time constant of R, the variance of the residuals that θ does not explain
 _QUIET = 0.1  #: least √R, as a share of the noise assumed at the start
@@ -84,11 +84,13 @@ def update_estimate(t, j, moves, k, dt):
     θ = (F, D, A, bias, μ) has Coulomb and viscous friction, inertia of the rotor, bias and error of
     the masses. The residual of a resting joint is compared with `estimate`, not with `theta`, which
     attributes the residual to the bias as long as the joint may be frictionless. A joint that rests
-    for long is certain to have friction.
+    for long is certain to have friction; one standard deviation of the residual shows how much,
+    where it is commanded to move fast.
 
     Reads of FRICTION `smooth` (low-passed residual and regressors), `noise` (variance of the
-    residual), `P` (covariance of θ) and `rested` (s at rest); of PRIOR the upper bounds `high` of
-    θ. Changes `estimate`, `theta`, `P`, `noise`, and the state `friction_known` to LEARNED.
+    residual), `P` (covariance of θ), `rested` (s at rest) and `stuck` (s at rest although commanded
+    to move fast); of PRIOR the upper bounds `high` of θ. Changes `estimate`, `theta`, `P`, `noise`,
+    and the state `friction_known` to LEARNED.
 
     Args:
         t: Tick.
@@ -107,9 +109,12 @@ def update_estimate(t, j, moves, k, dt):
     friction = smooth[TORQUE] - estimate[2] * a - estimate[3] - estimate[4] * smooth[WEIGHT]
     expected = max(estimate[0], 0.0) + max(estimate[1], 0.0) * abs(t.memory.joints[j].speed)
     excess = friction * smooth[SIGN] - expected
-    uncertainty = _SEEN * sqrt(friction_row.noise + friction_row.P[2, 2] * a * a)
-    sticks = friction_row.rested > _STANDS and excess > uncertainty
-    holds = friction_row.rested > _HOLDS and friction * smooth[SIGN] > uncertainty
+    deviation = sqrt(friction_row.noise + friction_row.P[2, 2] * a * a)
+    is_stuck = friction_row.stuck > _HOLDS
+    sticks = is_stuck and excess > deviation
+    sticks = sticks or (friction_row.rested > _STANDS and excess > _SEEN * deviation)
+    holds = is_stuck or friction_row.rested > _HOLDS
+    holds = holds and friction * smooth[SIGN] > _SEEN * deviation
     if not (moves or sticks or holds):
         return
     phi = (smooth[SIGN], smooth[V], a, 1.0, smooth[WEIGHT])

@@ -253,8 +253,7 @@ def _learn(t, j, sound, rate, inertial, dt):
     Reads of the joint in MEMORY `residual` and the low-passed friction in `means` (N m, N),
     `unbalanced` (s for which motor torques contradict the wrist). Changes `unlearned` (N m, N),
     `rotor` (kg m², kg), the state `friction_known`, and of FRICTION `applied` (share of θ that is
-    compensated), `smooth` (regressors), `rested` (s at rest) and the fields of the functions called
-    here.
+    compensated), `smooth` (regressors) and the fields of the functions called here.
 
     Args:
         t: Tick.
@@ -278,14 +277,8 @@ def _learn(t, j, sound, rate, inertial, dt):
     _take_in_rotor(row, friction_row, t.model.priors[j], state == LEARNED, dt)
     k = dt / (_SMOOTH + dt)
     _smooth_regressors(row, friction_row, rate, inertial, k)
-    smooth = friction_row.smooth
     threshold = _MOVES * (SLIDES if t.model.joints[j].slides else 1.0)
-    permitted = smooth[SPEED]
-    moves = min(abs(row.speed), abs(permitted)) > threshold
-    moves = moves and smooth[V] * permitted > _FOLLOWS * permitted * permitted
-    rests = abs(smooth[V]) < min(_FOLLOWS * abs(permitted), _RESTS * threshold)
-    rests = rests and (abs(permitted) > threshold or state == LEARNED)
-    friction_row.rested = friction_row.rested + dt if rests else 0.0
+    moves = _note_rest(friction_row, row.speed, threshold, state == LEARNED, dt)
     if state == LEARNED and _is_contradicted(t, j, missing, moves, dt):
         t.memory.friction_known[j] = UNKNOWN
         friction_row.evidence = friction_row.applied = row.unlearned = 0.0
@@ -293,8 +286,39 @@ def _learn(t, j, sound, rate, inertial, dt):
     if (t.memory.balanced + j) % _TURNS or state == MODEL_ONLY or not sound:
         return
     is_settled = t.memory.balanced * dt > _SETTLED
-    if t.model.friction_learning and is_settled and abs(smooth[SIGN]) > _FULL:
+    if t.model.friction_learning and is_settled and abs(friction_row.smooth[SIGN]) > _FULL:
         update_estimate(t, j, moves, min(_TURNS * k, 1.0), _TURNS * dt)
+
+
+@inner
+def _note_rest(friction_row, permitted_now, threshold, is_learned, dt):
+    """Update the times for which a joint rests or is stuck, and determine whether it moves.
+
+    A joint rests where it is slower than `_RESTS` times the threshold and than the share `_FOLLOWS`
+    of the speed that is permitted. It is stuck where this share exceeds the threshold, and the
+    joint is slower than the threshold: so much slower than commanded that noise of its speed, which
+    interrupts a rest, does not matter. It moves in the direction of the permitted speed where both
+    are fast enough.
+
+    Args:
+        friction_row: FRICTION of the joint, of which `smooth` (low-passed residual and regressors)
+            is read and `rested` and `stuck` (s without interruption) are changed.
+        permitted_now: permitted speed of this tick (rad/s, m/s), not low-passed.
+        threshold: speed below which a joint does not contribute to the estimate (rad/s, m/s).
+        is_learned: whether friction of the joint has been identified.
+        dt: time since the last computed tick (s).
+
+    Returns:
+        Whether the joint moves.
+    """
+    v = friction_row.smooth[V]
+    permitted = friction_row.smooth[SPEED]
+    least = _FOLLOWS * abs(permitted)
+    rests = abs(v) < min(least, _RESTS * threshold) and (abs(permitted) > threshold or is_learned)
+    friction_row.rested = friction_row.rested + dt if rests else 0.0
+    friction_row.stuck = friction_row.stuck + dt if abs(v) < threshold < least else 0.0
+    is_commanded = min(abs(permitted_now), abs(permitted)) > threshold
+    return is_commanded and v * permitted > least * abs(permitted)
 
 
 @inner
