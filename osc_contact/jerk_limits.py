@@ -252,7 +252,15 @@ class _StopAndGo:
         return states
 
     def at_time(self, t: float) -> Array:
-        """Position, velocity and acceleration (3, n) at the time t (s)."""
+        """Position, velocity and acceleration (3, n) at a time.
+
+        Until `_stopped` (s) the initial velocity is braked. Then the straight line from `_corner`
+        (n,) along `_along` (n,) is followed, of which `_line` gives distance, speed and
+        acceleration.
+
+        Args:
+            t: time since the beginning (s). Units of the rest are those of x, v and a.
+        """
         if t < self._stopped:
             return self._stopping(t)
         s, v, a = follow(self._line, t - self._stopped)

@@ -444,6 +444,29 @@ def test_resume_begins_with_the_last_stage_that_may_be_entered_again(stopped):
     assert [one.name for one in plan.verdicts] == ["one", "two", "three", "two", "three"]
 
 
+def test_resume_begins_with_the_stage_that_was_entered_last_in_time(rig):
+    """A failure leads back to the first stage, in which the wrist dies."""
+    stages = [
+        press("one", until=ends.after(0.1), reentry=True),
+        press("two", until=ends.after(9.0), within=0.05, fails="one", reentry=True),
+    ]
+    plan = osc.Plan(stages)
+    plant = rig.plant()
+    loop = osc.SteppedLoop(controller_of(rig), plan=plan)
+    for _ in range(2000):
+        if len(plan.verdicts) == 2:
+            break
+        plant.command(loop.step(plant.measure()), 1e-3)
+    while plan.outcome is not Outcome.STOPPED:
+        read = plant.measure()
+        read = osc.Measurement(read.q, read.v, np.full_like(read.wrenches, np.nan))
+        plant.command(loop.step(read), 1e-3)
+    assert [one.name for one in plan.verdicts] == ["one", "two", "one"]
+    loop.controller.reset()
+    plan.resume()
+    assert plan.stage.name == "one"
+
+
 def test_resume_needs_a_stage_that_may_be_entered_again(rig):
     plan = osc.Plan([press(until=ends.after(1.0), within=2.0)])
     plant = rig.plant()

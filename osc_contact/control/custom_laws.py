@@ -144,11 +144,15 @@ class CustomParts:
     def __init__(self, settings: Settings, laws: Laws, head: View) -> None:
         """Find the pairs and bodies that the compiled law cannot evaluate.
 
+        Python evaluates them in each tick, and the user's functions in `laws`; `needed` is whether
+        there is any of them.
+
         Args:
             settings: settings of the controller.
-            laws: custom laws.
+            laws: the user's functions for commands of force and motion.
             head: view of MODEL, in which such pairs have the kind GIVEN and such bodies the kind
-                ELSEWHERE.
+                ELSEWHERE. `same` of a body is the index of the first contact with it, so that each
+                is evaluated once.
         """
         self.settings = settings
         self.laws = laws

@@ -113,7 +113,8 @@ def _count_idle(chain: ClosedChain) -> int:
     """Largest number of independent joint motions that do not move the object, of all arms.
 
     A redundant arm has one for each joint more than its grasp transmits forces, and up to
-    `NEAR_SINGULAR` more near singular postures.
+    `NEAR_SINGULAR` more near singular postures. Arms without surplus joints have none: directions
+    that they lose near singular postures count as locked (`osc_contact/law/singular.py`).
 
     Args:
         chain: chain of arms and object.

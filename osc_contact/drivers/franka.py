@@ -129,7 +129,8 @@ class FrankaRobot:
             load = X_object.act(chain.payload.inertia)
             model.inertias[last] += load
             hangs = hangs + load
-        self._hangs = sensor.placement.actInv(hangs)
+        self._hangs = sensor.placement.actInv(hangs)  # in axes of the sensor
+        # force against its weight, in world axes
         self._lift = pin.Force(-self._hangs.mass * model.gravity.linear, np.zeros(3))
         self._data = model.createData()
         self._at = pin.SE3.Identity()
@@ -247,17 +248,20 @@ class FrankaRobot:
         """Compute the wrench (6,) that a wrist sensor would read, in its axes (N, N m).
 
         It is the sum of the robot's estimate, without the load's weight, and of the force against
-        this weight.
+        this weight. Both are moved to the origin of the world, in world axes, and the sum to the
+        sensor.
 
         Args:
-            state: state of the robot; its estimate is the wrench on its surroundings at K.
+            state: state of the robot; its estimate is the wrench on its surroundings at K, the
+                origin of the stiffness frame, in axes of the robot's base.
         """
         sensor = self._data.oMf[self._sensor]
-        K = np.reshape(state.O_T_EE, (4, 4), order="F") @ self._K
-        self._at.translation = self._base.act(K[:3])
-        total = self._at.act(self._turn.act(pin.Force(np.array(state.O_F_ext_hat_K))))
-        self._at.translation = sensor.act(self._hangs.lever)
-        total += self._at.act(self._lift)
+        K = np.reshape(state.O_T_EE, (4, 4), order="F") @ self._K  # in the base, homogeneous
+        to_origin = self._at  # translation, reused
+        to_origin.translation = self._base.act(K[:3])
+        total = to_origin.act(self._turn.act(pin.Force(np.array(state.O_F_ext_hat_K))))
+        to_origin.translation = sensor.act(self._hangs.lever)  # the load's centre of mass
+        total += to_origin.act(self._lift)
         return sensor.actInv(total).vector
 
     def command(self, tau: Array, duration: float) -> None:

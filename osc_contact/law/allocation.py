@@ -491,7 +491,9 @@ def _add_torques(t, arm, arm_work, y):
     """Fill `tau` of an arm's joints with τ_0 + R⁻¹J̄ y, the torques for the force on the object.
 
     τ_0 is `rest` (N m, N), R the metric of the motors' effort (see `_weigh`), J̄ (n, 6) the
-    inertia-weighted inverse of the Jacobian.
+    inertia-weighted inverse of the Jacobian J (6, n). R⁻¹ is diagonal, with `effort` τ_max² of the
+    joints; of a redundant arm (`wide`) it is JᵀWJ with W (6, 6) = `effort` of the arm, so that
+    R⁻¹J̄ y = JᵀW y.
 
     Args:
         t: Tick.

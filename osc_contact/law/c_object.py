@@ -177,7 +177,12 @@ def object_file() -> bytes:
 
 
 def make() -> Any:
-    """Make the library and load it; a library that another process has just made is used.
+    """Make the library of the law and load it, unless the cache has one of these sources.
+
+    Where the cache cannot be written, a temporary folder takes its place, with a warning.
+
+    Returns:
+        Extension module whose functions are the entry points of the law.
 
     Raises:
         OscContactError: the law is compiled in numba's usual way, or the C compiler fails.

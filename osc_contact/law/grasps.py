@@ -170,10 +170,11 @@ def filter_outboard(t, arm, arm_work, bias):
     P (6, n) has the wrenches of the outboard bodies per joint acceleration. A motion of the joints
     that does not move the object adds E = P(1 − J̄J) (6, n) to the wrist reading, with the Jacobian
     J (6, n) and its inertia-weighted inverse J̄ (n, 6). The filter F = 1 − E(T E)⁺T (6, 6) removes
-    it: T (6 − m, 6) are the motions that the grasp permits, along which no force of the object
-    acts, so T E shows the gripper's own motion. Reads `passed` (T behind m rows) and `gamma` of the
-    arm, J, J̄ and `outboard` (P) of its joints; P is converted to energy coordinates in place.
-    Fills `filter` (F) of the arm; adds to `out_T` and `bias_e`.
+    it, where singular values of T E exceed `_MOVES` times the largest element of P: T (6 − m, 6)
+    are the motions that the grasp permits beside m forces, along which no force of the object acts.
+    The object has no acceleration at q̈ = −J̄ gamma. Reads `passed` (T behind m rows), `gamma`, J, J̄
+    and `outboard` (P, at C in world axes, changed to energy coordinates as all other operands).
+    Fills `filter` (F); adds to `out_T`, `bias_e`.
 
     Args:
         t: Tick.
@@ -210,8 +211,8 @@ def filter_outboard(t, arm, arm_work, bias):
             X[a, j] = dot6(T[a], G[j])
         for b in range(count):
             X[a, n + b] = 1.0 if a == b else 0.0
-    one_sided_jacobi(X, count, n, count)
-    set_identity(F)  # F = 1 − Σ (E v/σ²)(uᵀT) over the singular values σ of T E
+    one_sided_jacobi(X, count, n, count)  # row k of X becomes σ vᵀ (n), and behind it uᵀ
+    set_identity(F)  # F = 1 − Σ (E v/σ)(uᵀT) over the singular values σ of T E
     for k in range(count):
         square = dot(X[k], X[k], n)
         if not sqrt(square) > _MOVES * largest:  # also if NaN

@@ -139,8 +139,13 @@ def _normal_acceleration(p, n, motion):
 def point_of_contact(kind, row, X_WO, X_WE, N):
     """Point of contact (m, from O, world axes) of a column of a pair with unilateral contact.
 
-    It is the projection of a point on its plane, the point of a ball on its face, the vertex (less
-    its radius) or the point of the object's edge.
+    It is, by the kind of the pair, with numbers of `row` in brackets:
+
+    * POINTS: the projection of a point of the object (0:3) on the plane of the touched body with
+      the normal (3:6) and the offset (6) in axes of the body;
+    * SURFACE: the point of a ball, of centre (0:3) and distance to its surface (3);
+    * FACE_ON_VERTEX: the vertex of the body, less its radius (6);
+    * EDGES: the point of the object's edge next to the body's edge of direction (9:12).
 
     Args:
         kind: kind of the pair (`records.POINTS`, `records.FACE_ON_VERTEX`, `records.EDGES` or

@@ -167,6 +167,11 @@ def monitor(limits, row, force, speed, dt, dwell, margin):
 def advance_phases(t):
     """Update the phases of all contacts from the forces measured last and those desired now.
 
+    A contact that can also pull is CLOSED. One that can only push (`pushes` of its body) is OPEN
+    where no force is desired of it, APPROACHING until it is made, then CLOSED. Where the user
+    chooses the active contacts (`chosen_set`), open ones stay open here. Columns of N are those of
+    all contacts that are not open.
+
     Fills `phase` and `since` of the contacts, `here` of the columns in WORK, `gap` and
     `time_since_loss` of the columns in MEMORY.
 

@@ -18,19 +18,23 @@ def refine(p, slack):
     condition number of the Hessian H = rows rowsᵀ, so `point` is more accurate than the solver's z.
     Limits are active where the solver's multipliers are not 0. Variables at a limit are fixed,
     active limits of A z are eliminated one by one by a reflection of the free variables, and the
-    rest is solved by QR. Fills `point` (v,); the other tables that this module fills are scratch.
+    rest is solved by QR. `_eliminate_limits` fills `y` with the values of eliminated variables, and
+    `normals` and `bend` with the reflections. Fills `point` (v,); the other tables that this module
+    fills are scratch.
 
     Args:
         p: PROGRAM with the solver's multipliers `lam` (v + k,) of z and A z: > 0 at an upper bound,
             < 0 at a lower bound, 0 between them.
-        slack: number of slack variables, as in `prepare`.
+        slack: number of slack variables: 0, or k, if the k forces may leave their ranges at a cost.
 
     Returns:
-        False if `point` violates another limit, or if the active limits are dependent.
+        False if `point` violates another limit, or if H is singular on the active limits; then
+        `point` is not to be used.
     """
     k = p.k
     v = len(p.tau) + slack
-    w = 6 + p.d + p.s + len(p.idle) + v  # length of a row of `rows`: energies, then a diagonal
+    # elements of a row of `rows`: energies of force (6), motion (d), squeeze (s) and idle joints
+    w = 6 + p.d + p.s + len(p.idle) + v  # and a diagonal of all variables
     A = matrix(p.A, 0, k, v)
     y = p.y
     target = p.offset

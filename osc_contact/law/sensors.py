@@ -99,8 +99,11 @@ def check_sensors(t):
     with the position q, the speed q̇ that was read, and the time T = `_FORGET` of forgetting. The
     integral is not checked if speeds are estimated from positions, because it would contain lasting
     errors of the model. WRIST_FROZEN: a wrist in contact is constant for too long. FROZEN: the
-    readings of all joints are, which were noisy before; and those of the wrists are, too, or the
-    noise was in most readings of the joints. MIXED: several joints jump in one packet.
+    readings of all joints are, which were noisy before (`_check_packet`). MIXED: several joints
+    jump in each packet for `BLIND`.
+
+    A later reason replaces an earlier one: wrists, jumps, joints, packet. If a joint is at fault
+    while all joints have read the same for `DEAD`, the packet is dead, and all joints are faulty.
 
     Δt is the time since the position was last read. Missing, repeated and implausible readings do
     not change the evidence. If positions of several joints jump in one packet, none of its readings
@@ -117,7 +120,7 @@ def check_sensors(t):
     if dead_arm >= 0:
         reason = WRIST_FROZEN
         culprit = dead_arm
-    if work.looked == 0:  # `check_readings` has not called it
+    if work.looked == 0:  # `find_jumps` has not been called in this tick
         find_jumps(t)
     work.looked = 0
     positions_jump = work.jumps > 1

@@ -233,9 +233,10 @@ class Plan:
             self._note("plan", outcome=self.outcome.value, reason="")
 
     def resume(self) -> None:
-        """Continue after a pause; after a stop, begin with the last stage that may be re-entered.
+        """Continue after a pause; after a stop, begin with a stage that may be entered again.
 
-        After a stop call `Controller.reset` first.
+        It is the one of these that was entered last in time, also where stages were repeated. After
+        a stop call `Controller.reset` first.
 
         Raises:
             InvalidInputError: the plan is neither paused nor stopped, the controller is still
@@ -254,13 +255,8 @@ class Plan:
                 f"the controller is stopped: {self.reason}; remove the cause and call "
                 "controller.reset() before plan.resume()"
             )
-        # the last of the stages that were entered and may begin again
-        entered_stages = {verdict.name for verdict in self.verdicts}
-        candidates = [
-            k
-            for k, stage in enumerate(self.stages)
-            if stage.reentry and stage.name in entered_stages
-        ]
+        entered = [self._number(verdict.name) for verdict in self.verdicts]  # in order of time
+        candidates = [k for k in entered if self.stages[k].reentry]
         if not candidates:
             raise InvalidInputError(
                 "no stage that was entered may begin again; give one of them reentry=True, or make "

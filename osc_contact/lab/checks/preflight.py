@@ -405,7 +405,11 @@ class _Solid:
 
     @cached_property
     def shapes(self) -> list[tuple[Any, pin.SE3]]:
-        """Collision shapes of the body's file with their poses; empty unless all are convex."""
+        """Collision shapes (coal) of the body's file with their poses in the world.
+
+        It is empty where the file cannot be read, or has a shape that is not convex: the check of
+        clearances leaves this body out.
+        """
         try:
             parts = collision_shapes(self.urdf)
             return [(part.shape, self.placement * part.placement) for part in parts]
