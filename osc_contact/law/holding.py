@@ -66,11 +66,11 @@ def hold_posture(t):
     are held, J the Jacobian, and w the wrench for each arm's share of the object's weight and
     inertia. While joints are braked, q_hold moves with them, at most by the braking distance; a
     joint beyond it is pushed by an error of the modelled weight or by an object that another arm
-    has let go of. No acceleration is commanded to joints without a motor, since a freely swinging
-    joint must not drive others through the object. If motors cannot exert the braking torques,
-    these are reduced as a whole, and q_hold follows the joints, so that the torques dissipate
-    energy. Torques move in a straight line from the last ones, at the rate `BRAKE_RATE`, or faster
-    if a joint is above its speed limit or its motor at its torque limit.
+    has let go of. No acceleration is commanded to joints without a motor, which would drive others
+    through the object. If motors cannot exert the braking torques, these are reduced as a whole,
+    and q_hold follows the joints, so that the torques dissipate energy. Torques move in a straight
+    line from the last ones, at the rate `BRAKE_RATE`, or faster if a joint is above its speed limit
+    or its motor at its torque limit.
 
     Reads q and v of MEMORY. Fills `tau`, `step` and the holds of the joints.
 
