@@ -437,8 +437,7 @@ def rock(
         axes: axes in which `axis` is given.
 
     Raises:
-        InvalidInputError: the axis is zero, a number is not positive, or the acceleration is too
-            large.
+        InvalidInputError: zero axis, a number that is not positive, or a too large acceleration.
     """
     rock_axis = unit_vector("rock: axis", axis)
     amplitude = _positive("rock: angle", angle)
