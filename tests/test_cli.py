@@ -372,7 +372,7 @@ def test_view_refuses_what_it_cannot_show(ran, tmp_path, monkeypatch):
     bare = Recording({"contact_names": []}, {"t": np.zeros(1)}).save(tmp_path / "bare.npz")
     for line, words in {
         "--live --html x.html": "give one of",
-        "--duration 1": "change runs, not recordings",
+        "--duration 1": "change scenarios, not recordings",
         "--gif x.gif --time 0.5": "a GIF shows the whole recording",
         "--mp4 x.mp4 --time 0.5": "a video shows the whole recording",
         "--png x.png --time 7": "time 7 s is not in the recording, which spans 0 to 1.04",

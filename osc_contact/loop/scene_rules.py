@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import pinocchio as pin
 
 from osc_contact.contacts.feet import feet
 from osc_contact.contacts.pairs.pair import ContactPair, has_place, pushes_only
@@ -14,6 +15,7 @@ from osc_contact.loop.rules import Task, Values, rounded, rule
 from osc_contact.spatial import Array, norm
 
 NEAR_M = 0.02  #: m, largest gap at the start of contacts that are compared with the scene
+_ROUNDING_M = 1e-9  #: m; a gap of exactly `NEAR_M` counts on every processor
 SCENE_PROBE_M = 1e-3  #: m, step of the differences that give a normal of the scene
 PLACE_DOUBTFUL, PLACE_REFUSED = 0.002, 0.005  #: m, limits for positions of contacts and tool
 
@@ -39,10 +41,15 @@ def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]
         return
     X = task.state.X_WO
     for pair in task.pairs:
-        if has_place(pair) and pushes_only(pair) and np.abs(pair.gaps(X)).max() < NEAR_M:
+        if has_place(pair) and pushes_only(pair) and _is_near(pair, X):
             for point, inward in zip(*feet(pair, X), strict=True):
                 distance, geom = scene.distance(point)
                 yield pair, point, -inward, distance, geom
+
+
+def _is_near(pair: ContactPair, X: pin.SE3) -> bool:
+    """Whether the gaps of a pair are at most `NEAR_M` at the pose X of the object."""
+    return bool(np.abs(pair.gaps(X)).max() <= NEAR_M + _ROUNDING_M)
 
 
 @rule("{why}")
