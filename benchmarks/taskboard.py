@@ -129,7 +129,7 @@ def _with_wrist_sensor(build: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     def built(*arguments: Any) -> Any:
-        """Build the scene, and add the site and its sensors."""
+        """Build the scene of the package from its own arguments; add the site and its sensors."""
         spec = build(*arguments)
         spec.body(HAND).add_site(name=WRIST)
         kinds = {"force": mujoco.mjtSensor.mjSENS_FORCE, "torque": mujoco.mjtSensor.mjSENS_TORQUE}

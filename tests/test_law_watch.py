@@ -1020,7 +1020,7 @@ def test_arms_are_apart_where_one_shifts_or_turns_the_object_by_20_mm(turn, shif
 
 @parametrize("turn, gone", [(0.0, False), (0.1, True)])
 def test_an_arm_that_is_apart_from_the_object_has_let_go_below_half_of_its_share(turn, gone):
-    """As far as a bias of its wrist may be, without a load."""
+    """A wrist without a load may read as much as its bias, here 0.45 of the arm's share."""
     t = two_at_a_rod(turn)
     X = np.eye(4)
     t.memory.wrenches[1, :3] = (0.0, 0.0, 0.45 * 9.81)
@@ -1032,7 +1032,7 @@ def test_an_arm_that_is_apart_from_the_object_has_let_go_below_half_of_its_share
 
 @parametrize("apart, bears, brakes", [(0.09, 0.6, False), (0.11, 0.6, True), (0.11, 0.4, False)])
 def test_stopped_arms_that_fight_have_no_sound_estimated_speeds(apart, bears, brakes):
-    """Whatever they were stopped for: they hold an object apart, and both bear a load."""
+    """Both bear a load at an object that encoders place apart, after a stop for another reason."""
     t = two_at_a_rod(0.1)
     write(t.memory, derived=1, apart=apart, age=5000, cause=WRIST_FROZEN)
     t.memory.arms.load[:, 2] = (9.81, bears * 9.81)

@@ -320,7 +320,7 @@ def test_inspect_names_sets_of_contacts_that_a_wrist_does_not_distinguish(noise,
     """A ball in a corner of two walls, whose wrenches are 90 degrees apart."""
     wrist = f"{{rate: 1 kHz, force: {{noise: {noise} N}}, torque: {{noise: {noise / 10} Nm}}}}"
     rig = osc.build_rig(osc.load_scenario("scara_peg", [f"sensors.wrist={wrist}"]))
-    lines = [line for line in inspect_rig(rig).lines if line.startswith("not told apart")]
+    lines = [line for line in inspect_rig(rig).lines if line.startswith("not distinguished")]
     assert [line.rpartition(": ")[2] for line in lines] == ["; ".join(group) + "."] * bool(group)
     errors = wrench_errors(rig)
     assert (errors.force, errors.torque, errors.friction) == (noise, noise / 10, 0.3)

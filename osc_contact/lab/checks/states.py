@@ -38,8 +38,8 @@ def undistinguished(rig: Rig) -> Iterator[str]:
     for group in states.groups(rig.state.X_WO):
         if len(group) > 1:
             yield (
-                f"not told apart by the wrench, {errors.expected:.3g} N each, with friction up to "
-                f"{errors.friction:g}: {'; '.join(group)}."
+                f"not distinguished by the wrench, {errors.expected:.3g} N each, with friction "
+                f"up to {errors.friction:g}: {'; '.join(group)}."
             )
 
 
