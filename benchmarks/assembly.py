@@ -1,14 +1,18 @@
-"""A peg into a hole beside the modelled one: successes, times and peak forces.
+"""Pegs into holes beside the modelled ones: successes, times and peak forces.
 
-    python -m benchmarks.assembly [--count 10] [--seed 1000] [--peg round]
+    python -m benchmarks.assembly [--count 10] [--seed 1000] [--peg square|round|two_pins]
 
 A Panda inserts a peg of 20 mm into a hole, 30 mm deep, that is displaced by up to `offset` along
 each axis and by up to `tilt` about each axis, unknown to the plan; its clearance is known within
-20 µm. Wrist noise 0.2 N and 10 mN m, encoders of 18 bits, joint friction of 1 %, friction 0.2 of
-the hole, masses wrong by up to 5 %, default safety with a ceiling of 100 N. MuJoCo's
-contacts have solref (3 ms, 1) and solimp (0.6, 0.95, 0.2 mm), some 350 N/mm. One row for each seed,
-then the shares and quantiles. Peaks are those of the sum of all contact forces, and of a single
-contact, at the end of each millisecond.
+20 µm. With `two_pins`, two Pandas insert both pins of a bar, 240 mm apart, into two such holes of
+one block, which is displaced about its middle. Clearance, offset and tilt are 0.2 mm, 2 mm and 2
+degrees, of two pins 0.3 mm, 1 mm and 1 degree, unless given.
+
+Wrist noise 0.2 N and 10 mN m, encoders of 18 bits, joint friction of 1 %, friction 0.2 of the
+holes, masses wrong by up to 5 %, default safety with a ceiling of 100 N. MuJoCo's contacts have
+solref (3 ms, 1) and solimp (0.6, 0.95, 0.2 mm), some 350 N/mm. One row for each seed, then the
+shares and quantiles. Peaks are those of the sum of all contact forces, and of a single contact, at
+the end of each millisecond.
 """
 
 import logging
@@ -20,6 +24,11 @@ from rich.console import Console
 from osc_contact.contacts.insertion import Peg
 from osc_contact.lab.tasks.insertion import WIDTH, Insertion
 from osc_contact.lab.tasks.pegs import Inserted, insert
+from osc_contact.lab.tasks.two_pin_plan import insert_both
+from osc_contact.lab.tasks.two_pins import TwoPins
+
+#: Clearance (mm), offset (mm) and tilt (degrees) of each kind of peg.
+DEFAULTS = {"square": (0.2, 2.0, 2.0), "round": (0.2, 2.0, 2.0), "two_pins": (0.3, 1.0, 1.0)}
 
 
 def summary(results: list[Inserted]) -> str:
@@ -41,21 +50,21 @@ def summary(results: list[Inserted]) -> str:
 def main(
     count: int = 10,
     seed: int = 1000,
-    clearance: float = 0.2,
-    offset: float = 2.0,
-    tilt: float = 2.0,
     peg: str = "square",
+    clearance: float | None = None,
+    offset: float | None = None,
+    tilt: float | None = None,
 ) -> None:
     """Print the table; clearance and offset in mm, tilt in degrees."""
-    if peg not in ("square", "round"):
-        raise typer.BadParameter(f"{peg!r}; give square or round", param_hint="--peg")
+    if peg not in DEFAULTS:
+        raise typer.BadParameter(f"{peg!r}; give {', '.join(DEFAULTS)}", param_hint="--peg")
+    given = (clearance, offset, tilt)
+    sizes = [own if one is None else one for own, one in zip(DEFAULTS[peg], given, strict=True)]
     logging.disable(logging.WARNING)
     console = Console(width=140, highlight=False)
     results = []
     for k in range(seed, seed + count):
-        shape = Peg(peg, WIDTH)  # type: ignore[arg-type]  # one of the two, as checked
-        task = Insertion(shape, 1e-3 * clearance, k, 1e-3 * offset, float(np.radians(tilt)))
-        one = insert(task)
+        one = inserted(peg, k, 1e-3 * sizes[0], 1e-3 * sizes[1], float(np.radians(sizes[2])))
         results.append(one)
         words = "in" if one.success else f"not in: {one.reason[:60] or 'not seated'}"
         console.print(
@@ -65,6 +74,22 @@ def main(
             soft_wrap=True,
         )
     console.print(summary(results), soft_wrap=True)
+
+
+def inserted(peg: str, seed: int, clearance: float, offset: float, tilt: float) -> Inserted:
+    """Result of one insertion.
+
+    Args:
+        peg: key of `DEFAULTS`.
+        seed: seed of everything random.
+        clearance: width of the hole less that of the peg (m).
+        offset: largest displacement along each axis (m).
+        tilt: largest displacement about each axis (rad).
+    """
+    if peg == "two_pins":
+        return insert_both(TwoPins(seed, clearance, offset, tilt))
+    shape = Peg("round" if peg == "round" else "square", WIDTH)
+    return insert(Insertion(shape, clearance, seed, offset, tilt))
 
 
 if __name__ == "__main__":

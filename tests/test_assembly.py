@@ -10,7 +10,17 @@ from samples import parametrize
 import osc_contact as osc
 from benchmarks.assembly import summary
 from osc_contact.lab.tasks import pegs
-from osc_contact.lab.tasks.insertion import DEPTH, PERIOD, WIDTH, Insertion, World
+from osc_contact.lab.tasks.insertion import (
+    DEPTH,
+    LENGTH,
+    LOWER,
+    PERIOD,
+    SECTORS,
+    WIDTH,
+    Insertion,
+    World,
+    hole_solids,
+)
 from osc_contact.lab.tasks.packaged import TASKS, task_content
 from osc_contact.lab.tasks.pegs import (
     Inserted,
@@ -19,6 +29,8 @@ from osc_contact.lab.tasks.pegs import (
     peg_plan,
     peg_start,
 )
+from osc_contact.lab.tasks.two_pin_plan import bar_start, insert_both
+from osc_contact.lab.tasks.two_pins import BAR, HALF, TwoPins
 
 PEG = osc.Peg("square", WIDTH)
 
@@ -123,6 +135,49 @@ def test_contacts_of_the_plan_are_those_of_the_controller(robot):
     assert plan.stage.name == "weigh"
 
 
+def test_a_tip_slides_on_one_box_of_a_round_hole():
+    """Beside the line on which tips slide, boxes are lower, so that no edge of a side stops one."""
+    _, *around = hole_solids(task_of(shape="round").true_hole)
+    tops = np.array([box.centre[2] - 0.5 * box.edges[2] for box in around])
+    angles = np.array([box.turn for box in around])
+    on_axis = np.abs(np.sin(2.0 * angles)) < 1e-9
+    assert_allclose(tops[on_axis], 0.0, atol=1e-15)
+    assert_allclose(tops[~on_axis], LOWER, atol=1e-15)
+    assert on_axis.sum() == 4 and len(around) == SECTORS
+
+
+# --- two arms, two pins ---------------------------------------------------------------------------
+
+
+def test_two_arms_hold_the_bar_where_it_was_put():
+    task = TwoPins(5)
+    robot = task.robot(bar_start(task))
+    assert_allclose(robot.pose().homogeneous, bar_start(task).homogeneous, atol=1e-6)
+    measured = robot.measure()
+    assert measured.wrenches.shape == (2, 6)
+    block = task.true_block
+    for name, hole in task.true_holes.items():  # both holes move with the block
+        place = block.actInv(hole.pose)
+        expected = [-HALF if name == "left" else HALF, 0.0, 0.0]
+        assert_allclose(place.translation, expected, atol=1e-12)
+    bar = task.chain().body.inertia
+    assert bar.mass == approx(0.6)
+    apart = [pin.Inertia.FromCylinder(0.1, 0.5 * WIDTH, LENGTH)] * 2
+    moments = apart[0].inertia[1, 1] + apart[1].inertia[1, 1] + 0.2 * HALF**2
+    own = pin.Inertia.FromBox(0.4, *BAR).inertia[1, 1]
+    shift = 0.5 * LENGTH + 0.5 * BAR[2]  # between the middles of bar and pins
+    expected = moments + own + 0.4 * 0.2 / 0.6 * shift**2
+    assert bar.inertia[1, 1] == approx(expected, rel=1e-9)
+
+
+def test_both_pins_are_in_their_holes_at_once():
+    """The plan ends as done; the truth agrees, and no force was large."""
+    result = insert_both(TwoPins(3))
+    assert result.reason == "" and result.success, result
+    assert result.depth == approx(DEPTH, abs=1e-3)
+    assert result.largest_sum < 60.0
+
+
 # --- packaged tasks: one command, with files and a verdict ----------------------------------------
 
 
@@ -181,7 +236,7 @@ def test_options_of_scenarios_are_refused(option):
 
 def test_tasks_are_listed():
     _, found = answered("list")
-    assert set(found["tasks"]) == {"round_peg", "square_peg"} == set(TASKS)
+    assert set(found["tasks"]) == {"round_peg", "square_peg", "two_pins"} == set(TASKS)
 
 
 def test_summary():

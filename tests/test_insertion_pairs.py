@@ -90,6 +90,35 @@ def test_gaps_and_their_derivatives(shape, name, path):
     assert_allclose(contact.N.T @ contact.T, 0.0, atol=1e-12)
 
 
+@parametrize("shape", PAIRS)
+def test_a_peg_at_a_place_in_the_object_has_the_same_contacts(shape, path):
+    """Gaps, N and n_γ of one of several pegs are those of the peg alone, at another origin."""
+    place = pin.SE3(pin.exp3(np.array([0.3, -0.4, 0.2])), np.array([0.12, 0.03, -0.05]))
+    peg = osc.Peg(shape, 2 * PEG, place)
+    hole = osc.Hole(shape, 2 * HOLE, DEPTH, POSE)
+    pairs = osc.pairs_between(peg, hole, prefix="left ")
+    assert list(pairs) == [f"left {name}" for name in PAIRS[shape]]
+    X_peg = POSE * path(0.0)
+    X = X_peg * place.inverse()
+    w = POSE.rotation @ path.w[0]
+    to_peg = X_peg.translation - X.translation
+    V_peg = np.concatenate((POSE.rotation @ path.p[1], w))
+    V = np.concatenate((V_peg[:3] - np.cross(w, to_peg), w))
+    for name, alone in PAIRS[shape].items():
+        pair = pairs[f"left {name}"]
+        assert pair.name == f"left {name}"
+        assert_allclose(pair.gaps(X), alone.gaps(X_peg), atol=1e-12)
+        contact, reference = pair.contact(X, V), alone.contact(X_peg, V_peg)
+        shifted = reference.N + 0.0
+        shifted[3:] += np.cross(to_peg, reference.N[:3], axisb=0).T
+        # bases of a hole's directions follow the axes of the object: the spaces are the same
+        change = np.linalg.lstsq(shifted, contact.N, rcond=None)[0]
+        assert_allclose(shifted @ change, contact.N, atol=1e-10)
+        assert_allclose(contact.N.T @ V, change.T @ (reference.N.T @ V_peg), atol=1e-10)
+        if name != "hole":
+            assert_allclose(change, 1.0, atol=1e-10)
+
+
 @parametrize("shape, r, free", [("square", 5, [0, 0, 1, 0, 0, 0]), ("round", 4, None)])
 def test_a_peg_in_its_hole_moves_along_its_axis(shape, r, free):
     pair = PAIRS[shape]["hole"]

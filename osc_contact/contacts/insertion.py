@@ -49,17 +49,21 @@ class Peg:
     Attributes:
         shape: shape of the cross section. The sides of a square peg are along x and y.
         width: width of the sides, or diameter (m).
+        pose: pose of the peg's frame in that of the held object; it differs from the identity if
+            the object has several pegs.
 
     Raises:
         InvalidInputError: a width that is not positive.
 
     Example:
-        >>> print(osc.Peg("square", 0.02))
-        Peg(shape='square', width=0.02)
+        >>> peg = osc.Peg("square", 0.02)
+        >>> print(peg.shape, peg.width, peg.pose.translation)
+        square 0.02 [0. 0. 0.]
     """
 
     shape: Shape
     width: float
+    pose: pin.SE3 = field(default_factory=pin.SE3.Identity)
 
     def __post_init__(self) -> None:
         """Refuse another shape, or a width that is not positive."""
@@ -121,7 +125,7 @@ def _require_sizes(shape: Peg | Hole, *names: str) -> None:
             raise InvalidInputError(f"{name} = {getattr(shape, name)!r}; give metres, > 0")
 
 
-def pairs_between(peg: Peg, hole: Hole) -> dict[str, ContactPair]:
+def pairs_between(peg: Peg, hole: Hole, *, prefix: str = "") -> dict[str, ContactPair]:
     """Make the contact pairs that a peg and a hole can have, by their names.
 
     A plan names the pairs of each stage; the controller is made for the pairs of all stages.
@@ -140,8 +144,9 @@ def pairs_between(peg: Peg, hole: Hole) -> dict[str, ContactPair]:
     | `hole` | peg in the hole, free along its axis; a round peg is free to turn about it | 5, 4 |
 
     Args:
-        peg: peg, whose frame is that of the held object.
+        peg: peg at its place in the held object.
         hole: hole at its modelled pose.
+        prefix: beginning of all names, which distinguishes the pegs of an object, such as "left ".
 
     Raises:
         InvalidInputError: shapes of two kinds, or a peg that is not narrower than the hole.
@@ -159,7 +164,7 @@ def pairs_between(peg: Peg, hole: Hole) -> dict[str, ContactPair]:
             f"the peg is {1e3 * peg.width:g} mm wide and the hole {1e3 * hole.width:g} mm; give a "
             "hole that is wider"
         )
-    maker = _Pairs(peg, hole)
+    maker = _Pairs(peg, hole, prefix)
     pairs = maker.square() if peg.shape == "square" else maker.round()
     return {pair.name: pair for pair in pairs}
 
@@ -168,26 +173,32 @@ class _Pairs:
     """Maker of the pairs of a peg and a hole.
 
     Methods take points (3,) (m) and directions (3,) in the common frame of peg and hole; those of
-    the hole are transformed to the frame of its body.
+    the peg are transformed to the frame of the object, those of the hole to that of its body.
 
     Args:
         peg: peg.
         hole: hole.
+        prefix: beginning of all names.
     """
 
-    def __init__(self, peg: Peg, hole: Hole) -> None:
-        """Store half widths and depth (m), and the maps of the hole's points and directions.
+    def __init__(self, peg: Peg, hole: Hole, prefix: str) -> None:
+        """Store half widths and depth (m), and the maps of points and directions.
 
         Args:
-            peg: dimensions of the peg.
+            peg: dimensions of the peg, and its pose in the object.
             hole: dimensions and pose of the hole.
+            prefix: beginning of all names.
         """
+        self._prefix = prefix
         self._peg = 0.5 * peg.width
         self._hole = 0.5 * hole.width
         self._depth = hole.depth
         self._pose = hole.pose
+        self._peg_pose = peg.pose
         self._place: Callable[[Array], Array] = hole.pose.act
         self._rotate: Callable[[Array], Array] = lambda d: hole.pose.rotation @ d
+        self._place_peg: Callable[[Array], Array] = peg.pose.act
+        self._rotate_peg: Callable[[Array], Array] = lambda d: peg.pose.rotation @ d
 
     def square(self) -> Iterator[ContactPair]:
         """Yield the pairs of a square peg."""
@@ -207,7 +218,9 @@ class _Pairs:
                 offset = half * _APART * 2.0 * self._hole * along
                 yield self._side_on_rim(f"side {name} on rim {name}, {end}", direction, offset)
         yield from self._tip()
-        yield Prismatic([0, 0, 0], [0, 0, 1], self._pose, name="hole")
+        tip = self._place_peg(np.zeros(3))
+        seated = self._pose * self._peg_pose.inverse()  # pose of the object
+        yield Prismatic(tip, self._rotate_peg(_INTO), seated, name=f"{self._prefix}hole")
 
     def round(self) -> Iterator[ContactPair]:
         """Yield the pairs of a round peg, at its four sides, and 45° beside each of them.
@@ -225,10 +238,14 @@ class _Pairs:
                 beside = (side + sign * along) / sqrt(2.0)
                 yield self._side_on_rim(f"side {name} on rim {name}, {end}", beside, np.zeros(3))
         yield from self._tip()
-        middle = np.array([0.0, 0.0, -0.5 * self._depth])
-        on_axis = self._place(np.zeros(3))
-        axis = self._rotate(_INTO)
-        yield CylinderInHole(middle, _INTO, on_axis, axis, length=_LEVER, name="hole")
+        yield CylinderInHole(
+            self._place_peg(-0.5 * self._depth * _INTO),
+            self._rotate_peg(_INTO),
+            self._place(np.zeros(3)),
+            self._rotate(_INTO),
+            length=_LEVER,
+            name=f"{self._prefix}hole",
+        )
 
     def _tip(self) -> Iterator[ContactPair]:
         """Yield the pairs of the middle of the tip, with the face and with the bottom."""
@@ -244,7 +261,12 @@ class _Pairs:
             on: point of the plane.
             normal: normal out of the plane's material.
         """
-        return VertexOnFace(point, self._place(on), self._rotate(normal), name=name)
+        return VertexOnFace(
+            self._place_peg(point),
+            self._place(on),
+            self._rotate(normal),
+            name=self._prefix + name,
+        )
 
     def _on_wall(self, name: str, point: Array, side: str) -> ContactPair:
         """Pair of a point of the peg and the wall on a side of the hole, such as "+x"."""
@@ -274,7 +296,14 @@ class _Pairs:
         side = SIDES[rim]
         edge = self._rotate(np.cross(_INTO, side))
         on_rim = self._place(self._hole * side)
-        return EdgeOnEdge(point, direction, on_rim, edge, self._rotate(outward), name=name)
+        return EdgeOnEdge(
+            self._place_peg(point),
+            self._rotate_peg(direction),
+            on_rim,
+            edge,
+            self._rotate(outward),
+            name=self._prefix + name,
+        )
 
     def _side_on_rim(self, name: str, side: Array, offset: Array) -> ContactPair:
         """Pair of a side of the peg and a point of the rim.
@@ -285,4 +314,5 @@ class _Pairs:
             offset: offset of the point from the middle of the rim (m).
         """
         point = self._place(self._hole * side + offset)
-        return FaceOnVertex(self._peg * side, side, point, name=name)
+        on_side = self._place_peg(self._peg * side)
+        return FaceOnVertex(on_side, self._rotate_peg(side), point, name=self._prefix + name)

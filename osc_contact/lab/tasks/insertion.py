@@ -6,11 +6,13 @@ displacement drawn for each seed. Sensors, joints and masses err as `World` stat
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import pi
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -27,6 +29,7 @@ from osc_contact.lab.plants.joint_drives import JointDrives
 from osc_contact.lab.plants.mujoco import MujocoPlant
 from osc_contact.lab.plants.sensors import SensedPlant, SensorErrors, Sensors
 from osc_contact.lab.scenarios.hardware import Clock, PlantSpec
+from osc_contact.lab.tasks.solids import Solid, body_urdf
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.settings.control import EstimateSpec
 from osc_contact.spatial import Array
@@ -45,7 +48,10 @@ BELIEVED = pin.SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.5, 0.0, 0.3]))
 POSTURE = (0.0, 0.1, 0.0, -2.1, 0.0, 2.2, 0.785)  #: joint positions near the start (rad)
 TCP = 0.1034  #: distance from the hand to its tip frame (m)
 BASE = 0.10  #: distance from the hand to the base of the peg (m)
-SECTORS = 32  #: number of boxes of which a round hole is made
+SECTORS = 32  #: number of boxes of which a round hole is made, a multiple of 4
+#: Depth of the boxes of a round hole below those at ±x and ±y (m). A tip that slides from one box
+#: to another of the same height catches on the edge of its side, as it sinks in a little.
+LOWER = 5e-5
 
 
 @dataclass(frozen=True)
@@ -134,7 +140,7 @@ class Insertion:
             mass_factor=mass,
         )
         with TemporaryDirectory() as folder:
-            inertia = robots.load_body(_write_file(folder, "peg.urdf", peg_urdf(self.peg)))
+            inertia = robots.load_body(write_file(folder, "peg.urdf", peg_urdf(self.peg)))
         grasp = Grasp.rigid(pin.SE3(np.eye(3), np.array([0.0, 0.0, BASE + LENGTH - TCP])))
         return ClosedChain([arm], [grasp], RigidObject(inertia).scaled(held))
 
@@ -144,49 +150,98 @@ class Insertion:
         mass, held = 1.0 + self.world.masses * self.drawn[7:]
         return self.chain(float(mass), float(held))
 
+    @property
+    def scene(self) -> TaskScene:
+        """Peg, block with the true hole, and posture."""
+        return TaskScene(
+            object_urdf=peg_urdf(self.peg),
+            object_solids=[peg_solid(self.peg)],
+            block_solids=hole_solids(self.true_hole),
+            block_pose=self.true_hole.pose,
+            posture=np.array(POSTURE),
+        )
+
     def robot(self, start: pin.SE3) -> InsertionRobot:
         """Robot at rest with the peg at a pose."""
         return InsertionRobot(self, start)
 
 
-class InsertionRobot:
-    """Simulated Panda with a peg, with sensors that err, and its judge.
-
-    Args:
-        task: peg, hole and errors.
-        start: pose of the peg at first.
+@dataclass(frozen=True)
+class TaskScene:
+    """Object, block and arms of a task, for MuJoCo and for pictures.
 
     Attributes:
-        task: as given.
-        chain: true arm and peg.
+        object_urdf: text of the URDF of the held object.
+        object_solids: shapes of the held object.
+        block_solids: shapes of the block with its holes.
+        block_pose: true pose of the block in the world.
+        posture: (n,) joint positions near the start (rad).
+    """
+
+    object_urdf: str
+    object_solids: Sequence[Solid]
+    block_solids: Sequence[Solid]
+    block_pose: pin.SE3
+    posture: Array
+
+
+class Task(Protocol):
+    """Task of arms `ROBOT` that hold an object above a block with holes.
+
+    Attributes:
+        seed: seed of noise and errors.
+        world: errors of sensors, joints, masses and geometry.
+    """
+
+    @property
+    def seed(self) -> int:
+        """Seed of noise and errors."""
+
+    @property
+    def world(self) -> World:
+        """Errors of sensors, joints, masses and geometry."""
+
+    @property
+    def scene(self) -> TaskScene:
+        """Object, block and posture of the arms."""
+
+    def chain(self) -> ClosedChain:
+        """Make the true chain of arms and object."""
+
+
+class TaskRobot:
+    """Simulated arms with an object, with sensors that err, and the judge of a task.
+
+    Args:
+        task: arms, object, block and errors.
+        start: pose of the object at first.
+
+    Attributes:
+        chain: true arms and object.
         plant: MuJoCo, without errors of sensors.
         largest_sum: largest norm of the sum of contact forces so far (N).
         largest_single: largest force of a single contact so far (N).
     """
 
-    def __init__(self, task: Insertion, start: pin.SE3) -> None:
-        """Make plant, sensors and velocity estimate; the arm holds the peg at rest.
+    def __init__(self, task: Task, start: pin.SE3) -> None:
+        """Make plant, sensors and velocity estimate; the arms hold the object at rest.
 
         Args:
-            task: task with the true hole, the peg and the properties of the world.
-            start: pose of the peg in the world at the start.
+            task: task with the true scene and the properties of the world.
+            start: pose of the object in the world at the start.
         """
         world = task.world
-        # plant: MuJoCo reads peg and hole from files, which it needs during construction only
-        self.task = task
+        scene = task.scene
+        # plant: MuJoCo reads object and block from files, which it needs during construction only
         self.chain = chain = task.chain()
+        block = body_urdf("block", scene.block_solids)
         with TemporaryDirectory() as folder:
             self.plant = MujocoPlant(
                 chain,
-                [robots.find_robot(ROBOT)[0]],
-                _write_file(folder, "peg.urdf", peg_urdf(task.peg)),
+                [robots.find_robot(ROBOT)[0]] * len(chain.arms),
+                write_file(folder, "object.urdf", scene.object_urdf),
                 [],
-                [
-                    (
-                        _write_file(folder, "hole.urdf", hole_urdf(task.true_hole)),
-                        task.true_hole.pose,
-                    )
-                ],
+                [(write_file(folder, "block.urdf", block), scene.block_pose)],
                 options=PlantSpec(
                     step=world.step,
                     solref=world.solref,
@@ -207,7 +262,7 @@ class InsertionRobot:
         self._sensed = SensedPlant(self.plant, sensors, task.seed)
 
         # start at rest: motors carry the weight before the first tick
-        self.q_start = reach(chain, np.array(POSTURE), start)
+        self.q_start = reach(chain, scene.posture, start)
         self._sensed.reset(self.q_start)
         model = chain.model
         weight = pin.computeGeneralizedGravity(model, model.createData(), self.q_start)
@@ -221,7 +276,7 @@ class InsertionRobot:
         self.largest_single = 0.0
 
     def measure(self) -> Measurement:
-        """Read encoders and wrist; velocities are estimated."""
+        """Read encoders and wrists; velocities are estimated."""
         measurement = self._sensed.measure()
         q, v = self._velocities.update(measurement.q)
         return replace(measurement, q=np.array(q), v=np.array(v), estimated=True)
@@ -243,18 +298,18 @@ class InsertionRobot:
         """Do nothing: it is a simulation."""
 
     def _rub(self, friction: float) -> None:
-        """Set the coefficient of friction of the hole, with MuJoCo's own cone.
+        """Set the coefficient of friction of the block, with MuJoCo's own cone.
 
         The friction of `PlantSpec` is made for contacts that slide; a peg wedged between two walls
         chatters with it at the rate of the steps.
         """
         model = self.plant.model
-        hole = model.geom_contype != 0
-        model.geom_condim[hole] = 3
-        model.geom_friction[hole] = [friction, 0.0, 0.0]
+        touching = model.geom_contype != 0
+        model.geom_condim[touching] = 3
+        model.geom_friction[touching] = [friction, 0.0, 0.0]
 
     def contact_forces(self) -> Array:
-        """True forces (k, 3) of the k contacts between peg and hole, world axes (N)."""
+        """True forces (k, 3) of the k contacts of object and block, world axes (N)."""
         import mujoco
 
         model = self.plant.model
@@ -267,16 +322,41 @@ class InsertionRobot:
         return forces
 
     def speed(self) -> float:
-        """True speed of the tip of the peg (m/s)."""
+        """True speed of the object's origin (m/s)."""
         return float(np.linalg.norm(self.plant.truth().V_O[:3]))
+
+    def pose(self) -> pin.SE3:
+        """True pose of the object in the world."""
+        return pin.SE3(self.plant.poses()[0])
+
+
+class InsertionRobot(TaskRobot):
+    """Simulated Panda with a peg, with sensors that err, and its judge.
+
+    Args:
+        task: peg, hole and errors.
+        start: pose of the peg at first.
+
+    Attributes:
+        task: as given.
+    """
+
+    def __init__(self, task: Insertion, start: pin.SE3) -> None:
+        """Make plant, sensors and velocity estimate; the arm holds the peg at rest.
+
+        Args:
+            task: task with the true hole, the peg and the properties of the world.
+            start: pose of the peg in the world at the start.
+        """
+        super().__init__(task, start)
+        self.task = task
 
     def in_hole(self) -> pin.SE3:
         """True pose of the peg in the frame of the true hole."""
-        X_WO = pin.SE3(self.plant.poses()[0])
-        return self.task.true_hole.pose.actInv(X_WO)
+        return self.task.true_hole.pose.actInv(self.pose())
 
 
-def _write_file(folder: str, name: str, text: str) -> Path:
+def write_file(folder: str, name: str, text: str) -> Path:
     """Path of a new file with a text.
 
     Args:
@@ -289,34 +369,35 @@ def _write_file(folder: str, name: str, text: str) -> Path:
     return path
 
 
+def peg_solid(peg: Peg) -> Solid:
+    """Box or cylinder of a peg, along −z of its frame."""
+    edges = np.array([peg.width, peg.width, LENGTH])
+    return Solid(np.array([0.0, 0.0, -0.5 * LENGTH]), edges, is_cylinder=peg.shape == "round")
+
+
 def peg_urdf(peg: Peg) -> str:
-    """Make the URDF of a peg of 0.2 kg with its box or cylinder along −z of its frame.
+    """Make the URDF of a peg of 0.2 kg.
 
     `axial` and `bending` are the squared radii of gyration about the axis and across it (m²).
     """
-    half = 0.5 * peg.width
     if peg.shape == "square":
-        shape = f'<box size="{peg.width} {peg.width} {LENGTH}"/>'
         axial = peg.width**2 / 6.0
         bending = (peg.width**2 + LENGTH**2) / 12.0
     else:
-        shape = f'<cylinder radius="{half}" length="{LENGTH}"/>'
+        half = 0.5 * peg.width
         axial = half**2 / 2.0
         bending = (3.0 * half**2 + LENGTH**2) / 12.0
     mass = 0.2
-    body = f'<origin xyz="0 0 {-LENGTH / 2}"/><geometry>{shape}</geometry>'
-    return (
-        f'<robot name="peg"><link name="peg"><inertial><origin xyz="0 0 {-LENGTH / 2}"/>'
+    inertial = (
+        f'<inertial><origin xyz="0 0 {-LENGTH / 2}"/>'
         f'<mass value="{mass}"/><inertia ixx="{mass * bending}" ixy="0" ixz="0" '
         f'iyy="{mass * bending}" iyz="0" izz="{mass * axial}"/></inertial>'
-        f"<visual>{body}</visual><collision>{body}</collision></link></robot>"
     )
+    return body_urdf("peg", [peg_solid(peg)], inertial)
 
 
-def hole_boxes(hole: Hole) -> list[tuple[Array, Array, float]]:
-    """Boxes of a block with a hole: centre (3,) (m), edges (3,) (m) and turn about z (rad) of each.
-
-    They are in the frame of the hole; the first one is the bottom.
+def hole_solids(hole: Hole) -> list[Solid]:
+    """Boxes of a block with a hole, in the frame of the hole; the first one is the bottom.
 
     Args:
         hole: hole, whose pose does not matter.
@@ -333,18 +414,10 @@ def hole_boxes(hole: Hole) -> list[tuple[Array, Array, float]]:
             boxes.append(((x, y, middle), (2.0 * half, WALL, hole.depth), 0.0))
     else:
         width = 2.0 * (half + WALL) * np.tan(pi / SECTORS)
-        for angle in np.arange(SECTORS) * (2.0 * pi / SECTORS):
-            at = (half + thick) * np.array([np.cos(angle), np.sin(angle)])
-            boxes.append(((*at.tolist(), middle), (WALL, width, hole.depth), float(angle)))
-    return [(np.array(centre), np.array(edges), turn) for centre, edges, turn in boxes]
-
-
-def hole_urdf(hole: Hole) -> str:
-    """URDF of a block with a hole in the frame of the hole."""
-    parts = []
-    for centre, edges, turn in hole_boxes(hole):
-        shape = f'<geometry><box size="{" ".join(map(str, edges))}"/></geometry>'
-        xyz = " ".join(map(str, centre))
-        body = f'<origin xyz="{xyz}" rpy="0 0 {turn}"/>{shape}'
-        parts.append(f"<visual>{body}</visual><collision>{body}</collision>")
-    return f'<robot name="hole"><link name="hole">{"".join(parts)}</link></robot>'
+        for k in range(SECTORS):
+            angle = k * (2.0 * pi / SECTORS)
+            top = 0.0 if k % (SECTORS // 4) == 0 else LOWER
+            x, y = ((half + thick) * np.array([np.cos(angle), np.sin(angle)])).tolist()
+            edges = (WALL, width, hole.depth - top)
+            boxes.append(((x, y, middle + 0.5 * top), edges, angle))
+    return [Solid(np.array(centre), np.array(edges), turn) for centre, edges, turn in boxes]

@@ -6,62 +6,129 @@ cannot have.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
 
 from osc_contact import robots
-from osc_contact.contacts.insertion import Peg, Shape
+from osc_contact.contacts.insertion import Peg
+from osc_contact.control.controller import Controller
 from osc_contact.errors import RecordingError, did_you_mean
 from osc_contact.files import Json
+from osc_contact.lab.tasks import pegs, two_pin_plan
 from osc_contact.lab.tasks.insertion import (
     CLEARANCE,
     FINGERS,
-    LENGTH,
     ROBOT,
     WIDTH,
     Insertion,
-    hole_boxes,
+    Task,
+    TaskRobot,
 )
-from osc_contact.lab.tasks.pegs import Inserted, judged, prepared
+from osc_contact.lab.tasks.pegs import Inserted
+from osc_contact.lab.tasks.solids import picture
+from osc_contact.lab.tasks.two_pins import TwoPins
 from osc_contact.lab.visual.parts import Content, Visual
 from osc_contact.loop.loop import run_loop
 from osc_contact.loop.recorder import Recorder
-from osc_contact.plan.plan import Outcome
+from osc_contact.plan.plan import Outcome, Plan
 from osc_contact.recorder import Recording
-from osc_contact.spatial import Array
 
 PEG_COLOUR = (0.85, 0.55, 0.2, 1.0)  #: red, green, blue, opacity
 BLOCK_COLOUR = (0.55, 0.65, 0.75, 0.35)  #: the peg is seen through the block
-_CYLINDER, _BOX = 5, 6  #: numbers of shapes in pictures, see `robots.pictures`
+
+
+@dataclass(frozen=True)
+class PreparedTask:
+    """Task of a seed that is ready to run.
+
+    Attributes:
+        robot: simulated arms at their start.
+        plan: plan of the task.
+        controller: controller of the contacts that the plan names.
+        judged: function that returns the result after the run, from the truth.
+    """
+
+    robot: TaskRobot
+    plan: Plan
+    controller: Controller
+    judged: Callable[[], Inserted]
 
 
 @dataclass(frozen=True)
 class PackagedTask:
-    """Task of the command line: a peg of some shape that a Panda inserts.
+    """Task of the command line: an object that arms insert.
 
     Attributes:
         name: name of the task.
         description: sentence for lists.
-        shape: shape of the peg.
+        world: function that draws the task of a seed, with the errors of `World`.
+        prepare: function that makes robot, plan and controller of a seed.
     """
 
     name: str
     description: str
-    shape: Shape
+    world: Callable[[int], Task]
+    prepare: Callable[[int], PreparedTask]
 
-    def insertion(self, seed: int) -> Insertion:
-        """Peg and hole of a seed, with the errors of `World` and the default misplacement."""
-        return Insertion(Peg(self.shape, WIDTH), CLEARANCE, seed)
+
+def _peg_world(shape: Literal["square", "round"], seed: int) -> Insertion:
+    """Peg and hole of a seed, with the default misplacement.
+
+    Args:
+        shape: shape of the peg.
+        seed: seed of everything random.
+    """
+    return Insertion(Peg(shape, WIDTH), CLEARANCE, seed)
+
+
+def _prepare_peg(shape: Literal["square", "round"], seed: int) -> PreparedTask:
+    """Robot, plan and controller of a peg.
+
+    Args:
+        shape: shape of the peg.
+        seed: seed of everything random.
+    """
+    world = _peg_world(shape, seed)
+    robot, plan, controller = pegs.prepared(world)
+    return PreparedTask(robot, plan, controller, partial(pegs.judged, world, robot, plan))
+
+
+def _prepare_two_pins(seed: int) -> PreparedTask:
+    """Robot, plan and controller of a bar with two pins.
+
+    Args:
+        seed: seed of everything random.
+    """
+    world = TwoPins(seed)
+    robot, plan, controller = two_pin_plan.prepared(world)
+    return PreparedTask(robot, plan, controller, partial(two_pin_plan.judged, world, robot, plan))
 
 
 _TASKS = (
-    PackagedTask("round_peg", "a Panda inserts a round peg into a misplaced hole", "round"),
-    PackagedTask("square_peg", "a Panda inserts a square peg into a misplaced hole", "square"),
+    PackagedTask(
+        "round_peg",
+        "a Panda inserts a round peg into a misplaced hole",
+        partial(_peg_world, "round"),
+        partial(_prepare_peg, "round"),
+    ),
+    PackagedTask(
+        "square_peg",
+        "a Panda inserts a square peg into a misplaced hole",
+        partial(_peg_world, "square"),
+        partial(_prepare_peg, "square"),
+    ),
+    PackagedTask(
+        "two_pins",
+        "two Pandas insert both pins of a bar into two misplaced holes at once",
+        TwoPins,
+        _prepare_two_pins,
+    ),
 )
 TASKS = {task.name: task for task in _TASKS}  #: packaged tasks by name
 
@@ -81,15 +148,14 @@ def run_task(
         journal: file of the rows during the run; None: a temporary file.
         progress: function that is called with the simulated time (s) every 100 ticks.
     """
-    insertion = task.insertion(seed)
-    robot, plan, controller = prepared(insertion)
+    ready = task.prepare(seed)
+    plan = ready.plan
     meta = {"packaged_task": task.name, "seed": seed}
-    recorder = Recorder(controller, journal=journal, meta=meta)
+    recorder = Recorder(ready.controller, journal=journal, meta=meta)
     # not checked: the checks before a run take the sides of a peg above its hole for endless faces,
     # which press into rims. The plan is checked in any case.
-    run_loop(robot, controller, plan, recorder=recorder, progress=progress, check=False)
-    inserted = judged(insertion, robot, plan)
-    return recorder.recording({"plan": plan.as_dict(), "inserted": asdict(inserted)})
+    run_loop(ready.robot, ready.controller, plan, recorder=recorder, progress=progress, check=False)
+    return recorder.recording({"plan": plan.as_dict(), "inserted": asdict(ready.judged())})
 
 
 def task_of(meta: Mapping[str, Any]) -> PackagedTask:
@@ -140,58 +206,26 @@ def task_verdict(recording: Recording) -> Json:
 
 
 def task_content(recording: Recording) -> Content:
-    """Content of pictures of a task's recording: arm, peg, and the block with the true hole.
+    """Content of pictures of a task's recording: arms, object, and the block with its true holes.
 
     Args:
         recording: recording by `run_task`.
     """
     meta = recording.meta
     task = task_of(meta)
-    insertion = task.insertion(int(meta["seed"]))
-    joints = len(meta["joint_names"])
+    world = task.world(int(meta["seed"]))
+    scene = world.scene
     file, folder = robots.find_robot(ROBOT)
-    at_rest = pin.SE3.Identity()
-    arm = Visual(ROBOT, file, (folder,), at_rest, slice(0, joints), FINGERS)
-    block = [_box(*box) for box in hole_boxes(insertion.true_hole)]
+    arms = []
+    joints = 0
+    for arm in world.chain().arms:
+        positions = slice(joints, joints + arm.model.nq)
+        base = arm.base or pin.SE3.Identity()
+        arms.append(Visual(arm.name, file, (folder,), base, positions, FINGERS))
+        joints = positions.stop
     bodies = [
-        Visual("object", _picture([_peg_shape(insertion.peg)], PEG_COLOUR), (), None),
-        Visual("block", _picture(block, BLOCK_COLOUR), (), insertion.true_hole.pose),
+        Visual("object", picture(scene.object_solids, PEG_COLOUR), (), None),
+        Visual("block", picture(scene.block_solids, BLOCK_COLOUR), (), scene.block_pose),
     ]
     title = task.name.replace("_", " ")
-    return Content(title, [arm], bodies, meta["contact_names"], meta["columns"], joints)
-
-
-def _picture(shapes: Sequence[Json], colour: Sequence[float]) -> Json:
-    """Picture of shapes of one body, see `robots.pictures`.
-
-    Args:
-        shapes: shapes with their places.
-        colour: red, green, blue and opacity of all.
-    """
-    return {"joints": [], "shapes": [{"joint": 0, "rgba": list(colour), **one} for one in shapes]}
-
-
-def _box(centre: Array, edges: Array, turn: float) -> Json:
-    """Box in a picture.
-
-    Args:
-        centre: (3,) its centre (m).
-        edges: (3,) lengths of its edges (m).
-        turn: its turn about z (rad).
-    """
-    place = pin.SE3(pin.exp3(np.array([0.0, 0.0, turn])), centre)
-    return {
-        "kind": _BOX,
-        "size": (0.5 * edges).tolist(),
-        "place": pin.SE3ToXYZQUAT(place).tolist(),
-    }
-
-
-def _peg_shape(peg: Peg) -> Json:
-    """Box or cylinder of a peg in a picture, along −z of its frame."""
-    half = 0.5 * LENGTH
-    centre = np.array([0.0, 0.0, -half])
-    if peg.shape == "square":
-        return _box(centre, np.array([peg.width, peg.width, LENGTH]), 0.0)
-    size = [0.5 * peg.width, half, 0.0]
-    return {"kind": _CYLINDER, "size": size, "place": [*centre.tolist(), 0.0, 0.0, 0.0, 1.0]}
+    return Content(title, arms, bodies, meta["contact_names"], meta["columns"], joints)

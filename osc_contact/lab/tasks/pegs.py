@@ -9,6 +9,7 @@ diagonal, so that its lowest point is a corner; a round peg about y.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import acos, atan2, cos, hypot, radians, sqrt
 
@@ -16,8 +17,10 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.insertion import CORNERS, SIDES, Hole, Peg, pairs_between
+from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.controller import Controller
-from osc_contact.lab.tasks.insertion import Insertion, InsertionRobot
+from osc_contact.dynamics.closed_chain import ClosedChain
+from osc_contact.lab.tasks.insertion import Insertion, InsertionRobot, TaskRobot
 from osc_contact.loop.loop import run_loop
 from osc_contact.plan.ends import End, after, at_rest, finished, lost, made, moved, pressed, when
 from osc_contact.plan.motions import along, to, turn_to
@@ -93,17 +96,30 @@ def prepared(task: Insertion) -> tuple[InsertionRobot, Plan, Controller]:
 
 
 def controller_of(task: Insertion, plan: Plan, robot: InsertionRobot) -> Controller:
-    """Controller of the contacts that a plan names, with default safety but for its ceilings.
+    """Controller of the contacts that a plan names.
 
     Args:
         task: models of arm, peg and hole.
         plan: plan that names the contacts.
         robot: robot at rest at the start.
     """
-    touch = pairs_between(task.peg, task.hole)
+    return controller_for(task.model, pairs_between(task.peg, task.hole), plan, robot)
+
+
+def controller_for(
+    model: ClosedChain, pairs: Mapping[str, ContactPair], plan: Plan, robot: TaskRobot
+) -> Controller:
+    """Controller of the contacts that a plan names, with default safety but for its ceilings.
+
+    Args:
+        model: modelled arms and object.
+        pairs: contact pairs by name.
+        plan: plan that names the contacts.
+        robot: robot at rest at the start.
+    """
     return Controller(
-        task.model,
-        [touch[name] for name in plan.contacts],
+        model,
+        [pairs[name] for name in plan.contacts],
         GAINS,
         B=METRIC,
         posture=robot.q_start,
@@ -123,14 +139,30 @@ def judged(task: Insertion, robot: InsertionRobot, plan: Plan) -> Inserted:
         plan: plan that has ended.
     """
     X = robot.in_hole()
-    depth = float(X.translation[2])
-    tilt = atan2(hypot(X.rotation[0, 2], X.rotation[1, 2]), X.rotation[2, 2])
     across = task.clearance * float(np.linalg.norm(_way(task.peg).lowest))  # corners: the diagonal
-    permitted = across / (task.hole.depth - SEATED)
-    seated = abs(task.hole.depth - depth) < SEATED and tilt <= permitted
-    resting = robot.speed() < STILL
+    return result_of(
+        robot, plan, float(X.translation[2]), X.rotation[:, 2], task.hole.depth, across
+    )
+
+
+def result_of(
+    robot: TaskRobot, plan: Plan, depth: float, axis: Array, hole_depth: float, clearance: float
+) -> Inserted:
+    """Result of a plan that has ended, from the true place of the object.
+
+    Args:
+        robot: judge of the run.
+        plan: plan that has ended.
+        depth: depth of the tip in its hole (m).
+        axis: (3,) axis of the peg in the frame of the hole.
+        hole_depth: depth of the hole (m).
+        clearance: width of the hole less that of the peg, where it is largest (m).
+    """
+    tilt = atan2(hypot(axis[0], axis[1]), axis[2])
+    is_in = abs(hole_depth - depth) < SEATED and tilt <= clearance / (hole_depth - SEATED)
+    is_resting = robot.speed() < STILL
     return Inserted(
-        success=plan.outcome is Outcome.DONE and seated and resting,
+        success=plan.outcome is Outcome.DONE and is_in and is_resting,
         reason=plan.reason,
         depth=depth,
         tilt=tilt,
