@@ -160,7 +160,7 @@ def test_two_arms_hold_the_bar_where_it_was_put():
         place = block.actInv(hole.pose)
         expected = [-HALF if name == "left" else HALF, 0.0, 0.0]
         assert_allclose(place.translation, expected, atol=1e-12)
-    bar = task.chain().body.inertia
+    bar = task.chain().payload.inertia
     assert bar.mass == approx(0.6)
     apart = [pin.Inertia.FromCylinder(0.1, 0.5 * WIDTH, LENGTH)] * 2
     moments = apart[0].inertia[1, 1] + apart[1].inertia[1, 1] + 0.2 * HALF**2
