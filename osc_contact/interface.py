@@ -152,7 +152,14 @@ class Measurement:
         Args:
             q, v: (n,) joint positions (rad, m) and velocities (rad/s, m/s).
             wrenches: (arms, 6) of the wrist sensors (N, N m).
-            touched, joint_torques, stamps, seen, wrench_valid, sequence, estimated: see the class.
+            touched: motion of the bodies at the contacts; None: they are at rest.
+            joint_torques: (n_a,) readings of joint torque sensors (N m, N); None: no such sensors.
+            stamps: sampling times; None: all readings are of this instant.
+            seen: object and tips as seen by a camera; None: no camera.
+            wrench_valid: False: `wrenches` is not a new reading; None: valid unless checks find
+                otherwise.
+            sequence: number of the packet; None: packets are not numbered.
+            estimated: True if v was estimated from q.
         """
         self.__dict__.update(
             q=_readable(q),

@@ -204,12 +204,16 @@ class _StopAndGo:
     """
 
     def __init__(self, x: Array, v: Array, a: Array, goal: Array, limits: Array) -> None:
-        """Compute the trajectory.
+        """Compute a trajectory that stops first, and then goes along a straight line to the goal.
+
+        Each of the n coordinates is brought to rest independently, as fast as its limits permit.
+        From where all of them rest, the line is followed with one speed profile, whose limits are
+        those of the coordinate that would reach its own first.
 
         Args:
             x, v, a: (n,) position, velocity and acceleration at the beginning.
             goal: (n,) position at the end.
-            limits: (3, n) of velocity, acceleration and jerk.
+            limits: (3, n) largest velocity, acceleration and jerk of each coordinate.
         """
         # first part: every coordinate is brought to rest independently, the last one at `_stopped`
         self._begin = (x, v, a)

@@ -26,7 +26,7 @@ def Omega_f(N: Array, A_inv: Array) -> Array:
         A_inv: (6, 6) inverse of the inertia A, positive semidefinite.
 
     Raises:
-        ContactError: see `orthonormal`.
+        ContactError: columns are zero or dependent, or the metric is singular along one of them.
     """
     return _onto(N, A_inv, "Ω_f")
 
@@ -39,7 +39,7 @@ def Omega_f_bar(T: Array, A: Array) -> Array:
         A: (6, 6) inertia, positive semidefinite.
 
     Raises:
-        ContactError: see `orthonormal`.
+        ContactError: columns are zero or dependent, or the metric is singular along one of them.
     """
     return _onto(T, A, "Ω̄_f").T
 
@@ -52,7 +52,7 @@ def Omega_m(T: Array, B_inv: Array) -> Array:
         B_inv: (6, 6) inverse of the mobility B, positive semidefinite.
 
     Raises:
-        ContactError: see `orthonormal`.
+        ContactError: columns are zero or dependent, or the metric is singular along one of them.
     """
     return _onto(T, B_inv, "Ω_m")
 
@@ -65,7 +65,7 @@ def Omega_m_bar(N: Array, B: Array) -> Array:
         B: (6, 6) mobility, positive semidefinite.
 
     Raises:
-        ContactError: see `orthonormal`.
+        ContactError: columns are zero or dependent, or the metric is singular along one of them.
     """
     return _onto(N, B, "Ω̄_m").T
 
@@ -79,7 +79,7 @@ def _onto(columns: Array, metric: Array, subject: str) -> Array:
         subject: name of the result, for messages.
 
     Raises:
-        ContactError: see `orthonormal`.
+        ContactError: columns are zero or dependent, or the metric is singular along one of them.
     """
     E, W, _ = orthonormal(columns, metric, subject)
     return E @ W.T
@@ -332,7 +332,7 @@ def left_inverse(columns: Array, metric: Array, subject: str) -> Array:
         subject: name of the columns, for messages.
 
     Raises:
-        ContactError: see `orthonormal`.
+        ContactError: columns are zero or dependent, or the metric is singular along one of them.
     """
     _, W, G = orthonormal(columns, metric, subject)
     return G @ W.T

@@ -201,7 +201,13 @@ class _Pairs:
         self._rotate_peg: Callable[[Array], Array] = lambda d: peg.pose.rotation @ d
 
     def square(self) -> Iterator[ContactPair]:
-        """Yield the pairs of a square peg."""
+        """Yield the pairs that a square peg and the hole can make, one after the other.
+
+        They are corners of the tip on the face, on walls and on rims; edges of the tip on the rims
+        that they cross; sides of the peg on the rim beside them, in the middle and near both ends;
+        the pairs of the tip with the bottom; and the peg inserted, which only slides along the
+        hole.
+        """
         for name, corner in CORNERS.items():
             tip = self._peg * corner
             yield self._on_plane(f"corner {name} on face", tip, np.zeros(3), _OUT)

@@ -90,7 +90,11 @@ class Changes:
         return self._buffer.tobytes()
 
     def look(self) -> Sequence[Event]:
-        """Compare the controller with its state at the previous look; return the events between."""
+        """Compare the controller with its state at the previous look; return the events between.
+
+        Compared are the bytes of the watched fields of MEMORY; the first look at new records has no
+        events.
+        """
         if self._controller.records is not self._records:
             self._take_records()
             return ()

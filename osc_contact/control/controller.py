@@ -492,7 +492,8 @@ class Controller(ControllerState):
     def _hand_over(self) -> None:
         """Convert the command of the motion integral to the constant wrench `f_bias` of MEMORY.
 
-        Runs part HAND_OVER of the law, which reads WORK of the last tick and no measurement.
+        Runs part HAND_OVER of the law, which reads WORK of the last tick and no measurement: the
+        positions and readings given to it are zeros that it does not use.
         """
         zeros = np.zeros(self.chain.nq)
         self.records.hold(zeros, zeros, reading=0.0, begin=HAND_OVER)

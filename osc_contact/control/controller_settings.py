@@ -90,6 +90,10 @@ class Settings:
     def __post_init__(self) -> None:
         """Check all settings, and replace lists, numbers and omitted values by checked ones.
 
+        Contacts and bodies become tuples, the posture an array (n,; rad, m), joint friction its
+        settings or None, and the method of reading contact forces is chosen for the contacts if it
+        is not given.
+
         Raises:
             InvalidInputError, ModelError: see the class.
         """

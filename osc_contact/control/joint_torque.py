@@ -47,7 +47,12 @@ class JointTorqueLoop:
     settings: JointTorqueSpec
 
     def __post_init__(self) -> None:
-        """Compute gains and bandwidth of the loop from stiffness and motor inertia.
+        """Compute gains and bandwidth of the loop from stiffness and motor inertia of each joint.
+
+        With the stiffness K (N m/rad) of the joint's spring, the inertia J (kg m²) of its motor and
+        the gain k of the loop, the bandwidth is ω = √(K(1 + k)/J) (rad/s), and the gain of the
+        torque's rate 2ζ(1 + k)/ω (s) gives the damping ratio ζ. The rate is that of an estimate
+        from torque readings.
 
         Raises:
             InvalidInputError: a stiffness or inertia is not positive, or the sampled loop is

@@ -161,6 +161,7 @@ def pack_gains(settings: Settings, head: View) -> None:
     )
     head.hold_gain = force.hold_integral
     head.hold_brake = force.hold_brake
+    # share of one tick in a low-pass with the rate `drift`; 0 without brake and estimated normals
     drifts = force.brake > 0.0 or force.tilt > 0.0
     head.drift_share = -np.expm1(-force.drift * dt) if drifts else 0.0
     head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # length of the chord between unit normals
@@ -208,6 +209,11 @@ def pack_safety(settings: Settings, head: View) -> None:
 
 def _pack_joints(settings: Settings, head: View) -> None:
     """Fill the joints of MODEL: motors, limits, effort, posture and margins of the joint limits.
+
+    Fills of each joint `motor` (number of its motor; unchanged, −1, without one), `tau_max` (N m,
+    N), `effort` and `ease` (square of the torque by which the effort of a motor is measured, and
+    its inverse), `rated` and `speed_max` (speed limit, with and without that of passive joints),
+    `posture` (rad, m), and the margins in which the posture law repels joints from their limits.
 
     Args:
         settings: settings of the controller.

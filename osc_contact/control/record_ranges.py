@@ -325,10 +325,12 @@ def _read_sum(text: str) -> Sum:
 
 
 def names_in(text: str) -> set[str]:
-    """Set of the names in a relation.
+    """Set of the names in a relation between numbers of a record.
+
+    A relation compares sums of products of names and whole numbers; " or " separates alternatives.
 
     Args:
-        text: relation in Python's syntax.
+        text: relation, such as "n_bars == 0 or 0 <= first <= row + 1".
     """
     words: set[str] = set()
     for sums, _ in read_relation(text):
@@ -339,10 +341,13 @@ def names_in(text: str) -> set[str]:
 
 
 def _holds(text: str, value: Callable[[str], int]) -> bool:
-    """True if one of the alternatives of a relation holds.
+    """Determine whether one of the alternatives of a relation holds.
+
+    A relation compares sums of products of names and whole numbers, each with its neighbour, by <=,
+    == or !=; " or " separates alternatives.
 
     Args:
-        text: relation, see `read_relation`.
+        text: relation, such as "n_bars == 0 or 0 <= first <= row + 1".
         value: function from a name to its value.
     """
     compare = {"<=": operator.le, "==": operator.eq, "!=": operator.ne}
@@ -351,6 +356,7 @@ def _holds(text: str, value: Callable[[str], int]) -> bool:
             sum(factor * math.prod(map(value, names)) for factor, names in products)
             for products in sums
         ]
+        # all comparisons of an alternative must be true
         neighbours = zip(pairwise(numbers), signs, strict=True)
         if all(
             compare[sign](left_value, right_value) for (left_value, right_value), sign in neighbours

@@ -127,7 +127,11 @@ class TickRecords:
         return bool(law_rows()(self.rows.raw, 0, inputs) == _ENDED_OK)
 
     def forget(self) -> None:
-        """Zero integrals, counters and histories; keep tare, bias, phases and learned values."""
+        """Zero integrals, counters and histories; keep tare, bias, phases and learned values.
+
+        `FORGOTTEN` names fields of the head of MEMORY, `FORGOTTEN_TABLES` fields of the rows of its
+        tables; without names all fields of the rows are zeroed.
+        """
         for name in FORGOTTEN:
             self.memory.head[name] = 0
         for table, names in FORGOTTEN_TABLES.items():
@@ -200,11 +204,17 @@ class TickRecords:
     def lost_directions(self, names: list[str]) -> tuple[LostDirection, ...]:
         """List the directions of motion that arms lose near singular postures.
 
+        Each has the arm's name, the share of the command that is executed along it, the ratio 1/χ²
+        of the arm's inertia there to the reference inertia, and the twist (6,) at O in world axes,
+        scaled to a speed of 1 m/s, or to 1 rad/s where O is at rest. χ is the distance from the
+        singular posture.
+
         Args:
             names: names of the arms, in the order of the chain.
         """
         if not self.work.n_lost:
             return ()
+        # `lost` of an arm is a wrench; divided by the reference inertia it is a motion
         to_motion = self.motions() / self.model.reference
         directions = []
         for name, arm in zip(names, self.work.arms, strict=True):

@@ -29,8 +29,11 @@ class TickResult:
     Attributes:
         records: records of the controller.
         f_meas, bias_out: (6,) sum of the wrist readings less tare; its prediction without contact.
-        f_c: (6,) measured contact wrench. V_O: (6,) twist of the object. X_WO: (4, 4) its pose.
-        error: (6,) pose error. free_error: (6,) the part of it that arms and contacts permit.
+        f_c: (6,) measured contact wrench.
+        V_O: (6,) twist of the object.
+        X_WO: (4, 4) its pose.
+        error: (6,) pose error.
+        free_error: (6,) the part of it that arms and contacts permit.
     """
 
     def __init__(self, records: TickRecords) -> None:
@@ -168,7 +171,11 @@ class Signals(TickResult):
 
     @cached_property
     def environment(self) -> Environment:
-        """Inverse inertia Φ_e, bias b_e and twist V_e of the touched bodies together."""
+        """Inverse inertia Φ_e, bias b_e and twist V_e of the bodies that all active contacts touch.
+
+        They are at O in world axes. Contacts on one body share its environment; different bodies
+        are combined along the contact normals. Without measured motions the environment is at rest.
+        """
         if not self.moving:
             return Environment.fixed()
         touched = self.records.model.bodies.same[self._active_contacts].tolist()

@@ -40,7 +40,7 @@ class StartCheck:
     """
 
     def __init__(self) -> None:
-        """Begin before the first tick, without readings."""
+        """Begin before the first tick: no check is done, no readings of wrists are collected."""
         self.done = False
         self.refused = ""
         self.inside = False

@@ -58,6 +58,9 @@ class MotorLimits:
     def given_up(self, rows: TickRecords) -> LimitLoss:
         """Compute the losses of the tick in which `relieve` was called last.
 
+        They are the motors at their limits with their desired torques, and the commanded less the
+        resulting contact forces (N), motion (6,; at O in world axes, m/s², rad/s²) and squeeze (N).
+
         Args:
             rows: records of this tick.
         """
@@ -93,9 +96,9 @@ def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
     memory = rows.memory
     desired = rows.work.joints.tau[chain.actuated]
     share = np.abs(desired) / chain.tau_max
-    motor = np.argmax(share)
+    motor = np.argmax(share)  # the motor that exceeds its limit by the largest factor
     tau = desired / share[motor]
-    if memory.ticked > 1:
+    if memory.ticked > 1:  # limited in its rate, too, as other torques are
         step = rows.model.torque_rate * rows.model.period * chain.tau_max
         change = tau - memory.torques
         tau = memory.torques + change / max(1.0, np.max(np.abs(change) / step))

@@ -99,11 +99,15 @@ def explained_approaches(records: TickRecords, settings: Settings) -> str:
 
 
 def standing_approaches(records: TickRecords, settings: Settings) -> str:
-    """Sentence on approaches that ended after `travel` without contact, with the remaining gap.
+    """Sentence on approaches that ended after `travel` (m) without contact, with the remaining gap.
 
     Args:
-        records: `TickRecords` of the last tick.
+        records: records of the last tick.
         settings: settings of the controller.
+
+    Returns:
+        One sentence for each contact that is still approached after `travel` divided by the
+        approach speed, joined; "" if there are none, or without contact phases.
     """
     if settings.life is None:
         return ""

@@ -173,7 +173,11 @@ class _Gain(NamedTuple):
 
 
 def _gains() -> list[_Gain]:
-    """List the gains that may change while a controller runs, from the settings' declarations."""
+    """List the gains that may change while a controller runs, from the settings' declarations.
+
+    Each has its name, the offsets (bytes) of its fields in MODEL and in a contact's row of MEMORY
+    (−1: none there), and unit and meaning for the header.
+    """
     gains = []
     for name, (field, contact_field) in GAIN_FIELDS.items():
         loop, key = name.split(".")
@@ -212,7 +216,11 @@ class _PhaseSetting(NamedTuple):
 
 
 def _phase_settings() -> list[_PhaseSetting]:
-    """List the settings of contact phases, from the declaration of `PhaseSettings`."""
+    """List the settings of contact phases, from the declaration of `PhaseSettings`.
+
+    Each has its name, the offset (bytes) of its field in MODEL, whether it may be 0, and unit and
+    meaning for the header.
+    """
     settings = []
     for name, about in PhaseSettings.model_fields.items():
         field = PHASE_NAMES.get(name, name)
@@ -235,7 +243,14 @@ def _reason_texts() -> dict[int, str]:
 
 
 def _layout() -> str:
-    """Write osc_layout.h: offsets of fields, slots of tables, and tables of gains and texts."""
+    """Write osc_layout.h, from which the C library knows the layout of the records.
+
+    It has offsets of fields, slots of tables, numbers of flags and sizes, and tables of gains,
+    settings of phases, sentences of reasons, and of what a reset sets to zero.
+
+    Returns:
+        Content of the file.
+    """
     lines = ["/* Written with osc_controller.h: where fields and tables of the records are. */"]
     for name, kind in RECORDS.items():
         fields = _fields_of(kind.dtype)
@@ -287,7 +302,11 @@ def _layout() -> str:
 
 
 def _rows() -> list[str]:
-    """Write the offsets in rows of tables of MEMORY and MODEL that the library's getters read."""
+    """Write the offsets in rows of tables of MEMORY and MODEL that the library's getters read.
+
+    Returns:
+        Lines of C: for each table the bytes of a row, and the offset (bytes) of each field.
+    """
     lines = []
     for name, kind, fields_by_table in (
         (
@@ -306,7 +325,15 @@ def _rows() -> list[str]:
 
 
 def _structure() -> list[str]:
-    """Write the sizes of the records' heads and tables, and the counts that are also in MODEL."""
+    """Write the sizes of the records' heads and tables, and the counts that are also in MODEL.
+
+    The library checks with them that the bytes of a file have the layout that its header declares.
+
+    Returns:
+        Lines of C with the tables HEADS (bytes), TABLES (bytes of an element, rows, columns) and
+        COUNTS
+        (record, slot of its layout, offset of the same count in MODEL).
+    """
     heads = ", ".join(str(kind.dtype.itemsize) for kind in RECORDS.values())
     fields = _fields_of(records.MODEL.dtype)
     tables = []
@@ -375,7 +402,11 @@ def _parts_to_reset() -> list[tuple[int, int, int, int, int]]:
 
 
 def _ranges() -> str:
-    """Write osc_ranges.h: the ranges of `record_ranges` as C functions and tables."""
+    """Write osc_ranges.h: the ranges that `record_ranges` declares, as C functions and tables.
+
+    Returns:
+        Content of the file.
+    """
     lines = ["/* Written with osc_layout.h: whether numbers of a record are in their ranges. */"]
     lines += ['#include "osc_bytes.h"', "#include <math.h>", ""]
     lines += _surface_shapes()
@@ -419,8 +450,14 @@ def _surface_shapes() -> list[str]:
 def _relations(name: str) -> list[str]:
     """Write the C function that checks the relations of the whole numbers of a record.
 
+    A relation such as "first + 1 <= end" limits an index or count, in the head of the record or in
+    each row of one of its tables.
+
     Args:
         name: name of the record in `RECORDS`.
+
+    Returns:
+        Lines of a C function that returns 1 if all relations hold, else 0.
     """
     kind = RECORDS[name]
     lines = [
@@ -491,6 +528,11 @@ def _sum_in_c(products: Sum, name: str, table: str) -> str:
 def _name_in_c(word: str, name: str, table: str) -> str:
     """Write a name in a relation of `record_ranges` as an expression in C.
 
+    `record_ranges` lists the kinds of names: fields of the row, of the row before (`before_…`) and
+    of MODEL, sizes (`size_…`), and `row`, `motors_before` and `surface_shapes`. The expression
+    reads a whole number at an offset (bytes) behind the pointer `own` (row), `head` (record) or
+    `model`.
+
     Args:
         word: the name.
         name: name of the record.
@@ -519,6 +561,10 @@ def _name_in_c(word: str, name: str, table: str) -> str:
 
 def _number_rows(name: str) -> list[str]:
     """Write the rows of a C table with the place and the range of each floating-point field.
+
+    A row has the slot of the table in the record's layout (−1: the head), its numbers of rows and
+    columns, bytes of an element, offset of the field (bytes), number of its elements, and the
+    bounds.
 
     Args:
         name: name of the record in `RECORDS`.

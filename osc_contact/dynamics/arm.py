@@ -307,7 +307,7 @@ def _load(
     """Load a robot, reduce its model to the joints that move the tip, and check the names.
 
     Args:
-        urdf: path, or model, see `Arm.from_urdf`.
+        urdf: path or name of the robot's file, or its Pinocchio model.
         tip: name of the frame that holds the object.
         positions: positions of joints to be locked, by name (rad, m).
         passive_joints: names of joints without a motor.
@@ -337,7 +337,8 @@ def _whole_robot(urdf: str | Path | pin.Model, tip: str) -> tuple[pin.Model, Map
     """Load the model of all joints of a robot, and find the joints that follow other joints.
 
     Args:
-        urdf, tip: see `Arm.from_urdf`.
+        urdf: path or name of the robot's file, or its Pinocchio model.
+        tip: name of the frame that holds the object.
 
     Returns:
         Model of the robot, and the name of the master joint of each joint that follows one.

@@ -110,7 +110,10 @@ def closed(chain: ClosedChain, q: Array, X_WO: SE3 | None, gaps: Gaps | None) ->
     Newton's method; if no arm holds the object rigidly, the object's pose is a further unknown.
 
     Args:
-        chain, q, gaps: see `close`.
+        chain: the arms.
+        q: (n,) approximate solution (rad, m).
+        gaps: function of the object's pose that returns gaps of the contacts (m) and a function for
+            their N; None: no contacts.
         X_WO: initial pose of the object, if no arm determines it; None: that of the joints.
 
     Raises:
@@ -227,7 +230,7 @@ def _row_groups(chain: ClosedChain) -> list[int]:
     """Sizes of the groups of consecutive loop rows that share a unit and a scale.
 
     Rows of forces and of couples of a grasp are two groups; those of a grasp of kind "other", which
-    mix both, are one group. See `inverse_rows`.
+    mix both, are one group.
 
     Args:
         chain: chain of arms and object.
@@ -274,7 +277,7 @@ def inverse_rows(chain: ClosedChain, A: Array, M: Array) -> tuple[Array, Array]:
 def _reach_step(
     chain: ClosedChain, q: Array, X_WO: SE3, L: Array, damping: float
 ) -> tuple[float, Array]:
-    """Compute cost and step of Levenberg–Marquardt at q, see `reach`.
+    """Compute cost and step of Levenberg–Marquardt at q, towards a desired pose of the object.
 
     Args:
         chain: the arms.
@@ -336,7 +339,9 @@ def require_in_range(
 
     Args:
         name: name of the argument, for the message.
-        chain, q, tolerance: see `outside_limits`.
+        chain: the arms.
+        q: (n,) positions (rad, m).
+        tolerance: (n,) or one number: accepted distance beyond the limits (rad, m).
 
     Raises:
         InvalidInputError: joints are further out; the message lists them, and the numbers in

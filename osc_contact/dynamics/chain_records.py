@@ -60,7 +60,7 @@ def chain_row(chain: ChainStructure, led: bool) -> Bytes:
 
 
 def pack_chain(chain: ChainStructure, raw: Bytes, leader: int | None) -> None:
-    """Write the head, the arms and the joints of a row of MODEL.
+    """Write the head, the arms and the joints of a row of MODEL, the bytes of a controller's model.
 
     Args:
         chain: the arms.
@@ -78,11 +78,10 @@ def pack_chain(chain: ChainStructure, raw: Bytes, leader: int | None) -> None:
     head.gravity[:] = chain.model.gravity.linear
     body = chain.reference.inertia
     moments, axes = np.linalg.eigh(body.inertia)
-    axes[:, 0] *= np.sign(
-        np.linalg.det(axes)
-    )  # right-handed principal axes  # right-handed principal axes
+    axes[:, 0] *= np.sign(np.linalg.det(axes))  # right-handed principal axes
     head.principal[:] = (body.mass, *moments)
     head.roots[:] = np.sqrt(head.principal)
+    # Λ_ref in energy coordinates: object plus a ball with the mass of the heaviest arm
     ball = np.repeat((chain.arm_mass, chain.arm_mass * GYRATION**2), 3)
     head.reference[:] = 1.0 + ball / head.principal[[0, 0, 0, 1, 2, 3]]
     head.lightness[:] = 1.0 / head.reference

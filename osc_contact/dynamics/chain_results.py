@@ -94,6 +94,9 @@ def mass_matrix(work: View, arms: Sequence[slice]) -> Array:
 def read_state(chain: EvaluatedChain, work: View, static_work: View, data: pin.Data) -> ChainState:
     """Convert the results of the law to the state of a chain at O in world axes.
 
+    The law computes in energy coordinates, turned so that its first m axes are locked by the arms;
+    the state has S, Λ_S, μ_S, p_S and so on in the coordinates η of S, and the arms' terms at O.
+
     Args:
         chain: the arms.
         work: record WORK at (q, v).
@@ -107,12 +110,13 @@ def read_state(chain: EvaluatedChain, work: View, static_work: View, data: pin.D
     motion = motions(work)
     wrench = wrenches(work)
     m = int(work.locked)
-    locked, free = np.split(reflection(work).T, [m], axis=1)  # in energy coordinates
+    # in energy coordinates: directions that the arms lock, and free motions
+    locked, free = np.split(reflection(work).T, [m], axis=1)
     S = motion @ free
-    sigma = work.sigma[:m]
+    sigma = work.sigma[:m]  # acceleration along the locked directions at η̇ = 0
     sigma_e = locked @ sigma
     Lambda = work.Lambda[m:, m:].copy()
-    p = static_work.chain_bias[m:].copy()
+    p = static_work.chain_bias[m:].copy()  # at v = 0 the bias is that of weight alone
     mu = work.chain_bias[m:] + work.Lambda[m:, :m] @ sigma - p
     W = joints.J_bar @ free
     G = W.T[:, chain.actuated]
@@ -156,7 +160,9 @@ def _all_arm_terms(
     """Convert the operational-space terms of each arm at its grasp.
 
     Args:
-        chain, work, static_work: see `read_state`.
+        chain: the arms.
+        work: record WORK at (q, v).
+        static_work: record WORK at q and v = 0, in which all forces are those of gravity.
         M: (n, n) joint-space inertia of all arms.
         motion, wrench: (6, 6) maps of motions and wrenches from energy coordinates to O, world
             axes.

@@ -135,7 +135,14 @@ class ClosedChain:
         self._find_joints_and_frames()
 
     def _find_joints_and_frames(self) -> None:
-        """Find joints, motors and frames of each arm in the merged model."""
+        """Find joints, motors and frames of each arm in the merged model.
+
+        Sets `slices` (joints of each arm in q), `actuated` (indices of joints with a motor),
+        `tau_max` (their limits, N m or N), `full_ranks` (independent motions of each tip in regular
+        postures), `arm_mass` (mass of the heaviest arm with its rotors, kg), `tips` and `sensors`
+        (indices of frames; None: no sensor), and `outboard` (links of each arm beyond its wrist
+        sensor).
+        """
         # joints of each arm are adjacent in q; those without a motor are not in tau
         ends = np.cumsum([0, *(arm.model.nv for arm in self.arms)]).tolist()
         self.slices = tuple(map(slice, ends, ends[1:]))

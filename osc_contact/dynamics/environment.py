@@ -358,12 +358,14 @@ class Environment:
 
 
 def _normal_mobility(pairs: Sequence[tuple[Array, Environment]]) -> Array:
-    """Normal accelerations (r, r) of all contacts per unit of contact force, see `of_contacts`.
+    """Normal accelerations (r, r) of the touched bodies at all contacts per unit of contact force.
 
-    The block of two contacts is N₁ᵀΦ_e N₂ if they are on one body, else zero.
+    The block of two contacts is N₁ᵀΦ_e N₂ (1/kg for forces) if they are on one body, whose inverse
+    inertia is Φ_e (6, 6), else zero.
 
     Args:
-        pairs: normals N (6, r_i) and environment of each contact.
+        pairs: normals N (6, r_i) and environment of each contact; one object for contacts on one
+            body.
     """
     blocks = []
     for N, environment in pairs:

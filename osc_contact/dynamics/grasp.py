@@ -99,7 +99,11 @@ class Grasp:
 
     @property
     def kind(self) -> str:
-        """Kind of the grasp: "rigid", "hinge", "ball" or "other"."""
+        """Kind of the grasp by the motions T (6, k) that it permits at the tip.
+
+        "rigid": none; "hinge": one rotation about an axis through the tip's origin; "ball": three
+        rotations about it; "other": any other group of motions, such as slides.
+        """
         T = self.T
         if self.is_rigid:
             return "rigid"
@@ -147,10 +151,14 @@ class Grasp:
         return (Q, np.linalg.solve(R.T, self.miss(X_WT, X_WO)))
 
     def _displacement(self, X: SE3) -> Array:
-        """Displacement (6,) of a relative pose (m, rad).
+        """Displacement (6,) of a relative pose, linear before angular (m, rad).
 
-        It is log₆ of the pose or, if T consists of rotations, its translation and log₃ of its
-        rotation.
+        It is log₆ of the pose if a permitted motion T (6, k) has a linear part; if T consists of
+        rotations, it is the translation and log₃ of the rotation.
+
+        Args:
+            X: pose in the tip frame at which the object would have the tip; the identity without an
+                error.
         """
         if self.T[:3].any():
             return pin.log6(X).vector
@@ -218,16 +226,17 @@ def locate(
 ) -> SE3:
     """Pose of the object with least errors of all grasps, weighted by the object's inertia.
 
-    Gauss–Newton on the errors `Grasp.miss`, from the pose that best aligns points and axes (Kabsch
-    1976).
+    Gauss–Newton from the pose that best aligns points and axes (Kabsch 1976). A step solves Nᵀx =
+    miss of all grasps by least squares, for a displacement x (6,) of the object (m, rad) along the
+    directions N that a grasp holds.
 
     Args:
         grasps: grasp of each arm.
         tips: pose of each arm's tip.
         inertia: function of the object's pose that returns its inertia (6, 6) at its origin, in
             world axes.
-        tolerance: least singular value of the grasps' wrenches in the object's energy metric, below
-            which the object is free to move while the tips are fixed (rad).
+        tolerance: least singular value of all Nᵀ, each orthonormal in the metric of the inertia,
+            below which the object is free to move while the tips are fixed.
 
     Raises:
         ModelError: the tips do not determine the pose.
@@ -259,7 +268,8 @@ def _solve_closure(
         tips: pose of each arm's tip.
         X: pose of the object.
         L: (6, 6) Cholesky factor of the object's inertia.
-        tolerance: see `locate`.
+        tolerance: least singular value of the grasps' wrenches in the object's energy metric; below
+            it x is not unique.
 
     Raises:
         ModelError: x is not unique.

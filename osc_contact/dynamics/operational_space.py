@@ -64,8 +64,8 @@ class OperationalSpace:
         """Allocate the results.
 
         Args:
-            arm: the arm. rows: number of states, or nothing for a single state without a first
-                axis.
+            arm: the arm.
+            rows: number of states, or nothing for a single state without a first axis.
         """
         self._arm = _compiled_arm(arm)
         self._rows = rows

@@ -175,7 +175,11 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         return torch.as_tensor(x, dtype=torch.float32, device=self.device)
 
     def process_actions(self, actions: torch.Tensor) -> None:
-        """Plan set points and forces of all control periods of an action (B, 6 + r).
+        """Plan set points and forces of all control periods of an action.
+
+        An action (6 + r,) of an environment has increments of the set point (three of translation,
+        three of rotation, each −1 … 1 times `move`, m or rad) and r contact forces (−1 … 1 for 0 …
+        `most_force`, N). Both are interpolated linearly over the control periods of the action.
 
         Args:
             actions: (environments, 6 + r) actions of the policy.
@@ -213,7 +217,12 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         return x.cpu().numpy().astype(float)
 
     def apply_actions(self) -> None:
-        """Tick the controllers at each control period and command their torques."""
+        """Tick the controllers at each control period, and command their torques.
+
+        It is called in each step of the physics; only every `_every`-th call begins a control
+        period. Reads joints and wrists of all environments, and the set points and forces of
+        `process_actions`.
+        """
         assert self._plan is not None
         tick, remainder = divmod(self._step, self._every)
         self._step += 1

@@ -226,7 +226,12 @@ class OscContact(CompositeController):  # type: ignore[misc]
 
     @property
     def action_limits(self) -> tuple[Array, Array]:
-        """Smallest and largest actions, one number for each of their entries."""
+        """Smallest and largest actions, one number for each entry of the action of the whole robot.
+
+        An arm with contacts has six entries of motion, −1 … 1 or, for poses, without limits, then
+        its contact forces, −1 … 1 or 0 … `most_force` (N). Other arms have the limits of their own
+        controllers.
+        """
         config = self._config
         low, high = [], []
         for part, (start, end) in self._action_split_indexes.items():
@@ -352,7 +357,12 @@ class OscContact(CompositeController):  # type: ignore[misc]
             )
 
     def _begin(self) -> None:
-        """Make the loops of all arms with contacts, at the present state of the simulation."""
+        """Make the loops of all arms with contacts, at the present state of the simulation.
+
+        The tip of an arm is the grip site of its gripper; its wrist sensor is robosuite's force and
+        torque sensor there, or, where MuJoCo's readings are wrong, the body that carries it.
+        Nothing is done if the loops exist.
+        """
         for arm in self._config["contacts"] if not self.loops else ():
             gripper = self.grippers[f"{arm}_gripper"]
             sensor = f"{gripper.naming_prefix}ft_frame"

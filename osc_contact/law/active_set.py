@@ -39,8 +39,14 @@ _UNLOADED = 2.0  #: longest duration of unloading, as a multiple of the rise tim
 def update_contacts(t):
     """Update phases and active set of a tick, from measured and desired forces and named contacts.
 
-    If the set of contacts in N changes, `hand_over` is set, so that the motion integral is
-    converted, and `by_column`, so that force integrals are taken by column.
+    Contacts are active (in N) unless their phase is OPEN. Phases follow from measured forces
+    (`advance_phases`, with contact phases) and from the contacts that the user names active
+    (`_take_set`). If the set of contacts in N changes, `hand_over` of MEMORY is set, so that the
+    motion integral is converted to a wrench, and `by_column`, so that force integrals are taken by
+    column.
+
+    Reads `chosen_set` (1: active contacts are named) of INPUT. Fills `here` of the columns (1: it
+    remains in N), `active` of the contacts, and the fields of the functions called here.
 
     Args:
         t: Tick.
@@ -70,10 +76,15 @@ def update_contacts(t):
 
 @inner
 def _take_set(t):
-    """Open contacts that are not active once they are unloaded; close or approach those that are.
+    """Open contacts that are not named active once they are unloaded; close those that are named.
 
-    Reads `chosen_set` and `active` of INPUT, and `dt`. Updates `phase`, `since` (s), `held` and
-    `unloading` (s) of the contacts in MEMORY, and `goal` (N), 0 for columns that are unloaded.
+    A named contact that was open is APPROACHING with contact phases if it can only push, else
+    CLOSED. A contact that is not named any more is unloaded first, unless another one becomes
+    active in this tick. Without named contacts (`chosen_set` = 0) all count as named.
+
+    Reads `chosen_set` and `active` of INPUT, and `dt` (s). Updates of the contacts in MEMORY
+    `phase`, `since` (s in this phase), `held` (1 once a steady force was measured in it) and
+    `unloading` (s), and `goal` (N) of the columns, 0 for those that are unloaded.
 
     Args:
         t: Tick.
@@ -83,7 +94,7 @@ def _take_set(t):
     """
     model = t.model
     changed = False
-    comes = False
+    comes = False  # whether a contact becomes active
     for c in range(model.n_contacts):
         is_open = t.memory.contacts[c].phase == OPEN
         comes = comes or (is_open and (t.input.chosen_set == 0 or t.input.active[c] != 0.0))
@@ -111,10 +122,12 @@ def _take_set(t):
 
 @inner
 def _unload(t, c):
-    """Set the desired forces of a contact that is not active to zero, unless it carries none.
+    """Set the desired forces of a contact that leaves the active set to zero.
 
-    Reads, of MEMORY, `phase` and `unloading` of the contact, `has_desired`, `desired` (N) and
-    `to_come` of its columns, and `step_left`. Sets `goal` (N) of its columns to 0.
+    It stays in N until the step of its desired force to zero has ended. Reads, of MEMORY, `phase`
+    and `unloading` (s) of the contact, `has_desired` (1 if a force was desired in the last tick),
+    `desired` (N) and `to_come` (N; remainder of a step) of its columns, and `step_left` (remaining
+    share of the rise time). Sets `goal` (N) of its columns to 0.
 
     Args:
         t: Tick.
@@ -146,7 +159,9 @@ def _unload(t, c):
 def _begin_columns(t, c, phase):
     """Reset the contact detection of a contact's columns when it becomes active or inactive.
 
-    Changes fields of `phases.monitor` and `safety` of the columns in MEMORY, and `here` of WORK.
+    Sets of the columns in MEMORY `closed` (1 if the new phase is CLOSED) and, to zero, `collision`,
+    and the times (s) of low and high force and of too little and too much force; `here` of WORK
+    becomes 0: the column does not remain in N from the last tick.
 
     Args:
         t: Tick.

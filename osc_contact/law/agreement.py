@@ -86,6 +86,7 @@ def compare_speeds(t):
         if row.known == 0 or memory.compared == 0:
             row.velocity_from_positions = row.velocity_from_encoders = speed
             continue
+        # both speeds, low-passed; a deficit of that from encoders is replaced
         speed_from_positions = dot6(work.columns[j].N, V) - work.V_N[a]
         row.velocity_from_positions += k * (speed_from_positions - row.velocity_from_positions)
         row.velocity_from_encoders += k * (speed - row.velocity_from_encoders)
@@ -113,7 +114,7 @@ def check_arms(t):
     model = t.model
     memory = t.memory
     dt = model.period * (1 + max(memory.gap, memory.wrench_age))
-    arm = _find_apart(t)
+    arm = _find_apart(t)  # −1: none
     memory.apart = collect(memory.apart, dt, arm >= 0)
     if arm >= 0 and memory.apart > APART_TIME:
         memory.culprit = arm
@@ -133,16 +134,15 @@ def check_arms(t):
 def _balance_arm(t, k, dt):
     """Determine whether unexplained motor torques of an arm have exceeded their bound for too long.
 
-    A torque is unexplained as far as the residual exceeds the friction that was identified over a
-    long time. It is low-passed and compared with its long-term mean. The bound is `wrist_error`
-    times the torque limit, more for modelled friction, doubled while the torque opposes the motion.
-    Torques above half of the bound suspend the identification of friction for up to `_DOUBTED`,
-    longer than the detection of a fault takes.
+    For each motor from the base to the wrist sensor, the unexplained torque is low-passed
+    (`unexplained`) and compared with its long-term mean (`usual`): their difference must not exceed
+    the bound of `_torque_bound`, the torque itself not twice that bound. The bound is doubled while
+    the torque opposes the motion. Differences above half of the bound suspend the identification of
+    friction for up to `_DOUBTED`, longer than the detection of a fault takes.
 
-    Reads the fields that `observe_arm` fills. Updates of the joints in MEMORY `trusted` (F, D and
-    |A| over a long time), `rubbed` (mean magnitude of the residual in motion; N m, N), `slid` (s of
-    motion), `unexplained` and its long-term mean `usual` (N m, N), `unbalanced` (s above the
-    bound), and `doubtful` of the arm (s above half of the bound).
+    Reads the fields that `observe_arm` fills. Updates of the joints in MEMORY `unbalanced` (s above
+    the bound) and the fields of the functions called here, and `doubtful` of the arm (s above half
+    of the bound).
 
     Args:
         t: Tick.
@@ -156,60 +156,117 @@ def _balance_arm(t, k, dt):
     arm_memory = t.memory.arms[k]
     contradicts = False
     is_doubtful = False
-    observe_arm(
-        t, arm, t.work.arms[k], arm_memory.doubtful == 0.0 or arm_memory.doubtful > _DOUBTED, dt
-    )
+    is_sound = arm_memory.doubtful == 0.0 or arm_memory.doubtful > _DOUBTED
+    observe_arm(t, arm, t.work.arms[k], is_sound, dt)
     # shares of one tick in the low-passes, which begin as plain means
     first_share = 1.0 / t.memory.balanced
     fast_share = max(dt / (_BALANCE + dt), first_share)
     slow_share = max(dt / (_USUAL + dt), first_share)
     for j in range(arm.first, arm.sensor_joint + 1):
-        joint_memory = t.memory.joints[j]
-        joint = t.model.joints[j]
-        if joint.motor < 0:
+        if t.model.joints[j].motor < 0:
             continue
-        bound = t.model.wrist_error * joint.tau_max
-        theta = joint.theta
-        speed = abs(joint_memory.means[SPEED])
-        bound += _RUBS * (theta[0] + theta[1] * speed)  # error of the modelled friction
-        if t.memory.friction_known[j]:
-            theta = t.memory.friction[j].theta
-        for i in range(3):  # slow, so that a sudden wrist fault is not attributed to friction
-            joint_memory.trusted[i] += slow_share * (abs(theta[i]) - joint_memory.trusted[i])
-        friction = (
-            joint_memory.trusted[0]
-            + joint_memory.trusted[1] * speed
-            + joint_memory.trusted[2] * abs(joint_memory.rate)
-        )
+        row = t.memory.joints[j]
+        bound = _torque_bound(t, j)
+        friction = _trusted_friction(t, j, slow_share)
         doubtful_bound = _DOUBTFUL * bound
-        if joint_memory.means[V] * joint_memory.unexplained > _RUBBING * abs(
-            joint_memory.unexplained
-        ):
+        if row.means[V] * row.unexplained > _RUBBING * abs(row.unexplained):
             bound *= 2.0  # the torque opposes the motion, like friction not identified yet
-        # mean residual while the joint slides
-        if abs(joint_memory.past_v) > _RUBBING:
-            joint_memory.rubbed += fast_share * (abs(joint_memory.residual) - joint_memory.rubbed)
-            joint_memory.slid += dt
-        # unexplained torque and its long-term mean, whose difference is compared with the bound
-        unexplained = joint_memory.residual - clamped(joint_memory.residual, friction)
-        unexplained = clamped(unexplained, _OUTLIER * bound)
-        joint_memory.unexplained += fast_share * (unexplained - joint_memory.unexplained)
-        joint_memory.usual += slow_share * (joint_memory.unexplained - joint_memory.usual)
-        deviation = abs(joint_memory.unexplained - joint_memory.usual)
+        _note_rubbing(row, fast_share, dt)
+        deviation = _follow_unexplained(row, friction, bound, fast_share, slow_share)
         is_doubtful = is_doubtful or deviation > doubtful_bound
-        exceeds = deviation > bound or abs(joint_memory.unexplained) > 2.0 * bound
-        joint_memory.unbalanced = collect(joint_memory.unbalanced, dt, exceeds)
-        contradicts = contradicts or joint_memory.unbalanced > UNBALANCED_TIME
+        exceeds = deviation > bound or abs(row.unexplained) > 2.0 * bound
+        row.unbalanced = collect(row.unbalanced, dt, exceeds)
+        contradicts = contradicts or row.unbalanced > UNBALANCED_TIME
     arm_memory.doubtful = collect(arm_memory.doubtful, dt, is_doubtful)
     return contradicts
+
+
+@leaf
+def _torque_bound(t, j):
+    """Bound of the unexplained torque of a joint (N m, N) by errors of wrist and modelled friction.
+
+    It is `wrist_error` times the torque limit, plus the share `_RUBS` of the modelled friction F +
+    D |s|, with Coulomb friction F, viscous friction D and the low-passed permitted speed s.
+
+    Args:
+        t: Tick.
+        j: index of the joint, which has a motor.
+    """
+    joint = t.model.joints[j]
+    coulomb = joint.theta[0]
+    viscous = joint.theta[1]
+    speed = abs(t.memory.joints[j].means[SPEED])
+    bound = t.model.wrist_error * joint.tau_max
+    bound += _RUBS * (coulomb + viscous * speed)
+    return bound
+
+
+@leaf
+def _trusted_friction(t, j, share):
+    """Compute the friction F + D |s| + |A q̈| of a joint (N m, N) that was identified for long.
+
+    F, D and |A| (Coulomb and viscous friction, inertia of the rotor beyond the model's) are
+    `trusted` (3,) of the joint in MEMORY, which follows the identified θ, or the model's, so slowly
+    that a sudden fault of the wrist is not attributed to friction. s is the low-passed permitted
+    speed, q̈ the low-passed acceleration `rate`.
+
+    Args:
+        t: Tick; `trusted` is changed.
+        j: index of the joint.
+        share: share of this tick in the low-pass of `trusted`.
+    """
+    row = t.memory.joints[j]
+    theta = t.model.joints[j].theta
+    if t.memory.friction_known[j]:
+        theta = t.memory.friction[j].theta
+    for i in range(3):
+        row.trusted[i] += share * (abs(theta[i]) - row.trusted[i])
+    return row.trusted[0] + row.trusted[1] * abs(row.means[SPEED]) + row.trusted[2] * abs(row.rate)
+
+
+@leaf
+def _note_rubbing(row, share, dt):
+    """Update the mean magnitude of a joint's residual in motion, and the time of motion.
+
+    Args:
+        row: JOINT_MEMORY, of which `rubbed` (N m, N) and `slid` (s) are changed while the joint is
+            faster than `_RUBBING`.
+        share: share of this tick in the mean.
+        dt: time since the last computed tick with wrenches (s).
+    """
+    if abs(row.past_v) > _RUBBING:
+        row.rubbed += share * (abs(row.residual) - row.rubbed)
+        row.slid += dt
+
+
+@leaf
+def _follow_unexplained(row, friction, bound, fast_share, slow_share):
+    """Update the unexplained torque u of a joint and its long-term mean m; return |u − m|.
+
+    u is the low-passed part of the residual that exceeds ±`friction`. One reading changes it by no
+    more than `_OUTLIER` bounds would.
+
+    Args:
+        row: JOINT_MEMORY, of which `residual` is read, and `unexplained` u and `usual` m are
+            changed (N m, N).
+        friction: friction that explains a residual (N m, N), ≥ 0.
+        bound: bound of |u − m| (N m, N).
+        fast_share: share of this tick in the low-pass of u.
+        slow_share: share of this tick in the low-pass of m.
+    """
+    excess = row.residual - clamped(row.residual, friction)
+    excess = clamped(excess, _OUTLIER * bound)
+    row.unexplained += fast_share * (excess - row.unexplained)
+    row.usual += slow_share * (row.unexplained - row.usual)
+    return abs(row.unexplained - row.usual)
 
 
 @inner
 def _find_apart(t):
     """Find an arm that places the object more than `closure_error` (m) apart from the leader.
 
-    Without a leader, the arm that holds the object rigidly, an arm whose grasp point is that far
-    from the object. Reads `X_WO`, and R and p of the joints.
+    The leader is an arm that holds the object rigidly. If there is none, an arm is found whose
+    grasp point is that far from its place in the object. Reads `X_WO`, and R and p of the joints.
 
     Args:
         t: Tick.
@@ -229,15 +286,17 @@ def _find_apart(t):
 
 @inner
 def is_apart(t, k, X):
-    """Determine whether arm k places the object more than `closure_error` apart from the leader.
+    """Determine whether arm k places the object more than `closure_error` (m) from the leader's X.
 
-    Compared is the grasp point of the arm, and that of the leader if the arm holds the object
-    rigidly, which contains the angle by which they turn the object differently.
+    Two distances are compared with this bound: of the arm's grasp point from its place in the
+    object at X; and, if both arms hold the object rigidly, of the leader's grasp point from the
+    place where arm k has it, which shows a different rotation of the object, too.
 
     Args:
         t: Tick after `place_arm` of all arms.
-        k: arm, not the leader.
-        X: (4, 4) pose of the object by the leader; without one, that of WORK.
+        k: index of the arm, which is not the leader.
+        X: (4, 4) pose of the object by the leader (the arm that holds it rigidly); if there is no
+            leader, `X_WO` of WORK.
     """
     bound = t.model.closure_error
     if grasp_gap(t, k, X) > bound:
@@ -247,9 +306,10 @@ def is_apart(t, k, X):
 
 @leaf
 def grasp_gap(t, k, X):
-    """Compute the distance between the grasp point of arm k and where the object has it (m).
+    """Compute the distance (m) of arm k's grasp point from its place in the object at a pose X.
 
-    It is zero for grasps of the kind OTHER.
+    The grasp point is the origin of the tip; the object has it at `point` of the arm. The distance
+    is zero for grasps of the kind OTHER, whose point may move.
 
     Args:
         t: Tick, of which R and p of the joints are read.
@@ -264,7 +324,10 @@ def grasp_gap(t, k, X):
 
 @inner
 def leader_gap(t, k):
-    """Compute the distance of the leader's grasp point from where arm k has it (m).
+    """Compute the distance (m) of the leader's grasp point from its place by the tip of arm k.
+
+    Both arms hold the object rigidly, so that the leader's grasp point has a fixed position in the
+    tip of arm k.
 
     Args:
         t: Tick, of which R and p of the joints are read.

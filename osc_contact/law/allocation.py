@@ -45,11 +45,12 @@ _DOUBTFUL = 1e-6  #: relative pivot below which a pivot is computed a second tim
 
 @inner
 def factor_effort(t):
-    """Factorise the block G R⁻¹Gᵀ (d, d) of Z, from `effort` to `factor`.
+    """Factorise the block G R⁻¹Gᵀ (d, d) of Z: fill the first d rows of `factor`.
 
-    G (d, n) maps torques to the wrench on the object along its d free axes; R is the metric of the
-    motors' effort. `effort` (6, 6) of WORK has G R⁻¹Gᵀ in turned energy coordinates, `factor` its
-    Cholesky factor, to which `add_row` appends rows.
+    Z is the matrix of the torque allocation, G (d, n) maps torques to the wrench on the object
+    along its d free axes, R is the metric of the motors' effort. `effort` (6, 6) of WORK is the
+    inverse metric of the effort of wrenches in turned energy coordinates, whose block of the free
+    axes is G R⁻¹Gᵀ. `factor` becomes its Cholesky factor, to which `add_row` appends rows.
 
     Args:
         t: Tick.
@@ -58,7 +59,7 @@ def factor_effort(t):
         False if the motors cannot drive all free motions of the object.
     """
     work = t.work
-    Z = t.work.factor
+    Z = work.factor
     d = 6 - work.locked
     for i in range(d):
         for j in range(i + 1):
@@ -88,8 +89,9 @@ def add_row(t, e):
     row = work.factor[size]
     _weigh(t, a, work.weighed[e])
     _multiply_constraints(t, work.weighed[e], e, row)
-    square = row[size] = dot(work.weighed[e], a, t.model.n_joints)
+    square = row[size] = dot(work.weighed[e], a, t.model.n_joints)  # aᵀR⁻¹a
     forward(work.factor, size, row)
+    # the square of the part of a that the rows before it leave out, the pivot
     remainder = square - dot(row, row, size)
     if remainder < _DOUBTFUL * square:
         remainder = _refine_pivot(t, e)
@@ -130,9 +132,10 @@ def _multiply_constraints(t, weighed, e, out):
 def _refine_pivot(t, e):
     """Compute the pivot of row e of E again, without cancellation, and correct its `factor` row.
 
-    E are the conditions that are appended to those on the object's force; a pivot is the square of
-    the part of a condition that the conditions before it do not determine. It is computed from this
-    part itself, not as a difference of two large numbers.
+    E are the conditions on the torques that are appended to G τ = f_S, the one on the object's
+    force; a pivot is the square, in the metric R⁻¹, of the part of a condition that the conditions
+    before it do not determine. This part (`rest`, n numbers) is computed itself, and projected once
+    more on the conditions before it, so that the pivot is not a difference of large numbers.
 
     Args:
         t: Tick.
@@ -148,10 +151,11 @@ def _refine_pivot(t, e):
     size = 6 - m + e
     remainder = work.rest
     x = work.multipliers
-    for i in range(size):  # multipliers of the rows before it, which the remainder leaves out
+    for i in range(size):
         x[i] = Z[size, i]
-    backward(Z, size, x)
+    backward(Z, size, x)  # multipliers of the rows of G and E before it
     y = _embed_free(work, x)
+    # the remainder: row e less its combination of these rows
     for j in range(n):
         remainder[j] = work.extra[e, j] - dot6(work.joints[j].J_bar, y)
     for c in range(e):
@@ -168,9 +172,11 @@ def _refine_pivot(t, e):
 def _embed_free(work, x):
     """Embed components along the free axes in six numbers in energy coordinates, other axes zero.
 
+    The free axes are the last d of the turned energy coordinates, behind the m = `locked` ones.
+
     Args:
         work: WORK, of which `locked`, `reflectors` and `beta` are read.
-        x: (d,) components along the free axes.
+        x: (d,) or longer, components along the free axes first.
     """
     components = local(6)
     for i in range(6):
@@ -201,7 +207,7 @@ def _weigh(t, row, out):
             for j in range(lo, hi):
                 out[j] = t.model.joints[j].effort * row[j]
             continue
-        x = ZERO
+        x = ZERO  # J a, then W J a
         for j in range(lo, hi):
             x = add(x, row[j], joints[j].J)
         x = times6(arm_work.effort, x)
@@ -259,7 +265,7 @@ def predict_joints(t):
         t: Tick.
     """
     joints = t.work.joints
-    a = turned_back(t.work, t.work.acceleration_t)
+    a = turned_back(t.work, t.work.acceleration_t)  # in energy coordinates, as J̄
     for k in range(t.model.n_arms):
         lo = t.model.arms[k].first
         hi = t.model.arms[k].end
@@ -278,12 +284,15 @@ def allocate_torques(t):
 
         τ = τ_0 + R⁻¹AᵀZ⁻¹(b − A τ_0),   A = [G; E],   Z = A R⁻¹Aᵀ
 
-    They satisfy A τ = b: G (d, n) maps torques to the wrench on the object along its free axes,
+    They satisfy A τ = b: G (d, n) maps torques to the wrench on the object along its d free axes,
     which has to be f_S; E has rows for internal forces and for motions of single arms. τ_0 (n,) are
-    torques without command, such as those of the posture law; R is the metric of the motors'
-    effort. Reads `f_S`, `effort`, `locked`, and the terms of arms and joints. Fills `rest` (τ_0)
-    and `tau` of the joints (N m, N), `n_internal`, `extra` (E), `weighed`, `factor`, `sides` (b),
-    and the fields that `internal_rows` fills.
+    torques without command: of the posture law of redundant arms, else 0. R is the metric of the
+    motors' effort. A single redundant arm has no such rows, and τ = τ_0 + Jᵀf with the wrench f.
+
+    Reads `f_S`, `effort`, `locked`, `n_lost`, and the terms of arms and joints. Fills `rest` (τ_0)
+    and `tau` of the joints (N m, N), `n_internal` (number of rows of E for internal forces),
+    `extra` (E), `weighed` (R⁻¹Eᵀ), `factor` (Cholesky factor of Z), `sides` (b, then Z⁻¹(b − A
+    τ_0)), and the fields that `internal_rows` fills.
 
     Args:
         t: Tick.
@@ -297,51 +306,114 @@ def allocate_torques(t):
     joints = work.joints
     n = model.n_joints
     d = 6 - work.locked
-    b = work.sides
-    for k in range(model.n_arms):
-        if work.arms[k].wide:
-            _hold_posture(t, arms[k], work.arms[k])
-        else:
-            for j in range(arms[k].first, arms[k].end):
-                joints[j].rest = 0.0
+    sides = work.sides
+    _fill_rest(t)
     if model.n_arms == 1 and work.arms[0].wide and work.n_lost == 0:
-        f = _embed_free(work, work.f_S[work.locked :])  # a single arm: τ = τ_0 + Jᵀf
+        f = _embed_free(work, work.f_S[work.locked :])
         for j in range(n):
             joints[j].tau = joints[j].rest + dot6(joints[j].J, f)
         work.n_internal = 0
         return NO_REASON
-    # rows of A that are kept: those of G, of the internal forces, of the motions of single arms
+    # conditions G τ = f_S, then the rows of E for internal forces and for motions of single arms
     for i in range(d):
-        b[i] = work.f_S[work.locked + i]
-    count = internal_rows(t, d)
-    work.n_internal = count
+        sides[i] = work.f_S[work.locked + i]
+    work.n_internal = internal_rows(t, d)
     if not factor_effort(t):
         return UNACTUATED
-    for e in range(count):
-        if not add_row(t, e):
-            if model.n_arms != 2:
-                return UNACTUATED
-            count = 0  # the grasps do not transmit an independent squeeze: f_S determines it
-            work.n_internal = 0
-            work.commanded = 0
-    size = d + count
-    n_own = _own_motions(t, d, count)
-    for e in range(count, count + n_own):
-        if e > size - d:  # a row before it was dropped
-            b[size] = b[d + e]
-            for j in range(n):
-                work.extra[size - d, j] = work.extra[e, j]
-        if add_row(t, size - d):
-            size += 1
-    # b becomes Z⁻¹(b − A τ_0), and each row of A contributes its part of the torques
-    cholesky_solve(work.factor, size, b)
-    y = _embed_free(work, b)
+    n_internal = _append_internal(t)
+    if n_internal < 0:
+        return UNACTUATED
+    n_rows = _append_own(t, d, n_internal)
+    # Z⁻¹(b − A τ_0), of which each row of A contributes its part of the torques
+    cholesky_solve(work.factor, d + n_rows, sides)
+    y = _embed_free(work, sides)
     for k in range(model.n_arms):
         _add_torques(t, arms[k], work.arms[k], y)
-    for e in range(size - d):
+    for e in range(n_rows):
         for j in range(n):
-            joints[j].tau += b[d + e] * work.weighed[e, j]
+            joints[j].tau += sides[d + e] * work.weighed[e, j]
     return NO_REASON
+
+
+@leaf
+def _append_internal(t):
+    """Append the rows of E for internal forces, `n_internal` of them, to the factor of Z.
+
+    If the grasps of two arms transmit no independent squeeze, f_S determines it: the row is left
+    out, and `n_internal` and `commanded` become 0.
+
+    Args:
+        t: Tick after `internal_rows`.
+
+    Returns:
+        Number of rows in use; −1 if a row depends on those before it with three arms or more.
+    """
+    work = t.work
+    for e in range(work.n_internal):
+        if not add_row(t, e):
+            if t.model.n_arms != 2:
+                return -1
+            work.n_internal = 0
+            work.commanded = 0
+    return work.n_internal
+
+
+@leaf
+def _append_own(t, d, n_internal):
+    """Append the rows of E for motions of single arms to the factor of Z; return all rows of E.
+
+    A row that depends on those before it is left out, and the following ones are moved forward.
+
+    Args:
+        t: Tick.
+        d: number of elements of `sides` before those of E.
+        n_internal: number of rows of E for internal forces.
+
+    Returns:
+        Number of rows of E in use.
+    """
+    n_own = _own_motions(t, d, n_internal)
+    n_rows = n_internal
+    for e in range(n_internal, n_internal + n_own):
+        if e > n_rows:  # a row before it was left out
+            _move_row(t, d, e, n_rows)
+        if add_row(t, n_rows):
+            n_rows += 1
+    return n_rows
+
+
+@leaf
+def _fill_rest(t):
+    """Fill `rest` of all joints with τ_0 (N m, N), the torques without command.
+
+    They are those of the posture law for arms with redundant joints (`wide`), else 0.
+
+    Args:
+        t: Tick.
+    """
+    for k in range(t.model.n_arms):
+        arm = t.model.arms[k]
+        if t.work.arms[k].wide:
+            _hold_posture(t, arm, t.work.arms[k])
+        else:
+            for j in range(arm.first, arm.end):
+                t.work.joints[j].rest = 0.0
+
+
+@leaf
+def _move_row(t, d, start, end):
+    """Move a row of E and its element of b forward, to the place of one that was left out.
+
+    Args:
+        t: Tick, of which `extra` (E) and `sides` (b) of WORK are changed.
+        d: number of elements of `sides` before those of E.
+        start: index of the row of E.
+        end: its new index, < `start`.
+    """
+    work = t.work
+    work.sides[d + end] = work.sides[d + start]
+    for j in range(t.model.n_joints):
+        work.extra[end, j] = work.extra[start, j]
 
 
 @leaf
@@ -394,7 +466,7 @@ def _hold_posture(t, arm, arm_work):
         )
         joints[j].rest = torque
         joints[j].tau = torque
-        wrench = add(wrench, torque, joints[j].J_bar)
+        wrench = add(wrench, torque, joints[j].J_bar)  # J̄ᵀτ₀
     for j in range(lo, arm.end):
         joints[j].rest -= dot6(joints[j].J, wrench)
     if arm_work.n_lost > 0:
@@ -420,7 +492,7 @@ def _retreat_from_lost(t, arm, arm_work):
     hi = arm.end
     for e in range(arm_work.n_lost):
         mode = arm_work.mode[e]
-        component = 0.0
+        component = 0.0  # c, added along w
         for j in range(lo, hi):
             posture_torque = joints[j].h + retreat(t, arm, j, t.model.retreat_damping)
             if arm_work.gone[e] != 0.0:
@@ -434,19 +506,23 @@ def _retreat_from_lost(t, arm, arm_work):
 
 @inner
 def _own_motions(t, d, first):
-    """Append rows of E for motions of single arms that do not move the object; return their number.
+    """Append rows of E for motions of single arms that do not move the object.
 
     An arm without redundant joints has such motions if its grasp permits them (a SCARA on a slide,
     four joints in a plane) or in a singular posture. The posture law acts along them: νᵀτ = νᵀ(h +
     M q̈) for every joint motion ν (n,) with U J ν = 0, where U are the wrenches that the joints
-    resist, J (6, n) is the Jacobian and q̈ the acceleration of the posture law. Fills rows of
-    `extra` and `sides`, and subtracts from the first d of `sides` the force on the object by the
-    torques τ_0 of all arms.
+    resist, J (6, n) is the Jacobian, h (n,) the torque of velocities and gravity, M (n, n) the
+    joint-space inertia and q̈ the acceleration of the posture law. Fills rows of `extra` (E: ν) and
+    `sides` (b: the torque along it; N m, N), and lets `_subtract_rest` change the first d of
+    `sides`.
 
     Args:
         t: Tick.
-        d: number of rows of `sides` before those of E.
+        d: number of elements of `sides` before those of E.
         first: index of the first new row of E.
+
+    Returns:
+        Number of these rows.
     """
     model = t.model
     work = t.work
@@ -464,7 +540,7 @@ def _own_motions(t, d, first):
         for j in range(n):
             fill(J[j], joints[lo + j].J)
         null_motions(row, J, n, motions)
-        for a in range(row.n_kept, n):
+        for a in range(row.n_kept, n):  # the motions that do not move the object
             side = 0.0
             for j in range(model.n_joints):
                 work.extra[count, j] = 0.0
@@ -474,26 +550,39 @@ def _own_motions(t, d, first):
                 work.extra[count, lo + i] = motions[a, i]
             work.sides[d + count] = side
             count += 1
-    # force on the object by the torques without command, which G must balance
-    if count > first or work.n_lost > 0:
-        x = ZERO
-        for j in range(model.n_joints):
-            x = add(x, joints[j].rest, joints[j].J_bar)
-        driven = local(6)
-        fill(driven, turned(work, x))
-        for i in range(d):
-            work.sides[i] -= driven[work.locked + i]
+    if count > first or work.n_lost > 0:  # else τ_0 does not move the object
+        _subtract_rest(t, d)
     return count - first
+
+
+@leaf
+def _subtract_rest(t, d):
+    """Subtract G τ_0, the force on the object by the torques without command, from `sides`.
+
+    G (d, n), whose columns are the rows J̄ of the joints along the free axes, has to balance it.
+    Reads `rest` (τ_0; N m, N) and J̄ of the joints.
+
+    Args:
+        t: Tick.
+        d: number of free axes, and of the elements of `sides` that are changed.
+    """
+    work = t.work
+    wrench = ZERO  # J̄ᵀτ_0
+    for j in range(t.model.n_joints):
+        wrench = add(wrench, work.joints[j].rest, work.joints[j].J_bar)
+    driven = local(6)
+    fill(driven, turned(work, wrench))
+    for i in range(d):
+        work.sides[i] -= driven[work.locked + i]
 
 
 @leaf
 def _add_torques(t, arm, arm_work, y):
     """Fill `tau` of an arm's joints with τ_0 + R⁻¹J̄ y, the torques for the force on the object.
 
-    τ_0 is `rest` (N m, N), R the metric of the motors' effort (see `_weigh`), J̄ (n, 6) the
-    inertia-weighted inverse of the Jacobian J (6, n). R⁻¹ is diagonal, with `effort` τ_max² of the
-    joints; of a redundant arm (`wide`) it is JᵀWJ with W (6, 6) = `effort` of the arm, so that
-    R⁻¹J̄ y = JᵀW y.
+    τ_0 is `rest` (N m, N), R the metric of the motors' effort, J̄ (n, 6) the inertia-weighted
+    inverse of the Jacobian J (6, n). R⁻¹ is diagonal, with `effort` τ_max² of the joints; of a
+    redundant arm (`wide`) it is JᵀWJ with W (6, 6) = `effort` of the arm, so that R⁻¹J̄ y = JᵀW y.
 
     Args:
         t: Tick.
@@ -514,6 +603,9 @@ def _add_torques(t, arm, arm_work, y):
 @leaf
 def limit_torques(t):
     """Copy the torques of the joints to the motors, unless one exceeds its limit or is not finite.
+
+    Reads `tau` of the joints (N m, N), and their `motor` and `tau_max` of MODEL; fills `tau` (n_a,)
+    of WORK.
 
     Args:
         t: Tick.

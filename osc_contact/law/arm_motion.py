@@ -57,12 +57,13 @@ def place_frame(joint, X, R, p):
 
 @inner
 def place_pose(joint, X, pose):
-    """Transform a frame that is fixed to a joint to the world.
+    """Transform a frame that is fixed to a joint to the world, as a pose.
 
     Args:
         joint: JOINT_WORK row.
         X: (12,) frame in the joint: rotation by rows, then origin (m).
-        pose: (4, 4), filled with the pose of the frame in the world.
+        pose: (4, 4), filled with the pose of the frame in the world: axes as columns of its first
+            3×3 block, origin (m) in the last column, and a last row of 0, 0, 0, 1.
     """
     p = local(3)
     place_frame(joint, X, pose, p)
@@ -88,12 +89,16 @@ def turn_axes(R, rotation, out):
 
 @leaf
 def place_arm(t, arm, q):
-    """Fill axes R and origin p (m, world) of every joint of an arm.
+    """Fill axes R (3, 3) and origin p (3,; m, world) of every joint of an arm, from its base on.
+
+    The frame of a joint is `placement` in the frame of the joint before it (of the first joint in
+    the world), then turned about its own z axis by the joint's angle or, of a prismatic joint,
+    shifted along it.
 
     Args:
         t: Tick.
         arm: ARM row.
-        q: (n,) joint positions (m, rad).
+        q: positions (m, rad) of the joints of all arms.
     """
     joints = t.model.joints
     work = t.work.joints
@@ -110,7 +115,7 @@ def place_arm(t, arm, q):
         angle = 0.0 if joints[j].slides else q[j]
         c = cos(angle)
         s = sin(angle)
-        for i in range(3):
+        for i in range(3):  # columns x and y of R, turned about z by the angle
             a = R[i, 0]
             b = R[i, 1]
             R[i, 0] = c * a + s * b
@@ -123,7 +128,7 @@ def _place_body(w, C, link, body):
     """Transform the inertia of a body that is fixed to a joint to world axes about C.
 
     Args:
-        w: JOINT_WORK row.
+        w: JOINT_WORK row, of which axes R and origin p in the world are read.
         C: (3,) point (m).
         link: (13,) mass (kg), centre in the joint (m), rotational inertia about the centre by rows
             (kg m²).
@@ -136,6 +141,7 @@ def _place_body(w, C, link, body):
     fill3(body[1:], scaled3(m, c))
     for i in range(3):
         row = rotated(R, rotated9(link[4:], R[i]))  # row i of R I Rᵀ
+        # parallel axes: R I Rᵀ − m c cᵀ + m cᵀc 1, by rows behind the first four elements
         fill3(body[4 + 3 * i :], add3(row, -body[1 + i], c))
         body[4 + 4 * i] += m * dot3(c, c)
 
@@ -179,15 +185,19 @@ def _force_on(b, V, a, gravity):
 def move_arm(t, arm, v, C, V, gamma, bias_out):
     """Compute Jacobian, drift, bias torques and inertia of an arm, and its outboard wrenches.
 
-    Outboard are the bodies beyond the wrist sensor. Reads R and p of the joints. Fills of each
-    joint `column` (its column of the Jacobian J at C, world axes), `h` (C v + g: torque of
-    velocities and gravity; N m, N), `M` (its row of the joint-space inertia), and `outboard`, the
-    wrench at C of the outboard bodies per unit of the joint's acceleration.
+    Outboard are the bodies beyond the wrist sensor: a part of the link `outer_joint` (`outer`), and
+    all links beyond it.
+
+    Reads R and p of the joints. Fills of each joint `column` (its column of the Jacobian J at C,
+    world axes), `h` (C v + g: torque of velocities and gravity; N m, N), `M` (its row of the
+    joint-space inertia), `force` and `body` (wrench at q̈ = 0 and inertia of all links that it
+    carries, at C), and `outboard`, the wrench at C of the outboard bodies per unit of the joint's
+    acceleration.
 
     Args:
         t: Tick.
         arm: ARM row.
-        v: (n,) joint velocities (rad/s, m/s).
+        v: velocities (rad/s, m/s) of the joints of all arms.
         C: (3,) common point (m).
         V: (6,), filled with the twist of the tip at C.
         gamma: (6,), filled with its drift γ, the acceleration at q̈ = 0, at C (m/s², rad/s²).
@@ -202,11 +212,11 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
     # from the base: Jacobian, twist and drift, and the wrench that moves each link at q̈ = 0
     for j in range(arm.first, arm.end):
         w = work[j]
-        axis = (w.R[0, 2], w.R[1, 2], w.R[2, 2])
+        axis = (w.R[0, 2], w.R[1, 2], w.R[2, 2])  # z axis of the joint
         turning = join(cross(minus3(w.p, C), axis), axis)
         column = join(axis, ZERO_3) if joints[j].slides else turning
         fill(w.column, column)
-        motion = scaled(v[j], column)
+        motion = scaled(v[j], column)  # part of the twist by this joint
         fill(gamma, plus(gamma, cross_motion(V, motion)))
         fill(V, plus(V, motion))
         _place_body(w, C, joints[j].link, w.body)
@@ -214,7 +224,30 @@ def move_arm(t, arm, v, C, V, gamma, bias_out):
         if j == arm.outer_joint:
             _place_body(w, C, arm.outer, outer_body)
             fill(bias_out, plus(bias_out, _force_on(outer_body, V, gamma, gravity)))
-    for j in range(arm.end - 1, arm.first - 1, -1):  # from the tip: sums over the bodies beyond j
+    _sum_from_tip(t, arm, outer_body, bias_out)
+
+
+@leaf
+def _sum_from_tip(t, arm, outer_body, bias_out):
+    """Sum wrenches and inertias of the links from the tip of an arm; fill h, M and `outboard`.
+
+        h_j = column_jᵀ force_j,   M_jk = column_kᵀ I_j column_j
+
+    force_j (6,) is the wrench that moves all links that joint j carries at q̈ = 0, and I_j their
+    inertia, at the common point C. Fills of the joints `force` and `body` (these sums), `h` (N m,
+    N), `M` (with the inertia of rotors on its diagonal), and `outboard`, the wrench of the bodies
+    beyond the wrist sensor per unit of the joint's acceleration.
+
+    Args:
+        t: Tick, with `column`, and `force` and `body` of its own link in each joint.
+        arm: ARM row.
+        outer_body: (13,) inertia of the part of the link `outer_joint` beyond the sensor; becomes
+            that of all bodies beyond it.
+        bias_out: (6,), to which the wrench of the links beyond `outer_joint` is added.
+    """
+    joints = t.model.joints
+    work = t.work.joints
+    for j in range(arm.end - 1, arm.first - 1, -1):
         w = work[j]
         if j < arm.end - 1:
             next_joint = work[j + 1]

@@ -113,10 +113,11 @@ def _compute_levers(t, bars, n_locked):
     levers = work.levers
     inverse = work.bar_inverse
     effects = work.bar_effects
-    _place_bars(arms, bars, work.points, inverse)
-    one_sided_jacobi(inverse, bars, 3 * arms, bars)
-    rank = _invert(inverse, bars, 3 * arms, bars, t.model.angle_tolerance)
+    _place_bars(arms, bars, work.points, inverse)  # [Eᵀ 1]
+    one_sided_jacobi(inverse, bars, 3 * arms, bars)  # [ΣYᵀ Uᵀ]
+    rank = _invert(inverse, bars, 3 * arms, bars, t.model.angle_tolerance)  # [Σ⁻¹Yᵀ Uᵀ]
     _apply_inverse(t, rank, inverse, n_locked, effects)
+    # `levers` = U(Σ⁻¹Yᵀ J̄ᵀ), and Uᵀ as the last elements of `effects`
     for bar in range(bars):
         for j in range(n):
             levers[bar, j] = 0.0
@@ -134,8 +135,8 @@ def _find_internal_torques(t, count, n_locked):
 
     G (6, n) maps torques to the wrench on the object. Torques are counted in units of τ_max. In a
     singular posture some rows of `bar_effects` are huge; therefore torques are selected by their
-    angle to the torques that move the object, not by size. Reads J̄ of the joints (n, 6), whose rows
-    along the free axes are the columns of G, and `effort` (τ_max²) of the joints. Changes
+    angle to the torques that move the object, not by size. Reads J̄ of the joints (n, 6), whose
+    rows along the free axes are the columns of G, and `effort` (τ_max²) of the joints. Changes
     `bar_effects` (count, n_locked + n), whose rows have the effects of locked wrenches, then of
     each joint's torque, on one bar force: the elements of the joints are multiplied by τ_max. Fills
     `bar_torques` (s, n) with the torques, and `moving_torques` (6, n) with an orthonormal basis of
@@ -339,13 +340,13 @@ def _keep(X, count, length, width, low, high):
 
 @inner
 def _take_out(Q, count, length, x):
-    """Subtract from a row its components along orthonormal rows.
+    """Subtract from a vector x its components along orthonormal rows q of Q: x ← x − Σ (qᵀx) q.
 
     Args:
-        Q: matrix with orthonormal rows.
+        Q: (count, length) or larger, with orthonormal rows.
         count: number of its rows in use.
-        length: number of elements.
-        x: (length,), changed.
+        length: number of elements of x.
+        x: (length,) or longer, changed.
     """
     for c in range(count):
         add_scaled(-dot(Q[c], x, length), Q[c], length, x)
@@ -369,7 +370,8 @@ def _orthonormalise(X, count, length, tolerance):
     """
     largest = 0.0
     for done in range(count):
-        longest = 0.0  # square of the norm of the longest remaining row
+        # the longest remaining row is moved to the front of the remaining ones
+        longest = 0.0  # square of its norm
         selected = done
         for row in range(done, count):
             square = dot(X[row], X[row], length)
@@ -381,6 +383,7 @@ def _orthonormalise(X, count, length, tolerance):
             return done
         for i in range(length):
             X[done, i], X[selected, i] = X[selected, i], X[done, i]
+        # it is orthogonalised again and normalised, and its direction removed from the others
         _take_out(X, done, length, X[done])
         norm = sqrt(dot(X[done], X[done], length))
         for i in range(length):
@@ -397,12 +400,14 @@ def _orthonormalise(X, count, length, tolerance):
 def internal_rows(t, d):
     """Fill the conditions on the torques for the bar forces that the motors can set.
 
-    Row e is E τ = side (N): E (s, n) is the force of the e-th combination of bars, a column of
-    `basis` (bars, s), per torque of each joint, and the side is the commanded force plus E times
-    the torques that move the arms, less E τ_0, where τ_0 are the torques without command. Reads
+    A bar is the line between two grasps that carries an internal force. Row e is E_e τ = side (N):
+    E_e (n,) is the force of the e-th combination of bars, a column of `basis` (bars, s), per torque
+    of each joint; the side is the commanded force plus E_e(h + M q̈), with the torques `inertial`
+    that move the arms, less E_e τ_0, where τ_0 = `rest` are the torques without command. Reads
     `commanded`, R and p of the joints, `resisted` of the arms, `inertial` and `rest` of the joints,
-    `goal` of the internal forces. Fills `points`, `carried`, `owners`, the fields of
-    `settable_bars`, rows of `extra` (E) and of `sides`.
+    `goal` of the internal forces (N). Fills `points` (k, 3; m), the forces `carried` by structures
+    of the arms (rows of three) and their arms `owners`, the fields of `settable_bars`, rows of
+    `extra` (E) and of `sides`.
 
     Args:
         t: Tick.
@@ -424,6 +429,7 @@ def internal_rows(t, d):
         arm = model.arms[i]
         fill3(work.points[i], place_point(joints[arm.tip_joint], arm.tip[9:]))
         for c in range(work.arms[i].n_locked):  # wrenches that the arm's structure carries
+            # its force, from energy coordinates (√m R f̃) to world axes with the length of f̃
             force = rotated_back(work.axes[0], work.arms[i].resisted[c])
             fill3(work.carried[locked], divided3(force, model.roots[0]))
             work.owners[locked] = i

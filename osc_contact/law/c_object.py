@@ -55,13 +55,14 @@ def osc_law_rows(raw, at, arrays, sizes):
     Args:
         raw: address of the bytes of `records.Rows`.
         at: offset of the JOB in them (bytes).
-        arrays: address of nine addresses, those of the float64 arrays of the argument `given` of
-            `rows.rows`, in its order.
+        arrays: address of nine addresses, those of the float64 arrays q, v, wrenches (…, 6), X_WD
+            (…, 4), V_D, A_D, alpha_d, touched (…, 28) and active of `rows.rows`.
         sizes: address of nine integers, the number of elements of each array, or the number of its
             rows if it has two axes.
 
     Returns:
-        The value returned by `rows.rows`.
+        Twice the number of the next row, plus 1 if some row did not end OK, as `rows.rows` returns
+        it.
     """
     addresses = words_at(arrays, 9)
     counts = words_at(sizes, 9)

@@ -50,12 +50,13 @@ TIP_ABOVE_CEILING = declare_reason(
 def watch_ceilings(t):
     """Return a reason if a contact, a wrist or a tip has been above its ceiling for too long.
 
-    Time below a ceiling is subtracted from the time above it, as for the limits of `safety`. If
-    wrists were not read in this tick, their time does not change. Updates in MEMORY `over_contact`,
-    `over_wrist`, `over_tip` (s) and the largest commands `largest_force`, `largest_sum` (N); fills
-    `culprit` (column or arm concerned), `reached` and `ceiling` (N, m/s). A ceiling of force is
-    `contact_ceiling` or `wrist_ceiling` (N), at least the headroom times the largest command so
-    far.
+    A ceiling is an absolute limit of a contact force or wrist force (N), or of the speed of a tip
+    (m/s); too long is more than `ceiling_time` (s). Time below a ceiling is subtracted from the
+    time above it, as for the limits of `safety`. If wrists were not read in this tick, their time
+    does not change. Updates in MEMORY `over_contact`, `over_wrist`, `over_tip` (s) and the largest
+    commands `largest_force`, `largest_sum` (N); fills `culprit` (column or arm concerned),
+    `reached` and `ceiling` (N, m/s). A ceiling of force is `contact_ceiling` or `wrist_ceiling`
+    (N), at least the headroom times the largest command so far.
 
     Args:
         t: Tick after `command`.

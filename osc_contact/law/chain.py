@@ -199,7 +199,7 @@ def _combine_twists(t):
     """
     work = t.work
     P = local(6, 6)
-    S = local(6, 6)  # P + G_i, then its Cholesky factor
+    S = local(6, 6)  # P + G_i of the arm, then its Cholesky factor
     before = local(6, 6)  # P before the arm
     K = local(6, 6)
     P[:] = 0.0
@@ -249,10 +249,16 @@ def _add_covariance(t, k, G):
 def _add_arm(t, arm, arm_work, row):
     """Compute the terms of one arm and add them to the sums over all arms.
 
-    Reads `axes` and `V_C`. Fills ARM_WORK, J, J̄, `offset` and `h` of its joints, and
-    `locked_rows`. Adds to `Lambda`, `effort`, `chain_bias`, and for the bodies beyond its wrist
-    sensor to `out_T`, `bias_e` and `bias_links`. `drift` and `gamma` are the acceleration γ of its
-    tip at q̈ = 0 in world axes and in energy coordinates, `resisted` its locked wrenches.
+    The arm adds its inertia Λ (6, 6) at the tip, the inverse metric of its effort (6, 6), and the
+    wrench J̄ᵀh − Λγ (6,) of velocity and weight: J̄ (n, 6) is the inertia-weighted inverse of its
+    Jacobian J (6, n), h (n,) the torque of velocities and gravity, γ (6,) the acceleration of its
+    tip at q̈ = 0. All are in energy coordinates.
+
+    Reads `axes` and `V_C`. Fills of ARM_WORK `gamma` (γ; `drift` is γ in world axes), `resisted`
+    (its locked wrenches), `wide` (1 with redundant joints), and the fields of the functions called
+    here; J, J̄, `offset` −J̄γ and `h` of its joints; `locked_rows` (each a locked wrench, then the
+    acceleration γ along it). Adds to `Lambda`, `effort`, `chain_bias`, and for the bodies beyond
+    its wrist sensor to `out_T`, `bias_e` and `bias_links`.
 
     Args:
         t: Tick.
@@ -281,17 +287,43 @@ def _add_arm(t, arm, arm_work, row):
         return BAD_INERTIA, 0
     if may_be_singular(t, arm, arm_work):
         find_lost(t, arm, arm_work)
-    shared = (
-        model.n_arms > 1 or arm_work.wide == 0 or arm_work.n_lost > 0
-    )  # else the torques are unique
+    # a single redundant arm in a regular posture has unique torques, which need no metric
+    shared = model.n_arms > 1 or arm_work.wide == 0 or arm_work.n_lost > 0
     if model.n_motors > 0 and shared and not effort_metric(t, lo, n, m, arm_work, arm_work.effort):
         return UNACTUATED, 0
     for k in range(count):
         locked = work.locked_rows[row + k]
         locked[6] = dot6(locked, arm_work.gamma)  # acceleration along the locked wrench
         fill(arm_work.resisted[k], locked)
-    bias = six(work.chain_bias)  # sum of J̄ᵀh − Λγ
-    for j in range(lo, arm.end):
+    _add_to_chain(t, arm, arm_work)
+    if arm.sensor_joint >= 0 and arm.outer_joint >= 0:
+        if arm.filtered:
+            filter_outboard(t, arm, arm_work, arm_work.bias)
+        else:
+            _add_outboard(t, arm, arm_work)
+    return NO_REASON, count
+
+
+@leaf
+def _add_to_chain(t, arm, arm_work):
+    """Add inertia, effort and bias of one arm to those of the chain; fill `offset` of its joints.
+
+    The bias of an arm is J̄ᵀh − Λγ (6,), the wrench of velocity and weight at its tip; the offset of
+    a joint −J̄γ, its acceleration while the object has none: J̄ (n, 6) is the inertia-weighted
+    inverse of its Jacobian, h (n,) the torque of velocities and gravity, to which friction of
+    passive joints is added, Λ (6, 6) its inertia, γ (6,) the drift of its tip. All are in energy
+    coordinates. Changes `Lambda`, `effort` and `chain_bias`.
+
+    Args:
+        t: Tick after `arm_terms`.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
+    """
+    model = t.model
+    work = t.work
+    joints = work.joints
+    bias = six(work.chain_bias)
+    for j in range(arm.first, arm.end):
         if model.rubs != 0 and model.joints[j].motor < 0:  # passive: other motors compensate it
             joints[j].h += believed_friction(t, j)
         joints[j].offset = -dot6(joints[j].J_bar, arm_work.gamma)
@@ -301,12 +333,6 @@ def _add_arm(t, arm, arm_work, row):
         fill(work.Lambda[i], plus(work.Lambda[i], arm_work.Lambda[i]))
         fill(work.effort[i], plus(work.effort[i], arm_work.effort[i]))
     fill(work.chain_bias, bias)
-    if arm.sensor_joint >= 0 and arm.outer_joint >= 0:
-        if arm.filtered:
-            filter_outboard(t, arm, arm_work, arm_work.bias)
-        else:
-            _add_outboard(t, arm, arm_work)
-    return NO_REASON, count
 
 
 @leaf
@@ -386,7 +412,7 @@ def _intersect(t, count):
     work.locked = 0
     if count == 0:
         return
-    one_sided_jacobi(locked, count, 6, 1)
+    one_sided_jacobi(locked, count, 6, 1)  # the rate behind each wrench is rotated with it
     for k in range(count):
         square = dot(locked[k], locked[k], 6)
         if sqrt(square) > t.model.angle_tolerance and work.locked < 6:
@@ -394,6 +420,7 @@ def _intersect(t, count):
                 work.sigma[i] += locked[k, i] * locked[k, 6] / square
             fill(work.reflectors[work.locked], locked[k])
             work.locked += 1
+    # reflections that map these directions to the first axes
     diagonal = local(6)
     qr_rows(work.reflectors, work.locked, 6, diagonal, work.beta)
     for k in range(work.locked):  # there `qr_rows` has left R, which is not needed

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from osc_contact.law.algebra import backward, dot, lu_solve, orthonormalise
-from osc_contact.law.jit import inner, local
+from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import CART, CONVEYOR, ELSEWHERE, body_of, contact_of
 from osc_contact.law.vectors import (
@@ -146,10 +146,7 @@ def _reduce(t):
         column = columns[work.chosen[j]]
         fill(column.rest, scaled(1.0 / column.extent, column.energy))
     while rank < work.count:
-        longest = 0.0
-        for j in range(work.count):
-            remainder = columns[work.chosen[j]].rest
-            longest = max(longest, dot6(remainder, remainder))
+        longest = _longest_rest(t)
         if sqrt(longest) <= DEPENDENT or rank == 6:
             break
         first = work.chosen[0]
@@ -157,11 +154,7 @@ def _reduce(t):
             remainder = columns[work.chosen[j]].rest
             if dot6(remainder, remainder) >= _PIVOT * _PIVOT * longest:
                 first = work.chosen[j]
-        place = rank  # insertion into `kept`, which stays in ascending order
-        while place > 0 and work.kept[place - 1] > first:
-            work.kept[place] = work.kept[place - 1]
-            place -= 1
-        work.kept[place] = first
+        _insert(work.kept, rank, first)
         rank += 1
         _remove(t, first)
     work.rank = rank
@@ -173,11 +166,44 @@ def _reduce(t):
     return _same_body(t)
 
 
+@leaf
+def _longest_rest(t):
+    """Largest square of the norm of `rest`, over the active columns (energy coordinates).
+
+    `rest` (6,) is the part of a column of N outside the span of the selected columns.
+
+    Args:
+        t: Tick.
+    """
+    longest = 0.0
+    for j in range(t.work.count):
+        remainder = t.work.columns[t.work.chosen[j]].rest
+        longest = max(longest, dot6(remainder, remainder))
+    return longest
+
+
+@leaf
+def _insert(indices, count, index):
+    """Insert an index in a list of indices in ascending order.
+
+    Args:
+        indices: (count + 1,) or longer, of which the first `count` are in ascending order; changed.
+        count: number of indices before the insertion.
+        index: index that is inserted.
+    """
+    place = count
+    while place > 0 and indices[place - 1] > index:
+        indices[place] = indices[place - 1]
+        place -= 1
+    indices[place] = index
+
+
 @inner
 def _remove(t, first):
     """Remove the direction of one column from `rest` of all others, and zero its own `rest`.
 
-    The projection is done twice, for accuracy (energy coordinates).
+    `rest` (6,) is the part of a column of N outside the span of the selected columns, in energy
+    coordinates. The projection is done twice, for accuracy.
 
     Args:
         t: Tick.
@@ -214,6 +240,7 @@ def _express(t):
     for a in range(rank):
         column = columns[work.kept[a]]
         fill(unit[a], scaled(1.0 / column.extent, column.energy))
+    # with the kept columns of length 1, `unit` = L Q: share = L⁻ᵀQ energy, divided by their lengths
     orthonormalise(unit, rank, 0, basis, factor)
     for j in range(work.count):
         column = columns[work.chosen[j]]
@@ -242,6 +269,7 @@ def _consistent(t):
     """
     work = t.work
     columns = work.columns
+    # size of the summands, relative to which rounding errors are judged
     largest = 0.0
     for j in range(work.count):
         column = columns[work.chosen[j]]
@@ -311,7 +339,7 @@ def spread_magnitudes(t):
     square_shares(work, RR)
     for a in range(r):
         x[0, a] = work.alpha_meas[a]
-    lu_solve(RR, r, x, 1)
+    lu_solve(RR, r, x, 1)  # (RRᵀ)⁻¹α
     for i in range(work.count):
         j = work.chosen[i]
         share = work.columns[j].share
@@ -350,7 +378,9 @@ def _body_response(kind, parameters, E, O, answer):
 
     Args:
         kind: CART, CONVEYOR or another kind of body.
-        parameters: (8,) of a cart: direction u (0:3), mass, stiffness, damping, preload, u·g.
+        parameters: (8,) of a cart, which moves along one axis on a spring and damper: direction u
+            (0:3), mass (kg), stiffness (N/m), damping (N s/m), preload of the spring (N), and u·g,
+            the part of gravity along u (m/s²). Not read for other kinds.
         E: (28,) X_WE (4, 4) by rows, V_E (6,) and A_E (6,) of the body.
         O: (3,) operational point, to which the reference points are moved (m).
         answer: (48,), filled: Φ_e by rows (36), b_e (6), V_e (6).
@@ -358,24 +388,30 @@ def _body_response(kind, parameters, E, O, answer):
     Phi = answer[:36]
     b = answer[36:42]
     V = answer[42:48]
-    start = (E[3], E[7], E[11])
+    start = (E[3], E[7], E[11])  # origin of X_WE
+    V_E = E[16:22]
+    A_E = E[22:28]
     Phi[:] = 0.0
     if kind == CART:
         u = linear(parameters)
         mass = parameters[3]
-        speed = dot3(u, E[16:])
-        force = parameters[6] - parameters[4] * dot3(u, start) - parameters[5] * speed
-        rate = parameters[7] + force / mass
-        for i in range(3):
+        stiffness = parameters[4]
+        damping = parameters[5]
+        preload = parameters[6]
+        gravity = parameters[7]
+        speed = dot3(u, V_E)
+        force = preload - stiffness * dot3(u, start) - damping * speed
+        rate = gravity + force / mass  # acceleration along u without contact
+        for i in range(3):  # Φ_e = u uᵀ/mass for forces
             for j in range(3):
                 Phi[6 * i + j] = parameters[i] * parameters[j] / mass
         fill(b, join(scaled3(rate, u), ZERO_3))
         fill(V, join(scaled3(speed, u), ZERO_3))
         return
-    fill(V, E[16:])
+    fill(V, V_E)
     fill(b, ZERO)
     if kind == CONVEYOR:
-        fill(b, E[22:])
+        fill(b, A_E)
     fill3(b, minus3(b, cross(V[3:], V)))  # the classical acceleration of E's origin made spatial
     fill(V, carry_motion(V, start, O))
     fill(b, carry_motion(b, start, O))
@@ -383,10 +419,12 @@ def _body_response(kind, parameters, E, O, answer):
 
 @inner
 def compute_body_responses(t):
-    """Compute inverse inertia, bias and twist at O of every touched body (see `_body_response`).
+    """Compute inverse inertia Φ_e, bias b_e and twist V_e at O of every touched body.
 
-    Bodies that several contacts touch are computed once. Reads `p_O` and `touched` of INPUT; fills
-    `answer` of the bodies.
+    The acceleration of a body is Φ_e f + b_e with the wrench f on it. Bodies that several contacts
+    touch are computed once, in the row of the first contact. Reads `p_O`, and `touched` of INPUT
+    (pose, twist and acceleration of each body); fills `answer` of the bodies: Φ_e by rows (36), b_e
+    (6), V_e (6), in world axes.
 
     Args:
         t: Tick.
@@ -421,14 +459,14 @@ def project_bodies(t):
     for a in range(work.rank):
         N = work.columns[work.kept[a]].N
         body = body_of(t, work.kept[a]).same
-        answer = work.bodies[body].answer
+        answer = work.bodies[body].answer  # Φ_e by rows (36), b_e (6), V_e (6)
         work.b_N[a] = dot6(N, answer[36:])
         work.V_N[a] = dot6(N, answer[42:])
-        yield_row = ZERO
+        yield_row = ZERO  # row of NᵀΦ_e
         for i in range(6):
             yield_row = add(yield_row, N[i], answer[6 * i :])
         fill(work.yields[a], yield_row)
-        for b in range(work.rank):
+        for b in range(work.rank):  # row of NᵀΦ_eN_μ, of columns on the same body
             other = work.kept[b]
             if body_of(t, other).same == body:
                 pushed = plus(work.columns[other].N, work.friction_wrenches[b])

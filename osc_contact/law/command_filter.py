@@ -84,7 +84,7 @@ def reflect_columns(t):
 
 @inner
 def require_reachable(t):
-    """Require that the arms can push along every column of N (`response.require_reachable`).
+    """Require that the arms can push along every column of N, and that none depends on others.
 
     The mobility is NᵀΦ₀N, with the columns N (6, r) along the free axes and the inverse inertia Φ₀
     = Λ_S⁻¹ of the chain there. With an object 1 ≤ Λ_S ≤ trace(Λ_S) in energy coordinates, so the
@@ -111,6 +111,7 @@ def require_reachable(t):
     for a in range(r):
         N = work.N_t[a]
         reach = min(reach, dot(N[m:], N[m:], 6 - m) / dot6(N, N))
+    # far above both bounds N alone is sufficient
     if t.model.held and reach > 2.0 * _REACH * trace and least_ratio > 2.0 * _APART * sqrt(trace):
         return NO_REASON
     return _judge_reach(t)
@@ -248,9 +249,10 @@ def reduce_motion(t):
 
         min ΔᵀΔ + Σ (1 − φ)/φ (uᵀΔ − y)²/|u|²,   NᵀΔ = 0,   y = χ vᵀKᵀq̈ − uᵀ(a − γ)
 
-    The sum is over the lost directions of all arms; v is the direction's motion of the joints,
-    weighted with the factor K of M = KKᵀ. Reads the lost directions of the arms (`mode`, `chi`,
-    `lost`, `share`, `gone`), their `gamma`, and `N_t`. Updates `acceleration_t` (a).
+    The sum is over the lost directions of all arms; N (6, r) are the kept columns, v (n,) is the
+    direction's motion of the joints, weighted with the factor K of M = KKᵀ: `mode` is K⁻ᵀv. Reads
+    the lost directions of the arms (`mode`, `chi`, `lost`, `share`, `gone`), their `gamma`, and
+    `N_t`. Updates `acceleration_t` (a).
 
     Args:
         t: Tick.
@@ -271,11 +273,10 @@ def reduce_motion(t):
         arm_work = work.arms[k]
         arm = t.model.arms[k]
         for e in range(arm_work.n_lost):
-            target = 0.0  # y
+            target = 0.0  # y; M q̈ of the posture task is `retreat`, and vᵀKᵀq̈ = (K⁻ᵀv)ᵀM q̈
             for i in range(arm.first, arm.end):
-                target += arm_work.mode[e, i - arm.first] * retreat(
-                    t, arm, i, t.model.retreat_damping
-                )
+                posture_torque = retreat(t, arm, i, t.model.retreat_damping)
+                target += arm_work.mode[e, i - arm.first] * posture_torque
             target *= arm_work.chi[e]
             for i in range(6):
                 target -= arm_work.lost[e, i] * (a[i] - arm_work.gamma[i])
@@ -296,10 +297,12 @@ def reduce_motion(t):
 
 @inner
 def set_metric(t):
-    """Fill `B_inv_t`, the metric B⁻¹ of the motion filter in turned energy coordinates.
+    """Fill `B_inv_t`, the metric B⁻¹ (6, 6) of the motion filter in turned energy coordinates.
 
-    Reads `Lambda`, or B⁻¹ of MODEL. If B⁻¹ is the object's inertia, which is the identity,
-    `B_inv_t` is not filled.
+    B⁻¹ is, by `metric` of MODEL, the inertia of the object (BY_OBJECT), which is the identity in
+    energy coordinates, so `B_inv_t` is not filled; the inertia Λ of object and arms (BY_CHAIN); or
+    `B_inv` of MODEL (BY_MATRIX), given at O in world axes. It is transformed as an inertia is, by
+    the map of wrenches from both sides.
 
     Args:
         t: Tick.
@@ -313,7 +316,7 @@ def set_metric(t):
         return
     copy_rows(t.model.B_inv, out)
     half = local(6, 6)
-    for _ in range(2):  # transforms B⁻¹ from the left, then from the right
+    for _ in range(2):  # each time the rows are transformed, and the result is transposed
         for i in range(6):
             f = wrench_to_energy(work, out[i])
             for j in range(6):
@@ -349,7 +352,7 @@ def filter_motion(t):
     x = work.acceleration_t
     sigma = work.sigma
     fill(x, minus(turned(work, motion_to_energy(work, work.a_u)), sigma))
-    for a in range(r):
+    for a in range(r):  # ρ; `brake` is κ(NᵀV_rel − v̄), `Phi_mu` NᵀΦ_eN_μ, `b_N` Nᵀb_e
         s = work.n_gamma[a] + work.b_N[a] - work.brake[a]
         for b in range(r):
             s += work.Phi_mu[a, b] * work.alpha_u[b]
@@ -366,6 +369,6 @@ def filter_motion(t):
         project_onto_columns(work.N_factor_t, work.N_basis_t, r, x, rho)
     elif r > 0 and not _project_weighted(t, work.B_inv_t, m, x, rho):
         return BAD_METRIC
-    for i in range(m):
+    for i in range(m):  # S η̇_c + σ: along the locked axes the acceleration is σ
         x[i] = sigma[i]
     return NO_REASON

@@ -34,7 +34,7 @@ from osc_contact.law.vectors import (
 
 @inner
 def rotation_vector(R):
-    """Rotation vector log₃ R (rad, three numbers) of a rotation matrix.
+    """Rotation vector log₃ R (rad, three numbers) of a rotation matrix: axis times angle.
 
     Args:
         R: matrix, at least 3×3, with the rotation in its first three rows and columns.
@@ -66,7 +66,7 @@ def pose_error(X_WD, X_WO):
         X_WD, X_WO: (4, 4) desired and actual pose.
     """
     R = local(3, 3)
-    for i in range(3):
+    for i in range(3):  # row i of R_D R_Oᵀ: R_O times row i of R_D
         fill3(R[i], rotated(X_WO, X_WD[i]))
     return join(minus3(origin(X_WD), origin(X_WO)), rotation_vector(R))
 
@@ -144,15 +144,14 @@ _SOFTEST = 20.0  #: largest estimate of s, as a multiple of s_0
 def shape_steps(t, is_custom):
     """Shape steps of desired forces: fill `goal` of the active columns with α_s = α_d − w (N).
 
-    α_d is the desired force and w (N) the part of a step that is still to come, which falls to zero
-    in the rise time `step_time`. Fills also `scale` (size of the force, N), `shaped` and `to_come`
-    of these columns, `step_left` (remaining share of the rise time), `step_time`, and
-    `integral_scale` (0 … 1), the factor of the integral gain, which is 0 while a large part of a
-    step remains.
+    α_d is the desired force and w (N) the part of a step that is still to come, a quintic that
+    falls to zero in the rise time (s). Where a desired force changes suddenly, the steps of all
+    columns begin anew with the rise time `step_time` of MODEL; else the steps of MEMORY continue.
 
-    A step begins at the last desired force (`desired` of MEMORY, if `has_desired`), else at the
-    measured one (`alpha`, N). Contacts that unload or have been active for less than the rise time
-    (`unloading`, `since`; s) do not reduce `integral_scale`.
+    Fills of the columns `goal` (N), `scale` (size of the force, N), `shaped`, `to_come` (a, b, c of
+    w, N); of WORK `step_left` (remaining share of the rise time), `step_time` (s), and
+    `integral_scale` (0 … 1), the factor of the integral gain, 0 while w is a large part of some
+    force. Contacts that unload, or that the user has just made active, do not reduce it.
 
     Args:
         t: Tick.
@@ -167,28 +166,21 @@ def shape_steps(t, is_custom):
     if remaining > 0.0:
         remaining = max(remaining - dt / last_time, 0.0)
     is_shaped = remaining > 0.0 or rise_time > 0.0
-    # first loop: size of each step of a desired force, and whether one is sudden
+    # size of the step of each column in this tick, and whether one is sudden
     is_sudden = False
     for i in range(work.count):
         j = work.chosen[i]
         row = work.columns[j]
-        last = memory.columns[j]
-        goal = work.goal[j]
-        row.goal = goal
-        row.scale = max(abs(goal), last.scale * (1.0 - _FADES * dt)) if is_shaped else 0.0
+        goal = row.goal = work.goal[j]
+        faded = memory.columns[j].scale * (1.0 - _FADES * dt)
+        row.scale = max(abs(goal), faded) if is_shaped else 0.0
         is_approached = is_shaped and contact_of(t, j).phase == APPROACHING
         row.shaped = 0 if is_custom or is_approached else 1
-        start = work.alpha[j] if memory.ticked else 0.0  # force from which the step begins
-        if last.has_desired:
-            start = last.desired
-        elif t.model.phased and goal > 0.0:
-            start = min(start, goal)  # the force of an impact is not maintained
-            if body_of(t, j).pushes:
-                start = max(start, 0.0)  # a face does not pull
-        row.to_come[0] = goal - start  # holds the step until the second loop
-        is_sudden = is_sudden or (row.shaped and abs(row.to_come[0]) > _SUDDEN * dt * row.scale)
+        step = goal - _start_of_step(t, j)
+        row.to_come[0] = step  # for the second loop
+        is_sudden = is_sudden or (row.shaped and abs(step) > _SUDDEN * dt * row.scale)
     is_sudden = is_sudden and rise_time > 0.0
-    # second loop: new steps are added to those that are still to come
+    # new steps are added to those that are still to come
     stretch = rise_time / last_time if remaining > 0.0 else 1.0
     largest = 0.0  # w as a share of the size of the force
     for i in range(work.count):
@@ -212,14 +204,44 @@ def shape_steps(t, is_custom):
     work.integral_scale = max(1.0 - largest / _RESTS, 0.0)
 
 
+@leaf
+def _start_of_step(t, j):
+    """Force (N) from which a change of a column's desired force begins.
+
+    It is the last desired force, if one was desired in the last tick; else the measured force, 0 in
+    the very first tick. With contact phases a measured force is limited to the range from 0 (of a
+    pair that only pushes) to the desired force, as that of an impact is not to be maintained.
+
+    Args:
+        t: Tick, of which `alpha` (measured force, N) and `goal` (N) of WORK, and `ticked`,
+            `has_desired` and `desired` (N) of MEMORY are read.
+        j: index of the column among all columns of the model.
+    """
+    goal = t.work.goal[j]
+    last = t.memory.columns[j]
+    start = t.work.alpha[j] if t.memory.ticked else 0.0
+    if last.has_desired:
+        start = last.desired
+    elif t.model.phased and goal > 0.0:
+        start = min(start, goal)  # the force of an impact is not maintained
+        if body_of(t, j).pushes:
+            start = max(start, 0.0)  # a face does not pull
+    return start
+
+
 @inner
 def shape_squeeze(t):
     """Fill `goal` of the internal forces (N) from the desired `squeeze`, with shaped steps.
 
-    With three or more arms, internal forces that are not commanded follow from least effort. A step
-    from there begins at zero force, and a step to there reaches zero before least effort takes
-    over. Fills `goal`, `scale` and `to_come` of `internal`, `squeeze_left` and `squeeze_time`; sets
-    `commanded` while a step lasts.
+    α_s = α_d − w as in `shape_steps`, with the desired force α_d = `squeeze` of MEMORY (N) of each
+    bar, and the part w of a step that is still to come, a quintic with the coefficients a, b, c. In
+    the very first tick the desired force acts at once. With three or more arms, internal forces
+    that are not commanded follow from least effort. A step from there begins at zero force, and a
+    step to there reaches zero before least effort takes over.
+
+    Fills of `internal` of WORK `goal` (α_s, N), `scale` (size of the force, N) and `to_come` (a, b,
+    c; N), of WORK `squeeze_left` (remaining share of the rise time) and `squeeze_time` (rise time,
+    s); sets `commanded` while a step lasts.
 
     Args:
         t: Tick.
@@ -232,17 +254,18 @@ def shape_squeeze(t):
     remaining = memory.squeeze_left  # share 1 − x of the rise time
     if remaining > 0.0:
         remaining = max(remaining - dt / last_time, 0.0)
-    # first loop: size of each step, and whether one is sudden; second loop: sum of all steps
+    # size of each step in this tick, and whether one is sudden
     is_sudden = False
     for bar in range(t.model.n_bars):
         row = work.internal[bar]
         last = memory.internal[bar]
         desired = memory.squeeze[bar]
         start = last.desired if memory.ticked else desired
-        row.goal = desired - start  # holds the step until the second loop
+        row.goal = desired - start  # the step, for the second loop
         row.scale = max(abs(desired), last.scale * (1.0 - _FADES * dt))
         is_sudden = is_sudden or abs(row.goal) > _SUDDEN * dt * row.scale
     is_sudden = is_sudden and rise_time > 0.0
+    # new steps are added to those that are still to come
     stretch = rise_time / last_time if remaining > 0.0 else 1.0
     for bar in range(t.model.n_bars):
         row = work.internal[bar]
@@ -327,13 +350,14 @@ def _continue(to_come, remaining, stretch):
 
 @leaf
 def holds_at_zero(t, j):
-    """Return whether column j is of a contact that holds and of which no force is desired.
+    """Return whether column j is of a contact that can also pull, without a desired force.
 
-    Reads `pushes` of the bodies in MODEL, and `alpha_d` of all columns of the contact.
+    No force is desired of any column of this contact. Reads `pushes` of the bodies in MODEL (1: the
+    contact can only push), and `alpha_d` (N) of the columns.
 
     Args:
         t: Tick.
-        j: index among all columns.
+        j: index of the column among all columns of the model.
     """
     if body_of(t, j).pushes:
         return False
@@ -380,8 +404,9 @@ def brake_contacts(t):
 def _washout(t):
     """Compute the rate w (1/s) with which lasting signals of a contact are forgotten.
 
-    It is that of v̄, the lasting part of a contact's speed, and of the high-passes in the estimate
-    of a face's compliance.
+    It is the rate of the low-pass of v̄, the lasting part of a contact's speed, and of the
+    high-passes in the estimate of a face's compliance; `drift_share` is the share of one period in
+    them.
 
     Args:
         t: Tick.
@@ -472,12 +497,14 @@ def _keep_deflections(t):
         u, p, _, rate = _deflection(t, a, j)
         column = work.columns[j]
         row = t.memory.columns[j]
+        # states of the brake
         row.driven += w * dt * (work.V_N[a] - row.driven)
         row.deflection = p + dt * (u - w * p)
         row.eased = column.goal
         row.eased_rate += dt / (_YIELDS + dt) * (rate - row.eased_rate)
         if column.shaped == 0:
             continue
+        # high-passes, then the forgetting integrals ∫x̃ α̃_s and ∫α̃ α̃_s
         row.yielded += dt * (work.speed[a] + work.V_N[a] - w * row.yielded)
         row.alpha_mean += w * dt * (work.alpha_meas[a] - row.alpha_mean)
         row.eased_mean += w * dt * (row.eased - row.eased_mean)
@@ -514,10 +541,11 @@ def _keep_squeeze(t):
 def keep_steps(t):
     """Update steps of forces, lasting speed and turn of the normal of each column in MEMORY.
 
-    Columns that are not in N are reset. Where active contacts are named by the user, the turn and
+    Columns that are not in N are reset; where active contacts are named by the user, the turn and
     its covariance are retained for the next contact with the same face. The lasting speed v̄
-    (`drift`) follows the speed of a contact that presses only as far as it is not attributed to the
-    normal.
+    (`drift`) is a low-pass of NᵀV_rel; of a contact that presses, of the part 1 − `slides` of it
+    that is not attributed to an error of the normal. During a step (`integral_scale` = 0) neither
+    v̄ nor the turn of the normal changes.
 
     Reads of the columns in WORK `here` (1 if in N), `goal` (N; of the column α_s, of the table
     α_d), `scale` (size of the force, N), `shaped`, `to_come` (part of the step that is still to
@@ -540,18 +568,9 @@ def keep_steps(t):
         row = t.memory.columns[j]
         column_work = work.columns[j]
         if work.here[j] == 0.0:  # not in N: the next contact begins without a past
-            row.has_desired = 0
-            row.desired = row.scale = row.predicted = 0.0
-            row.drift = row.approach = row.driven = row.deflection = row.eased = row.eased_rate = (
-                0.0
-            )
-            row.yielded = row.alpha_mean = row.eased_mean = row.correlation = row.excitation = 0.0
-            row.to_come[:] = 0.0
-            if t.input.chosen_set:  # the next contact is with the same face
-                continue
-            row.unexplained = row.residual = row.normal_std = 0.0
-            row.turn[:] = 0.0
-            row.covariance[:] = 0.0
+            _forget_forces(row)
+            if t.input.chosen_set == 0:  # else the next contact is with the same face
+                _forget_normal(row)
             continue
         predict_force(t, row, column_work.goal, work.status == SATURATED, work.dt)
         row.has_desired = column_work.shaped
@@ -561,11 +580,40 @@ def keep_steps(t):
         # an approach shows no tilt of the face, so its whole speed counts as lasting
         lasting = work.speeds[j] * (1.0 - column_work.slides if presses else 1.0)
         row.drift += work.integral_scale * t.model.drift_share * (lasting - row.drift)
-        learn_normal(
-            work.integral_scale * t.model.drift_share if presses else 0.0, row, column_work
-        )
+        normal_share = work.integral_scale * t.model.drift_share if presses else 0.0
+        learn_normal(normal_share, row, column_work)
         fill3(row.to_come, column_work.to_come)
         if presses:
-            fill3(
-                row.turn, add3(row.turn, work.integral_scale, minus3(column_work.turned, row.turn))
-            )
+            change = minus3(column_work.turned, row.turn)
+            fill3(row.turn, add3(row.turn, work.integral_scale, change))
+
+
+@leaf
+def _forget_forces(row):
+    """Reset the states of force, lasting speed and compliance of a column that is not in N.
+
+    They are the last desired force and its size, the predicted force (N), the remainder of its
+    step, the lasting speed v̄ and that of an approach (m/s), and the states of the brake on a
+    yielding face with the estimate of its compliance.
+
+    Args:
+        row: COLUMN_MEMORY, changed.
+    """
+    row.has_desired = 0
+    row.desired = row.scale = row.predicted = 0.0
+    row.drift = row.approach = row.driven = row.deflection = row.eased = row.eased_rate = 0.0
+    row.yielded = row.alpha_mean = row.eased_mean = row.correlation = row.excitation = 0.0
+    row.to_come[:] = 0.0
+
+
+@leaf
+def _forget_normal(row):
+    """Reset the estimate of the normal of a column that is not in N.
+
+    Args:
+        row: COLUMN_MEMORY, of which `turn` (of the assumed normal), its `covariance` (rad²) and
+            `normal_std` (rad), and the speed that it does not explain become zero.
+    """
+    row.unexplained = row.residual = row.normal_std = 0.0
+    row.turn[:] = 0.0
+    row.covariance[:] = 0.0

@@ -32,7 +32,10 @@ _shown: list[Callable[[float], None]] = [_nowhere]
 
 @cache
 def rows() -> Any:
-    """Compiled `law.rows.rows`; arguments of other types raise a TypeError."""
+    """Return the compiled `law.rows.rows`; it raises a TypeError for arguments of other types.
+
+    numba compiles it for the types of its arguments, here of arrays without rows.
+    """
     no_numbers = np.zeros(0)
     no_rows = Rows(new_model(1, 1, 1))
     no_rows.job.last = 0
@@ -54,7 +57,10 @@ def rows() -> Any:
 
 @cache
 def operational_space() -> Any:
-    """Compiled `law.operational.operational_space`; arguments of other types raise a TypeError."""
+    """Return the compiled `law.operational.operational_space`.
+
+    It raises a TypeError for arguments of other types than those of this first call, without rows.
+    """
     no_numbers = np.zeros(0)
     return _made(
         operational.operational_space,

@@ -44,8 +44,12 @@ def place_contacts(t):
     """Fill N, n_γ and the points of contact of all columns, at O in world axes.
 
     N, n_γ and points of GIVEN pairs were filled by Python before the tick; those of FUNCTION pairs
-    are computed by the user's compiled function. Reads `X_WO`, `V_O`, `V_D`, and `touched` of
-    INPUT; fills, too, the estimates of `follow_face`.
+    are computed by the user's compiled function, those of the other kinds by `place_pair`. N of a
+    pair with a single point of contact is turned by the estimate of its normal, which `follow_face`
+    updates if `tilt` > 0.
+
+    Reads `X_WO`, `V_O`, `V_D`, and `touched` of INPUT. Fills of the columns `N` (6,), `n_gamma`
+    (m/s²), `point` (3,; m, from O) and the fields of `follow_face`; without friction yet.
 
     Args:
         t: Tick.
@@ -75,7 +79,7 @@ def place_contacts(t):
         if moving:
             E = t.input.touched[c]
             unpack_pose(E, X_WE)
-            fill(V_E, carry_motion(E[16:], origin(X_WE), origin(X_WO)))
+            fill(V_E, carry_motion(E[16:], origin(X_WE), origin(X_WO)))  # twist of the body at O
             fill(V_rel, minus(V_O, V_E))
         has_one_point = pair.count == 1 and pair.has_friction != 0
         is_filled = pair.kind == GIVEN or pair.kind == FUNCTION
@@ -160,11 +164,16 @@ _KNOWN = 0.95  #: share of v_0 that is not needed where the sliding speed is the
 
 @inner
 def predict_friction(t):
-    """Fill slip, rest and friction wrench of the active columns, for N and its basis.
+    """Fill direction of slip, rest and friction wrench of the active columns.
 
-    Friction is predicted for the time at which the torques of this tick act, since it reverses
-    within milliseconds with the motion. Reads `V_O`, `V_D`, `A_D`, `mu`, `chosen`, `kept`, `N` and
-    `point` of the columns, `N_factor`, `N_basis`, and `touched` of INPUT.
+    Friction is predicted for the time at which the torques of this tick act, `AHEAD` control
+    periods later, since it reverses within milliseconds with the motion. Its direction follows from
+    the measured twist V and the commanded one, which is the desired twist V_D projected on the
+    motions that the contacts permit; both are extrapolated with the desired acceleration A_D.
+
+    Reads `V_O`, `V_D`, `A_D`, `mu`, `chosen`, `kept`, `N` and `point` of the columns, `N_factor`,
+    `N_basis`, and `touched` of INPUT. Fills of the columns `slip` (3,; direction of sliding, at
+    most 1 long), `rests` (1 at rest … 0) and `friction_wrench` (6,; per unit force, at O).
 
     Args:
         t: Tick.
@@ -177,7 +186,7 @@ def predict_friction(t):
     permitted = local(6)
     normal = local(6)
     fill(permitted, motion_to_energy(work, plus(work.V_D, change)))
-    for a in range(work.rank):
+    for a in range(work.rank):  # speeds of the faces along N, which the object follows
         normal[a] = dot6(work.columns[work.kept[a]].N, _face_twist(t, work.kept[a]))
     project_onto_columns(work.N_factor, work.N_basis, work.rank, permitted, normal)
     commanded = motion_to_world(work, permitted)
@@ -209,8 +218,13 @@ def _face_twist(t, j):
 def _slide(measured, commanded, mu, slip, column):
     """Fill `slip`, the direction of slip s, and `friction_wrench`, μ [s; p × s], of a column.
 
-    Both wrench and point are at O, in world axes. Fills also `rests`, how far the point is at rest
-    as measured.
+        v = v_t + w e,   e = v_c − v_t,   w = c/(c + e²),   c = v_0² + k v_c²
+        s = v/√(v² + v_1²),   v_1 = v_0 (1 − `_KNOWN` w)
+
+    v_t and v_c (3,; m/s) are the measured and the commanded velocity of the point p (m, from O)
+    along the face, v_0 = `slip`, k = `_COMMAND_WEIGHT`. Where both differ little (w near 1) the
+    commanded one is taken, which has neither noise nor stiction. Fills also `rests` = v_0²/(v_t² +
+    v_0²): 1 at rest, 0 in fast slides, as measured.
 
     Args:
         measured: (6,) measured twist of the object relative to the body, at O (m/s, rad/s).

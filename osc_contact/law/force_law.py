@@ -74,6 +74,7 @@ def command_force(t):
         integral = last_integral_a + work.gain[a] * work.dt * (desired - work.felt[a])
         integral = min(max(integral, -bound), bound)
         force = desired + integral - work.damping[a] * work.speed[a]
+        # at the floor the integral must not fall any further
         floor = min(work.least[a], _LEAST * desired)
         if force < floor:
             force = floor

@@ -172,8 +172,8 @@ def filter_outboard(t, arm, arm_work, bias):
     J (6, n) and its inertia-weighted inverse J̄ (n, 6). The filter F = 1 − E(T E)⁺T (6, 6) removes
     it, where singular values of T E exceed `_MOVES` times the largest element of P: T (6 − m, 6)
     are the motions that the grasp permits beside m forces, along which no force of the object acts.
-    The object has no acceleration at q̈ = −J̄ gamma. Reads `passed` (T behind m rows), `gamma`, J, J̄
-    and `outboard` (P, at C in world axes, changed to energy coordinates as all other operands).
+    The object has no acceleration at q̈ = −J̄ gamma. Reads `passed` (T behind m rows), `gamma`, J,
+    J̄ and `outboard` (P, at C in world axes, changed to energy coordinates as all other operands).
     Fills `filter` (F); adds to `out_T`, `bias_e`.
 
     Args:
@@ -190,15 +190,7 @@ def filter_outboard(t, arm, arm_work, bias):
     H = local(6, 6)  # P J̄
     G = local(MAX_JOINTS, 6)  # rows: the columns of E
     X = local(6, JOINTS_AND_SIX)  # T E, behind it the identity
-    H[:] = 0.0
-    fill(bias, energy_wrench(work.axes, bias))
-    for j in range(arm.first, arm.end):
-        P = work.joints[j].outboard
-        bar = work.joints[j].J_bar
-        fill(P, energy_wrench(work.axes, P))
-        accumulate(bias, -dot6(bar, arm_work.gamma), P)
-        for a in range(6):
-            accumulate(H[a], P[a], bar)
+    _multiply_outboard(t, arm, arm_work, bias, H)
     # E = P − H J by columns, and the singular value decomposition of T E
     largest = 0.0
     for j in range(n):
@@ -226,6 +218,33 @@ def filter_outboard(t, arm, arm_work, bias):
         x = combined(F[a], H, 6)  # row of Λ_out = F H
         for b in range(6):
             work.out_T[b, a] += x[b]
+
+
+@leaf
+def _multiply_outboard(t, arm, arm_work, bias, H):
+    """Compute H = P J̄, the wrench of an arm's outboard bodies per acceleration of the object.
+
+    P (6, n) = `outboard` of the joints has these wrenches per joint acceleration, J̄ (n, 6) is the
+    inertia-weighted inverse of the Jacobian. P and bias are converted from world axes at C to
+    energy coordinates, and −P J̄ γ is added to the bias, with γ (6,) = `gamma` the drift of the tip.
+
+    Args:
+        t: Tick.
+        arm: ARM row.
+        arm_work: its ARM_WORK.
+        bias: (6,) wrench of these bodies at q̈ = 0, changed to that at q̈ = −J̄γ.
+        H: (6, 6), filled.
+    """
+    work = t.work
+    H[:] = 0.0
+    fill(bias, energy_wrench(work.axes, bias))
+    for j in range(arm.first, arm.end):
+        P = work.joints[j].outboard
+        bar = work.joints[j].J_bar
+        fill(P, energy_wrench(work.axes, P))
+        accumulate(bias, -dot6(bar, arm_work.gamma), P)
+        for a in range(6):
+            accumulate(H[a], P[a], bar)
 
 
 @inner

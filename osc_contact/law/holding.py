@@ -80,12 +80,12 @@ def hold_posture(t):
     model = t.model
     work = t.work
     memory = t.memory
-    joints = work.joints
     q = memory.q
     speed = memory.v
     if memory.settled != SETTLED:
         _move_holds(t)
-    world = local(3)  # origin of the world
+    # kinematics and bias torques at the estimated q and q̇, with wrenches at the world's origin
+    world = local(3)
     twist = local(6)
     drift = local(6)
     outboard = local(6)  # a result of `move_arm` that is not needed
@@ -103,14 +103,8 @@ def hold_posture(t):
         _weigh(t, k, world, X)
     object_is_known = _carry_weight(t, R, centre, weight)
     n_holding = _count_holding(t)
-    omega = model.hold_rate
-    rate_limit = min(BRAKE_RATE, model.torque_rate)
-    for j in range(model.n_joints):
-        if abs(speed[j]) > model.joints[j].speed_max:
-            rate_limit = min(_HASTE * BRAKE_RATE, model.torque_rate)
-        restoring = omega * (q[j] - memory.joints[j].hold)
-        has_motor = model.joints[j].motor >= 0
-        joints[j].acceleration = -omega * (2.0 * speed[j] + restoring) if has_motor else 0.0
+    rate_limit = _command_braking(t)
+    # torques of each arm, with its share of the object if it holds it
     for k in range(model.n_arms):
         holds = object_is_known and (n_holding == model.n_arms or memory.arms[k].let_go == 0)
         object_share = 1.0 / n_holding if holds else 0.0
@@ -120,12 +114,40 @@ def hold_posture(t):
     slew(work.tau, memory.torques, work.step, memory.ticked != 0)
 
 
+@leaf
+def _command_braking(t):
+    """Fill `acceleration` of the joints, −2ω q̇ − ω²(q − q_hold), which brakes and holds them.
+
+    ω = `hold_rate` (1/s), q and q̇ are the estimated positions and speeds of MEMORY, q_hold = `hold`
+    the positions where the joints are held (rad, m). Joints without a motor get 0.
+
+    Args:
+        t: Tick.
+
+    Returns:
+        Largest rate of the torques (1/s, as a multiple of their limits): `BRAKE_RATE`, `_HASTE`
+        times that if a joint is above its speed limit, at most `torque_rate`.
+    """
+    model = t.model
+    memory = t.memory
+    omega = model.hold_rate
+    rate_limit = min(BRAKE_RATE, model.torque_rate)
+    for j in range(model.n_joints):
+        speed = memory.v[j]
+        if abs(speed) > model.joints[j].speed_max:
+            rate_limit = min(_HASTE * BRAKE_RATE, model.torque_rate)
+        restoring = omega * (memory.q[j] - memory.joints[j].hold)
+        has_motor = model.joints[j].motor >= 0
+        t.work.joints[j].acceleration = -omega * (2.0 * speed + restoring) if has_motor else 0.0
+    return rate_limit
+
+
 @inner
 def _take_share(t, arm, share, rate):
     """Set torques, their largest steps and the commanded accelerations of an arm that brakes.
 
-    Fills `tau` and `step` of the motors, and `acceleration`, `driven` and `hold` of the joints in
-    MEMORY.
+    Fills `tau` and `step` of the motors (N m, N), and of the joints in MEMORY `acceleration`
+    (rad/s², m/s²), `driven` (0) and, if braking torques are reduced, `hold` (rad, m).
 
     Args:
         t: Tick, with the torques of `_split_torques` in `tau` (carrying) and `rest` (braking).
@@ -180,9 +202,10 @@ def _move_holds(t):
 def _count_holding(t):
     """Number of arms that hold the object, without stopped arms that have let go of it.
 
-    If no arm bears a load, all arms count as holding, because contacts may carry the object. If it
-    is falling instead, the first arm whose load exceeds `HEAVY` times its share of the weight is
-    the one that holds it; its `let_go` is revoked and its `holds` set.
+    If all arms have let go (`let_go` of MEMORY), all count as holding, because contacts may carry
+    the object; unless the wrist of the arm with the largest load bears more than `HEAVY` times its
+    share of the weight. Then this arm holds the object: its `let_go` is revoked and its `holds`
+    set. Before a stop, and of a single arm, all arms count. Reads `load` of the arms (3,; N).
 
     Args:
         t: Tick.
@@ -196,10 +219,10 @@ def _count_holding(t):
         for k in range(n):
             row = t.memory.arms[k]
             n_holding -= row.let_go
-            load = dot3(row.load, row.load)
-            if load > largest_square:
+            square = dot3(row.load, row.load)
+            if square > largest_square:
                 heaviest = k
-                largest_square = load
+                largest_square = square
         if n_holding == 0 and sqrt(largest_square) > HEAVY * weight_share(t):
             t.memory.arms[heaviest].let_go = 0
             t.memory.arms[heaviest].holds = 1
@@ -211,7 +234,9 @@ def _count_holding(t):
 def _compare_places(t, X):
     """Accumulate the time for which stopped arms place the object differently.
 
-    Updates `apart` of MEMORY (s).
+    One arm, the leader, holds the object rigidly; the others place it apart where their grasp
+    points are more than `closure_error` (m) from their places at the leader's object. Updates
+    `apart` of MEMORY (s: time in which they do, less time in which they do not).
 
     Args:
         t: Tick after `place_arm` of all arms.
@@ -233,27 +258,28 @@ def _weigh(t, k, world, X):
     """Low-pass the load on the wrist of a stopped arm k, and detect whether it has let go.
 
     The load f is the force by which the gripper carries the object: the reading F less weight mg
-    and inertial force ṗ of the gripper, with its momentum p. Its low-pass with the time constant
-    T = `_SHAKES`
+    and inertial force ṗ of the gripper, with its momentum p. Its low-pass with the time constant T
+    = `_SHAKES`
 
         s ← s + dt/(T + dt) (F + m g + p/T − s),   f = s − p/T
 
     is that of F + m g − ṗ, without a difference of speeds.
 
     An arm whose load is below `_LIGHT` times its share of the object's weight for `LET_GO_TIME` has
-    let go; this is not revoked until the next stop as long as other arms hold the object, because
-    vibrations or errors of the sensor may look like a load later. A bias of the sensor may exceed
-    that bound: where encoders place the arm and the object apart, `HEAVY` times the share
-    suffices. Arms that hold a rigid object apart by a wrong encoder bear more, at the latest when
-    it has drifted on: there a load above that bound for as long revokes it. The load of an arm
-    that holds passes zero, too, as braking shakes the object: in a few milliseconds. Wrists are no
-    evidence if motor torques have contradicted one of them, as an error of scale, range or wiring
-    concerns all; nor is a wrist whose reading repeats. Fills `load`, `weighing` (s), `light`,
-    `weighed` and `let_go` of the arm in MEMORY.
+    let go: the load of an arm that holds passes zero for a few milliseconds only, as braking shakes
+    the object. This is not revoked until the next stop as long as other arms hold the object,
+    because vibrations or errors of the sensor may look like a load later; except where encoders
+    place the arm and the object apart. There `HEAVY` times the share is the bound in both
+    directions, because a bias of the sensor may exceed the lower one, and arms that hold a rigid
+    object apart bear more.
+
+    A wrist is no evidence if motor torques contradict one of the wrists, as an error of scale,
+    range or wiring concerns all, or if its reading repeats. Fills `load` (3,; f), `weighing` (3,;
+    s), both in N, `light` (s of such evidence), `weighed` and `let_go` of the arm in MEMORY.
 
     Args:
         t: Tick after `move_arm`.
-        k: arm.
+        k: index of the arm.
         world: (3,) origin of the world, reference point of the wrenches.
         X: (4, 4) pose of the object by the leader; read only after `_compare_places` has filled it.
     """
@@ -270,10 +296,12 @@ def _weigh(t, k, world, X):
         row.let_go = row.holds = 0
         row.light = 0.0
     row.weighed = 1
+    # the low-passed load f
     inertial = scaled3(1.0 / _SHAKES, _gripper_momentum(t, arm))
     force = plus3(add3(wrench, _gripper_mass(t, arm), model.gravity), inertial)
     fill3(row.weighing, add3(row.weighing, share, minus3(force, row.weighing)))
     fill3(row.load, minus3(row.weighing, inertial))
+    # evidence that the arm has let go, or that it has not; none by a wrist that may be faulty
     is_frozen = memory.cause == WRIST_FROZEN and memory.culprit == k
     if is_frozen or memory.cause == UNBALANCED:
         return
@@ -292,6 +320,9 @@ def _weigh(t, k, world, X):
 def _gripper_mass(t, arm):
     """Mass of the bodies of an arm beyond its wrist sensor (kg).
 
+    They are a part of the link of the joint `outer_joint` (`outer`), and all links beyond it, whose
+    mass is the first element of `body` of the next joint.
+
     Args:
         t: Tick after `move_arm`, of which `body` of the joints is read.
         arm: ARM row.
@@ -305,6 +336,9 @@ def _gripper_mass(t, arm):
 @leaf
 def _gripper_momentum(t, arm):
     """Compute the linear momentum of the bodies of an arm beyond its wrist sensor (N s).
+
+    It is the sum of v_j times the momentum per unit speed of each joint, the first three numbers of
+    `outboard` (wrench of these bodies per acceleration of the joint).
 
     Args:
         t: Tick after `move_arm`, of which `outboard` of the joints is read, and v of MEMORY.
@@ -349,11 +383,12 @@ def _split_torques(t, arm, object_share, R, centre, weight):
             brake += joints[j].M[i - lo] * joints[i].acceleration
         joints[j].tau = carrying
         joints[j].rest = brake
-        if table[j].motor >= 0 and abs(brake) > 0.0:
+        if table[j].motor >= 0 and abs(brake) > 0.0:  # the share that leaves the sum in ±limit
             limit = table[j].tau_max
             room = limit - carrying if brake > 0.0 else limit + carrying
             share = min(share, max(room, 0.0) / abs(brake))
     share = max(share, _LEAST)
+    # limited joint by joint instead, if this brakes more; q̈ is along −q̇, so Σ change q̈ > 0 then
     power_gain = 0.0
     if share < 1.0:
         for j in range(lo, arm.end):
@@ -440,6 +475,6 @@ def _carry_weight(t, R, centre, weight):
     else:
         fill3(centre, transformed(origin(memory.X_WO), memory.X_WO, axes_frame[9:]))
         turn_axes(memory.X_WO, axes_frame, R)
-    force = scaled3(-model.principal[0], model.gravity)
+    force = scaled3(-model.principal[0], model.gravity)  # −m g, at the centre of mass
     fill(weight, join(force, cross(centre, force)))
     return True

@@ -31,12 +31,17 @@ _UNMET, _GONE, _PRESSING = range(3)
 def watch_hops(t):
     """Update share and rate of the hops of all columns; return a reason if hops stop the arms.
 
-    A contact that phases have lost counts as gone until it presses again. Updates `pressing`,
-    `hop_share` and `hop_rate` of the columns, and `hopping` of MEMORY: 1 plus the hopping column
+    A contact hops if its force is too small for the share `hop_share` of the last second or more,
+    and falls at least `hop_rate` times a second. A contact that phases have lost counts as gone
+    until it presses again. Updates of the columns in MEMORY `pressing` (no force yet, gone or
+    pressing), `hop_share` and `hop_rate` (1/s), and `hopping` of MEMORY: 1 plus the hopping column
     with the largest share, 0 if none hops.
 
     Args:
-        t: Tick, with `alpha_meas` and `alpha_d` of the kept columns in WORK.
+        t: Tick, with `alpha_meas` and `alpha_d` (N) of the kept columns in WORK.
+
+    Returns:
+        `CONTACT_HOPS` if a contact hops and `hop_stops` is 1, else `NO_REASON`.
     """
     model = t.model
     memory = t.memory
@@ -75,10 +80,14 @@ def _forget(row):
 
 @inner
 def _note_force(row, force, command, is_approached, dt):
-    """Take a measured force into the share and the rate of hops of a column.
+    """Update the share and the rate of hops of a column by a measured force.
+
+    A force below `_LOW` times its command is gone; one above `_FIRM` times it presses again. The
+    share (0 … 1) of time in which a force that has pressed is gone, and the rate (1/s) of its
+    falls, are low-passed with the time constant `_WINDOW`. Commands below `_LIGHT` are not judged.
 
     Args:
-        row: COLUMN_MEMORY.
+        row: COLUMN_MEMORY, of which `pressing`, `hop_share` and `hop_rate` are changed.
         force: α_meas (N).
         command: α_d (N).
         is_approached: whether the contact is being approached, at first or after a loss.

@@ -117,7 +117,7 @@ def isolate_posture(t):
 
 @inner
 def isolate_arms(t):
-    """Mark all readings of joints as faulty if stopped arms fight each other by a wrong encoder.
+    """Mark all readings of joints as faulty if stopped arms load each other by a wrong encoder.
 
     Encoders place stopped arms apart at one object: an encoder is wrong, or an arm has let go of
     the object, which its wrist shows within `_WEIGHED`. If all bear a load then, they hold an
@@ -135,7 +135,7 @@ def isolate_arms(t):
     memory = t.memory
     if memory.state != SAFE_STOP or memory.derived == 0:
         return
-    is_cause = memory.cause == APART
+    is_cause = memory.cause == APART  # else arms are placed apart only since a later time
     if (memory.age * model.period if is_cause else memory.apart) < _WEIGHED:
         return
     heavy = HEAVY * weight_share(t)
@@ -172,18 +172,19 @@ def estimate_joints(t):
         sound_v = joint.faulty & FAULTY_SPEED == 0
         new_q = sound_q and joint.unread_q == 0
         new_v = sound_v and joint.unread_v == 0
-        v = memory.v[j] + joint.acceleration * dt
+        v = memory.v[j] + joint.acceleration * dt  # predicted by the command
         if memory.ticked == 0:
             memory.q[j] = joint.q
             v = 0.0
         if new_v:
             v = joint.v
-        elif new_q:
+        elif new_q:  # follows the speed by positions, with the time constant `_SLOPE`
             slope = (joint.q - memory.q[j]) / dt
             v += (slope - v) * dt / (_SLOPE + dt)
         v = clamped(v, model.plausible_speed * table[j].rated)
         memory.q[j] = joint.q if new_q else memory.q[j] + v * dt
         memory.v[j] = v
+        # without a sound reading of either for `BLIND` the joint cannot be braked
         blind_q = not sound_q or joint.unread_q * dt > BLIND
         blind_v = not sound_v or joint.unread_v * dt > BLIND
         if blind_q and blind_v and table[j].motor >= 0:

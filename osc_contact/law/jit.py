@@ -274,15 +274,20 @@ else:
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
-            """Generate code that reserves the memory, once for each call of the function.
+            """Generate code that reserves the memory of the array, once for each call.
 
             The memory is reserved at the function's entry: in a loop it would grow the stack.
+            `kind` is numba's type of the array, `shape` and `strides` (bytes) are those of the
+            enclosing `local`.
 
             Args:
                 context: target context of numba.
                 builder: builder of LLVM instructions.
                 signature: types of the call.
                 values: the sizes, which are not needed at run time.
+
+            Returns:
+                LLVM value of numba's array structure, without a reference count.
             """
             with builder.goto_entry_block():
                 place = builder.alloca(ir.ArrayType(ir.DoubleType(), int(np.prod(shape))))
@@ -310,6 +315,9 @@ else:
         Args:
             typing: typing context of numba.
             address: numba type of the address.
+
+        Returns:
+            Signature and code generator, as numba expects them of an intrinsic.
         """
 
         def generate(
@@ -381,6 +389,9 @@ else:
             typing: typing context of numba.
             at: type of the function's address.
             a, b, c, d, e, f: types of its six arguments, unsigned integers.
+
+        Returns:
+            Signature and code generator, as numba expects them of an intrinsic.
         """
 
         def generate(
@@ -418,25 +429,32 @@ else:
         Args:
             typing: typing context of numba.
             address: type of the address.
+
+        Returns:
+            Signature and code generator, as numba expects them of an intrinsic.
         """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, arguments: Values
         ) -> Value:
-            """Generate LLVM's intrinsic for a line that is read soon.
+            """Generate a call of LLVM's prefetch for a line of data that is read soon.
 
             Args:
                 context: target context of numba.
                 builder: builder of LLVM instructions.
                 signature: types of the call.
                 arguments: the address alone.
+
+            Returns:
+                Placeholder of no value.
             """
             line = ir.IntType(8).as_pointer()
             flag = ir.IntType(32)
             kind = ir.FunctionType(ir.VoidType(), [line, flag, flag, flag])
             function = builder.module.declare_intrinsic("llvm.prefetch.p0", (), kind)
             at = builder.inttoptr(arguments[0], line)
-            builder.call(function, [at, flag(0), flag(3), flag(1)])  # to read, near, data
+            # LLVM's flags: 0 to read, 3 to keep in all levels of the cache, 1 data
+            builder.call(function, [at, flag(0), flag(3), flag(1)])
             return context.get_dummy_value()
 
         return types.void(types.uintp), generate

@@ -42,6 +42,7 @@ def level_approaches(t):
     for a in range(work.rank):
         j = work.kept[a]
         contact = t.model.columns[j].contact
+        # the first column of an approached contact begins a run of its columns, a … end − 1
         is_first = a == 0 or t.model.columns[work.kept[a - 1]].contact != contact
         if not is_first or contact_of(t, j).phase != APPROACHING:
             continue

@@ -129,7 +129,7 @@ def _compute_mobility(p, X, accelerations, mobility, row_maximum, factor):
     for a in range(r):
         # The d free elements, which are the last ones of N, come first: `one_sided_jacobi` makes
         # the leading elements of rows orthogonal.
-        for i in range(6):
+        for i in range(6):  # element 6 − d + i becomes element i, the locked ones follow
             X[a, (i + d) % 6] = p.N[a, i]
         for i in range(d):  # element 6 − d + i of six is free axis i
             X[a, 6 + i] = p.pushed[a, 6 - d + i] - p.N[a, 6 - d + i]
@@ -242,10 +242,10 @@ def prepare(raw, slack):
     # Energies relative to their mean over the motors: then H has elements of about 1.
     size = sqrt(energy / n) if energy > 0.0 else 1.0
     for j in range(v):
-        weight = _TORQUE if j < n else _BEYOND
+        weight = _TORQUE if j < n else _BEYOND  # of a torque or a slack variable itself
         for i in range(w):
             rows[j, i] = rows[j, i] / size if j < n else 0.0
-        for i in range(v):
+        for i in range(v):  # the diagonal behind the energies
             rows[j, w + i] = sqrt(weight) if i == j else 0.0
         for i in range(j + 1):
             H[i, j] = H[j, i] = dot(rows[i], rows[j], w + v)
@@ -281,11 +281,12 @@ def _scale_torques(p):
 def _add_energies(p, w):
     """Fill the roots of the energies of squeeze and of redundant joint motions in `rows`.
 
-    A unit of z is `scale` of one motor's torque. Its squeeze is E scale less the squeeze `carried`
-    that goes into the inertial forces of the motion that it causes; its energy is squeeze²/mass.
-    Its joint motion νᵀδτ of a redundant arm has the energy (νᵀδτ)², with ν in `idle`. Reads `E`,
-    `carried`, `motion`, `mass`, `idle` and `scale`; fills `squeeze` (s, a), the squeeze (N) by a
-    unit of z.
+    z (v,) are the variables of the program; a unit of one of the first a is `scale` of one motor's
+    torque. Its squeeze (N) is E scale, with E (s, a), less the squeeze that goes into the inertial
+    forces of the motion that it causes, `carried` (s, 6) times `motion` (a, 6); its energy is
+    squeeze²/mass. Its joint motion νᵀδτ of a redundant arm has the energy (νᵀδτ)², with ν (a,) in
+    the rows of `idle`. The energies have the weights `_SQUEEZE` and `_POSTURE`. Fills `squeeze` (s,
+    a), and the elements of `rows` behind those of `_respond`.
 
     Args:
         p: PROGRAM after `_respond`.
@@ -363,7 +364,7 @@ def finish(raw, slack):
     z = p.z
     n = len(p.scale)
     p.short = slack > 0
-    if refine(p, slack):
+    if refine(p, slack):  # the same solution, computed more accurately
         for j in range(n + slack):
             z[j] = p.point[j]
     fill(p.lost_force, ZERO)

@@ -99,6 +99,7 @@ def emit(
     cached = store().find(key)
     if cached is not None:
         return cached
+    # link, optimise and emit
     module = link(roots, target, plain)
     module.triple = target.triple
     module.data_layout = str(target.target_data)
@@ -157,6 +158,7 @@ def _object_of(part: Part, name: str, target: llvm.TargetMachine) -> bytes:
     cached = store().find(key)
     if cached is not None:
         return cached
+    # link the part with those inlined in it, export its name only, optimise and emit
     module = llvm.parse_assembly("")
     for member in members:
         module.link_in(member.module(False))

@@ -81,6 +81,7 @@ class Nested:
         Args:
             counts: value of each count by its name.
         """
+        # tables follow the head, each from a multiple of `_LINE` bytes on
         starts = []
         end = self.dtype.itemsize
         for kind, sizes in self.tables.values():

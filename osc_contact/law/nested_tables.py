@@ -44,6 +44,9 @@ def lower_tables(record: type[Type], record_layout: Layout) -> None:
         def generic_resolve(self, value: Type, attr: str) -> Type | None:  # type: ignore[override]
             """Return the array type of a table, or None if the record has no such table.
 
+            numba calls it for an attribute of a record; `tables` has the tables of the record by
+            name.
+
             Args:
                 value: numba type of the record.
                 attr: name of the attribute.

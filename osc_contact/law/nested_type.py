@@ -89,7 +89,11 @@ def _record_class(record_layout: Layout) -> Any:
         """
 
         def __init__(self) -> None:
-            """Make the type from the fields of the head; name it after head and tables."""
+            """Make the type from the fields of the head; name it after head and tables.
+
+            `record_layout`, of the enclosing function, declares both. The name is "record_" and a
+            hash.
+            """
             head: Any = _public.from_dtype(record_layout.dtype)
             fields = [(name, field._asdict()) for name, field in head.fields.items()]
             super().__init__(fields, head.size, head.aligned)
@@ -132,12 +136,17 @@ def pointer_to(record_layout: Layout) -> Any:
         Args:
             typing: typing context of numba.
             address: type of the address, an unsigned integer.
+
+        Returns:
+            Signature and code generator, as numba expects them of an intrinsic.
         """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
             """Generate code that converts the integer to a pointer to the record.
+
+            `record` is the numba type of the record, of the enclosing `pointer_to`.
 
             Args:
                 context: target context of numba.
@@ -163,11 +172,15 @@ def pointer_to(record_layout: Layout) -> Any:
 
 
 def _attribute(record_layout: Layout, name: str) -> Callable[[Type], Implementation]:
-    """Implementation of a table for `numba.extending.overload_attribute`.
+    """Make the implementation of a table for `numba.extending.overload_attribute`.
 
     Args:
         record_layout: declaration of the record, a `Nested`: fields of its head, and tables.
         name: name of the table.
+
+    Returns:
+        Function that chooses, for the type of a record, the function that returns the table as an
+        array.
     """
     dtype, sizes = record_layout.tables[name]
     start = _start(record_layout.start(name))
@@ -196,7 +209,10 @@ def _attribute(record_layout: Layout, name: str) -> Callable[[Type], Implementat
 
 
 def _start(slot: int) -> Any:
-    """Compiled function that returns the address of a table of a record.
+    """Make a compiled function that returns the address of a table of a record.
+
+    The layout at the front of a record has words of 64 bits: offsets (bytes) of the tables, then
+    sizes.
 
     Args:
         slot: index of the word of the layout that contains the offset of the table.
@@ -209,12 +225,17 @@ def _start(slot: int) -> Any:
         Args:
             typing: typing context of numba.
             record: type of the record.
+
+        Returns:
+            Signature and code generator, as numba expects them of an intrinsic.
         """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
             """Generate code that adds the offset of the table to the address of the record.
+
+            The offset (bytes) is the word `slot` of the layout at the front of the record.
 
             Args:
                 context: target context of numba.
@@ -230,7 +251,10 @@ def _start(slot: int) -> Any:
 
 
 def _count(slot: int) -> Any:
-    """Compiled function that returns a size of a record's tables, read from its layout.
+    """Make a compiled function that returns a size of a record's tables, read from its layout.
+
+    The layout at the front of a record has words of 64 bits: offsets (bytes) of the tables, then
+    sizes.
 
     Args:
         slot: index of the word of the layout that contains the size.
@@ -243,12 +267,17 @@ def _count(slot: int) -> Any:
         Args:
             typing: typing context of numba.
             record: type of the record.
+
+        Returns:
+            Signature and code generator, as numba expects them of an intrinsic.
         """
 
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
             """Generate code that loads the size from the layout at the front of the record.
+
+            It is the word `slot` of the layout.
 
             Args:
                 context: target context of numba.
@@ -277,6 +306,10 @@ def _fixed(size: int) -> Any:
         Args:
             typing: typing context of numba.
             record: type of the record.
+
+        Returns:
+            Signature and code generator of the constant `size`, as numba expects them of an
+            intrinsic.
         """
         return types.intp(record), lambda context, builder, signature, given: WORD(size)
 

@@ -139,7 +139,7 @@ def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
 
 @leaf
 def tangential_part(v, N):
-    """Component of a velocity v (m/s) perpendicular to the line of force N (6,)."""
+    """Component of a velocity v (3,; m/s) perpendicular to the line of force of a column N (6,)."""
     return add3(v, -dot3(N, v) / dot3(N, N), N)
 
 
@@ -152,7 +152,8 @@ def _shown_by_edges(row, X_WO, X_WE, column, v):
     v_t along the face.
 
     Args:
-        row: (16,) shape of the edges, see `_edges`.
+        row: (16,) shape of the edges, with the direction of the object's edge in 3:6 (object's
+            axes) and that of the body's edge in 9:12 (body's axes).
         X_WO, X_WE: (4, 4) poses of the object and the touched body.
         column: COLUMN_WORK, of which N and `turn` are read.
         v: (3,) v_t, velocity of the crossing along the face (m/s).

@@ -76,10 +76,11 @@ def arm_terms(t, first, n, m, arm, row):
 
 @leaf
 def _weigh_inverse(joints, lo, n, K, Lambda):
-    """Compute the inertia Λ and the inverse J̄ of an arm's Jacobian from a pseudo-inverse A⁺ (n, 6).
+    """Compute the inertia Λ of an arm and the inverse J̄ of its Jacobian from A⁺ (n, 6).
 
-    A⁺ is that of A = J K⁻ᵀ (6, n), with the Jacobian J (6, n) and the factor K (n, n) of the
-    joint-space inertia M = KKᵀ; then Λ = A⁺ᵀA⁺ (6, 6) and J̄ = K⁻ᵀA⁺ (n, 6), by back substitution.
+    A⁺ is the pseudo-inverse of A = J K⁻ᵀ (6, n), with the Jacobian J (6, n) and the factor K (n, n)
+    of the joint-space inertia M = KKᵀ; then Λ = A⁺ᵀA⁺ (6, 6) and J̄ = K⁻ᵀA⁺ (n, 6), by back
+    substitution.
 
     Args:
         joints: JOINT_WORK rows, whose `J_bar` contains the rows of A⁺ and is overwritten with those
@@ -90,7 +91,7 @@ def _weigh_inverse(joints, lo, n, K, Lambda):
         Lambda: (6, 6), filled.
     """
     Lambda[:] = 0.0
-    for j in range(n - 1, -1, -1):
+    for j in range(n - 1, -1, -1):  # row j of KᵀJ̄ = A⁺, from the last one
         bar = joints[lo + j].J_bar
         x = six(bar)
         add_square(1.0, x, Lambda)
@@ -162,14 +163,14 @@ def _decompose(t, lo, n, arm, row):
         if not weigh_joints(joints, lo, n, K, A):
             return False
     else:
-        for i in range(6):
+        for i in range(6):  # J, whose columns are stored in the joints
             fill(A[i], ZERO)
             for j in range(n):
                 A[i, j] = joints[lo + j].J[i]
     if not _qr_tall(A, max(n, 6), columns, Q, R_T):
         return False
     _store_wrenches(work.locked_rows, arm, row, n, Q)
-    # rows of Q R⁻ᵀ: with more than six joints those of A⁺, else columns of J̄
+    # rows of Q R⁻ᵀ: with more than six joints row i is that of A⁺, else column i of J̄
     set_identity(R_inv_T)
     forward_rows(R_T, columns, R_inv_T)
     for i in range(max(n, 6)):
@@ -227,7 +228,7 @@ def _congruence_of_inertia(joints, lo, n, Lambda):
     Lambda[:] = 0.0
     for j in range(n):
         bar = joints[lo + j].J_bar
-        x = ZERO
+        x = ZERO  # row j of M J̄
         for k in range(n):
             x = add(x, joints[lo + j].M[k], joints[lo + k].J_bar)
         for i in range(6):
@@ -239,10 +240,11 @@ def _congruence_of_inertia(joints, lo, n, Lambda):
 
 @inner
 def _qr_tall(A, rows, columns, Q, L):
-    """Factorise A = Q Lᵀ by reflections 1 − β v vᵀ; return False if columns are dependent.
+    """Factorise A = Q Lᵀ by reflections 1 − β v vᵀ, one for each column of A (Householder).
 
-    All six elements of a row are processed at once, which a compiler keeps in registers. The
-    vectors v take the places of the columns of A.
+    Reflection k maps the elements of column k from k on to α e_k, where α is the diagonal element
+    of Lᵀ, and v is column k less α e_k. All six elements of a row are processed at once, which a
+    compiler keeps in registers. The vectors v take the places of the columns of A.
 
     Args:
         A: (rows, 6), destroyed.
@@ -251,25 +253,28 @@ def _qr_tall(A, rows, columns, Q, L):
         Q: (rows, 6), filled.
         L: (columns, columns), filled: lower triangular, with the reciprocals of its diagonal in
             place of the diagonal, the form of `cholesky`.
+
+    Returns:
+        False if a column depends on those before it.
     """
     products = local(6)
     beta = local(6)
     for k in range(columns):
-        t = scaled(A[k, k], A[k])
+        sums = scaled(A[k, k], A[k])
         for i in range(k + 1, rows):
-            t = add(t, A[i, k], A[i])
-        fill(products, t)  # inner products of column k with all columns
+            sums = add(sums, A[i, k], A[i])
+        fill(products, sums)  # inner products of column k with all columns
         if not products[k] > 0.0:  # also if NaN
             return False
-        (alpha, b) = reflector(products[k], A[k, k])  # α, the diagonal of R, and β
-        fill(products, scaled(b, add(t, -alpha, A[k])))
+        (alpha, b) = reflector(products[k], A[k, k])
+        fill(products, scaled(b, add(sums, -alpha, A[k])))  # β vᵀA
         for c in range(k + 1):  # columns up to k are finished: they must not change
             products[c] = 0.0
-        A[k, k] -= alpha
+        A[k, k] -= alpha  # column k becomes v
         beta[k] = b
-        t = six(products)
-        for i in range(k, rows):
-            accumulate(A[i], -A[i, k], t)
+        changes = six(products)
+        for i in range(k, rows):  # A ← A − v (β vᵀA)
+            accumulate(A[i], -A[i, k], changes)
         for c in range(k + 1, columns):
             L[c, k] = A[k, c]
         L[k, k] = 1.0 / alpha
@@ -279,12 +284,12 @@ def _qr_tall(A, rows, columns, Q, L):
             Q[i, i] = 1.0
     # Q is the product of the reflections, applied to the identity
     for k in range(columns - 1, -1, -1):
-        t = ZERO
+        sums = ZERO  # vᵀQ
         for i in range(k, rows):
-            t = add(t, A[i, k], Q[i])
-        t = scaled(beta[k], t)
+            sums = add(sums, A[i, k], Q[i])
+        changes = scaled(beta[k], sums)
         for i in range(k, rows):
-            accumulate(Q[i], -A[i, k], t)
+            accumulate(Q[i], -A[i, k], changes)
     return True
 
 
@@ -322,7 +327,7 @@ def _separate(t, lo, n, m, arm, row):
     one_sided_jacobi(X, m, n, 6)
     for j in range(n):
         fill(joints[lo + j].J_bar, ZERO)
-    # rows of X are orthogonal now: each is a direction u with its singular value σ
+    # rows of X are orthogonal now: n elements σvᵀ with the singular value σ, then the direction uᵀN
     arm.n_locked = 0
     arm.n_kept = 0
     largest = 0.0
@@ -330,9 +335,9 @@ def _separate(t, lo, n, m, arm, row):
         largest = max(largest, dot(X[k], X[k], n))
     threshold = t.model.rank_tolerance * t.model.rank_tolerance * largest / (1.0 + largest)
     for k in range(m):
-        square = dot(X[k], X[k], n)
+        square = dot(X[k], X[k], n)  # σ²
         u = X[k, n:]
-        if square > threshold:
+        if square > threshold:  # adds the summand v/σ uᵀN of A⁺N
             for j in range(n):
                 accumulate(joints[lo + j].J_bar, X[k, j] / square, u)
             fill(arm.kept[arm.n_kept], u)
@@ -346,10 +351,10 @@ def _separate(t, lo, n, m, arm, row):
 
 @inner
 def multiply_rows(rows, count, Y, n, out):
-    """Fill `out` with the product rows Yᵀ, followed in each row by the row itself.
+    """Fill `out` with [B Yᵀ, B] for a matrix B (count, 6): the product, and behind it B itself.
 
     Args:
-        rows: (count, 6).
+        rows: (count, 6), B by rows.
         count: number of rows.
         Y: (n, 6).
         n: number of rows of Y.
@@ -366,7 +371,8 @@ def null_motions(arm_work, Y, n, motions):
     """Compute an orthonormal basis of joint motions v; those from row `n_kept` on have U Yᵀv = 0.
 
     U (n_kept, 6), `kept` of the arm, are the wrenches that the joints resist, and Yᵀ (6, n) maps
-    joint motions to those of the tip, so the last n − n_kept motions do not move the object.
+    joint motions to those of the tip, so the last n − n_kept motions do not move the object. The
+    basis is the orthogonal factor of the QR decomposition of (U Yᵀ)ᵀ.
 
     Args:
         arm_work: ARM_WORK, of which `kept` is read, U, the wrenches that the joints resist.
@@ -409,11 +415,11 @@ def effort_metric(t, lo, n, m, arm, out):
     factor = local(6, 6)
     x = local(6)
     out[:] = 0.0
-    if n <= m:  # J̄ᵀ τ_max² J̄
+    if n <= m:  # J̄ᵀ τ_max² J̄, with `effort` = τ_max²
         for j in range(lo, lo + n):
             add_square(table[j].effort, joints[j].J_bar, out)
         return True
-    # A = U J τ_max⁻² JᵀUᵀ, and UᵀA⁻¹U by its Cholesky factor
+    # A = U J τ_max⁻² JᵀUᵀ, with `ease` = 1/τ_max², and UᵀA⁻¹U by its Cholesky factor
     A[:] = 0.0
     fill(x, ZERO)
     for j in range(lo, lo + n):
@@ -443,7 +449,7 @@ def retreat(t, arm, i, damping):
     Args:
         t: Tick.
         arm: ARM row.
-        i: index of the joint.
+        i: index of the joint among the joints of all arms.
         damping: k_d (1/s).
 
     Returns:
@@ -485,8 +491,8 @@ def operational_space(raw, q, v, out):
         return 0
     for row in range(len(out)):
         first = row * n
-        s = finiteness(q[first:], n) + finiteness(v[first:], n)
-        if not isfinite(s) or not _arm_at_tip(t, n, q[first:], v[first:], out[row]):
+        zero = finiteness(q[first:], n) + finiteness(v[first:], n)  # else NaN
+        if not isfinite(zero) or not _arm_at_tip(t, n, q[first:], v[first:], out[row]):
             return row
     return len(out)
 
@@ -524,9 +530,9 @@ def _arm_at_tip(t, n, q, v, out):
     place_arm(t, arm, q)
     fill3(work.p_C, place_point(joints[arm.tip_joint], arm.tip[9:]))
     move_arm(t, arm, v, work.p_C, arm_work.V, drift, arm_work.bias)
-    fill3(
-        drift, plus3(drift, cross(arm_work.V[3:], arm_work.V))
-    )  # from spatial acceleration to rate of J q̇
+    # from the spatial acceleration of the tip at q̈ = 0 to the classical one, J̇q̇
+    fill3(drift, plus3(drift, cross(arm_work.V[3:], arm_work.V)))
+    # energy coordinates along the world's axes: √m of linear axes, √I of the three angular ones
     for i in range(6):
         root[i] = model.roots[max(i - 2, 0)]
     for j in range(n):
@@ -534,17 +540,18 @@ def _arm_at_tip(t, n, q, v, out):
             joints[j].J[i] = root[i] * joints[j].column[i]
     if arm_terms(t, 0, n, 6, arm_work, 0) < 0:
         return False
+    # Φ = J M⁻¹Jᵀ = weighedᵀ weighed, p = J̄ᵀg, and J̄ᵀ(h − g), which μ is before −Λ J̇q̇ is added
     weigh_joints(joints, 0, n, K, weighed)
     Phi[:] = 0.0
     for j in range(n):
         bar = joints[j].J_bar
         add_square(1.0, weighed[j], Phi)
-        for a in range(6):
+        for a in range(6):  # to world axes
             bar[a] *= root[a]
         g = weight_on_joint(joints[j], model.gravity)
         p = add(p, g, bar)
         mu = add(mu, joints[j].h - g, bar)
-    for a in range(6):
+    for a in range(6):  # to world axes
         for b in range(6):
             arm_work.Lambda[a, b] *= root[a] * root[b]
             Phi[a, b] /= root[a] * root[b]
@@ -554,29 +561,40 @@ def _arm_at_tip(t, n, q, v, out):
 
 @inner
 def _write_terms(t, n, Phi, mu, p, out):
-    """Write the terms of an arm at its tip to a row of `operational_space`.
+    """Write the terms of an arm at its tip (world axes) to a row of numbers, in a fixed order.
+
+    The order is: inertia Λ (6, 6), its inverse Φ (6, 6), Jacobian J (6, n), its inertia-weighted
+    inverse J̄ (n, 6), all by rows; wrenches μ (6,) of velocity and p (6,) of weight (N, N m), drift
+    J̇v (6,; m/s², rad/s²), torques h (n,; N m, N) of velocities and gravity, and the rank.
 
     Args:
         t: Tick, with Λ, J̇v and the rank of its arm 0, and J, J̄ and h of the joints.
         n: number of joints.
-        Phi: (6, 6).
-        mu: (6,), without Λ J̇v yet.
+        Phi: (6, 6) Φ.
+        mu: (6,) μ + Λ J̇v, from which Λ J̇v is subtracted here.
         p: (6,).
         out: row, filled.
     """
     arm_work = t.work.arms[0]
     joints = t.work.joints
-    at = 12 * n + 72  # behind all matrices
+    # places of Φ, J, J̄, μ, p, J̇v, h and the rank in the row
+    at_Phi = 36
+    at_J = 72
+    at_J_bar = at_J + 6 * n
+    at_mu = at_J_bar + 6 * n
+    at_p = at_mu + 6
+    at_drift = at_p + 6
+    at_h = at_drift + 6
     for a in range(6):
         for b in range(6):
             out[6 * a + b] = arm_work.Lambda[a, b]
-            out[36 + 6 * a + b] = Phi[a, b]
+            out[at_Phi + 6 * a + b] = Phi[a, b]
         for j in range(n):
-            out[72 + a * n + j] = joints[j].column[a]
-            out[72 + 6 * (n + j) + a] = joints[j].J_bar[a]
-        out[at + a] = mu[a] - dot6(arm_work.Lambda[a], arm_work.drift)
-        out[at + 6 + a] = p[a]
-        out[at + 12 + a] = arm_work.drift[a]
+            out[at_J + a * n + j] = joints[j].column[a]
+            out[at_J_bar + 6 * j + a] = joints[j].J_bar[a]
+        out[at_mu + a] = mu[a] - dot6(arm_work.Lambda[a], arm_work.drift)
+        out[at_p + a] = p[a]
+        out[at_drift + a] = arm_work.drift[a]
     for j in range(n):
-        out[at + 18 + j] = joints[j].h
-    out[at + 18 + n] = arm_work.n_kept
+        out[at_h + j] = joints[j].h
+    out[at_h + n] = arm_work.n_kept

@@ -298,7 +298,9 @@ def crossing(row, X_WO, X_WE, f):
 def _edges(row, motion, column):
     """Fill N and n_γ of crossed edges; return the sine of the angle between them.
 
-    Where the sine is near zero the column is not finite.
+    N = [n; p × n] with n = ±m/|m|, m = e × f, where e and f are the directions of the object's and
+    of the body's edge in world axes, and p the point of the object's edge next to the other one;
+    n_γ = −ṄᵀV_rel (m/s²). Where the sine is near zero the column is not finite.
 
     Args:
         row: (16,) point and direction of the object's edge (0:3, 3:6), of the body's edge (6:9,
@@ -319,6 +321,7 @@ def _edges(row, motion, column):
     n = scaled3(copysign(1.0 / sine, side), m)
     p, distance_vector = crossing(row, X_WO, X_WE, f)
     gap = dot3(n, distance_vector)
+    # rates: ṁ of m = e × f, ṅ, and ṡ of the point along the object's edge (which turns with V_O)
     m_dot = plus3(cross(cross(V_O[3:], e), f), cross(e, cross(V_E[3:], f)))
     n_dot = divided3(add3(m_dot, -dot3(n, m_dot), n), dot3(n, m))
     v_A = velocity_at(V_O, p)

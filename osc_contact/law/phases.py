@@ -53,9 +53,11 @@ def low_pass(t, independent):
     first-order low-pass, so that the derivative is computed from measured speeds. A contact cannot
     pull, so a negative remainder is attributed to noise, whose estimate is twice as large.
 
-    Fills `filtered_twist`, and `force`, `filtered_speed`, `touch`, `touch_read`, `explained`,
-    `known`, `net` and `noise` of the columns in MEMORY. `touch` and `explained` are forces of an
-    approached column, see `witness`.
+    Fills `filtered_twist` (of the object at O), and of the columns in MEMORY `force` (N) and
+    `filtered_speed` (m/s), low-passed; `net`, the force less the spurious one (N); `noise` (N);
+    `known` (1: the column is in N); and of an approached column `touch_read`, `touch` (force by the
+    wrists alone, with and without the inertial force of the object; N) and `explained` (part of it
+    that friction of other contacts may cause; N).
 
     Args:
         t: Tick, with `speeds` and `mobility` D in WORK.
@@ -67,7 +69,7 @@ def low_pass(t, independent):
     r = work.rank if independent else 0
     dt = work.dt
     D = local(6, 6)
-    b = local(1, 6)
+    b = local(1, 6)  # d(NᵀV_rel)/dt of the kept columns, then the spurious forces D⁻¹ times it
     k = dt / (t.model.lag + dt)
     twist = t.memory.filtered_twist
     fill(twist, add(twist, k, minus(work.V_O, twist)))
@@ -77,6 +79,7 @@ def low_pass(t, independent):
         b[0, a] = k * (work.speeds[j] - row.filtered_speed) / dt if row.known else 0.0
         fill(D[a], work.mobility[a])
     is_solved = lu_solve(D, r, b, 1)
+    # first-order low-passes of all columns; a column that was not in N begins without a past
     for j in range(t.model.n_columns):
         row = columns[j]
         if row.known == 0:
@@ -95,6 +98,7 @@ def low_pass(t, independent):
     if is_solved:
         for a in range(r):
             columns[work.chosen[a]].net -= b[0, a]
+    # noise, from remainders that pull
     for j in range(t.model.n_columns):
         row = columns[j]
         pulls = max(row.force - row.net - row.alpha, 0.0) if work.here[j] else 0.0
@@ -206,10 +210,15 @@ def advance_phases(t):
 def _monitor_contact(t, c):
     """Detect contact and its loss on all columns of one contact, from the forces measured last.
 
-    Of a column that is not closed, the force has to exceed its noise, the force of an impact and
-    the part that friction of other contacts explains. Reads `goal`, `predicted`, `net`, `force`,
-    `noise`, `touch`, `explained` and `speed` of the columns; changes their fields of `monitor`, and
-    `held` of the contact, which is 1 once a steady force was measured since it was OPEN.
+    A closed column is lost where its force `net` (N) stays below `force_off` plus the share
+    `lost_share` of its predicted force beyond that of an approach; it cannot be lost while less
+    than `force_on` is predicted. Of a column that is not closed, the force has to exceed its noise
+    and the part that friction of other contacts explains (`_certain_force`); while it still moves
+    fast it cannot be made.
+
+    Reads `goal` (N), `predicted` (N), `speed` (NᵀV_rel, m/s), `high_for` (s of high force) and the
+    fields of `_certain_force` of the columns; changes their fields of `monitor`, and `held` of the
+    contact, which is 1 once a steady force was measured since it was OPEN.
 
     Args:
         t: Tick.
@@ -271,9 +280,10 @@ def _certain_force(row):
 
 @inner
 def _pushed_back(t, contact):
-    """Compute the least certain force (N) of an approached contact's columns, beside closed ones.
+    """Compute the least force (N) that all columns of an approached contact certainly have.
 
-    It is 0 if there are no closed contacts whose friction might hold the object.
+    It is 0 unless there are closed contacts whose friction might hold the object (`explained` > 0
+    of all columns).
 
     Args:
         t: Tick.
@@ -291,9 +301,10 @@ def _pushed_back(t, contact):
 def _measure_gap(t, c, last_phase, phase):
     """Integrate the distance of a lost contact from its face, and the time since its loss.
 
-    Both are zero for an open contact, and `rise` after a contact has closed. Fills, of the columns
-    of the contact, `gap` (m) and `time_since_loss` (s) in MEMORY, and `here` in WORK: 1 where the
-    column remains in N without returning to an earlier phase.
+    Both are zero for an open contact, and from `rise` (s) after a contact has closed on. A loss is
+    a change from CLOSED to APPROACHING of a contact that had a steady force (`held`). Fills, of the
+    columns of the contact, `gap` (m) and `time_since_loss` (s) in MEMORY, and `here` in WORK: 1
+    where the column remains in N without returning to an earlier phase.
 
     Args:
         t: Tick.
@@ -320,16 +331,19 @@ def _measure_gap(t, c, last_phase, phase):
 def set_goals(t):
     """Fill the force gains of each contact from its phase, and `goal` (N) of its columns.
 
-    Fills `active`, `gain`, `damping`, `brake` and `least` of each contact in MEMORY. The goal of an
-    approaching contact is the damping K_a (N s/m) of the speed law times the speed at which it
-    approaches, less while it still accelerates; that of a closed one rises from there to the
-    desired force within `rise`.
+    Fills of each contact in MEMORY `active` (1: in N) and the gains of the force law: `gain` K_i
+    (1/s), `damping` (N s/m), `brake` κ (1/s), `least` (least command, N). The goal of an
+    approaching contact is the damping K_a (`approach_damping`, N s/m) of the speed law times the
+    speed at which it approaches (`approach_speed`, faster for one that was lost at a distance),
+    less while it still accelerates, and 0 once it has gone `travel` (m) without touching. That of a
+    closed one rises from there to the desired force within `rise` (s).
 
     Args:
         t: Tick.
     """
     model = t.model
     goal = t.work.goal
+    # gains of the contacts
     for c in range(model.n_contacts):
         contact = t.memory.contacts[c]
         is_approaching = contact.phase == APPROACHING
@@ -339,6 +353,7 @@ def set_goals(t):
         contact.brake = 0.0 if is_approaching else model.force_brake
         pushes = model.bodies[c].pushes != 0
         contact.least = model.least_force if pushes and not is_approaching else -inf
+    # goals of the columns; `start` is the force of the approach
     for j in range(model.n_columns):
         contact = contact_of(t, j)
         row = t.memory.columns[j]
@@ -366,8 +381,8 @@ def set_goals(t):
 def slowest_column(t, contact):
     """Smallest speed |NᵀV_rel| of the columns of a contact (m/s), low-passed or not.
 
-    All columns of a contact that is approached have the same goal by it: with goals that rise with
-    the own speed, columns that are faster would be pushed more, and the object would turn.
+    It determines the goal of all columns of an approached contact: if the goal of each rose with
+    its own speed, faster columns would be pushed more, and the object would turn.
 
     Args:
         t: Tick.
@@ -398,9 +413,10 @@ def max_speed_ratio(t):
 def torque_rate(t, share):
     """Largest rate of the motor torques (1/s, as a multiple of the torque limits).
 
-    After a change of phase it is smaller, except where joints are fast: there a delayed torque
-    would make a joint deviate from its path. It is smaller
-    also while a contact is unloaded.
+    It is `torque_rate`; for `_CHANGES` (s) after a change of phase, and while a contact is
+    unloaded, `phase_rate`, and `_GENTLER` times that where active contacts are named. It is not
+    reduced where joints are fast, because a delayed torque would make a joint deviate from its
+    path: in between it rises with the inverse square of the remaining share of the speed limit.
 
     Args:
         t: Tick.
@@ -408,7 +424,7 @@ def torque_rate(t, share):
     """
     model = t.model
     rate = model.torque_rate
-    slow = min((1.0 - share) / (1.0 - _SLOW), 1.0)
+    slow = min((1.0 - share) / (1.0 - _SLOW), 1.0)  # 1 up to the share `_SLOW`, 0 at the limit
     gently = model.phase_rate
     if t.memory.chosen_set:
         gently *= _GENTLER
@@ -423,7 +439,9 @@ def torque_rate(t, share):
 
 @inner
 def limit_changes(t, has_last):
-    """Limit the change of `tau` since the last tick to the torque rate; store it as the last one.
+    """Limit the change of the motor torques since the last tick to the torque rate.
+
+    Changes `tau` (n_a,; N m, N) of WORK, and stores it as `torques` in MEMORY.
 
     Args:
         t: Tick.
@@ -432,7 +450,7 @@ def limit_changes(t, has_last):
     work = t.work
     model = t.model
     rate = torque_rate(t, max_speed_ratio(t))
-    for j in range(model.n_joints):
+    for j in range(model.n_joints):  # `step`: largest changes of the motors in this tick (N m, N)
         motor = model.joints[j].motor
         if motor >= 0:
             work.step[motor] = rate * model.period * model.joints[j].tau_max
@@ -442,6 +460,8 @@ def limit_changes(t, has_last):
 @inner
 def slew(tau, last, step, has_last):
     """Move from `last` straight towards `tau` until a motor has changed by its `step`.
+
+        tau ← last + (tau − last)/s,   s = max(1, max_i |tau_i − last_i|/step_i)
 
     Both `tau` and `last` become the result.
 

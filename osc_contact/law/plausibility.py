@@ -64,9 +64,15 @@ _SAME = 0.2  #: share of this difference within which a reading is attributed to
 
 @inner
 def check_readings(t):
-    """Check the plausibility of readings and reference; return a reason.
+    """Check the plausibility of readings and reference; return the first reason that applies.
 
-    Fills `culprit`, and `looked` of WORK once jumps have been searched.
+    NO_ROTATION: X_WD is no pose. WRENCH_TIMEOUT, STALE: no wrench, or no new reading, for longer
+    than `wrench_timeout` (s). OUT_OF_RANGE: a wrist reads more than its sensor's range, or NaN.
+    OUT_OF_ORDER: the packet is older than the last one. JUMPED, SPEEDS_JUMPED: a speed above
+    `plausible_speed` times its limit, a position that jumps, or speeds of several joints that do.
+
+    Reads INPUT, and in MEMORY `wrench_missing`, `repeated` (flags of repeated readings) and ages of
+    readings (ticks). Fills `culprit` (joint or arm), and `looked` of WORK once jumps were searched.
 
     Args:
         t: Tick.
@@ -130,6 +136,7 @@ def find_jumps(t):
             continue
         n_read += 1
         joint_memory = memory.joints[j]
+        # jumps of its position and of its speed, and deviations from the predicted position
         if joint_memory.barred != NOT_BARRED or abs(position - joint_memory.q) > _NOISE:
             joint_memory.barred = _judge_position(t, j, position)
             if joint_memory.barred != NOT_BARRED:
@@ -142,6 +149,7 @@ def find_jumps(t):
                 work.speed_jumped = j
         if abs(position - _expected(t, j)) > _EXCHANGED:
             n_deviating += 1
+    # without jumps of several joints, readings of pairs of joints may still be exchanged
     if n_deviating > 1 and work.jumps < 2:
         _find_exchange(t, n_deviating)
     if n_speeds_deviating > 1 and work.speed_jumps < 2:
@@ -203,17 +211,19 @@ def _judge_position(t, j, position):
 
 @inner
 def _find_exchange(t, n_deviating):
-    """Detect pairs of joints whose readings are exchanged.
+    """Detect pairs of joints whose position readings are exchanged.
 
-    Joints with nearly the same position may be exchanged without a jump of either. Very noisy
-    encoders may look exchanged by chance; then further joints deviate, and no exchange is reported.
+    Of such a pair each position is near the one predicted for the other joint, which need not be a
+    jump of either. Very noisy encoders may look exchanged by chance; then further joints deviate,
+    and no exchange is reported. Fills `barred` (EXCHANGED) of the joints, and `jumps` (2) and
+    `jumped` of WORK.
 
     Args:
         t: Tick.
         n_deviating: number of joints whose positions deviate from their predictions.
     """
     n = t.model.n_joints
-    n_crossed = 0
+    n_crossed = 0  # number of joints in such pairs, compared with that of deviating joints
     for i in range(n):
         for j in range(i):
             if _cross(t, i, j):
@@ -259,7 +269,11 @@ def _is_near_other(x, y, expected_x, expected_y):
 
 @inner
 def _find_exchanged_speeds(t, n_deviating):
-    """Detect pairs of joints whose speeds are exchanged, as `_find_exchange` does of positions.
+    """Detect pairs of joints whose speed readings are exchanged.
+
+    Of such a pair each speed is near the one predicted for the other joint, and both have changed.
+    If further joints deviate, the speeds are only noisy, and nothing is reported. Fills of WORK
+    `speed_jumps` (2) and `speed_jumped` (one of the joints).
 
     Args:
         t: Tick.

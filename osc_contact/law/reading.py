@@ -23,11 +23,11 @@ from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.records import body_of
 from osc_contact.law.tangents import (
     across,
+    add_rubbing,
     add_yield,
     has_point,
     outboard_times,
     reading_of_force,
-    rub_along,
 )
 from osc_contact.law.vectors import (
     ZERO,
@@ -79,7 +79,7 @@ def add_friction(t):
     work = t.work
     for a in range(work.rank):
         friction = ZERO
-        if work.mu != 0.0:
+        if work.mu != 0.0:  # else there is no friction
             for j in range(work.count):
                 column = work.columns[work.chosen[j]]
                 friction = add(friction, column.share[a], column.friction_wrench)
@@ -104,7 +104,7 @@ def read_wrist(reading, joint, sensor, C):
 
 @inner
 def object_wrench(t, k, reading):
-    """Wrench (six numbers) at the object's centre of mass, in world axes, of a wrist's reading.
+    """Wrench (six numbers) of a wrist's reading at the object's centre of mass, in world axes.
 
     Args:
         t: Tick.
@@ -169,10 +169,10 @@ def measure_magnitudes(t):
     copy_rows(work.out_T, out_T)  # overwritten by `lu_solve`
     for a in range(r):
         fill(response[a], work.N_basis[a])
-    # Λ_outᵀx = q for each row q of the basis: the rows of QᵀΛ_out⁻¹.
+    # x = Λ_out⁻ᵀq for each row q of the basis Q: the rows of QᵀΛ_out⁻¹
     if not lu_solve(out_T, 6, response, r):
         return False
-    bias_acceleration = local(6)
+    bias_acceleration = local(6)  # Qᵀσ, zero of a held object
     bias_acceleration[:] = 0.0
     return _solve_magnitudes(t, response, six(work.reading_e), bias_acceleration, 1.0)
 
@@ -399,6 +399,7 @@ def _find_mobility(t, weighed, normal):
     A = local(6, 6)
     columns = local(6, 6)
     unit = local(6)
+    # D = A⁻¹(HᵀR⁻¹H), A = HᵀR⁻¹Λ_outN⁺; `columns` has the columns of HᵀR⁻¹H as rows
     for b in range(r):
         for a in range(r):
             unit[a] = 1.0 if a == b else 0.0
@@ -515,16 +516,13 @@ def oppose_friction(t):
         reaction = D⁻¹Nᵀ(Φ_0 + Φ_e) f_t,   D = Nᵀ(Φ_0 + Φ_e)N_μ
 
     N and N_μ (6, r) are the wrenches of unit contact forces without and with friction, Φ_0 = Λ⁻¹
-    along the free axes and Φ_e the inverse inertias of chain and touched bodies. f_t (6,) is the
-    sum over the contacts j of ρ_j = `rests` (0 … 1) times the wrench of the force β_j (3,; N),
-    `tangential` of the last tick: the low-passed tangential force that the identified friction does
-    not explain. ρ_j is 0 where a contact slides, so only contacts that stick or hardly slide count.
-    f_t itself is not compensated, because that would push on contacts that stick. The reaction is
-    limited to half of the desired force.
+    along the free axes and Φ_e the inverse inertias of chain and touched bodies, f_t (6,) the
+    wrench of the tangential forces (`_sum_tangential`). f_t itself is not compensated, because that
+    would push on contacts that stick. The reaction is limited to half of the desired force.
 
-    Reads `N_t`, `pushed_t`, `Lambda`, `Phi_mu`, `yields`, `reading_rest`, `alpha_d`, and
-    `tangential` of MEMORY. Fills `reaction` (r,) in N, and `tangential` of the columns for the next
-    tick.
+    Reads `N_t`, `pushed_t` (rows of N and N_μ), `Lambda`, `Phi_mu` (NᵀΦ_e N_μ), `alpha_d` (N), and
+    `tangential` (3,; N) of the columns in MEMORY, which make f_t. Fills `reaction` (r,) in N, and
+    `tangential` of the columns for the next tick.
 
     Args:
         t: Tick.
@@ -533,28 +531,18 @@ def oppose_friction(t):
     m = work.locked
     d = 6 - m
     r = work.rank
-    x = local(1, 6)  # NᵀΦ_e f_t, then with NᵀΦ_0 f_t, then the reaction
+    x = local(1, 6)  # NᵀΦ_e f_t, then Nᵀ(Φ_0 + Φ_e) f_t, then the reaction
     tangential_wrench = local(6)  # f_t
-    wrench = ZERO
-    for a in range(r):
-        x[0, a] = 0.0
+    _sum_tangential(t, tangential_wrench, x)
+    # tangential forces for the next tick, zero for columns without a point of contact
     for j in range(t.model.n_columns):
         fill3(work.columns[j].tangential, ZERO_3)
     for j in range(work.count):
         index = work.chosen[j]
-        if not has_point(t, index):
-            continue
-        column = work.columns[index]
-        last_force = t.memory.columns[index].tangential
-        resting = scaled3(column.rests, last_force)
-        f = join(resting, cross(column.point, resting))
-        wrench = plus(wrench, turned(work, wrench_to_energy(work, f)))
-        if work.moving:
-            for a in range(r):
-                if body_of(t, work.kept[a]).same == body_of(t, index).same:
-                    x[0, a] += dot6(work.yields[a], f)
-        _find_tangential(t, column, index, last_force)
-    fill(tangential_wrench, wrench)
+        if has_point(t, index):
+            last_force = t.memory.columns[index].tangential
+            _find_tangential(t, work.columns[index], index, last_force)
+    # the reaction, from the accelerations along the columns and the response D to forces there
     factor = local(6, 6)
     D = local(6, 6)
     response = local(6)  # Φ_0 times a column of N
@@ -572,25 +560,60 @@ def oppose_friction(t):
         work.reaction[a] = min(max(x[0, a], -limit), limit) if solvable else 0.0
 
 
+@leaf
+def _sum_tangential(t, f_t, accelerations):
+    """Sum the wrenches f_t of the tangential forces on the object that friction does not explain.
+
+    f_t (6,) is the sum over the contacts of ρ = `rests` (0 … 1; 0 where a contact slides) times the
+    wrench of β (3,; N) = `tangential` of the last tick, the low-passed tangential force that the
+    identified friction does not explain. A force on one body does not move another.
+
+    Args:
+        t: Tick, of which `rests` and `point` of the columns, `yields` (NᵀΦ_e), and `tangential` of
+            MEMORY are read.
+        f_t: (6,), filled with the sum in turned energy coordinates.
+        accelerations: (1, r), filled with NᵀΦ_e f_t, the accelerations of the touched bodies by
+            these forces along the kept columns (m/s²).
+    """
+    work = t.work
+    wrench = ZERO
+    for a in range(work.rank):
+        accelerations[0, a] = 0.0
+    for j in range(work.count):
+        index = work.chosen[j]
+        if not has_point(t, index):
+            continue
+        column = work.columns[index]
+        resting = scaled3(column.rests, t.memory.columns[index].tangential)
+        f = join(resting, cross(column.point, resting))
+        wrench = plus(wrench, turned(work, wrench_to_energy(work, f)))
+        if work.moving:
+            for a in range(work.rank):
+                if body_of(t, work.kept[a]).same == body_of(t, index).same:
+                    accelerations[0, a] += dot6(work.yields[a], f)
+    fill(f_t, wrench)
+
+
 @inner
 def _find_tangential(t, column, index, last_force):
     """Low-pass the tangential force β of a contact that the identified friction does not explain.
 
-        β = C Tᵀ`reading_rest`,   C = w²(σ_t²(1 − n nᵀ) + (σ_s² − σ_t²) s sᵀ)
+        β = C TᵀR⁻¹(f − Hα),   C = w²(σ_t²(1 − n nᵀ) + (σ_s² − σ_t²) s sᵀ)
 
-    T (6, 3) is the reading of a force at the contact, C (3, 3; N²) the covariance of tangential
-    forces of `_likely_errors`, with the typical force w (N), the normal n and the slip s (3,), and
-    the coefficients σ_s = `_ALONG` and σ_t = `_ACROSS`. Reads `goal` and `reading_rest`; fills
-    `tangential` of the column (3,; N, world axes).
+    T (6, 3) is the reading of a force at the contact, R⁻¹(f − Hα) (6,) = `reading_rest` the
+    weighted part of the reading that contact forces α along N do not explain, and C (3, 3; N²) the
+    covariance of tangential forces, with the typical force w (N), normal n and direction of slip s
+    (3,), and typical coefficients of friction σ_s = `_ALONG` and σ_t = `_ACROSS` along and across
+    it. Reads `goal` and `reading_rest`; fills `tangential` of the column (3,; N, world axes).
 
     Args:
         t: Tick.
-        column: COLUMN_WORK.
-        index: index of the column.
+        column: COLUMN_WORK, of which N and `slip` are read.
+        index: index of the column among all columns of the model.
         last_force: (3,) `tangential` of the last tick (N).
     """
     work = t.work
-    multiplier = local(3)
+    multiplier = local(3)  # (1 − n nᵀ)TᵀR⁻¹(f − Hα)
     for k in range(3):
         multiplier[k] = dot6(reading_of_force(t, across(column.N, k), index), work.reading_rest)
     w = _likely_force(work, index)
@@ -617,7 +640,7 @@ def desired_inertia_force(t):
     required = local(6)
     V = work.V_O
     fill(a, work.A_D)
-    fill3(a, minus3(a, cross(V[3:], V)))
+    fill3(a, minus3(a, cross(V[3:], V)))  # from the classical to the spatial acceleration
     fill(a, motion_to_energy(work, a))
     for b in range(work.rank):
         required[b] = work.n_gamma[b] + work.b_N[b]
@@ -635,12 +658,12 @@ def _likely_errors(t, R):
     The first summand is the inertial force by a deviation from the desired acceleration: σ_a =
     `_DEPARTURE` (m/s²) is its typical size, m the object's mass, Λ_out (6, 6) the inertia beyond
     the sensors, and the rows of Q (r, 6) an orthonormal basis of the contact forces. The second has
-    the tangential forces of the contacts j: T_j (6, 3) is the reading of a force at the contact,
-    C_j (3, 3; N²) the covariance of that force, w_j its typical size (N), n (3,) the normal, and s
-    (3,) the direction of slip, shorter than 1 where the contact hardly slides; σ_s = `_ALONG` and
-    σ_t = `_ACROSS` are typical coefficients of friction along the slip and across it. A pair
-    without known points of contact adds `_add_hold` instead. Reads `out_T`, `N_basis` (Q), `goal`,
-    and `N`, `slip`, `point` of the active columns.
+    the tangential forces of the contacts j: T_j (6, 3) is the reading of a force there, C_j (3, 3;
+    N²) its covariance, w_j its typical size (N), n (3,) the normal, and s (3,) the direction of
+    slip, shorter than 1 where the contact hardly slides; σ_s = `_ALONG` and σ_t = `_ACROSS` are
+    typical coefficients of friction along the slip and across it. A pair without known points of
+    contact adds `add_rubbing`. Reads `out_T`, `N_basis` (Q), `goal`, and `N`, `slip`, `point` of
+    the active columns.
 
     Args:
         t: Tick.
@@ -661,7 +684,7 @@ def _likely_errors(t, R):
         w = _likely_force(work, index)
         largest = max(largest, w)
         if not has_point(t, index):
-            _add_hold(t, index, w, R)
+            add_rubbing(t, index, w * _ALONG, R)
             continue
         for k in range(3):
             sideways = scaled3(w * _ACROSS, across(column.N, k))
@@ -669,21 +692,3 @@ def _likely_errors(t, R):
         along_slip = scaled3(w * sqrt(_ALONG**2 - _ACROSS**2), column.slip)
         add_square(1.0, reading_of_force(t, along_slip, index), R)
     return largest
-
-
-@inner
-def _add_hold(t, index, w, R):
-    """Add the likely friction of a pair without known points of contact to a covariance.
-
-    Along each of the pair's freedoms a friction force of `_ALONG` times the typical force is
-    likely, as if its normal force were known and its coefficient of friction typical.
-
-    Args:
-        t: Tick.
-        index: index of a column of N of the pair.
-        w: typical size of its force (N).
-        R: (6, 6) covariance of wrist readings in energy coordinates, changed.
-    """
-    c = t.model.columns[index].contact
-    for k in range(t.model.pairs[c].freedoms):
-        add_square(1.0, rub_along(t, w * _ALONG, k, c), R)

@@ -811,7 +811,10 @@ _job, _model, _memory, _work, _input = (kind.at for kind in (JOB, MODEL, MEMORY,
 
 @leaf
 def row_of(raw, at, i):
-    """Records of one row, as compiled functions take them.
+    """Return the records of one row of a job as a `Tick`: MODEL, MEMORY, WORK and INPUT.
+
+    The JOB of a thread has the offsets (bytes) of all records: MODEL and MEMORY of row i lie behind
+    those of the first row by i times the size of a row, WORK and INPUT belong to the thread.
 
     Args:
         raw: bytes of `Rows`.
@@ -937,6 +940,7 @@ class Rows:
         if memory is None:
             memory = np.tile(MEMORY.new(counts), (len(model), 1))
         shared = len(model) > 1 and (model == model[0]).all()
+        # one array of bytes with all parts in sequence, of which the attributes are views
         parts = {
             "jobs": np.tile(JOB.new(counts), (threads, 1)),
             "model": model[:1] if shared else model,
@@ -956,6 +960,7 @@ class Rows:
             end += part.size
         if shared:
             self.model = np.broadcast_to(self.model[0], model.shape)
+        # a JOB for each thread, with the offsets of the records
         self.starts = [i * self.jobs.shape[1] for i in range(threads)]
         for i in range(threads):
             job = JOB.view(self.jobs[i])

@@ -33,7 +33,7 @@ def refine(p, slack):
     """
     k = p.k
     v = len(p.tau) + slack
-    # elements of a row of `rows`: energies of force (6), motion (d), squeeze (s) and idle joints
+    # elements of a row of `rows`: energies of motion (d), force (6), squeeze (s), idle joints
     w = 6 + p.d + p.s + len(p.idle) + v  # and a diagonal of all variables
     A = matrix(p.A, 0, k, v)
     y = p.y

@@ -84,6 +84,7 @@ def _load_input(t, arrays, count, i, flags):
         copy_rows(wrenches[i * k :], row.wrenches)
     else:
         row.wrenches[:] = nan
+    # the reference, and motions of touched bodies
     if flags & MISFIT == 0:
         copy_rows(X_WD[4 * i :], row.X_WD)
         _copy(V_D, 6 * i, True, row.V_D)

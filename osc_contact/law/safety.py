@@ -115,6 +115,7 @@ def watch_joints(t):
             stopping_position < row.lower and position >= row.lower
         ):
             ending_joint = j
+    # evidence: ticks above the speed limit, weighted by the excess, and time before an end stop
     weight = 1 + int(_FASTER * min(largest_ratio - 1.0, _MOST))
     n_ticks = 1 + memory.gap
     change = weight if fast_joint >= 0 else -1
@@ -220,6 +221,7 @@ def guard(t, reason):
     memory.wrench_age = memory.wrench_age + 1 if memory.wrench_missing else 0
     memory.old_joints = memory.old_joints + 1 if memory.repeated & JOINTS else 0
     memory.old_wrists = memory.old_wrists + 1 if memory.repeated & WRISTS else 0
+    # faults of sensors, and the state of the joints from sound readings
     sensor_reason = check_sensors(t)
     if reason == UNBALANCED:
         isolate_packet(t)
@@ -231,6 +233,7 @@ def guard(t, reason):
     if reason == NO_REASON:
         _note_computed(t, sensor_reason)
         return NO_REASON
+    # not computed: torques of the last tick, or of a hold
     memory.gap += 1
     _enter(t, _choose_state(t, reason, sensor_reason))
     if memory.state == DEGRADED_STATE or memory.compared == 0:

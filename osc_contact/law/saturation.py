@@ -21,8 +21,10 @@ _FLOOR = 1.0  #: N, least force of contacts that must not pull, unless less is c
 def _shares(t, alpha, share, floor):
     """Express the forces that must not pull as combinations of the kept columns' forces.
 
-    With R (r, count) the shares of the active columns, the force of a column with the share x (r,)
-    is xᵀ(RRᵀ)⁻¹α. Reads `share` of the columns, and `pushes` of their bodies.
+    These are the forces of the active columns of pairs that can only push (`pushes` of the body).
+    With R (r, count) the shares of the active columns, each a combination of the r kept columns,
+    the force of a column with the share x (r,) is xᵀ(RRᵀ)⁻¹α, the least forces that together give
+    the forces α (r,; N) of the kept columns. Reads `share` of the columns.
 
     Args:
         t: Tick.
@@ -79,7 +81,7 @@ def _idle_motions(t, arm, arm_work, idle, count):
     null_motions(arm_work, weighed, n, motions)
     for c in range(arm_work.n_kept, min(n, arm_work.n_kept + len(idle) - count)):
         backward(K, n, motions[c])
-        for i in range(n):
+        for i in range(n):  # joints are numbered along the arm, elements of `idle` by motors
             motor = t.model.joints[lo + i].motor
             if motor >= 0:
                 idle[count, motor] = motions[c, i]

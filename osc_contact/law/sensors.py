@@ -169,7 +169,8 @@ def _check_joints(t, is_new, speeds_jump, same_wrenches):
 
     A position is used if it is finite and not barred by a jump, a speed if it is plausible. Reads q
     and v of INPUT, and `barred` and `acceleration` of the joints in MEMORY; updates their last
-    readings `q` and `v`, `pending`, `unread_q`, `unread_v`, and what `_check_joint` changes.
+    readings `q` and `v`, `pending` (speed commanded since the position was read), `unread_q`,
+    `unread_v` (ticks), and the fields of `_check_joint`, `isolate_joint` and `_note_packet`.
 
     Args:
         t: Tick.
@@ -197,10 +198,12 @@ def _check_joints(t, is_new, speeds_jump, same_wrenches):
         joint_memory = memory.joints[j]
         joint = model.joints[j]
         joint_memory.pending += joint_memory.acceleration * model.period
+        # which of its readings can be used
         is_read = is_new and isfinite(q[j]) and joint_memory.barred == NOT_BARRED
         is_credible = is_new and abs(v[j]) <= model.plausible_speed * joint.rated
         is_credible = is_credible and not speeds_jump
         is_complete = is_complete and is_read
+        # the position: change since it was read last, and evidence of faults
         if is_read:
             step = q[j] - joint_memory.q
             if elapsed != model.period * (1 + joint_memory.unread_q):
@@ -233,9 +236,10 @@ def _check_joints(t, is_new, speeds_jump, same_wrenches):
 def _note_packet(t, all_same, same_wrenches, changed, elapsed):
     """Update the evidence of a repeated packet after a tick in which all positions were read.
 
-    Fills in MEMORY `compared`, `lively` (share of readings that change a position, low-passed),
-    `still` and `frozen` (s of identical readings, of joints, and of joints and wrists). Stopped
-    joints that are held are tested.
+    Fills in MEMORY `compared` (1), `lively` (share of readings that change a position, low-passed
+    with the time constant `_TURNING`), `still` and `frozen` (s of identical readings, of joints,
+    and of joints and wrists). If the arms are stopped and held at rest, their encoders are tested
+    by small motions.
 
     Args:
         t: Tick.
@@ -246,7 +250,7 @@ def _note_packet(t, all_same, same_wrenches, changed, elapsed):
     """
     memory = t.memory
     memory.compared = 1
-    if not all_same:
+    if not all_same:  # the readings since the last change count together
         span = memory.still + elapsed
         share = changed * elapsed / (t.model.n_joints * span)
         memory.lively += span / (_TURNING + span) * (share - memory.lively)
@@ -260,11 +264,14 @@ def _note_packet(t, all_same, same_wrenches, changed, elapsed):
 def _check_packet(t):
     """Return a reason to stop if the readings of all joints have been identical for too long.
 
-    DISAGREE: a joint has a speed with which its constant position would have changed. FROZEN: the
-    readings were noisy before; wrists are constant, too, or most readings of joints had noise.
+    DISAGREE: a joint has a speed (rad/s, m/s) by which its position would have changed by more than
+    the resolution of encoders in this time. FROZEN: the positions of all joints were noisy before;
+    and either the wrists are constant, too, or noise changed most readings of joints.
 
     Args:
-        t: Tick after `_note_packet`, of which `still`, `frozen` and `lively` of MEMORY are read.
+        t: Tick after `_note_packet`, of which `still` and `frozen` (s of identical readings of
+            joints, and of joints and wrists) and `lively` (share of readings that changed before)
+            of MEMORY are read.
 
     Returns:
         `NO_REASON`, `DISAGREE` or `FROZEN`; and the last joint that shows DISAGREE, or −1.
@@ -344,16 +351,19 @@ def _note_changes(t, joint_memory, limit, step, v, dt, share):
         share: share of dt in the low-pass of reversals.
     """
     same_v = v == joint_memory.v
+    # times and displacements since the speed, and since the position, last changed
     joint_memory.same_speed = joint_memory.same_speed + dt if same_v else 0.0
     joint_memory.moved = joint_memory.moved + step if same_v else 0.0
     joint_memory.due = joint_memory.due + v * dt if step == 0.0 else 0.0
     joint_memory.rested = joint_memory.rested + dt if step == 0.0 else 0.0
+    # speed that was commanded while the position is constant
     gained = min(abs(joint_memory.pending), _GAIN * t.model.stuck_speed * limit)
     if step != 0.0:
         joint_memory.gained = 0.0
         joint_memory.changes += 1
     elif joint_memory.driven:
         joint_memory.gained += gained
+    # deceleration of a change to a speed of 0, and reversals of the position
     if v != 0.0 or (same_v and step != 0.0):
         joint_memory.halted = 0.0
     elif not same_v:
@@ -412,6 +422,7 @@ def _check_wrists(t):
     is_new = memory.repeated & WRISTS == 0 and memory.wrench_missing == 0
     for k in range(model.n_arms):
         arm_memory = memory.arms[k]
+        # a reading beyond the sensor's range is new evidence that readings change
         if not (is_new and is_measurable(t, k)):
             arm_memory.unread += 1
             all_same = all_same and not (is_new and _exceeds(t, k))
@@ -484,10 +495,12 @@ def _test_encoders(t, dt):
     for j in range(t.model.n_joints):
         joint_memory = memory.joints[j]
         displacement = joint_memory.q - joint_memory.begun
+        # dead: constant during this move of its hold, although it followed several moves before
         if joint_memory.changes == 0 and joint_memory.followed >= _FOLLOWED:
             joint_memory.faulty |= FAULTY_POSITION
             if memory.derived or joint_memory.same_speed >= memory.tested:
                 joint_memory.faulty |= FAULTY_SPEED
+        # it follows if it has moved opposite to the move before, as its hold has
         follows = joint_memory.changes >= _CHANGES and displacement * joint_memory.went < 0.0
         joint_memory.followed = min(joint_memory.followed + 1, _FOLLOWED) if follows else 0
         joint_memory.went = displacement

@@ -90,12 +90,12 @@ def find_lost(t, arm, arm_work):
     # the singular values χ, of which those below `FULL` are noted
     for k in range(arm.full_rank):
         chi = sqrt(dot(X[k], X[k], n))
-        _unit_row(X, k, n, chi)
+        _unit_row(X, k, n, chi)  # vᵀ, behind it uᵀ times the wrenches
         if chi >= FULL:
             continue
         at = arm_work.n_lost
         arm_work.chi[at] = chi
-        s = max((chi - NONE_LEFT) / (FULL - NONE_LEFT), 0.0)
+        s = max((chi - NONE_LEFT) / (FULL - NONE_LEFT), 0.0)  # 0 … 1, shaped by a smooth step
         arm_work.share[at] = s * s * (3.0 - 2.0 * s)  # 0 at χ ≤ NONE_LEFT, 1 at FULL
         arm_work.gone[at] = k >= arm_work.n_kept
         for i in range(6):

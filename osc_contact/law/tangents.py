@@ -16,6 +16,7 @@ from osc_contact.law.records import SLIDE, body_of
 from osc_contact.law.vectors import (
     ZERO_3,
     add3,
+    add_square,
     axis3,
     combined,
     cross,
@@ -67,6 +68,9 @@ def across(N, k):
 def reading_of_force(t, force, index):
     """Reading of the wrist sensors that a force at one contact causes.
 
+    It is the wrench of the force at C and, if the touched body can move, the inertial force of the
+    object that moves with it (`reading_of_wrench`).
+
     Args:
         t: Tick.
         force: (3,) force at the point of contact, in world axes (N).
@@ -82,8 +86,10 @@ def reading_of_force(t, force, index):
 def reading_of_wrench(t, f, index):
     """Reading of the wrist sensors that a wrench on one touched body causes.
 
-    It is the wrench; on a movable body the inertial force is added that the object exerts when it
-    moves with the body.
+    It is the wrench f; if the body can move, the inertial force Λ_out N⁺ NᵀΦ_e f is added that the
+    object exerts when it moves with the body: NᵀΦ_e f (r,; m/s²) is the acceleration of the body
+    along the r kept columns N, Φ_e its inverse inertia, Λ_out the inertia beyond the sensors. Reads
+    `yields` (rows of NᵀΦ_e at O), and the fields that `add_yield` reads.
 
     Args:
         t: Tick.
@@ -107,23 +113,26 @@ def reading_of_wrench(t, f, index):
 
 @inner
 def rub_along(t, size, k, c):
-    """Reading that friction along one permitted motion of a contact (a column of its T) causes.
+    """Reading of the wrist sensors that friction along one permitted motion of a contact causes.
+
+    Friction along an axis (SLIDE) is a force on the point of the object that the pair declares;
+    friction about an axis a couple, as of a force with the lever `_LEVER` (m).
 
     Args:
         t: Tick.
-        size: magnitude of the friction force (N); about an axis it acts with the lever `_LEVER`.
-        k: index of the permitted motion.
+        size: magnitude of the friction force (N).
+        k: index of the permitted motion, a column of T of the pair.
         c: index of the contact.
 
     Returns:
-        Six numbers in energy coordinates.
+        Six numbers: the wrench at C in energy coordinates.
     """
     X_WE = local(4, 4)
     set_identity(X_WE)
     if t.work.moving:
         unpack_pose(t.input.touched[c], X_WE)
     pair = t.model.pairs[c]
-    row = t.model.shapes[pair.shape_at + pair.count + k].row
+    row = t.model.shapes[pair.shape_at + pair.count + k].row  # behind those of the columns of N
     motion = permitted_motion(row, t.work.X_WO, X_WE)
     if row[6] == SLIDE:
         force = linear(motion)
@@ -131,6 +140,24 @@ def rub_along(t, size, k, c):
     else:
         f = scaled(_LEVER, join(ZERO_3, (motion[3], motion[4], motion[5])))
     return reading_of_wrench(t, scaled(size, f), pair.first)
+
+
+@inner
+def add_rubbing(t, index, size, R):
+    """Add the likely friction of a pair without known points of contact to a covariance.
+
+    A friction force of the same size is likely along each of the pair's freedoms, as if its normal
+    force were known and its coefficient of friction typical.
+
+    Args:
+        t: Tick.
+        index: index of a column of N of the pair.
+        size: typical magnitude of the friction force (N).
+        R: (6, 6) covariance of wrist readings in energy coordinates, changed.
+    """
+    c = t.model.columns[index].contact
+    for k in range(t.model.pairs[c].freedoms):
+        add_square(1.0, rub_along(t, size, k, c), R)
 
 
 @inner

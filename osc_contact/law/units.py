@@ -376,7 +376,7 @@ def _linked_plain(stored: bytes) -> llvm.ModuleRef:
 
 
 def _call_of(part: Part) -> Call:
-    """Reference to a part, for the list of calls of another part.
+    """Reference to a part by its unit and argument types, for the list of calls of another part.
 
     Args:
         part: a part that was translated or found in this process.
@@ -424,7 +424,10 @@ def called(unit: Unit) -> Any:
         def generate(
             context: CPUContext, builder: Builder, signature: Signature, values: Values
         ) -> Value:
-            """Generate the call of the part's symbol, with arguments converted to its types."""
+            """Generate the call of the part's symbol, with arguments converted to its types.
+
+            `kinds` are the argument types of the part, the translation of the unit.
+            """
             convention = context.call_conv
             kind = convention.get_function_type(part.returned, kinds)
             function = cgutils.get_or_insert_function(builder.module, kind, part.symbol)

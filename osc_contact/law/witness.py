@@ -55,7 +55,7 @@ _SURE = 3.0  #: standard deviations of α_n that noise hardly ever exceeds
 
 @inner
 def measure_approached_forces(t):
-    """Compute the measured force of each approached column, and the part that may be none of it.
+    """Compute the measured force of each approached column, and the part that other forces explain.
 
     Reads `alpha_meas`, `reading_e`, `N`, `pushed`, `V_O`, `out_T`, `filtered_twist`, and the fields
     that `reading_of_force` reads. Fills the fields of `_estimate_approached_forces` (N) of the
@@ -81,7 +81,7 @@ def measure_approached_forces(t):
 
 @inner
 def _beside(t, column):
-    """Determine whether friction may act at another contact than that of a column of N.
+    """Determine whether friction may act at an active contact other than that of a column of N.
 
     Args:
         t: Tick.
@@ -143,7 +143,7 @@ def _estimate_approached_forces(t):
                 matrix_of_equations[b, c] = normal[b, c]
         if not lu_solve(matrix_of_equations, r, row_of_inverse, 1):
             return
-        fill(g, combined(row_of_inverse[0], weighed, r))
+        fill(g, combined(row_of_inverse[0], weighed, r))  # row a of (NᵀR⁻¹N)⁻¹NᵀR⁻¹
         row = work.columns[column]
         row.touch = dot6(g, work.reading_e)
         row.touch_inertia = dot6(g, inertia)
@@ -206,9 +206,14 @@ def _bound_friction(t, a, g):
 
 @inner
 def _measured_inertia_force(t):
-    """Compute the inertial force Λ_out V̇_O of the measured, low-passed acceleration of the object.
+    """Compute the inertial force Λ_out a of the measured, low-passed acceleration of the object.
 
-    Reads `V_O` and `out_T` of WORK, and `filtered_twist` of MEMORY.
+        a = (V_O − LP V_O)/(T + dt) − [ω × v; 0]
+
+    LP V_O = `filtered_twist` is the twist V_O = (v, ω) of the object after a first-order low-pass
+    with the time constant T = `lag`, so that the quotient is the low-passed rate of V_O; the last
+    summand makes it spatial. Λ_out (6, 6) is the inertia beyond the wrist sensors. Reads `V_O` and
+    `out_T` of WORK, and `filtered_twist` of MEMORY.
 
     Args:
         t: Tick.
@@ -227,6 +232,10 @@ def _measured_inertia_force(t):
 @inner
 def _add_noise(t, noise):
     """Fill the covariance of the errors of a reading by sensors and by misplaced points of contact.
+
+    Wrists have the standard deviations `_FORCE_NOISE` (N) and `_COUPLE_NOISE` (N m); points of
+    closed contacts are known to `_POINT` (m), and the measured force α there has the moment α times
+    this error.
 
     Args:
         t: Tick.

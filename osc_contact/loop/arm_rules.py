@@ -152,6 +152,7 @@ def joints(task: Task) -> Values:
     rigid = all(grasp.is_rigid for grasp in chain.grasps)
     if not rigid or not np.ptp(task.poses, axis=0).max() > 0.0:
         return  # a loose object needs its contacts
+    # period of the simulation: whole control periods, short enough for the motion gains
     dt = max(task.dt, min(PERIOD_S, GAIN / max(task.gains.motion.damping, 1.0)))
     dt = task.dt * round(dt / task.dt)
     q = task.q.copy()
@@ -182,6 +183,7 @@ def joints(task: Task) -> Values:
             q = q + v * dt
     except OscContactError:  # the motion cannot be simulated without contacts
         return
+    # deviation a/K_p by the acceleration a that is given up, rms over all ticks
     if first_loss and task.gains.motion.stiffness > 0.0:
         deviation = float(np.sqrt(losses.max() / ticks)) / task.gains.motion.stiffness
         why = (
@@ -251,8 +253,9 @@ def _acceleration(controller: Controller) -> Array:
 def motors(task: Task) -> Values:
     """Smallest peak torque, over the limits, for forces and weight, with any internal forces.
 
-    Evaluated in the posture in contact, at rest, for the desired forces with the largest torques:
-    G τ = b_S + SᵀNα (21). If the median of the desired forces needs more than the limits, too, the
+    Evaluated in the posture in contact, at rest, for the desired forces α (r,) with the largest
+    torques: G τ = b_S + SᵀNα (21). The largest |τ_i|/τ_max,i of the motors is made as small as
+    internal forces permit. If the median of the desired forces needs more than the limits, too, the
     same value is a finding although it is not above the limit for refusal.
 
     Args:

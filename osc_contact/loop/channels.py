@@ -48,10 +48,14 @@ def channels(
 ) -> dict[str, Array]:
     """Compute the channels of k ticks, except those of the contact monitor.
 
+    Most are values of the law's records in the rows. With the wrench f of the wrists less bias,
+    V_relᵀNα is the power of the contact forces along N, and V_Oᵀ(f − N α) is added for the total
+    (W).
+
     Args:
         subject: description of the recorded system.
-        truths: evaluates the numbers stored by the judge; None: without a judge, measured values
-            stand in for the truth.
+        truths: evaluates the numbers stored by the judge; None: measured values stand in for the
+            truth.
         first: number of the first tick.
         rows: (k,) stored rows with named fields.
 

@@ -293,7 +293,11 @@ class _Motion:
     judged: tuple[int, int] = (0, 0)
 
     def each(self) -> Iterator[Reference]:
-        """Yield the reference of each tick, until 5 s after the landing or the approach is over."""
+        """Yield the reference of each tick, until 5 s after the landing or the approach is over.
+
+        The pose is held during the approach; from the landing on, two forces (N) are commanded one
+        after the other, the tip slides (from 2 s) and retreats (from 4 s).
+        """
         dt = self.controller.dt
         engaged = round(ENGAGE_S / dt)
         for k in range(round((APPROACH_S + 5.0) / dt)):

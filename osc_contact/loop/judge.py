@@ -136,7 +136,12 @@ class Watched(NotedTruths):
         self._noted: list[Array] = []
 
     def note(self) -> None:
-        """Append the judge's present truth."""
+        """Append the judge's present truth as a row of numbers.
+
+        The row has the poses of the object and of each touched body (3×4, by rows), the twist of
+        the object (6), 1 if bodies move, then for each contact 1 if closed, and the contact forces
+        (N).
+        """
         truth = self._judge.truth()
         faces = truth.X_WE or (pin.SE3.Identity(),) * len(self._contacts)
         poses = [X.homogeneous[:3] for X in (truth.X_WO, *faces)]

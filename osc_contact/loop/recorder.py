@@ -256,7 +256,8 @@ class Recorder:
         """Store an event with the wall-clock time, in the recording and in a file beside its rows.
 
         Args:
-            event: kind of the event, for example "stop". facts: its values, for JSON.
+            event: kind of the event, for example "stop".
+            facts: its values, for JSON.
         """
         self._events.note(self.count * self._controller.dt, event, facts, self.hand_over)
 

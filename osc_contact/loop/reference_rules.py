@@ -184,7 +184,16 @@ def _beginnings(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 @rule("{names}, active together from t = {t:.3g} s on, cannot be controlled: {why}")
 def together(task: Task) -> Values:
-    """Find named sets of contacts with which no tick can be computed, at the start of the task."""
+    """Find named sets of contacts with which no tick can be computed, at the start of the task.
+
+    For each set a tick is computed with the forces desired when it is first named.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        1 for each set whose tick is HELD, with the words of the finding.
+    """
     if task.active is None or task.trial is None:
         return
     _, first = np.unique(task.active, axis=0, return_index=True)
@@ -210,6 +219,10 @@ def far_off(task: Task) -> Values:
 
     Args:
         task: task to be checked.
+
+    Yields:
+        Largest gap of such a contact at the desired pose of the instant at which it is named
+        active, with the words of the finding.
     """
     for i, pair in enumerate(task.pairs if task.active is not None else ()):
         assert task.active is not None

@@ -135,6 +135,11 @@ class Shadow:
     def report(self) -> ShadowReport:
         """Compare the stored measurements with the model.
 
+        The bias of the wrist is the mean of its readings at rest, less the load. From windows of
+        measurements follow speed, acceleration, the torques that the model leaves unexplained, and
+        those of pushes by hand; κ is the scale of the wrist's reading that explains them best.
+        Friction, offset and inertia of each joint are fitted to the rest.
+
         Raises:
             InvalidInputError: less than a second of measurements.
         """

@@ -54,15 +54,20 @@ class End:
     def lasting(self, seconds: float) -> End:
         """Condition that this one is met for some time without interruption.
 
+        The time begins again at zero whenever the condition is not met in a tick.
+
         Args:
             seconds: least time (s).
         """
 
         def begin(now: Sensed) -> Watch:
-            """Begin to watch, with a time of zero.
+            """Begin to watch this condition (`self`), with a time of zero.
 
             Args:
                 now: signals when the stage begins.
+
+            Returns:
+                Function of the signals of a tick and the period: whether it is met for `seconds`.
             """
             watch = self.begin(now)
             met_for = 0.0
@@ -73,6 +78,10 @@ class End:
                 Args:
                     now: signals after the last tick.
                     dt: control period (s).
+
+                Returns:
+                    Whether the condition, watched by `watch`, has been met for `seconds` (s)
+                    without interruption.
                 """
                 nonlocal met_for
                 met_for = met_for + dt if watch(now, dt) else 0.0
@@ -93,10 +102,13 @@ def _join(left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], word
     """
 
     def begin(now: Sensed) -> Watch:
-        """Begin to watch both conditions.
+        """Begin to watch both conditions, `left` and `right`.
 
         Args:
             now: signals when the stage begins.
+
+        Returns:
+            Function of the signals of a tick and the period: whether the joined condition is met.
         """
         left_watch = left.begin(now)
         right_watch = right.begin(now)
@@ -107,6 +119,9 @@ def _join(left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], word
             Args:
                 now: signals after the last tick.
                 dt: control period (s).
+
+            Returns:
+                Whether both are met (`rule` is `all`), or one of them (`any`).
             """
             left_met = left_watch(now, dt)
             right_met = right_watch(now, dt)
@@ -181,16 +196,27 @@ def lost(*contacts: str, lasting: Time = MADE_FOR) -> End:
     """
 
     def begin(now: Sensed) -> Watch:
-        """Begin to watch, with times of zero for each contact.
+        """Begin to watch `contacts` (names), with times of zero for each of them.
 
         Args:
             now: signals when the stage begins.
+
+        Returns:
+            Function of the signals of a tick and the period: whether a contact is lost.
         """
         closed_for = dict.fromkeys(contacts, 0.0)
         lost_for = dict.fromkeys(contacts, 0.0)
 
         def met(now: Sensed, dt: float) -> bool:
-            """Update the times of each contact by a period, and compare the longest loss."""
+            """Update the times of each contact by a period, and compare the longest loss.
+
+            The time of a loss (s), compared with `lasting`, grows until the contact has been closed
+            for `MADE_FOR` (s) without interruption.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
             for name in contacts:
                 is_closed = now.phases[name] == Phase.CLOSED
                 closed_for[name] = closed_for[name] + dt if is_closed else 0.0

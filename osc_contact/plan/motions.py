@@ -78,10 +78,17 @@ class Motion:
     words: str
 
     def __and__(self, other: Motion) -> Motion:
-        """Combine two motions, which are made at once, and end when both have ended."""
+        """Combine two motions, which are made at once; the motion ends when both have ended.
+
+        The prescribed components of the twist are those of both: rows S of S V = s below one
+        another.
+
+        Args:
+            other: motion that is added to this one.
+        """
 
         def begin(now: Sensed) -> Course:
-            """Begin both motions.
+            """Begin this motion (`self`) and the other one.
 
             Args:
                 now: signals when the stage begins.
@@ -207,7 +214,7 @@ def turn_to(
         unit_vector("turn_to: direction", direction)
 
     def begin(now: Sensed) -> Course:
-        """Begin the rotation to `target`, the direction in world axes when the stage begins.
+        """Begin the rotation to `target`, the direction in world axes at present.
 
         Args:
             now: signals when the stage begins.
@@ -216,7 +223,11 @@ def turn_to(
         target = unit_vector("turn_to: direction", goal)
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the angular velocity that turns the object's axis to `target`.
+            """Demand the angular velocity across the axis that turns it to `target`.
+
+            `object_axis` (3,) is in the object's axes, `target` (3,) in world axes. The speed w is
+            at most `largest_rate` (rad/s), and lower towards the end; the rotation about the axis
+            is not prescribed.
 
             Args:
                 now: signals after the last tick.
@@ -252,7 +263,7 @@ def to(
     largest_rate = _positive("to: rate", rate)
 
     def begin(now: Sensed) -> Course:
-        """Begin the motion to `goal`, the pose in the world when the stage begins.
+        """Begin the motion to `goal`, the pose in the world that `pose` gives at present.
 
         Args:
             now: signals when the stage begins.
@@ -261,6 +272,9 @@ def to(
 
         def demand(now: Sensed, dt: float) -> Demand:
             """Demand the whole twist (6,), which moves the object straight towards `goal`.
+
+            Speeds are at most `largest_speed` (m/s) and `largest_rate` (rad/s), and lower towards
+            the end.
 
             Args:
                 now: signals after the last tick.
@@ -308,7 +322,10 @@ def through(points: Points, speed: Velocity, *, relative: bool = False) -> Motio
         k = 0  # index of the next point
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the velocity of the origin towards the next point that is not reached.
+            """Demand the velocity of the origin towards point k of `path`, the next one.
+
+            Distances (m) count across contact normals only. The speed, at most `largest_speed`
+            (m/s), falls to zero at the last point only.
 
             Args:
                 now: signals after the last tick.
@@ -316,7 +333,7 @@ def through(points: Points, speed: Velocity, *, relative: bool = False) -> Motio
             """
             nonlocal k
             while k < len(path):
-                tangents = _null_space(now.N[:3].T)
+                tangents = _null_space(now.N[:3].T)  # directions across all contact forces
                 offset = tangents @ tangents.T @ (path[k] - now.aim.translation)
                 distance = float(np.linalg.norm(offset))
                 if distance >= largest_speed * dt + ARRIVED:
@@ -384,7 +401,7 @@ def spiral(axis: Direction, pitch: Length, speed: Velocity, radius: Length) -> M
     rows = _null_space(normal[None]).T @ _LINEAR
 
     def begin(now: Sensed) -> Course:
-        """Begin at the centre of the spiral, whose radius is r = pitch / (2π) × angle (m).
+        """Begin at the centre of the spiral, whose radius is r = pitch/(2π) × angle (m).
 
         Args:
             now: signals when the stage begins.
@@ -392,7 +409,10 @@ def spiral(axis: Direction, pitch: Length, speed: Velocity, radius: Length) -> M
         angle = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the velocity along the spiral, in the two axes of its plane.
+            """Demand the velocity along the spiral, in the two axes `rows` of its plane.
+
+            Its radius is r = `per_angle` × angle, up to `end` (m). The angular speed w (rad/s)
+            follows from `largest_speed` (m/s) and from the acceleration.
 
             Args:
                 now: signals after the last tick.
@@ -452,7 +472,7 @@ def rock(
         )
 
     def begin(now: Sensed) -> Course:
-        """Begin with an angle of zero.
+        """Begin with an angle of zero, in the first cycle.
 
         Args:
             now: signals when the stage begins.
@@ -461,7 +481,10 @@ def rock(
         last_angle = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the angular velocity about the axis: a sine that rises in its first cycle.
+            """Demand the angular velocity about `rock_axis`, given in the axes `axes`.
+
+            The angle is a sine that rises in its first cycle, with `amplitude` (rad) and
+            `frequency_Hz`, for `n_cycles` cycles.
 
             Args:
                 now: signals after the last tick.
@@ -607,7 +630,12 @@ def _steady(
         covered = 0.0
 
         def demand(now: Sensed, dt: float) -> Demand:
-            """Demand the speed along the direction, lower towards the end and against a force.
+            """Demand the speed along `direction`, lower towards the end and against a force.
+
+            `direction` (3,) is in the axes `axes`; `kind.rows` are the rows of the velocity of O
+            (translation) or of the angular velocity (rotation). The speed (m/s, rad/s) is at most
+            `speed`, falls towards the covered `length` (m, rad), and as the force or couple comes
+            near `limit` (N, N m).
 
             Args:
                 now: signals after the last tick.

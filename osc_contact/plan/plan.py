@@ -101,9 +101,16 @@ class Plan:
         tries: int = 3,
         recogniser: Recogniser | None = None,
     ) -> None:
-        """Check that the stages make a plan, and set its arguments, see the class.
+        """Check that the stages make a plan, and set its arguments; the plan has not begun.
 
-        The plan has not begun.
+        Args:
+            stages: stages, the first of which begins.
+            largest: force (N) above which every stage fails.
+            tries: number of failures after which the plan fails.
+            recogniser: recogniser of contact states, if stages depend on them.
+
+        Raises:
+            InvalidInputError: stages that do not make a plan.
         """
         require_stages(stages)
         self.stages = tuple(stages)
@@ -163,7 +170,8 @@ class Plan:
     def step(self) -> Reference:
         """Reference of the next tick, from the controller's results in the last tick.
 
-        Conditions are judged, and the next stage begins when one is met.
+        Signals and recogniser are updated. While the plan runs, the conditions of the stage are
+        judged, and the next stage begins when one is met; a stop of the controller stops the plan.
         """
         dt = self._controller.dt
         now = self._senses.read()
@@ -280,7 +288,15 @@ class Plan:
     # --- within a tick --------------------------------------------------------------------------
 
     def _enter(self, k: int) -> None:
-        """Begin stage k at the present pose of the object: forces, motion, conditions, verdict."""
+        """Begin stage k at the present pose of the object.
+
+        Takes the stage's forces (N) and active contacts, places its touched bodies, begins its
+        motion and its conditions, and opens a verdict on it, with all sums of force errors and tare
+        at zero.
+
+        Args:
+            k: index of the stage.
+        """
         self._k = k
         stage = self.stages[k]
         now = self._senses.now
@@ -449,6 +465,10 @@ class Plan:
 
     def _reference(self, now: Sensed) -> Reference:
         """Reference of the next tick; the aim moves as far as contacts and accelerations permit.
+
+        The twist V (6,) of the stage's motion that the contacts permit is approached with limited
+        accelerations; the aim, the commanded pose, moves by it in a control period. Where the arms
+        are stopped, the aim is the measured pose, at rest.
 
         Args:
             now: signals after the last tick; `finished` is updated.

@@ -115,7 +115,9 @@ class Senses:
     def read(self) -> Sensed:
         """Update the signals from the controller's last tick, and return them.
 
-        They are unchanged if no tick has been computed yet.
+        The wrench is the wrist readings less their prediction without contact, at O in world axes
+        (N, N m); it and the forces (N) are low-passed: a signal moves by `_share` of its distance
+        to the new value. They are unchanged if no tick has been computed yet.
         """
         controller = self._controller
         if not controller.records.memory.ticked:
@@ -126,6 +128,7 @@ class Senses:
         now.X = pin.SE3(result.X_WO)
         now.V = np.array(result.V_O)
         now.wrench = now.wrench + self._share * (result.f_meas - result.bias_out - now.wrench)
+        # forces of the columns (N), zero where a contact is not active, and their sums by contact
         alpha = np.array(controller.records.memory.columns.alpha)
         alpha[~active[self._owners]] = 0.0
         self._alpha += self._share * (alpha - self._alpha)

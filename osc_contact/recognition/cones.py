@@ -68,6 +68,10 @@ class Cones:
     def fit(self, N: Array, S: Array, wrench: Array) -> tuple[Array, Array, Array]:
         """Fit a wrench f: the least (f − Nα)ᵀS⁻¹(f − Nα) of each candidate with α ≥ 0.
 
+        The normal equations G α = NᵀS⁻¹f are solved for each subset of a candidate's columns
+        (`_masks`); columns outside the subset get α = 0. Of the subsets without a negative
+        magnitude that must not be negative, the one that explains most of f is the solution.
+
         Args:
             N: (6, r) columns of all candidates (N, N m per unit of α).
             S: (6, 6) covariance of the wrench, or (n, 6, 6), one for each candidate.
@@ -83,14 +87,17 @@ class Cones:
         most = self.index.shape[1]
         if most == 0:
             return np.zeros((len(G), 0)), length, G
+        # normal equations, scaled to a unit diagonal; places without a column have the size 1
         sizes = np.sqrt(np.einsum("nkk->nk", G)) + (1.0 - self.used)
         right = np.einsum("nak,na->nk", weighted, f) / sizes
         scaled = G / (sizes[:, :, None] * sizes[:, None]) + RIDGE * np.eye(most)
+        # the same for each subset: rows and columns outside it are those of the identity
         mask = self._masks
         system = scaled[self._owners] * mask[:, :, None] * mask[:, None]
         system += np.einsum("mk,kl->mkl", 1.0 - mask, np.eye(most))
         target = right[self._owners] * mask
         alpha = np.linalg.solve(system, target[:, :, None])[:, :, 0]
+        # fᵀS⁻¹f less the least squares of each subset; the largest of a candidate is chosen
         explained = np.einsum("mk,mk->m", target, alpha)
         negative = ((alpha < 0.0) & self._pushes[self._owners]).any(axis=1)
         explained[negative] = -np.inf

@@ -194,12 +194,18 @@ class ContactStates:
         self._one_sided = np.log(2.0) * np.array(signs)
 
     def columns(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Columns:
-        """Columns of N of all pairs, their derivatives, and their tangents.
+        """Compute the columns of N of all pairs, their derivatives, and their tangents.
+
+        N (6, r) are the wrenches of unit contact forces at O in world axes; J (r, 6, 6) their
+        derivatives by a displacement of the touched body at O, as difference quotients; F (r, 6, 6)
+        the squares B Bᵀ of the wrenches of unit forces along both tangents, zero where points of
+        contact are not known.
 
         Args:
             X_WO: pose of the object.
             X_WE: believed pose of the touched body; None: the world frame.
         """
+        # the body at its pose, then displaced along each of six axes; the object stays
         near = _displace_body(X_WE or pin.SE3.Identity(), X_WO.translation)
         here = Poses(np.repeat(X_WO.rotation[:, :, None], 7, 2), X_WO.translation[:, None])
         here = Poses(here.R, np.repeat(here.p, 7, 1))
@@ -248,12 +254,20 @@ class ContactStates:
         return self.judge(self.columns(X_WO, X_WE), self.errors.covariance(X_WO), f)[0]
 
     def judge(self, columns: Columns, S_f: Array, f: Array) -> tuple[Array, Array, Array]:
-        """Log-likelihoods (n,), least squares (n,) and magnitudes α (n, k) of a wrench.
+        """Log-likelihoods, least squares and force magnitudes of a wrench in each of n states.
+
+        Magnitudes α are at least α₀ (`_least`), so that α − α₀ ≥ 0 is fitted to f − Nα₀. A first
+        fit with the errors of the reading alone gives the forces on which the other errors depend,
+        by poses and friction; the second fit has the covariance of all errors.
 
         Args:
             columns: columns of N of all pairs.
             S_f: (6, 6) covariance of the wrench reading.
-            f: (6,) wrench at O, world axes.
+            f: (6,) wrench at O, world axes (N, N m).
+
+        Returns:
+            Log-likelihoods (n,), −∞ for a state with a pair that does not exist in this pose; least
+            squares (n,), dimensionless; and α (n, k) (N).
         """
         cones = self._cones
         beyond = f - self._least @ columns.N.T
@@ -263,6 +277,7 @@ class ContactStates:
         alpha, squares, G = cones.fit(columns.N, S, beyond)
         alpha = alpha + least
         densities = -0.5 * squares - 0.5 * np.linalg.slogdet(S)[1]
+        # a force of one sign has twice the density; free magnitudes reduce that of a state
         densities += self._one_sided - self._freedom(G, G_f)
         missing = (~columns.exists[cones.index] & (cones.used > 0.0)).any(axis=1)
         densities[missing] = -np.inf
@@ -297,10 +312,17 @@ class ContactStates:
         return S + np.einsum("nk,nkab->nab", friction, columns.F[cones.index])
 
     def _freedom(self, G: Array, G_f: Array) -> Array:
-        """½ log det(1 + ρ² G_f⁻¹ G) (n,): loss of likelihood by the freedom of its magnitudes.
+        """Loss of log-likelihood (n,) of each state by the freedom of its force magnitudes.
+
+        It is ½ log det(1 + ρ² G_f⁻¹ G), with ρ the expected force over the standard deviation of
+        its reading. Columns are scaled to a unit diagonal of G_f, which does not change the value;
+        places without a column (`used` = 0) get a 1 on the diagonal of the first matrix only, so
+        that they add nothing.
 
         Args:
-            G, G_f: (n, k, k) Gram matrices with all errors, and with those of the reading.
+            G: (n, k, k) Gram matrices NᵀS⁻¹N of the states' columns, with the covariance of all
+                errors.
+            G_f: (n, k, k) Gram matrices with that of the reading alone.
         """
         most = G.shape[1]
         if most == 0:
@@ -311,6 +333,7 @@ class ContactStates:
         padding = np.einsum("nk,kl->nkl", 1.0 - self._cones.used, np.eye(most))
         reading = G_f / scale + padding + RIDGE * np.eye(most)
         whole = G / scale + RIDGE * np.eye(most) * self._cones.used[:, None]
+        # log det(1 + ρ² A⁻¹B) = log det(A + ρ² B) − log det A
         each = np.linalg.slogdet(reading + ratio * whole)[1] - np.linalg.slogdet(reading)[1]
         return 0.5 * each
 

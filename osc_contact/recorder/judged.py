@@ -37,7 +37,12 @@ class JudgedTicks:
     """
 
     def __init__(self, recording: Recording) -> None:
-        """Begin before the first tick of a recording."""
+        """Begin before the first tick of a recording, with all contacts closed for no time.
+
+        Args:
+            recording: recording of a run, of which names of contacts, columns of forces, times of
+                force steps and their rise time (s) are read.
+        """
         meta = recording.meta
         contacts = len(meta["contact_names"])
         self.columns = np.array(meta.get("columns", range(contacts)), dtype=int)

@@ -124,7 +124,10 @@ def check_limits(document: Document) -> None:
 
 
 def _check_limits_of(joint: Joint) -> None:
-    """Note wrong limits of a joint that moves as findings.
+    """Note missing or wrong limits of a joint that moves as findings of its element.
+
+    Effort and velocity must be positive (N m or N, rad/s or m/s), and the lower position limit
+    below the upper one; a continuous joint has no position limits.
 
     Args:
         joint: joint of any kind except "fixed".

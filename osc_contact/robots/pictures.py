@@ -203,7 +203,13 @@ def read_picture(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryMod
 
 
 def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
-    """Build kinematics and shapes from a picture; a damaged picture raises errors of many kinds."""
+    """Build kinematics and shapes from a picture; a damaged picture raises errors of many kinds.
+
+    Args:
+        picture: the content of a picture: `joints`, each with parent, placement, axis and kind, in
+            the order of their numbers from 1, and `shapes`, each with the number of its joint,
+            placement, kind and size.
+    """
     model = pin.Model()
     geometry = pin.GeometryModel()
     for joint in picture["joints"]:

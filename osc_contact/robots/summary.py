@@ -300,7 +300,7 @@ def summarise(model: pin.Model, tip: str | None = None) -> RobotSummary:
 
 
 def _joints(model: pin.Model, losses: Sequence[JointLosses]) -> tuple[JointSummary, ...]:
-    """Describe all joints of a model.
+    """Describe all joints of a model: kind, limits, moved mass (kg), friction, damping, rotor.
 
     Args:
         model: model of the robot.

@@ -259,7 +259,7 @@ def _inertial(element: Element) -> Inertial:
 
 
 def _joint(element: Element) -> Joint:
-    """Read a <joint>; errors are noted as findings.
+    """Read a <joint>; errors are noted as findings, and the joint is read as far as possible.
 
     Args:
         element: element of the URDF, to which findings are added.

@@ -45,9 +45,12 @@ class ReadingNoise:
         self._readings = np.full((4, len(self.expected)), np.nan)
 
     def update(self, measured: Array) -> Array:
-        """Return the noise (k,) of the sensors after a new reading (rad, m).
+        """Return the noise (k,) of the sensors after a new reading, a standard deviation (rad, m).
 
         It is the measured one where this is far beyond the expected one, else the expected one.
+        Measured is the mean magnitude of the readings' third differences x_k − 3x_{k−1} + 3x_{k−2}
+        − x_{k−3}, low-passed and divided by that of unit normal noise, `_THIRD`. Motion hardly
+        changes third differences.
 
         Args:
             measured: (k,) new readings (rad, m). Readings that are not finite are no evidence.

@@ -171,7 +171,10 @@ class VelocityEstimate:
         filtering made easy, 1998: fading-memory filter).
 
         Args:
-            noise, acceleration, dt, sample: see `optimal`.
+            noise: (k,) rms noise of the readings (m, rad).
+            acceleration: (k,) rms of the unknown acceleration (m/s², rad/s²).
+            dt: period of the estimate (s).
+            sample: period of the readings (s); 0: dt.
 
         Raises:
             InvalidInputError: noise or acceleration is not > 0.
@@ -188,7 +191,8 @@ class VelocityEstimate:
         Args:
             design: function that returns gains.
             noise: (k,) rms noise (m, rad).
-            dt, sample: see the class.
+            dt: period of the estimate (s).
+            sample: period of the readings (s); 0: dt.
         """
         alpha, beta, gamma = design(noise)
         estimate = cls(alpha, beta, dt, sample, gamma, _scatter(noise, alpha))
@@ -262,9 +266,11 @@ class VelocityEstimate:
         if self.x is None:
             self.x = np.array(measured, dtype=float)
             return (self.x, self.v)
+        # prediction by the known share of the acceleration and the unknown one
         total = self.share * acceleration + self.unknown
         self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * total
         self.v = self.v + self.dt * total
+        # the same of the derivatives by the share
         if self._learns:
             x_c, v_c, unknown_c = self._by_share
             total = acceleration + unknown_c
@@ -275,6 +281,7 @@ class VelocityEstimate:
                     unknown_c,
                 )
             )
+        # correction by a new reading
         if fresh:
             innovation = np.where(np.isfinite(measured), measured - self.x, 0.0)
             self._correct(self._gains * innovation)
@@ -291,6 +298,11 @@ class VelocityEstimate:
     def _learn_share(self, innovation: Array) -> None:
         """Update the share c, and with it the estimate, by Friedland's filter.
 
+        c (k,) is the share of the commanded acceleration that a channel really has. `_by_share` (3,
+        k) are the derivatives of position, velocity and unknown acceleration by c. A scalar Kalman
+        filter for each channel, with the innovation x_c c of the readings, gives the change of c,
+        by which the estimate is corrected along these derivatives.
+
         Args:
             innovation: (k,) reading minus prediction (m, rad).
         """
@@ -306,7 +318,7 @@ class VelocityEstimate:
 
 
 def _optimal_gains(noise: Array, acceleration: Array, period: float) -> tuple[Array, Array, Array]:
-    """Compute the stationary Kalman gains α and β (k,), see the module; γ is zero.
+    """Compute the stationary Kalman gains α and β (k,) of position and velocity; γ is zero.
 
     Args:
         noise: (k,) rms noise of the readings (m, rad).

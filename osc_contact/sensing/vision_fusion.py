@@ -109,9 +109,11 @@ class Registration:
         weights = np.repeat((self.position, self.orientation), 3) ** -2.0
         start = self.X
         for _ in range(_ITERATIONS):  # information form, which is regular with exact poses, too
+            # prior: X_WC as before the picture
             information = prior.copy()
             correction = pose_error(self.X * start.inverse(), SE3.Identity())
             gradient = -prior @ correction
+            # each body: pose error y ≈ H ξ
             for X_W, X_C in zip(known, seen, strict=True):
                 predicted = self.X * X_C
                 y = pose_error(X_W, predicted)

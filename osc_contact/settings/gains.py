@@ -49,7 +49,11 @@ class _GainsOfOneLoop(OrderedSpec):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        """Derive the values that are not given; refuse design values together with gains."""
+        """Derive the values that are not given; refuse design values together with gains.
+
+        `serving` names the design values, such as bandwidth and damping ratio, `numbers` the gains
+        that follow from them; without both the default design values apply.
+        """
         values = {key: getattr(self, key) for key in self.model_fields_set}
         design = [key for key in self.serving if key in values]
         gains = [key for key in self.numbers if key in values]

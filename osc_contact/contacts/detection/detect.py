@@ -97,11 +97,14 @@ def rim_on_face(
 
 
 def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
-    """Pair of points or straight lines with radii, r = 1: g = their distance − both radii.
+    """Pair of points or straight lines with radii, with one force along their distance (r = 1).
+
+    The gap (1,) is the distance of the points or lines less both radii (m), such as of two
+    cylinders that cross, or of a ball and an edge.
 
     Args:
-        a: feature of the object.
-        e: feature of the environment.
+        a: feature of the object, a point or a line with a radius.
+        e: feature of the environment, a point or a line with a radius.
         name: name of the pair.
 
     Raises:
@@ -115,15 +118,22 @@ def between_round(a: Feature, e: Feature, name: str) -> GapFunctions:
     reach = a.radius + e.radius
 
     def gap(X: SE3) -> Array:
-        """Distance (1,) (m) of two points or lines less the radii, at the pose X of the object."""
+        """Compute the gap (1,; m): distance of two points or lines, less both radii.
+
+        Two lines are apart along their common normal; of a point and a line the distance vector
+        counts across the line, of two points as a whole.
+
+        Args:
+            X: pose of the object.
+        """
         distance_vector = X.act(a.points[0]) - e.points[0]
         lines = [e.direction] if e.dimension == 1 else []
         if a.dimension == 1:
             lines.append(X.rotation @ a.direction)
-        if len(lines) == 2:
+        if len(lines) == 2:  # along the common normal
             common_normal = cross(*lines)
             return np.array([abs(common_normal @ distance_vector) / norm(common_normal) - reach])
-        for axis in lines:
+        for axis in lines:  # across the line, if there is one
             distance_vector = distance_vector - (distance_vector @ axis) * axis
         return np.array([norm(distance_vector) - reach])
 

@@ -121,7 +121,21 @@ def collision_shapes(path: Path | str) -> list[CollisionShape]:
 
 @lru_cache(maxsize=32)
 def _read(file: Path, text: bytes) -> tuple[CollisionShape, ...]:
-    """Collision shapes of a file, see `collision_shapes`, read once for each content `text`."""
+    """Read the collision shapes of a file; each content `text` is read once.
+
+    A shape has the name of its <collision> element if that is unique in the file, else the name of
+    its link and a number. Meshes become convex shapes.
+
+    Args:
+        file: URDF of one rigid body.
+        text: content of the file, so that a changed file is read again.
+
+    Returns:
+        Shapes with names and placements in the frame of the body.
+
+    Raises:
+        ModelError: the file has joints that move, no shapes, or a mesh that is not convex.
+    """
     model, geometry, document = load_geometry(file, pin.GeometryType.COLLISION)
     if model.nv > 0:
         joint_text = ", ".join(joint_names(model))

@@ -196,11 +196,14 @@ class CompiledPair(PackagedPair):
 
 @cache
 def _entry(function: Callable[..., None], forces: int, count: int) -> tuple[int, object]:
-    """Address of the C function that the law calls, and the object that keeps it in memory.
+    """Make a C function of a pair's function; return its address and the object that keeps it.
+
+    The law calls the C function by its address, with the addresses of arrays (see `evaluate`). The
+    object must be kept, because the C function exists only as long as it does.
 
     Args:
-        function: function of the pair.
-        forces: number r of its magnitudes.
+        function: function of the pair, plain or compiled by numba.
+        forces: number r of its contact forces.
         count: number of its parameters.
 
     Raises:
@@ -229,13 +232,13 @@ def _entry(function: Callable[..., None], forces: int, count: int) -> tuple[int,
         body = carray(X_WE, (4, 4))
         parameter_array = carray(parameters, (count,))
         out = carray(evaluated, (forces, 11))
-        out[:, :6] = np.nan
+        out[:, :6] = np.nan  # remains where the function does not fill N
         out[:, 6:] = 0.0
         N = out[:, :6].T
         points = out[:, 8:].T
         V_A = carray(V_O, (6,))
         part(pose, V_A, body, carray(V_E, (6,)), parameter_array, N, out[:, 6], out[:, 7], points)
-        for i in range(forces):
+        for i in range(forces):  # points of contact in the world, from the origin O
             for k in range(3):
                 out[i, 8 + k] -= pose[k, 3]
 

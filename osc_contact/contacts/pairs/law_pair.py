@@ -93,6 +93,9 @@ class LawPair(PackagedPair):
     ) -> None:
         """Store the geometry of a pair during its construction.
 
+        It is kept as a row of the law (`_row`), and as the numbers and shapes with which the law's
+        functions compute gaps and N outside a tick (`_numbers`).
+
         Args:
             surface_point: (3,) point of the environment's feature, in its frame (m).
             kind: kind of the pair in `law.records`.

@@ -352,7 +352,16 @@ class CylinderInVGroove(PointsOnPlanes):
     pushes = True
 
     def _make(self) -> None:
-        """Check the groove; press both ends of the axis into each of its two walls."""
+        """Check the groove; press both ends of the cylinder's axis against each of its two walls.
+
+        The four points are both ends of the axis, twice; each is pressed along the unit normal into
+        a wall, ±cos(φ/2) side − sin(φ/2) out, with the angle φ between the walls, the direction
+        `side` across the groove and the direction `out` of it. The points stay one radius away from
+        the walls.
+
+        Raises:
+            InvalidInputError: φ is not between 0 and π, or the way out of the groove is along it.
+        """
         side = cross(self.groove_direction, self.groove_outward)
         size = norm(side)
         if not (0.0 < self.groove_angle < pi and size > 1e-6):

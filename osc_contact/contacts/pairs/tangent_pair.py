@@ -270,7 +270,15 @@ class Screw(TangentPair):
     _seat: Array = field(init=False, repr=False)
 
     def _make(self) -> None:
-        """Hold the point across the axis, the axis, and the advance to the pitch (a thread)."""
+        """Compute the rows of the law: forces across the axis, parallel axes, advance by the pitch.
+
+        The pair keeps the point of the object on the axis of the thread (two forces across it), the
+        axes parallel (couples), and the advance along the axis at `pitch` times the angle (m/rad;
+        the force of the thread's flank). Permitted is the turn with this advance.
+
+        Raises:
+            InvalidInputError: the pitch is zero or not finite.
+        """
         if not np.isfinite(self.pitch) or self.pitch == 0.0:
             raise InvalidInputError(
                 f"{self.name}.pitch = {self.pitch}; give m/rad other than 0 (else: Revolute)"

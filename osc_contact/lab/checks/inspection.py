@@ -54,7 +54,17 @@ class Inspection:
 
 
 def inspect_rig(rig: Rig) -> Inspection:
-    """Describe the contact state of a rig at its start."""
+    """Describe the contact state of a rig at its start: d, r, forces, free motions, conditioning.
+
+    The contacts are those that are active first. Conditioning is the ratio of the largest to the
+    least eigenvalue of the mobility NᵀΦN, scaled to a diagonal of 1: 1 for independent forces.
+
+    Args:
+        rig: rig of a scenario.
+
+    Returns:
+        Numbers d and r, N and T (at O in world axes), and lines of text.
+    """
     state = rig.state
     active = rig.references.stages[0][1] if rig.references.stages else np.ones(len(rig.pairs))
     pairs = [rig.pairs[i] for i in np.flatnonzero(active)]
@@ -130,7 +140,11 @@ def _stages(rig: Rig) -> Iterator[str]:
 
 
 def _plan_stages(rig: Rig) -> Iterator[str]:
-    """Sentences on the stages of a plan: contacts and forces, motion, ends, stages that follow."""
+    """Sentences on the stages of a plan: contacts and forces, motion, ends, stages that follow.
+
+    Args:
+        rig: rig of a scenario with a plan.
+    """
     assert rig.scenario.plan is not None
     plan = rig.scenario.plan.made()
     for k, stage in enumerate(plan.stages):
@@ -224,7 +238,13 @@ def _redundancy(arms: int, internal: int, arm_motions: int) -> Iterator[str]:
 
 
 def _contact_lines(rig: Rig) -> Iterator[str]:
-    """Sentences on each contact of a rig: directions, points and signs of its forces."""
+    """Sentences on each contact of a rig: directions, points (m) and signs of its forces.
+
+    Directions are in world axes, points from the object's origin.
+
+    Args:
+        rig: rig of a scenario.
+    """
     X = rig.state.X_WO
     for i, pair in enumerate(rig.pairs):
         points, directions = feet(pair, X)
@@ -284,7 +304,14 @@ def _skew(rig: Rig) -> Iterator[str]:
 
 
 def _twist_words(twist: Array) -> str:
-    """Words for a twist (6,) at the object's origin: a translation, or a turn with a pitch."""
+    """Words for a twist at the object's origin: a translation, or a turn about a line with a pitch.
+
+    A turn is described by the direction of its axis, the point of the axis nearest to the object's
+    origin (m), and the advance along it (mm/rad).
+
+    Args:
+        twist: (6,) at the object's origin, in world axes; not zero.
+    """
     v, w = np.split(twist, 2)
     if norm(w) < 1e-9 * max(norm(v), 1.0):
         return f"translation along {_vector(v / norm(v))}"

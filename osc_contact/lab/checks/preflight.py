@@ -288,10 +288,14 @@ def swinging(rig: Rig) -> Values:
 def carts(rig: Rig) -> Values:
     """Largest travel (m) of carts on their rails under the commanded forces, weight and preload.
 
-    The motion m s̈ + c ṡ + k s = force is integrated over the run with 2000 steps.
+    The motion m s̈ + c ṡ + k s = force of each cart (position s on its rail, m) is integrated over
+    the run with 2000 steps.
 
     Args:
         rig: rig of the scenario.
+
+    Yields:
+        Largest |s| of each cart, with the words of the finding.
     """
     t, plan = rig.references.overview
     dt = t[1] - t[0]
@@ -542,11 +546,16 @@ def inside(rig: Rig) -> Values:
 def encoders(rig: Rig) -> Values:
     """Rms force that the brake causes by the noise of the encoders, over the mean command.
 
-    On unyielding faces a velocity error δV, the mean of those of the arms, causes the forces
-    δα = (NᵀΦN)⁻¹κ NᵀδV.
+    On unyielding faces a velocity error δV (6,) of the object, the mean of those of the arms,
+    causes the forces δα = (NᵀΦN)⁻¹κ NᵀδV (N): (NᵀΦN)⁻¹ is the apparent mass along the columns N (6,
+    r), κ (1/s) the gain of the brake. δV is J times the independent errors of the joints' estimated
+    speeds.
 
     Args:
         rig: rig of the scenario.
+
+    Yields:
+        The ratio of each force, with the words of the finding.
     """
     brake = getattr(rig.gains.force, "brake", 0.0)
     if rig.scenario.sensors.encoder is None or not rig.pairs or not brake:
@@ -588,10 +597,15 @@ def encoders(rig: Rig) -> Values:
 def late_brake(rig: Rig) -> Values:
     """Bandwidth that the brake needs on declared springs, over that of the encoders alone.
 
-    It matters only where `control.estimate.measured_forces` is switched off.
+    A contact on a spring oscillates at its natural frequency; speeds that encoders estimate more
+    slowly reach the brake too late. It matters only where `control.estimate.measured_forces` is
+    switched off.
 
     Args:
         rig: rig of the scenario.
+
+    Yields:
+        The ratio, with the words of the finding.
     """
     if rig.measured_forces or rig.scenario.sensors.encoder is None or not rig.gains.force.brake:
         return

@@ -58,6 +58,7 @@ def wrench_errors(rig: Rig) -> WrenchErrors:
     if wrist is not None:
         for key in ("force", "torque"):
             error = getattr(wrist, key)
+            # rounding to a resolution r is uniform in a range of r: standard deviation r/√12
             size = float(np.hypot(error.noise, error.resolution / np.sqrt(12.0)))
             if size > 0.0:
                 values[key] = size

@@ -166,7 +166,9 @@ def run_with_progress(
     """Run a scenario, with a progress bar on a terminal.
 
     Args:
-        scenario, seed, viewer: see `run`.
+        scenario: scenario to run.
+        seed: seed of random errors.
+        viewer: viewer that shows the run while it lasts; None: none.
         folder: existing folder for the rows of the run in progress and for the recording of a
             failed run; None: neither is written.
 
@@ -238,7 +240,9 @@ def refuse_changes(
 
     Args:
         what: what is run or shown, in words.
-        overrides, plant, duration: see `changed`.
+        overrides: texts path.to.key=value; None: none.
+        plant: type of the plant in place of the scenario's; None: unchanged.
+        duration: duration of the run in place of the scenario's (s); None: unchanged.
 
     Raises:
         InvalidInputError: one of the options is given.
@@ -308,7 +312,7 @@ def report_run(
         scenario: scenario of the run.
         folder: folder for the files.
         json_file: another file for the verdict.
-        figures: see `report.write_report`.
+        figures: process that draws the figures; None: this process draws them.
 
     Returns:
         A list of the files written, as text, and whether the task of the run failed.
@@ -387,7 +391,9 @@ def load_task(
 
     Args:
         name: name of the scenario, or its file.
-        overrides, plant, duration: see `changed`.
+        overrides: texts path.to.key=value; None: none.
+        plant: type of the plant in place of the scenario's; None: unchanged.
+        duration: duration of the run in place of the scenario's (s); None: unchanged.
     """
     return load_scenario(name, changed(overrides, plant, duration))
 

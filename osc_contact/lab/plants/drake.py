@@ -180,7 +180,12 @@ class DrakeTruth(NotedWrenches):
         self._rows: list[Array] = []
 
     def note(self) -> None:
-        """Append the present state of the object, and the wrenches of its contacts."""
+        """Append a row with the present state of the object, and the wrenches of its contacts.
+
+        It has the rotation matrix and position (m) of the object, its twist (m/s, rad/s) at its
+        origin, for each body of the environment the wrench (6) of normal forces on it at the
+        object's origin (N, N m), and 1 for each body that is touched; all in world axes.
+        """
         scene, context = self._plant.scene, self._plant.context
         X = scene.held.EvalPoseInWorld(context)
         V = scene.held.EvalSpatialVelocityInWorld(context)

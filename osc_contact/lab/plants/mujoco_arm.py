@@ -61,9 +61,8 @@ class MujocoArm:
         model, data: as given.
 
     Raises:
-        ModelError: MuJoCo is missing, there is no such tip, or the arm has joints that the toolkit
-            does not support.
-        PlantError: there is no such site or body for the wrist sensor.
+        PlantError: MuJoCo is not installed, or no site or body is named as `tip` or `wrist_sensor`.
+        ModelError: the arm has joints that the toolkit does not support.
 
     Example:
         >>> import mujoco
@@ -92,7 +91,16 @@ class MujocoArm:
         name: str = "arm",
         locked: Mapping[str, float] | None = None,
     ) -> None:
-        """Read the model of the arm, find its joints, motors and sensor, and let it be held."""
+        """Read the model of the arm, find its joints, motors and sensor, and let it be held.
+
+        The class describes the arguments. Joints of the file that the arm does not have are locked
+        at their present positions, unless `locked` gives others.
+
+        Raises:
+            PlantError: MuJoCo is not installed, or no site or body is named as `tip` or
+                `wrist_sensor`.
+            ModelError: the arm has joints that are not supported.
+        """
         try:
             import mujoco
         except ImportError as error:

@@ -125,6 +125,7 @@ def _place_bodies(
     for i, ((file, placement), rail) in enumerate(zip(bodies, rails, strict=True)):
         part, root = _read_body(file)
         for geom in part.geoms:
+            # touches the object (contype & conaffinity), with its own softness and friction
             geom.contype = 1
             geom.conaffinity = 0
             geom.priority = 1

@@ -81,7 +81,12 @@ class MujocoTruth(NotedWrenches):
         self._forces: list[Array] = []  #: constraint forces of each instant (N, N m)
 
     def note(self) -> None:
-        """Append the present poses of object and rails, and MuJoCo's contacts with their forces."""
+        """Append the present poses of object and rails, and MuJoCo's contacts with their forces.
+
+        A row of the object has its position (m), rotation matrix, velocities as MuJoCo states them,
+        and the centre of mass to which they refer, then the positions of the rails. Contacts are
+        copied as bytes.
+        """
         data = self._plant.data
         self._states.append(np.concatenate((*self._parts, data.qpos.take(self._plant.face_q))))
         if data.ncon != self._contact_count:

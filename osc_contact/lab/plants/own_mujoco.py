@@ -87,6 +87,7 @@ class MujocoScene:
         self.pairs = [(a, b) for a in tool for b in others if _can_touch(model, a, b)]
         self.tool_touches = bool(self.pairs)
         self._others = sorted({b for _, b in self.pairs})
+        # a copy of the model in which a geom of the tool is a small sphere, to measure distances
         if self.pairs:
             self._point = point = self.pairs[0][0]
             self._probe = copy.copy(model)
@@ -338,7 +339,13 @@ class MujocoRobot(MujocoPlant):
         self._place(q)
 
     def _place(self, q: Array) -> None:
-        """Set the scene to its initial state and the arm to q (n,), held by its motors."""
+        """Set the scene to its initial state or keyframe, and the arm to a posture.
+
+        The motors hold the arm against gravity; locked joints are at their positions.
+
+        Args:
+            q: (n,) joint positions (rad, m).
+        """
         if self._keyframe is None:
             self._mj.mj_resetData(self.model, self.data)
         else:

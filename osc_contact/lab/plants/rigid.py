@@ -71,11 +71,19 @@ class WristCut:
 
 
 def wrist_cut(model: pin.Model, cut: int) -> WristCut:
-    """Make the section at a frame.
+    """Make the section at the frame of a wrist sensor through the link that carries it.
+
+    The links beyond the sensor are fixed to the same joint as the link before it. The inertia of
+    the part before the section is that of the joint's whole body, less the inertias of all frames
+    beyond.
 
     Args:
         model: model of the arms.
         cut: index of the sensor's frame.
+
+    Returns:
+        Joint, placement of the sensor in it, and the inertia (6, 6) of the part before the section,
+        in the joint's frame.
     """
     frame = model.frames[cut]
     joint = frame.parentJoint
@@ -309,12 +317,17 @@ class RigidPlant:
     def _solve(self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0) -> Solution:
         """Solve the equations of joints and free bodies, with the multipliers of all constraints.
 
-        Joint friction D v + F tanh(v / v₀) is extrapolated in time, to first order.
+        M x = force + Aᵀλ, A x = right as in `Equations`, with the motor torques added to `force`.
+        Joint friction D v + F tanh(v / v₀) is extrapolated in time, to first order, which makes
+        fast friction stable.
 
         Args:
             tau: (n_a,) motor torques (N m, N).
             with_wrenches: True: wrist readings are computed, too; False: they are zero.
             ahead: time by which friction is extrapolated (s).
+
+        Returns:
+            Accelerations of joints, rails and object, contact forces α (N), and wrist readings.
         """
         chain = self.chain
         n = chain.nq
@@ -388,7 +401,13 @@ class RigidPlant:
         return right_sides, normals
 
     def _make_equations(self) -> Equations:
-        """Compute the equations of motion in the present state."""
+        """Compute the equations of motion in the present state, M x = force + Aᵀλ, A x = right.
+
+        x has the accelerations of the joints (n), then those of the object (6, only if no arm holds
+        it rigidly) and of the bodies on rails. M is their inertia, `force` the forces without
+        motors (weight, products of velocities, friction; N m, N), A the rows of the constraints:
+        loops closed by the grasps, then contacts, whose multipliers λ are the contact forces α.
+        """
         chain = self.chain
         model = self.model
         faces = self.faces
@@ -398,6 +417,7 @@ class RigidPlant:
         O = X.translation  # noqa: E741
         parts = faces.parts(self.contacts, X, V)
         N, n_gamma = stacked(parts)
+        # object: Jacobian of x at O, drift at zero accelerations, closure of the loops
         J = self._jacobian(X)
         first = object_columns(chain, J)
         gamma_O = np.zeros(6) if chain.leader is None else self._drift(chain.leader, X)
@@ -418,6 +438,7 @@ class RigidPlant:
             force = np.concatenate((force, -body.mu - body.p))
             M = block_diagonal([M, body.Lambda])
         A = constraint_rows(chain, O, N, self.data)
+        # columns of A, and inertia, of the bodies that move on rails by forces
         bodies, joints = faces.free
         if len(bodies):
             contact_rows = by_rail[:, bodies, joints]

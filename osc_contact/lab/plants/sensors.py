@@ -187,7 +187,11 @@ class SensedPlant:
         self._ideal = cache(self.plant.measure)
 
     def _begin(self) -> None:
-        """Make the sensors with their random errors, and take their first samples."""
+        """Make the sensors with their random errors, and take their first samples.
+
+        Encoders, joint torque sensors, wrists and camera have random numbers of their own, so that
+        leaving one out does not change the errors of the others.
+        """
         self._begin_instant()
         self._robots = len(self.plant.poses())  # object and arms come before the bodies
         self._sensor: dict[str, Sensor] = {}

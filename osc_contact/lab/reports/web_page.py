@@ -165,7 +165,7 @@ def write_web_page(
     Args:
         scenario: scenario to play.
         folder: folder of the files, which is created.
-        without: names of features to be left out, see `playable`.
+        without: names of features of the scenario to be left out.
         mujoco: archive of MuJoCo's npm package; None: it is taken from a cache, or fetched by npm.
         select: function that makes the selection law with which the page compares; None: none.
         one_file: True: index.html contains all other files, and can be opened from disk.
@@ -278,6 +278,11 @@ def folded(table: Array) -> tuple[Json, bytes]:
 def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
     """Data for the page's worker beyond the other files, for JSON.
 
+    They are the control period (s) and its steps, the start (MuJoCo's positions), places of the
+    joints' positions, velocities and sensor readings in MuJoCo's arrays (−6 …: no sensor) with
+    torque limits, friction and softness of contacts, squeeze (N), references, numbers of signals,
+    forces and walls.
+
     Args:
         rig: rig of the scenario.
         plant: its plant at the start.
@@ -293,9 +298,8 @@ def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
     ]
     rate = rig.scenario.control.rate
     chain = rig.model
-    face = int(
-        np.argmax(model.geom_priority)
-    )  # of which contacts without friction have all they are
+    # the geom of a face has priority, so that contacts without friction take all from it
+    face = int(np.argmax(model.geom_priority))
     limits = np.zeros(len(names))
     limits[rig.chain.actuated] = np.where(np.isfinite(rig.chain.tau_max), rig.chain.tau_max, 0.0)
     bars = len(chain.arms) * (len(chain.arms) - 1) // 2

@@ -69,7 +69,12 @@ def pose_of(spec: PoseSpec) -> pin.SE3:
 
 
 def build_pairs(scenario: Scenario) -> tuple[ContactPair, ...]:
-    """Make the contact pairs of a scenario, in its order; pairs that are objects are returned."""
+    """Make the contact pairs of a scenario, in its order.
+
+    Args:
+        scenario: scenario whose contacts are described by keys, with their geometry in the frame of
+            a body, or are pairs made in Python, which are returned as they are.
+    """
     poses = _body_poses(scenario)
     world = pin.SE3.Identity()
     pairs: list[ContactPair] = []
@@ -263,7 +268,14 @@ class OwnMotion:
 def _own_motion(motion: FaceMotion | OwnMotion) -> OwnMotion:
     """Convert the description of a body's motion in a scenario to objects.
 
-    A conveyor is driven; every other body moves along its rail by forces.
+    A conveyor is driven along its rail by a prescribed motion; every other body moves along its
+    rail by forces, with inertia, spring and damper.
+
+    Args:
+        motion: keys of the scenario, or objects, which are returned.
+
+    Returns:
+        Rail of the body in the plant, and the body as the controller knows it.
     """
     if isinstance(motion, OwnMotion):
         return motion

@@ -377,7 +377,14 @@ class ObservedRobot:
         return implausible
 
     def measure(self) -> Measurement:
-        """Measurement for a controller, with estimates of the velocities that are not measured."""
+        """Measurement for a controller, with estimates of the velocities that are not measured.
+
+        Joint velocities (rad/s, m/s) are estimated from the encoders' positions and the
+        accelerations of the last command; positions are extrapolated over the delay of the
+        encoders. An implausible reading and that of a dead encoder become NaN. With a camera,
+        motions of the touched bodies are estimated from its poses. A measurement without time
+        stamps is returned unchanged.
+        """
         measurement = self.robot.measure()
         stamps = measurement.stamps
         if stamps is None:

@@ -233,7 +233,7 @@ class References:
 
         None: the scenario states no times, so that all contacts are active.
         """
-        if self.planned is not None:
+        if self.planned is not None:  # active sets (stages, contacts) of the plan's stages
             return self.planned[1][self._stage_at(t)]
         spans = self.scenario.active
         if not spans:
@@ -248,7 +248,10 @@ class References:
 
     @cached_property
     def largest_commands(self) -> tuple[float, float]:
-        """Largest commanded force of one contact or squeeze, and largest sum of all of them (N)."""
+        """Largest commanded force of one contact or squeeze, and largest sum of all of them (N).
+
+        The commands of all ticks of the run are compared, in pieces of `_COMPARED` ticks.
+        """
         arms = len(self.scenario.arms)
         pairs_of_arms = arms * (arms - 1) // 2
         squeezes = abs(self.scenario.squeeze) * np.ones(pairs_of_arms)
@@ -269,11 +272,14 @@ class References:
         return t, self.over(t)
 
     def over(self, t: Array) -> Plan:
-        """References at many times t (k,) (s), computed together.
+        """References at many times, computed together.
 
-        Signals s are (3, k): values, first and second derivatives. The motion begins smoothly after
-        a tare; moves on a surface come first, then rotations in the scenario's order, then
-        displacements off the contacts and by a dither.
+        Signals s are (3, k): values, first and second derivatives at the k times. The motion begins
+        smoothly after a tare; moves on a surface come first, then rotations in the scenario's
+        order, then displacements off the contacts and by a dither.
+
+        Args:
+            t: (k,) times (s).
         """
         tare = self.scenario.tare
         dither = self.scenario.control.dither
@@ -567,8 +573,8 @@ def surface_references(
         path: keys of a move of kind `surface`: points, raster, signals, feed, dwell, …
 
     Raises:
-        ValueError: keys of the path contradict one another. InvalidInputError: a pair without a
-            curved face, or a direction along the normal.
+        ValueError: keys of the path contradict one another.
+        InvalidInputError: a pair without a curved face, or a direction along the normal.
     """
     if not isinstance(pair, SphereOnSurface):
         raise InvalidInputError(

@@ -530,21 +530,28 @@ def build_rig(scenario: str | Path | Scenario, chains: MakesChain | None = None)
         scenario: a scenario, or its name or path as for `load_scenario`.
         chains: function that makes the chains in place of `build_chain`, for example with a cache.
 
+    Returns:
+        Rig of the scenario: true chain and the controller's model of it, pairs and bodies, joint
+        positions in contact and at the start, references, and the state in contact.
+
     Raises:
         ScenarioError, ModelError, ContactError: parts of the scenario do not fit together.
     """
     scenario = as_scenario(scenario)
     make = chains or build_chain
+    # the true arms, and the model of them that the controller has
     chain = make(scenario, _true(scenario.model_error))
     model = _model(scenario, chain, make)
     pairs = build_pairs(scenario)
     posture = posture_of(scenario, chain)
     X_given = given_pose(scenario, chain, posture)
     require_own_pairs(scenario, X_given)
+    # joint positions at which the contacts close, and the contact there
     q_contact = touching(chain, pairs, posture, X_given)
     state = chain.state(q_contact)
     contact = contact_at(pairs, state.X_WO)
     require_reachable(state, contact)
+    # references, which begin off the contacts if the wrist sensors are tared there
     tare = scenario.tare
     standoff = np.zeros(6)
     if tare is not None:  # gaps open against N

@@ -203,6 +203,10 @@ def _cycle_in(
 ) -> Cycle | None:
     """Find the limit cycle of force j in some ticks of a recording; None if there is none.
 
+    Its amplitude is compared with the mean command; oscillations at the frequencies of commands and
+    of driven faces do not count. Its compliance (m/N) is the amplitude of the motion along the
+    normal, speed/(2π f), over that of the force.
+
     Args:
         window: channels of the ticks.
         j: index of the force.

@@ -125,8 +125,9 @@ def _aborting(plan: Plan, duration: float, progress: Progress | None) -> Progres
     """Make a function of the simulated time that aborts a plan at the end of the duration.
 
     Args:
-        plan: plan of the run. duration: longest time of the run (s). progress: function that is
-            called with the simulated time, too; None: none.
+        plan: plan of the run.
+        duration: longest time of the run (s).
+        progress: function that is called with the simulated time, too; None: none.
     """
 
     def note(t: float) -> None:

@@ -84,7 +84,11 @@ class WorstSecond:
             self._ticks[tenth] += len(errors)
 
     def largest(self) -> list[float | None]:
-        """Largest rms error of each force within a second (N); None if no second is judged."""
+        """Largest rms error of each force within a second (N); None if no second is judged.
+
+        Sums of squares and counts are those of tenths of a second; ten successive ones make a
+        second, which is judged if at least half of its ticks are.
+        """
         if not self._ticks:
             return []
         squares = _sums_of_ten(self._squares)

@@ -437,11 +437,14 @@ def _learned_losses(losses: Sequence[Json], meta: Json) -> list[Json]:
 
 
 def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | None]]:
-    """Metrics of each force magnitude.
+    """Metrics of each contact force, by its name.
+
+    They are errors of the true force (N, and relative to the mean command), the ratio of the true
+    force to the command, errors of the measured force, and the limit cycle, None without one.
 
     Args:
         names: names of the forces.
-        sums: sums over the ticks.
+        sums: sums over the judged ticks.
     """
     by_name = {}
     columns = (
@@ -579,6 +582,10 @@ def _answer(
     recording: Recording, rate: float, steps: Sequence[int], k: int, column: int, first: bool
 ) -> Json | None:
     """Step response of one force after tick k; None without a commanded step.
+
+    The response ends `STEP_WINDOW_S` later, at the next step of any force, or where the contact is
+    released. The overshoot is the largest true force beyond the commanded one, in the direction of
+    the step (N), and relative to the step.
 
     Args:
         recording: recording with a judge.

@@ -66,7 +66,8 @@ def _plan_problems(data: Mapping[str, Any], contacts: list[str] | None) -> Itera
     """Yield keys beside a plan that it replaces, and contacts of its stages that do not exist.
 
     Args:
-        data: keys of a scenario. contacts: names of its contacts; None: they are not valid.
+        data: keys of a scenario.
+        contacts: names of its contacts; None: they are not valid.
     """
     plan = data.get("plan")
     if plan is None:

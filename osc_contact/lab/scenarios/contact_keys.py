@@ -185,6 +185,10 @@ _KEYS_OF: dict[Any, Any] = {Surface: SurfaceSpec}
 def keys_of(pair: Any, forces: int) -> type[ContactSpec]:
     """Make the model of a contact whose keys are the fields of a pair.
 
+    A field becomes keys by its annotation, which states the kind of its geometry and its YAML type,
+    or by its Python type; points and normals of a face come from the key `face` instead. Defaults
+    are the pair's.
+
     Args:
         pair: class that `register_pair` has registered.
         forces: number r of its force magnitudes.

@@ -50,7 +50,7 @@ def parse_scenario(
     Args:
         text: YAML text.
         source: file of the text, named in messages; relative URDF paths refer to its folder.
-        overrides: values of keys, see `load_scenario`.
+        overrides: values of keys: texts path.to.key=value, or a mapping from paths to values.
 
     Raises:
         ScenarioError: errors in the text or an override, one in each line, as
@@ -99,7 +99,7 @@ class Template:
 
         Args:
             path: keys, list indices or names of items, joined by dots.
-            overrides: see `load_scenario`.
+            overrides: values of keys: texts path.to.key=value, or a mapping from paths to values.
 
         Raises:
             ScenarioError: there is no such path, or errors in an override.
@@ -109,7 +109,13 @@ class Template:
         return document.value(path)
 
     def _apply_overrides(self, overrides: Overrides) -> ScenarioDocument:
-        """Copy of the document with overrides; errors of the overrides are in its `problems`."""
+        """Copy the document, and set the values of overrides in the copy.
+
+        Errors of the overrides are collected in the `problems` of the copy.
+
+        Args:
+            overrides: texts path.to.key=value, one text, or a mapping from paths to values.
+        """
         document = deepcopy(self._document)
         if isinstance(overrides, Mapping):
             overrides = [f"{path}={value}" for path, value in overrides.items()]
@@ -125,7 +131,7 @@ class Template:
         """Make a scenario of the text with overrides.
 
         Args:
-            overrides: values of keys, see `load_scenario`.
+            overrides: values of keys: texts path.to.key=value, or a mapping from paths to values.
 
         Raises:
             ScenarioError: errors in the text or an override (all of them).

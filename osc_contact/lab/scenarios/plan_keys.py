@@ -96,7 +96,14 @@ class CallKeys(Spec):
         return self
 
     def made(self) -> Any:
-        """Call the function: a motion or a condition."""
+        """Call the function that the keys describe, with their values as arguments.
+
+        Keys without a value are left out, so that the function's defaults apply; poses become
+        `pin.SE3`.
+
+        Returns:
+            A motion or a condition of a stage.
+        """
         values: list[Any] = []
         named: dict[str, Any] = {}
         for name, parameter in inspect.signature(self.describes).parameters.items():
@@ -143,14 +150,18 @@ def _listed_type(kind: Any, least: int = 1) -> Any:
     """Type of a list, or of an item alone.
 
     Args:
-        kind: type of an item. least: least number of items.
+        kind: type of an item.
+        least: least number of items.
     """
     items: Any = tuple[kind, ...]
     return Annotated[items, Field(min_length=least), BeforeValidator(_listed)]
 
 
 def _keys_of(function: Callable[..., Any]) -> type[CallKeys]:
-    """Make the model of a function's arguments.
+    """Make the model of the keys that are the arguments of a function of a plan.
+
+    Each argument becomes a key of the same name, with type, default and description of the
+    function.
 
     Args:
         function: function of `MOTIONS` or `CONDITIONS`, its arguments annotated with quantities.
@@ -183,7 +194,8 @@ def described(documented: Any, name: str) -> str:
     Functions of the signals are left out, which only Python has; no value is null in files.
 
     Args:
-        documented: function or class. name: argument or attribute.
+        documented: function or class.
+        name: argument or attribute.
     """
     text = re.sub(
         r",? or a function of the signals[ a-z]*", "", inspect.cleandoc(documented.__doc__)
@@ -197,7 +209,9 @@ def _optional(kind: Any, default: Any, text: str) -> tuple[Any, Any]:
     """Type and default of an optional key; JSON has no infinity, which becomes null.
 
     Args:
-        kind: type of the key. default: default in Python. text: what the key means.
+        kind: type of the key.
+        default: default in Python.
+        text: what the key means.
     """
     if default is None or default == np.inf:
         return kind | None, Field(None, description=text)
@@ -254,8 +268,10 @@ def _made(name: str, base: type[Spec], text: str, keys: dict[str, Any]) -> Any:
     """Make a model of this module at run time.
 
     Args:
-        name: name of the model in this module, by which it is pickled. base: base class.
-        text: docstring. keys: type and default of each key.
+        name: name of the model in this module, by which it is pickled.
+        base: base class.
+        text: docstring.
+        keys: type and default of each key.
     """
     return create_model(name, __base__=base, __module__=__name__, __doc__=text, **keys)
 
@@ -289,7 +305,12 @@ def motion_of(keys: Any) -> Motion:
 
 
 def condition_of(keys: Any) -> End:
-    """Condition of `ConditionKeys`."""
+    """Make the condition that ends a stage from its keys.
+
+    Args:
+        keys: `ConditionKeys`: one condition, or `all` or `any` of several, and `lasting` (s; None:
+            the condition holds at once).
+    """
     (name,) = keys.chosen
     value = getattr(keys, name)
     if name in ("all", "any"):
@@ -309,7 +330,11 @@ _STAGE_TYPES: dict[str, Any] = {
 
 
 def _stage_keys() -> dict[str, Any]:
-    """Keys of a stage from the fields of `Stage`."""
+    """Make the keys of a stage from the fields of `Stage`: types, defaults and descriptions.
+
+    Returns:
+        Arguments for pydantic's `create_model`, by key. Fields in `LEFT_TO_PYTHON` have no keys.
+    """
     hints = get_type_hints(Stage, include_extras=True)
     keys: dict[str, Any] = {}
     for item in fields(Stage):
@@ -334,7 +359,10 @@ class _StageKeys(Spec):
     describes: ClassVar[Any] = Stage
 
     def made(self) -> Stage:
-        """Make the stage.
+        """Make the stage from its keys.
+
+        Forces of one number become numbers; several motions are combined; without a motion the
+        stage rests.
 
         Raises:
             InvalidInputError: the stage refuses a value.

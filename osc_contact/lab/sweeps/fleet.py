@@ -110,7 +110,7 @@ class Fleet:
         self.begin(dict(enumerate(starts)))
 
     def begin(self, starts: dict[int, Start]) -> None:
-        """Put some rows at their starts.
+        """Put some rows at their starts: controller, model and state of the integrator.
 
         Args:
             starts: start of each row, by the number of the row.

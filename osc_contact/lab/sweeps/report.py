@@ -35,7 +35,7 @@ def write_report(table: pyarrow.Table, study: SweepStudy, folder: Path) -> Json:
     """Write summary, figures (with the extra `plot`) and page; return the summary.
 
     Args:
-        table: table of the runs, see `sweep`.
+        table: table of the runs, a row for each.
         study: study of the runs.
         folder: folder for the files.
     """
@@ -120,7 +120,9 @@ def _draw(table: pyarrow.Table, study: SweepStudy, summary: Json, folder: Path) 
     """Draw distributions of errors, and errors over varied values; return the PNG files.
 
     Args:
-        table, study, folder: see `write_report`.
+        table: table of the runs.
+        study: study of the runs.
+        folder: folder for the files.
         summary: summary of the table.
     """
     from matplotlib.figure import Figure
@@ -176,7 +178,7 @@ def summarise(table: pyarrow.Table, study: SweepStudy) -> Json:
     """Success rate, quantiles, sensitivities and the worst runs.
 
     Args:
-        table: table of the runs, see `sweep`.
+        table: table of the runs, a row for each.
         study: study of the runs.
 
     Returns:

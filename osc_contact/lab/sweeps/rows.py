@@ -89,7 +89,7 @@ class RigBuilder(threading.local):
         self._robots: dict[str, RobotAtTask] = {}
 
     def rig(self, scenario: Scenario) -> Rig:
-        """Rig of a scenario, see `build_rig`.
+        """Make the rig of a scenario from equal parts that were built before.
 
         Args:
             scenario: scenario without laws and pairs written in Python.
@@ -100,7 +100,10 @@ class RigBuilder(threading.local):
         return robot.rig.with_error(scenario, self._chain)
 
     def require_ready(self, rig: Rig) -> list[str]:
-        """Doubts about a rig of this builder, see `require_ready`.
+        """Check a rig of this builder before its run; return sentences on doubts.
+
+        Args:
+            rig: rig made by `rig`.
 
         Raises:
             ScenarioError: the rig cannot run.

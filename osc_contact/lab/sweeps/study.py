@@ -60,7 +60,10 @@ Make = Callable[[Sequence[str]], Distribution]  #: function of the parts between
 
 
 def parse_distribution(text: str) -> Distribution:
-    """Distribution of a text, see `WORDS`.
+    """Make the distribution of a text such as "uniform(5 mm, 10 mm)"; `WORDS` lists all.
+
+    Args:
+        text: word and, in brackets, its values.
 
     Raises:
         InvalidInputError: an unknown word, or unsuitable numbers.
@@ -79,7 +82,11 @@ def parse_distribution(text: str) -> Distribution:
 
 
 def _split(text: str) -> list[str]:
-    """Parts of a text between the commas that are outside of brackets."""
+    """Split a text at the commas that are outside of brackets.
+
+    Args:
+        text: values of a distribution, such as "[0, 1], [1, 0]".
+    """
     parts = [""]
     depth = 0
     for letter in text:
@@ -514,9 +521,12 @@ class SweepStudy:
         }
 
     def _point(self, number: int) -> Array:
-        """Point (dims,) of a run, coordinates between 0 and 1.
+        """Compute the point (dims,) of a run, coordinates between 0 and 1 of all varied keys.
 
-        Each sample of the design "saltelli" gives the points A, B, and A with one key of B.
+        On a grid the index of the run is divided into one index for each coordinate, spaced from
+        end to end or, for distributions without ends, in the middles of equal intervals. Each
+        sample of the design "saltelli" gives the points A, B, and A with one key of B. Other
+        designs take the points of a sequence.
 
         Args:
             number: number of the run.

@@ -63,7 +63,8 @@ class RowFile:
 
         Args:
             text: content of the file.
-            study, laws: see the constructor.
+            study: study of the rows.
+            laws: JSON data that identify controllers other than the study's; None: the study's.
 
         Raises:
             InvalidInputError: the file holds another study.
@@ -206,7 +207,10 @@ def run_study(
 
     Args:
         study: study to run.
-        out, workers, scheduler, progress: see `sweep`.
+        out: folder for rows and table; completed rows in it are not run again. None: no files.
+        workers: number of processes; None: one for each core.
+        scheduler: address or client of a dask cluster; None: processes of this machine.
+        progress: called with the number of completed rows and of all rows.
     """
     try:
         from pyarrow import parquet  # a missing package is reported before the runs
@@ -238,8 +242,10 @@ def run_rows(
         study: study to run.
         file: file of the rows; None: they are not written.
         make: function that makes rows, which other processes import.
-        laws: see `RowFile`.
-        workers, scheduler, progress: see `sweep`.
+        laws: JSON data that identify controllers other than the study's; None: the study's.
+        workers: number of processes; None: one for each core.
+        scheduler: address or client of a dask cluster; None: processes of this machine.
+        progress: called with the number of completed rows and of all rows.
     """
     require_long_enough(study)
     with ExitStack() as stack:

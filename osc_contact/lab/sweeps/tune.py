@@ -96,7 +96,8 @@ def tune(
         seed: seed of trials and samples.
         overrides: texts path=value of all runs.
         out: folder of the trials; a further call continues them.
-        workers, scheduler: see `sweep`; each worker runs a trial at a time.
+        workers: number of processes, each of which runs a trial at a time; None: one for each core.
+        scheduler: address or client of a dask cluster; None: processes of this machine.
         progress: function that is called with the number of trials so far and of all.
 
     Raises:
@@ -172,7 +173,7 @@ class _Search:
         """Run a trial for each worker, at most `limit`; return their number.
 
         Args:
-            crew: workers, see `workers_of`; None: this process runs a trial.
+            crew: workers that run trials; None: this process runs them.
             limit: largest number of trials.
         """
         count = min(1 if crew is None else crew.count(), limit)
@@ -263,11 +264,14 @@ class _Judge:
     def __init__(
         self, objective: str, shipped: Sequence[Row], limits: Mapping[str, float] | None
     ) -> None:
-        """Determine the limits.
+        """Determine the quantities that are judged, and their limits.
 
         Args:
-            objective, limits: see `tune`.
-            shipped: rows of the shipped values.
+            objective: "force", "motion", "both" or a column of the table of runs, which is to be
+                minimal.
+            shipped: rows of the runs with the shipped values.
+            limits: largest values by column; None: those of the shipped rows, with some slack, for
+                overshoots and saturated ticks.
 
         Raises:
             InvalidInputError: unknown columns.
@@ -297,7 +301,7 @@ class _Judge:
 
         Args:
             rows: rows of runs.
-            name: "force", "motion", "both" or a column, see `tune`.
+            name: "force", "motion", "both" or a column of the table of runs.
         """
         return float(np.mean([self._quantity(row, name) for row in rows]))
 
@@ -306,7 +310,7 @@ class _Judge:
 
         Args:
             row: row of a run.
-            name: "force", "motion", "both" or a column, see `tune`.
+            name: "force", "motion", "both" or a column of the table of runs.
         """
         if row.get("motion.rms_error_m") is None:
             return _WORST

@@ -273,7 +273,11 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return (self._observe(), self._infos())
 
     def _begin(self, rows: Sequence[int]) -> None:
-        """Begin a random episode in some rows."""
+        """Begin a random episode in some rows: its start, set point and forces.
+
+        Args:
+            rows: numbers of the rows.
+        """
         if not rows:
             return
         numbers = self.np_random.integers(self._count, size=len(rows))
@@ -286,7 +290,20 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self._over[rows] = False
 
     def step(self, actions: ArrayLike) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Advance all rows by an action (B, 6 + r); see gymnasium."""
+        """Advance all B rows by an action (B, 6 + r), as gymnasium prescribes.
+
+        An action has increments of the set point (6, −1 … 1 times `move`; m, rad) and r contact
+        forces (−1 … 1 for 0 … `most_force`, N). A row whose episode has ended begins a new one
+        instead.
+
+        Args:
+            actions: (B, 6 + r) actions.
+
+        Returns:
+            Observations (B, numbers), rewards (B,), flags (B,) of episodes that failed (the object
+            is too far away, or the simulation diverges) and that reached their end, and further
+            information.
+        """
         clipped: Array = np.clip(np.asarray(actions, dtype=float), -1.0, 1.0)
         if clipped.shape != (self.num_envs, 6 + self._r):
             raise InvalidInputError(
@@ -374,7 +391,13 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         return np.array([len(episode.places) - 1 for episode in self._now])
 
     def _observe(self) -> Array:
-        """Observations (B, numbers) of all rows, with 0 for NaN."""
+        """Compute the observations (B, numbers) of all B rows, with 0 for NaN.
+
+        They are joint positions, velocities and wrist readings, measured contact forces (N) and
+        normal speeds (m/s), displacements (m, rad) of set point and scenario's reference from the
+        first pose, and desired forces (N) of the action and of the scenario; `names` names the
+        numbers.
+        """
         q, v, wrenches = self.fleet.measure()
         control = self.fleet.control
         places, forces = self._desired_values(1)

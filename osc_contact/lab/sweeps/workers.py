@@ -59,8 +59,8 @@ class Workers:
         """Submit a call to the workers; a broken executor is replaced before.
 
         Args:
-            function: function that other processes import. arguments: its arguments, which are
-                pickled.
+            function: function that other processes import.
+            arguments: its arguments, which are pickled.
 
         Returns:
             Future result of the call.

@@ -309,7 +309,10 @@ class TaskRobot:
         model.geom_friction[touching] = [friction, 0.0, 0.0]
 
     def contact_forces(self) -> Array:
-        """True forces (k, 3) of the k contacts of object and block, world axes (N)."""
+        """True forces (k, 3) of the k contacts of object and block, in world axes (N).
+
+        MuJoCo has each force in the frame of its contact, whose axes are the rows of `frame`.
+        """
         import mujoco
 
         model = self.plant.model

@@ -390,8 +390,9 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
 def _turn_stages(peg: Peg, hole: Hole) -> list[Stage]:
     """Stages in which a peg that is pressed into a corner of the mouth rotates until it is upright.
 
-    Of a square peg, a side that is lost does not end the rotation, which goes on with fewer
-    contacts.
+    The peg is turned until its axis is parallel to that of the believed hole while it moves into
+    the hole, and its sides stay pressed against the rims; it ends upright or deep enough. Of a
+    square peg, a side that is lost does not end the rotation, which continues with fewer contacts.
 
     Args:
         peg: peg with its width.

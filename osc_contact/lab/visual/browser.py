@@ -397,7 +397,9 @@ def photographs(
     """Pictures of a page at times of its recording, without its controls.
 
     Args:
-        page, size, camera: see `write_gif`.
+        page: file of the page.
+        size: width and height of the pictures (pixels).
+        camera: name of one of the page's cameras.
         times: times of the recording (s).
     """
     from PIL import Image

@@ -68,7 +68,9 @@ class Animation:
 
 
 def packed_keys(frames: NDArray[np.integer], values: NDArray[Any]) -> bytes:
-    """Packed list [{"time": frame, "value": value}, …], with numbers in single precision.
+    """Pack the list [{"time": frame, "value": value}, …] in the format MessagePack.
+
+    Numbers have single precision. The bytes of all keys are alike, so they are written as an array.
 
     Args:
         frames: (k,) numbers of the frames.
@@ -87,9 +89,9 @@ def packed_keys(frames: NDArray[np.integer], values: NDArray[Any]) -> bytes:
     keys["time"] = frames
     keys["name"] = b"\xa5value"
     if values.dtype == np.bool_:
-        keys["value"]["mark"] = np.where(values, 0xC3, 0xC2)
+        keys["value"]["mark"] = np.where(values, 0xC3, 0xC2)  # true, false
     else:
-        keys["value"]["count"] = 0x90 + values.shape[1]
-        keys["value"]["numbers"]["mark"] = 0xCA
+        keys["value"]["count"] = 0x90 + values.shape[1]  # a list of so many
+        keys["value"]["numbers"]["mark"] = 0xCA  # a float of 32 bits
         keys["value"]["numbers"]["number"] = values
     return packed_list([keys.tobytes()], len(keys))

@@ -98,7 +98,7 @@ def page_text(sink: CommandSink, title: str, config: Json, around: Around | None
     Args:
         sink: the drawing commands.
         title: heading of the page.
-        config: data for the page's scripts (see `Scene.config`); JSON-able.
+        config: data for the page's scripts: legend, labels, plots; JSON-able.
         around: source of a live page's motion; default: the server of the live view.
 
     Raises:

@@ -346,7 +346,14 @@ def _shapes(visual: Visual) -> tuple[pin.Model, pin.GeometryModel]:
 
 
 def _corners(shape: Any) -> Array:
-    """Corners of a shape's bounding box, or points of its mesh, (k, 3), in its parent joint (m)."""
+    """Corners of a shape's bounding box, or some points of its mesh, in its parent joint's frame.
+
+    Args:
+        shape: geometry of Pinocchio with its placement.
+
+    Returns:
+        (k, 3) points (m).
+    """
     import coal
 
     if isinstance(shape.geometry, coal.BVHModelBase):

@@ -142,15 +142,16 @@ def draw_forces(recording: Recording, folder: Path) -> str:
 
 
 def contact_forces(recording: Recording, judged: Judged | None = None) -> Figure:
-    """Fig. 8: per contact the desired, true and measured force; below, the errors of them all.
+    """Fig. 8: the desired, true and measured force of each contact; below, the errors of all.
 
-    Nothing is cut off: the error is drawn to scale as far as it is judged, beyond that its
-    logarithm is.
+    No error is cut off: it is drawn to scale up to the largest one that is judged, and beyond that
+    by its logarithm.
 
     Args:
         recording: needs ``t``, ``alpha_cmd``, ``alpha_true``, ``alpha_meas``.
-        judged: (T, r) which ticks of each force are (`judged_ticks`): the others are shaded, below
-            where none is. The rms and peak values leave them out. None: all.
+        judged: (T, r) True for the ticks in which each force is judged (`judged_ticks`). The others
+            are shaded, in the lowest panel where no force is judged, and left out of the rms and
+            peak values. None: all are judged.
 
     Raises:
         RecordingError: a channel is missing.
@@ -212,8 +213,8 @@ def power(recording: Recording, judged: Judged | None = None) -> Figure:
 
     Args:
         recording: needs ``t``, ``power_total``, ``power_projected``.
-        judged: (T,) which ticks are (`judged_ticks`): the others are shaded and left out of the rms
-            values and of the enlarged scale. None: all.
+        judged: (T,) True for the ticks that are judged (`judged_ticks`). The others are shaded, and
+            left out of the rms values and of the enlarged scale. None: all are judged.
 
     Raises:
         RecordingError: a channel is missing.

@@ -133,7 +133,10 @@ class Scene:
         return cameras
 
     def config(self, **more: Any) -> Json:
-        """Configuration of the page's scripts: legend, labels and plots.
+        """Configuration of the page's scripts: legend, labels and plots, as data for JSON.
+
+        A label of a contact force shows the number of its line of true forces, and is hidden with
+        it.
 
         Args:
             more: further entries, for example curves and cameras.
@@ -434,11 +437,12 @@ def panels_of(
 
 
 def values(lines: Sequence[Json], channels: Mapping[str, Any]) -> Array:
-    """Values (lines, T) of all lines.
+    """Values of all lines of the panels over time (lines, T), in the units of their channels.
 
     Args:
-        lines: lines of the panels.
-        channels: channels of a recording.
+        lines: lines, each with the name `key` of its channel and the `index` of its column there;
+            −1: the channel has one number at each time.
+        channels: channels of a recording by name, (T,) or (T, columns).
     """
     rows = []
     for line in lines:

@@ -121,10 +121,11 @@ class Normals(NamedTuple):
 
 
 def contact_normals(samples: Mapping[str, Array], owners: Sequence[int] = ()) -> Normals:
-    """N of recorded ticks.
+    """Columns of N of recorded ticks, with flags of those that are known, closed and active.
 
     The channel ``N`` (F, 6, r) is taken if it was recorded; otherwise each contact is a line of
-    force, [d; (p − O) × d].
+    force, [d; (p − O) × d], with its channels direction d and point p. Columns that are not finite
+    or zero are not known; without a channel of flags all contacts count as closed and active.
 
     Args:
         samples: the channels at F ticks.
@@ -161,10 +162,13 @@ def tangents(N: Array) -> Array:
 
 
 def echelon(basis: ArrayLike) -> Array:
-    """Basis (6, k) of a space in reduced echelon form: translations first, then rotations.
+    """Reduced echelon form (6, k) of a basis: translations first, then rotations.
+
+    Gauss–Jordan elimination makes each pivot 1 and clears it in all other columns. Pivots are
+    sought among rotations first, so that the remaining columns are translations where possible.
 
     Args:
-        basis: (6, k) basis of a space of motions or forces.
+        basis: (6, k) basis of a space of motions or forces, linear part first.
     """
     rows = np.array(basis, dtype=float).T
     size = 0.1  # m: only orders the pivots, so that translations are preferred over turns

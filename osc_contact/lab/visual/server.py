@@ -83,7 +83,10 @@ class LivePage:
             IOLoop.current().stop()
 
     def _newest(self) -> Samples | None:
-        """Last tick that has arrived, None without one; the loop ends with the run's process."""
+        """Read all ticks that have arrived; return the channels of the last one, None without one.
+
+        The loop of the page ends if the process of the run has ended or closed the connection.
+        """
         newest = None
         with contextlib.suppress(ConnectionError):
             try:
