@@ -10,7 +10,8 @@ from urllib.parse import quote
 from docutils import nodes
 
 PAGE = "docs/glossary"
-ROW = re.compile(r"^\| (?!symbol|word)([^|]+) \|", re.MULTILINE)
+TABLE = re.compile(r"^\| (?:symbol|word) .*\n\|[-|]+\n((?:\|.*\n)+)", re.MULTILINE)  # no code
+ROW = re.compile(r"^\| ([^|]+) \|", re.MULTILINE)
 OFTEN_OTHERS = "a f h n p q v V judge"  # that stand for other things as well
 NEVER = (  # text within these is no running text
     nodes.literal, nodes.literal_block, nodes.math, nodes.math_block, nodes.reference,
@@ -32,17 +33,19 @@ def names_of(cell: str) -> list[str]:
 
 def rows(source: Path) -> dict[str, str]:
     """Symbol or word → the first one of its row, which names the row's anchor."""
-    cells = [names_of(cell) for cell in ROW.findall(source.read_text(encoding="utf-8"))]
+    tables = TABLE.findall(source.read_text(encoding="utf-8"))
+    cells = [names_of(cell) for cell in ROW.findall("".join(tables))]
     return {name: names[0] for names in cells if names for name in names}
 
 
 def mark_rows(app: Any, tree: nodes.document, page: str) -> None:
-    """Give every row of the glossary an anchor."""
+    """Give every row of symbols or words in the glossary an anchor."""
     if page != PAGE:
         return
+    anchors = set(rows(Path(app.srcdir) / f"{PAGE}.md").values())
     for row in tree.findall(nodes.row):
         names = names_of(row[0].astext())
-        if names and isinstance(row.parent, nodes.tbody):
+        if names and names[0] in anchors and isinstance(row.parent, nodes.tbody):
             row["ids"] = [f"term-{names[0]}"]
 
 
