@@ -42,7 +42,12 @@ class Environments(Protocol):
 
 
 def begin(rig: Rig) -> tuple[EntityCfg, Controller]:
-    """Entity of the arms, object and surroundings of a rig, and its controller at the start.
+    """Entity of mjlab with the arms, object and surroundings of a rig, and its controller.
+
+    The entity starts at the rig's first posture, and its actuators are the motors of the XML file.
+
+    Args:
+        rig: rig of a scenario, whose plant and controller are started.
 
     Raises:
         InvalidInputError: the plant of the rig is not MuJoCo with ideal sensors.

@@ -282,6 +282,9 @@ class Progress:
     def stage_is_over(self, share: float) -> None:
         """Show the progress after a stage of making the machine code.
 
+        The whole time is estimated as that of the translation so far (`_translated`, s) and that of
+        the machine code (`MACHINE_CODE`, s).
+
         Args:
             share: share of the time of this work that is over after the stage.
         """

@@ -59,10 +59,12 @@ _MOVES = 1e-7  #: relative wrench of the outboard links' own motion that counts 
 
 @inner
 def grasp_rows(arm, work, C, axes, out):
-    """Fill N and T of a grasp in energy coordinates.
+    """Fill N and T of a grasp in energy coordinates, at the object's centre of mass.
+
+    N (m, 6) are the wrenches that the grasp transmits, T (6 − m, 6) the motions that it permits.
 
     Args:
-        arm: ARM row.
+        arm: ARM row, whose `grasp` (6, 6) has the rows of N, then of T, at the tip and in its axes.
         work: its ARM_WORK, of which `tip` is read (axes and point of the tip).
         C: (3,) centre of mass of the object (m).
         axes: energy coordinates, from `set_axes`.

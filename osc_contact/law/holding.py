@@ -83,7 +83,7 @@ def hold_posture(t):
     q = memory.q
     speed = memory.v
     if memory.settled != SETTLED:
-        _move_holds(t)
+        _move_holds(t)  # q_hold of the joints follows their motion
     # kinematics and bias torques at the estimated q and q̇, with wrenches at the world's origin
     world = local(3)
     twist = local(6)
@@ -97,10 +97,12 @@ def hold_posture(t):
     for k in range(model.n_arms):
         place_arm(t, model.arms[k], q)
     _compare_places(t, X)
+    # bias torques h of the joints; the load on each wrist, which shows whether its arm has let go
     for k in range(model.n_arms):
         fill(outboard, ZERO)
         move_arm(t, model.arms[k], speed, world, twist, drift, outboard)
         _weigh(t, k, world, X)
+    # the object's weight, among how many arms it is divided, and the braking torques
     object_is_known = _carry_weight(t, R, centre, weight)
     n_holding = _count_holding(t)
     rate_limit = _command_braking(t)
@@ -111,6 +113,7 @@ def hold_posture(t):
         share = _split_torques(t, model.arms[k], object_share, R, centre, weight)
         rate = rate_limit if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
         _take_share(t, model.arms[k], share, rate)
+    # at most at the rates `step` from the torques of the last tick
     slew(work.tau, memory.torques, work.step, memory.ticked != 0)
 
 

@@ -89,8 +89,10 @@ def isolate_posture(t):
     encoders, none of the arm is sound then.
 
     The load of an arm in contact, or of one of several at an object, is not predicted: no reading
-    of such arms is marked. Reads `residual` and `faulty` of the joints and `centre_rate` in MEMORY,
-    `net` of the arm in WORK, and its wrench in INPUT.
+    of such arms is marked. Reads in MEMORY `residual` of the joints (torque that neither model nor
+    wrist explains; N m, N) and `centre_rate` (acceleration of the object's centre, m/s²), `net` of
+    the arm in WORK (its reading at C less weight and inertia beyond the sensor; N, N m), and its
+    wrench in INPUT. Fills `faulty` of the joints in MEMORY.
 
     Args:
         t: Tick of a contradiction between motors and the wrist of an arm, the `culprit` of MEMORY.
@@ -102,15 +104,18 @@ def isolate_posture(t):
     arm = model.arms[memory.culprit]
     net = t.work.arms[memory.culprit].net
     reading = t.input.wrenches[memory.culprit]
+    # the wrist's load at C less the one by weight and inertia; a small difference is as predicted
     force = minus3(net, carried_force(t, memory.centre_rate))
     if dot3(force, force) < _TURNED**2 * dot3(reading, reading):
         return
     excess = join(force, angular(net))  # of the wrist's load over the predicted one
+    # torques of the joints up to the sensor, less those predicted for the predicted load
     is_wrong = False
     for j in range(arm.first, arm.sensor_joint + 1):
         torque = memory.joints[j].residual + dot6(t.work.joints[j].column, excess)
         bound = 2.0 * model.wrist_error * model.joints[j].tau_max
         is_wrong = is_wrong or (model.joints[j].motor >= 0 and abs(torque) > bound)
+    # then the posture is wrong: no reading of the arm is sound
     for j in range(arm.first, arm.end if is_wrong else arm.first):
         memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED
 

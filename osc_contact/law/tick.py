@@ -229,7 +229,8 @@ def take_in(t, engaged, moving):
     Args:
         t: Tick.
         engaged: whether the law includes contacts; if not, the goals are zero.
-        moving: whether motions of the touched bodies are measured.
+        moving: whether motions of the touched bodies are measured: rows (28,) of `touched` with the
+            pose X_WE (4, 4), twist V_E (6,) and acceleration A_E (6,) of each.
     """
     model = t.model
     work = t.work

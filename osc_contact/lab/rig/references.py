@@ -589,13 +589,14 @@ def surface_references(
 
 
 def _derivatives(x: Array) -> Array:
-    """Values, first and second derivatives in the middle of five steps, by differences.
+    """Values x, first and second time derivatives at t, by central differences of fourth order.
 
     Args:
-        x: (…, 5, k) values at the times t + `_STEPS` × `_STEP`.
+        x: (…, 5, k) values at five times around each of k times t: t − 2δ, t − δ, t, t + δ and t +
+            2δ, with δ = `_STEP` (s).
 
     Returns:
-        (3, …, k).
+        (3, …, k): x, ẋ, ẍ.
     """
     first = np.einsum("s,...sk->...k", _FIRST, x) / _STEP
     second = np.einsum("s,...sk->...k", _SECOND, x) / _STEP**2

@@ -139,6 +139,9 @@ def _scalar(at: Callable[[float, float, float], float]) -> Make:
     def make(parts: Sequence[str]) -> Distribution:
         """Make the distribution of two numbers, each with the same unit or none.
 
+        Its value at a coordinate u in 0 … 1 is at(u, first number, second number), with the
+        function `at` of the enclosing call.
+
         Args:
             parts: two texts, numbers with or without a unit.
         """
