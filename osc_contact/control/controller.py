@@ -482,7 +482,13 @@ class Controller(ControllerState):
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a controller from its state: pack its model anew, and copy its records."""
+        """Restore a controller from its state: pack its model anew, and copy its records.
+
+        Args:
+            state: from `__getstate__`: "parts" (settings, laws, check of the start), "columns"
+                (number of columns of N of each custom pair), "bytes" (of MEMORY and WORK) and
+                "ended" (end of the last tick).
+        """
         settings, laws, start = state["parts"]
         self._begin(settings, laws, start, pack_model(settings, state["columns"]))
         self.records.memory_bytes[:], self.records.work_bytes[:] = state["bytes"]

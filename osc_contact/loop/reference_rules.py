@@ -270,6 +270,12 @@ def spacing(task: Task) -> Values:
 
     A constant ratio other than 1 means that references are spaced by another period than dt, or
     that V_D has another unit.
+
+    Args:
+        task: task to be checked.
+
+    Yields:
+        Value that the rule compares with its limits, and the words of its sentence.
     """
     dt = 1e3 * task.dt
     for _, share in _moving_parts(task, _A_FACTOR):

@@ -28,7 +28,7 @@ class DeadEncoders:
     """
 
     def __init__(self, noise: Array, resolution: Array) -> None:
-        """Compute the numbers of repetitions.
+        """Compute how many equal readings in succession prove that each of k encoders is dead.
 
         Args:
             noise: (k,) standard deviation of the readings (rad, m); 0: ideal.

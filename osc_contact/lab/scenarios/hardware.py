@@ -180,6 +180,9 @@ class PlantSpec(Spec):
     def contact_stiffness(self, mass: float, forces: int) -> float:
         """Stiffness (N/m) behind a force, which in MuJoCo is proportional to the mass behind it.
 
+        A mass m in MuJoCo's contact has m/(T ζ)²/d, with the time constant T and the damping ratio
+        ζ of `solref` and the impedance d of `solimp`.
+
         Args:
             mass: mass behind the force (kg).
             forces: number of forces of the contact.

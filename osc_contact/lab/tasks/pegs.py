@@ -283,12 +283,16 @@ def peg_plan(peg: Peg, hole: Hole) -> Plan:
 def _search_stages(peg: Peg, hole: Hole) -> list[Stage]:
     """Stages until the lowest point of the tip has dropped into the hole.
 
+    The tip is pressed on the face and slides towards the middle of the hole; the search ends when
+    its lowest point has moved into the hole by 0.7 mm. The drop ends when that point touches again.
+
     Args:
         peg: peg with its width.
         hole: hole at its believed pose.
     """
     way = _way(peg)
-    into = hole.pose.rotation[:, 2]
+    into = hole.pose.rotation[:, 2]  # down the hole, world axes
+    # from the lowest point towards the middle of the hole
     inward = -hole.pose.rotation @ way.lowest
     push = {way.point: 6.0}
     dropped = moved(0.7e-3, into, point=lowest_point(peg))

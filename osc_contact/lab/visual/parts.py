@@ -287,7 +287,7 @@ class Moving(Part):
 
         Args:
             samples: recorded channels.
-            ticks: their number F of ticks.
+            ticks: number F of their ticks.
         """
         visual = self.what
         q = self._channel(samples, "q")[:, visual.q_slice] if self.moving else np.zeros((ticks, 0))
@@ -307,7 +307,7 @@ class Moving(Part):
 
         Args:
             samples: recorded channels.
-            ticks: their number F of ticks.
+            ticks: number F of their ticks.
         """
         poses = np.full((ticks, 7), np.nan)
         if self.what.face is not None and "face_pose" in samples:
