@@ -38,11 +38,13 @@ ACCELERATION = FRICTION  #: element of `smooth`, which has the acceleration in p
 def begin_estimate(t, j, missing, dt):
     """Update the state of a joint's friction estimate θ until its identification begins.
 
-    θ = (F, D, A, bias, μ) has two values: `theta` is compensated, `estimate` is identified. UNKNOWN
-    becomes MODEL_ONLY, where both are those of the model, and the covariance P (5, 5) is that of
-    the prior. MODEL_ONLY ends once residuals have exceeded rounding for `_EVIDENCE`; at once if
-    errors of the masses are compensated, too. It becomes SUSPECTED if `estimate` has to differ from
-    the model by `sure` standard deviations before it is used, else (`sure` = 0) LEARNED.
+    θ = (F, D, A, bias, μ) has Coulomb and viscous friction, inertia of the rotor, bias and relative
+    error of the masses. It has two values: `theta` is compensated, `estimate` is identified.
+    UNKNOWN becomes MODEL_ONLY, where both are those of the model, and the covariance P (5, 5) is
+    that of the prior. MODEL_ONLY ends once residuals have exceeded rounding for `_EVIDENCE`; at
+    once if errors of the masses are compensated, too. It becomes SUSPECTED if `estimate` has to
+    differ from the model by `sure` standard deviations before it is used, else (`sure` = 0)
+    LEARNED.
 
     Reads of PRIOR `noise` and `rounding` (N m, N: standard deviation of the residual, and its
     largest value with an exact model) and `doubt` (5,; standard deviations of θ at the start).

@@ -374,15 +374,20 @@ def _take_in_rotor(row, friction_row, prior, is_learned, dt):
 def _is_contradicted(t, j, missing, moves, dt):
     """Test whether residuals have long shown less than half of the friction beyond the model's.
 
-    Friction of a joint is permanent, but an object that drags at the arm may be released. In this
-    case the caller discards the whole estimate.
+    The friction beyond the model is `friction` of the joint, which is compensated in this tick,
+    less that of the model's parameters F, D, A. Friction of a joint is permanent, but an object
+    that drags at the arm may be released: then the caller discards the whole estimate. Updates
+    `contradicted` (s) of FRICTION, the time of contradiction less that without.
 
     Args:
         t: Tick.
         j: joint.
         missing: residual less compensated friction (N m, N), of one instant.
-        moves: whether the joint moves; a joint at rest may need less than F.
+        moves: whether the joint moves; a joint at rest may need less than Coulomb friction F.
         dt: time since the last computed tick (s).
+
+    Returns:
+        True if the contradiction has lasted for `_CONTRADICTED`; the time then begins again.
     """
     friction_row = t.memory.friction[j]
     row = t.memory.joints[j]

@@ -88,8 +88,10 @@ def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
     curved face n is the normal at the point touched: an error δ of a ball's position turns it by
     −δ/R everywhere.
 
-    Fills `turned` (the normal after this tick less the declared one), `slides` (σλ, 0 … 1: share of
-    the speed that turns the normal), `shown`, `lever`, `prior` and `unexplained` of the column.
+    Fills of the column `turned` (the normal after this tick less the declared one, `believed`),
+    `slides` (σλ, 0 … 1: share of the speed that turns the normal), `shown` (v_t/|v_t|, in axes of
+    the body that carries the face), `lever` (v_t²; m²/s²), `prior` (3, 3; rad²: covariance of an
+    unknown normal) and `unexplained` (NᵀV_rel − v̄, m/s).
 
     Args:
         t: Tick.

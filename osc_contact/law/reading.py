@@ -328,7 +328,8 @@ def weigh_magnitudes(t):
     unit normal acceleration. R (6, 6) is the covariance of the errors of f. All are in energy
     coordinates. Reads `reading_e`, `pushed` (N_μ), `Phi_mu`, and the fields that
     `desired_inertia_force` and `_likely_errors` read. Fills `alpha_meas` α (r,; N), `reading_rest`
-    R⁻¹(f − Hα) (6,), `weightless` and, with contact phases, `mobility`.
+    R⁻¹(f − Hα) (6,), and, with contact phases, `mobility` (r, r; (m/s²)/N) and `weightless` (1 if
+    it does not exist, else 0).
 
     Args:
         t: Tick.
