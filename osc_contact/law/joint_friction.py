@@ -221,6 +221,10 @@ def _observe_joint(t, arm, j, wrench, bias, inertia_force, k, dt):
 def _align(t, row, signals, ticks):
     """Store the signals of this tick; return those of the instant at which the wrench was measured.
 
+    The wrench is `late` ticks older than the readings of the joints, by its time stamps. Signals
+    that are not stored, of ticks before torques and wrists were compared (`balanced`) or before the
+    wrench had stamps (`stamped`), are replaced by the oldest ones that are. `instant` counts ticks.
+
     Args:
         t: Tick.
         row: PAST of the joint, changed: the signals are stored for lost ticks, too.

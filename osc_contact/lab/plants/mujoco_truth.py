@@ -103,7 +103,10 @@ class MujocoTruth(NotedWrenches):
     def noted(self, start: int = 0) -> Array:
         """States of object and environment at the k instants recorded since `start`, (k, m).
 
-        The columns are those of `NotedWrenches.truths`.
+        The columns, which `NotedWrenches.truths` reads, are: rotation matrix of the object by rows
+        (9), position of O (3; m), velocity and angular velocity there (6; m/s, rad/s), positions of
+        the rails (m, rad), wrenches on the bodies (6 each; N, N m), and flags of those touched; in
+        world axes.
 
         Args:
             start: index of the first instant.

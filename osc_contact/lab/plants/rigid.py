@@ -317,9 +317,13 @@ class RigidPlant:
     def _solve(self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0) -> Solution:
         """Solve the equations of joints and free bodies, with the multipliers of all constraints.
 
-        M x = force + Aᵀλ, A x = right as in `Equations`, with the motor torques added to `force`.
-        Joint friction D v + F tanh(v / v₀) is extrapolated in time, to first order, which makes
-        fast friction stable.
+            M x = force + Aᵀλ,   A x = right
+
+        x (m,) are accelerations of the joints, of the object if no arm leads it, and of the bodies
+        on rails, λ the multipliers of the loops, then the contact forces α; `Equations` has the
+        operands, the motor torques are added to `force`. Joint friction D v + F tanh(v / v₀) is
+        extrapolated in time, to first order, which makes fast friction stable: its slope times
+        `ahead` is added to M.
 
         Args:
             tau: (n_a,) motor torques (N m, N).
@@ -336,11 +340,13 @@ class RigidPlant:
         force[chain.actuated] += tau
         M = equations.M.copy()
         M[:n, :n] += ahead * np.diag(equations.slope)
+        # accelerations without constraints, then their correction so that A x = right
         unconstrained = np.linalg.solve(M, force)
         inverse, multipliers = inverse_rows(chain, equations.A, M)
         deficit = equations.right - equations.A @ unconstrained
         x = unconstrained + inverse @ deficit
         lam = multipliers @ deficit  # M x = force + Aᵀλ
+        # parts of x: joints and object first, then the free bodies on rails
         size = equations.first.shape[1]
         sdd = self.faces.second.copy()
         sdd[self.faces.free] = x[size:]

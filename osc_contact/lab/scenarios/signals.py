@@ -56,7 +56,11 @@ class Polynomials:
     last: float
 
     def at(self, t: Any) -> Values:
-        """Return value, first and second derivative at the time or times t (s)."""
+        """Return value, first and second derivative of the curve at the time or times t (s).
+
+        Before the first knot and after the last one the value is that of the knot, and derivatives
+        are zero.
+        """
         first, end = self.curve.x[[0, -1]]
         s = np.clip(t, first, end)
         is_between = (t > first) & (t < end)  # outside the derivatives are zero
