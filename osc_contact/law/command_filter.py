@@ -96,7 +96,8 @@ def require_reachable(t):
         t: Tick.
 
     Returns:
-        `NO_REASON`, or the reason of `_judge_reach`.
+        `NO_REASON`; `UNREACHABLE` if a column has hardly any mobility, `INSEPARABLE` if columns are
+        dependent as seen through the arms, `BAD_METRIC` if Λ_S is not positive definite.
     """
     work = t.work
     r = work.rank

@@ -243,8 +243,8 @@ def _find_exchange(t, n_deviating):
 def _cross(t, i, j):
     """Determine whether the position readings of two joints are exchanged.
 
-    Each is then near the position predicted for the other joint, and at least one is farther than
-    `_EXCHANGED` from its own prediction.
+    Each is then near the position predicted for the other joint, and farther than `_EXCHANGED` from
+    the one predicted for its own.
 
     Args:
         t: Tick.
