@@ -77,7 +77,8 @@ def place_pair(pair, shapes, columns, motion):
         pair: PAIR row.
         shapes: SHAPE rows.
         columns: COLUMN_WORK rows.
-        motion: `Motion` of the object and the touched body.
+        motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
+            and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
 
     Returns:
         A number that is near zero where N does not exist: the sine of the angle between two edges,
@@ -106,7 +107,8 @@ def _point_on_plane(row, motion, column):
     Args:
         row: (16,) point in the object's axes (0:3), unit vector into the plane in the body's axes
             (3:6), distance of the plane from the body's origin along it (6).
-        motion: `Motion`.
+        motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
+            and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
         column: COLUMN_WORK, filled.
     """
     p = rotated(motion.X_WO, row)
@@ -126,7 +128,8 @@ def _normal_acceleration(p, n, motion):
     Args:
         p: point of contact, fixed to the object: its position from O (m), world axes.
         n: normal into the body, fixed to the body: unit vector, world axes.
-        motion: `Motion` of the object and the touched body.
+        motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
+            and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
     """
     V_rel = motion.V_rel
     s = -dot3(n, cross(V_rel[3:], velocity_at(motion.V_O, p)))
@@ -191,7 +194,8 @@ def _on_surface(shapes, at, motion, column):
     Args:
         shapes: SHAPE rows.
         at: index of the first SHAPE row of this surface, see `surfaces`.
-        motion: `Motion`.
+        motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
+            and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
         column: COLUMN_WORK, filled: N, n_γ, and `believed`, the declared normal in the axes of the
             body.
     """
@@ -230,7 +234,8 @@ def _face_on_vertex(row, motion, column):
     Args:
         row: (16,) unit normal of the face in the object's axes (0:3), vertex in the body's frame
             (3:6, m), its radius (6, m).
-        motion: `Motion`.
+        motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
+            and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
         column: COLUMN_WORK, filled.
     """
     X_WO, V_O, X_WE, V_E, V_rel, _ = motion
@@ -306,7 +311,8 @@ def _edges(row, motion, column):
         row: (16,) point and direction of the object's edge (0:3, 3:6), of the body's edge (6:9,
             9:12), side (12), outward normal of the body (13:16). A side of ±1 gives the sign of n =
             ±e × f; with 0 the outward normal determines it.
-        motion: `Motion`.
+        motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
+            and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
         column: COLUMN_WORK, filled.
     """
     X_WO, V_O, X_WE, V_E, V_rel, _ = motion
@@ -367,7 +373,8 @@ def _tangents(pair, shapes, motion, columns):
             the cross product of an arm of the object (0:3) and a direction of the body; THREAD, a
             force along the direction with a couple −pitch / cos about it, where 7:10 is the
             object's axis, 10 the pitch (m/rad) and cos the cosine between both axes.
-        motion: `Motion`.
+        motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
+            and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
         columns: COLUMN_WORK rows, filled.
     """
     X_WO, V_O, X_WE, V_E, V_rel, _ = motion

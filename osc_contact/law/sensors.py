@@ -310,6 +310,7 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
     model = t.model
     slope = step / dt
     _note_changes(t, joint_memory, limit, step, v, dt, shares[2])
+    # difference of the speed read and that of the positions: low-passed, and its integral `drift`
     error = clamped(v - slope, 2.0 * limit)
     joint_memory.error += shares[1] * (error - joint_memory.error)
     forgetting = 1.0 - min(dt / _FORGET, 1.0)
@@ -318,6 +319,7 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
     drift = max(drift - explained, 0.0) if drift > 0.0 else min(drift + explained, 0.0)
     joint_memory.drift = drift
     _compare_with_predictions(joint_memory, slope, v, dt, shares, forgetting)
+    # verdict: stuck, a speed read although readings are constant after a stop, a large difference
     joint_memory.stuck = joint_memory.gained > model.stuck_speed * limit
     if joint_memory.stuck:
         return STUCK
