@@ -16,8 +16,8 @@ from osc_contact.dynamics.environment import Conveyor, Guided, Yielding
 from osc_contact.law import records as at
 from osc_contact.law.holding import BRAKE_RATE
 from osc_contact.law.nested import View
+from osc_contact.law.phases import SURE
 from osc_contact.law.records import Bytes, new_model
-from osc_contact.law.safety import SURE
 from osc_contact.robots.model import position_limits
 from osc_contact.settings.control import HEADROOM, LEAST_CEILING, Friction, PhaseSettings
 from osc_contact.settings.quantities import Spec

@@ -5,6 +5,10 @@ contact limits its measured force; that of a wrist limits its measured force les
 of the bodies outboard of it and of the arm's share of the object; that of a tip limits its speed.
 If the largest commands are not known in advance, ceilings of forces rise with them: they are
 `contact_headroom` or `wrist_headroom` times the largest command so far.
+
+A wrist of a controller with contacts of which none is active bears nothing but weight and inertia.
+Above its ceiling it has met a body where the model has none; an arm that moves on presses harder
+with each millisecond, and is stopped after `SURE`.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from math import sqrt
 from osc_contact.law.arm_motion import place_point
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.joint_friction import LAG
-from osc_contact.law.phases import collect
+from osc_contact.law.phases import SURE, collect
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.vectors import (
     add3,
@@ -38,6 +42,13 @@ WRIST_ABOVE_CEILING = declare_reason(
     "the wrist of arm '{arm}' bears {reached:.3g} N beside weight and inertia, above the ceiling "
     "of {ceiling:.4g} N (wrist_ceiling) for longer than ceiling_time = {safety.ceiling_time:g} s",
 )
+FREE_WRIST_ABOVE_CEILING = declare_reason(
+    "FREE_WRIST_ABOVE_CEILING",
+    73,
+    "the wrist of arm '{arm}' bears {reached:.3g} N beside weight and inertia though no contact is "
+    "active, above the ceiling of {ceiling:.4g} N (wrist_ceiling): it met something that the model "
+    "does not have there",
+)
 TIP_ABOVE_CEILING = declare_reason(
     "TIP_ABOVE_CEILING",
     72,
@@ -51,18 +62,20 @@ def watch_ceilings(t):
     """Return a reason if a contact, a wrist or a tip has been above its ceiling for too long.
 
     A ceiling is an absolute limit of a contact force or wrist force (N), or of the speed of a tip
-    (m/s); too long is more than `ceiling_time` (s). Time below a ceiling is subtracted from the
-    time above it, as for the limits of `safety`. If wrists were not read in this tick, their time
-    does not change. Updates in MEMORY `over_contact`, `over_wrist`, `over_tip` (s) and the largest
-    commands `largest_force`, `largest_sum` (N); fills `culprit` (column or arm concerned),
-    `reached` and `ceiling` (N, m/s). A ceiling of force is `contact_ceiling` or `wrist_ceiling`
-    (N), at least the headroom times the largest command so far.
+    (m/s); too long is more than `ceiling_time` (s), of a wrist more than `SURE` (s) while no
+    contact is active. Time below a ceiling is subtracted from the time above it, as for the limits
+    of `safety`. If wrists were not read in this tick, their time does not change. Updates in MEMORY
+    `over_contact`, `over_wrist`, `over_tip` (s) and the largest commands `largest_force`,
+    `largest_sum` (N); fills `culprit` (column or arm concerned), `reached` and `ceiling` (N, m/s).
+    A ceiling of force is `contact_ceiling` or `wrist_ceiling` (N), at least the headroom times the
+    largest command so far.
 
     Args:
         t: Tick after `command`.
 
     Returns:
-        `NO_REASON`, `CONTACT_ABOVE_CEILING`, `WRIST_ABOVE_CEILING` or `TIP_ABOVE_CEILING`.
+        `NO_REASON`, `CONTACT_ABOVE_CEILING`, `WRIST_ABOVE_CEILING`, `FREE_WRIST_ABOVE_CEILING` or
+        `TIP_ABOVE_CEILING`.
     """
     model = t.model
     memory = t.memory
@@ -79,6 +92,9 @@ def watch_ceilings(t):
         memory.over_wrist = collect(memory.over_wrist, t.work.dt, force > ceiling)
         if force > ceiling and memory.over_wrist > model.ceiling_time:
             return _stop(memory, WRIST_ABOVE_CEILING, arm, force, ceiling)
+        free = model.n_columns > 0 and t.work.rank == 0
+        if free and force > ceiling and memory.over_wrist > max(SURE, 1.5 * model.period):
+            return _stop(memory, FREE_WRIST_ABOVE_CEILING, arm, force, ceiling)
     arm, speed = _fastest_tip(t)
     memory.over_tip = collect(memory.over_tip, t.work.dt, speed > model.speed_ceiling)
     if speed > model.speed_ceiling and memory.over_tip > model.ceiling_time:

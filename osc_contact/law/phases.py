@@ -29,6 +29,7 @@ from osc_contact.law.vectors import add, fill, minus
 
 #: Phases: not in N; in N during a guarded approach; in N under force control.
 OPEN, APPROACHING, CLOSED = range(3)
+SURE = 0.0025  #: s, least duration of evidence; a single wrong sample does not last so long
 _CHANGES = 0.1  #: s after a change of phase during which torques change more slowly
 _GENTLER = 0.45  #: further factor of that rate where the user names active contacts
 APPROACH_GAIN = 10.0  #: 1/s, gain K of the integral of an approach

@@ -12,7 +12,7 @@ from osc_contact.law.isolation import (
     isolate_posture,
 )
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.phases import collect
+from osc_contact.law.phases import SURE, collect
 from osc_contact.law.reasons import LASTING, NO_REASON, declare_reason
 from osc_contact.law.records import (
     DEGRADED_STATE,
@@ -74,7 +74,6 @@ OVERFORCE = declare_reason(
 _FULL = 0.99  #: share of its bound from which on a force integral counts as saturated
 _SHARE = 0.2  #: share of its command below which a contact is lost
 _LIGHT = 1.0  #: N, command below which a loss of contact cannot be detected
-SURE = 0.0025  #: s, least duration of evidence; a single wrong sample does not last so long
 # A tick above the speed limit has the weight 1 + _FASTER (|v|/v_max − 1), where the excess counts
 # up to _MOST.
 _FASTER = 8.0
