@@ -47,6 +47,21 @@ def summary(results: list[Inserted]) -> str:
     )
 
 
+def row_of(seed: int, one: Inserted) -> str:
+    """Row of one insertion.
+
+    Args:
+        seed: its seed.
+        one: its result.
+    """
+    words = "in" if one.success else f"not in: {one.reason[:60] or 'not seated'}"
+    return (
+        f"{seed}: {one.time:.1f} s, {one.tries} tries, {1e3 * one.depth:.1f} mm deep, "
+        f"{np.degrees(one.tilt):.2f}°, {one.largest_sum:.0f} N, single "
+        f"{one.largest_single:.0f} N, {words}"
+    )
+
+
 def main(
     count: int = 10,
     seed: int = 1000,
@@ -66,13 +81,7 @@ def main(
     for k in range(seed, seed + count):
         one = inserted(peg, k, 1e-3 * sizes[0], 1e-3 * sizes[1], float(np.radians(sizes[2])))
         results.append(one)
-        words = "in" if one.success else f"not in: {one.reason[:60] or 'not seated'}"
-        console.print(
-            f"{k}: {one.time:.1f} s, {one.tries} tries, {1e3 * one.depth:.1f} mm deep, "
-            f"{np.degrees(one.tilt):.2f}°, {one.largest_sum:.0f} N, single "
-            f"{one.largest_single:.0f} N, {words}",
-            soft_wrap=True,
-        )
+        console.print(row_of(k, one), soft_wrap=True)
     console.print(summary(results), soft_wrap=True)
 
 

@@ -15,7 +15,7 @@ import osc_contact as osc
 from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.lab.reports.report import task_lines, verdict_table
 from osc_contact.lab.runs.verdict import RULES, Rule, judge_task
-from osc_contact.recorder.judged import JudgedTicks
+from osc_contact.recorder.judged import READ, JudgedTicks
 from osc_contact.settings.control import MonitorLimits, VerdictSpec
 
 RATE = 1000
@@ -186,18 +186,18 @@ def test_contacts_that_stay_are_judged_while_another_one_is_unloaded():
         assert tuple(words_found) == words
 
 
-def test_a_command_that_jumps_to_zero_is_unloading_and_a_ramp_to_zero_is_not():
-    """The recording is read in pieces of any length."""
+def test_a_contact_that_is_not_named_any_more_is_not_judged_and_one_that_is_named_is():
+    """The recording is read in pieces of any length; earlier versions did not record the names."""
     ticks = np.arange(TICKS)[:, None]
     jump = np.where((ticks >= 1500) & (ticks < 2000), 0.0, 10.0)
-    ramp = np.clip(10.0 - 0.01 * (ticks - 1500), 0.0, 10.0)
-    for command, unloaded in ((jump, range(1500, 1600)), (ramp, ())):
-        recording = made({"force_rise_s": 0.05}, alpha_cmd=command, alpha_true=command)
+    named = (ticks < 1500) | (ticks >= 1600)
+    for extra, unloaded in (({"contact_named": named}, range(1500, 1600)), ({}, ())):
+        recording = made({"force_rise_s": 0.05}, alpha_cmd=jump, alpha_true=jump, **extra)
         for length in (1, 7, TICKS):
             judged = JudgedTicks(recording)
             flags = []
             for start in range(0, TICKS, length):
-                names = ("t", "alpha_cmd", "closed", "contact_phase")
+                names = [name for name in READ if name in recording]
                 flags.append(judged.add({k: recording[k][start : start + length] for k in names}))
             contacts, magnitudes, run = map(np.concatenate, zip(*flags, strict=True))
             assert_array_equal(np.flatnonzero(~contacts[1000:, 0]) + 1000, unloaded)

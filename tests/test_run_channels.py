@@ -82,6 +82,7 @@ def run_plainly(rig):
                 "friction": np.array(found.friction),
                 "status": int(controller.status),
                 "contact_phase": np.full(len(rig.pairs), 2 * controller.engaged),
+                "contact_named": np.full(len(rig.pairs), True),
                 "power_total": found.V_O @ (wrench - found.f_c) + alpha @ speed,
                 "power_projected": alpha @ speed,
                 **truth,

@@ -100,6 +100,7 @@ def channels(
         "normal_std": np.where(rows["normal_std"] > 0.0, rows["normal_std"], np.nan),
         "status": rows["status"][:, 0].astype(np.int64),
         "contact_phase": phase,
+        "contact_named": rows["named"] > 0.0,
     }
     if truths is None:
         del series["alpha_true"]

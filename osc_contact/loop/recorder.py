@@ -156,7 +156,13 @@ class Recorder:
         unknown = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **results}
         if self.truth is None:
             unknown["X_WE"] = 16 * contacts
-        numbers = {"tick_s": 1, "status": 1, "squeeze_d": squeezes, "given_up": r}
+        numbers = {
+            "tick_s": 1,
+            "status": 1,
+            "squeeze_d": squeezes,
+            "given_up": r,
+            "named": contacts,
+        }
         integers = {"active": contacts}
         if of.phased:
             integers |= {"phase": contacts, "closed": r, "collision": r}
@@ -167,7 +173,8 @@ class Recorder:
         self._rest_poses = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
         self._unknown = np.full(sum(unknown.values()), np.nan)
         self._numbers = np.zeros(sum(numbers.values()))
-        self._squeezes, self._given_up = np.split(self._numbers[2:], [squeezes])
+        parts = np.split(self._numbers[2:], [squeezes, squeezes + r])
+        self._squeezes, self._given_up, self._named_now = parts
         self._squeeze: float | None = None  #: of the last tick, if `_squeezes` still has it
         # words copied from the controller's records: α, speeds, results, normal_std, then integers
         results_end = 2 * r + sum(results.values())
@@ -206,8 +213,8 @@ class Recorder:
             self._read_records()
             parts: tuple[np.ndarray[Any, Any], ...]
             command = reference.alpha_d
-            if reference.active is not None:  # there is no command for contacts that are not active
-                command = command * (np.asarray(reference.active) != 0)[self.of.owners]
+            if reference.active is not None:  # there is no command for contacts that are not named
+                command = command * self._named_now[self.of.owners]
             parts = (measurement.q, measurement.v, command, self._results)
             if self.truth is None:
                 touched = measurement.touched
@@ -229,8 +236,8 @@ class Recorder:
     def _note_numbers(self, reference: Reference, seconds: float, status: Status) -> None:
         """Set the numbers of a row that are known for every tick, also for one without a result.
 
-        These are computing time, status, desired internal forces and forces that were given up;
-        the latter two are written only when they may have changed.
+        These are computing time, status, named contacts, desired internal forces and forces that
+        were given up; the latter two are written only when they may have changed.
 
         Args:
             reference: input of the tick.
@@ -239,6 +246,10 @@ class Recorder:
         """
         self._numbers[0] = seconds
         self._numbers[1] = status
+        self._named_now[:] = 1.0  # all, if none are named
+        if reference.active is not None:
+            with suppress(TypeError, ValueError):  # misshapen: the tick has no result
+                np.not_equal(reference.active, 0, out=self._named_now, casting="unsafe")
         squeeze = reference.squeeze_d
         if status is Status.OK and squeeze is self._squeeze:
             return

@@ -3,8 +3,7 @@
 The phases of a contact are approach, landing and closed contact. A force is judged only in the last
 one; the approach has no force, and the landing is judged by its overshoot. After the landing all
 ticks count, even if the contact is lost, until no force is commanded and the contact is not active.
-A contact whose command jumps to zero is unloaded first: until its force has settled, it alone is
-not judged.
+A contact that is active but not named any more is unloaded: it alone is not judged.
 """
 
 from collections.abc import Iterator, Mapping
@@ -21,7 +20,8 @@ STEP_BLANK_S = 0.05  #: time after the rise of a force step during which forces 
 #: Values of channel `contact_phase` of contacts that are not active, and that the controller treats
 #: as closed.
 OPEN, CLOSED = 0, 2
-READ = ("t", "alpha_cmd", "closed", "contact_phase")  #: channels that are read
+#: Channels that are read; recordings of earlier versions lack `contact_named`.
+READ = ("t", "alpha_cmd", "closed", "contact_phase", "contact_named")
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -46,13 +46,11 @@ class JudgedTicks:
         meta = recording.meta
         contacts = len(meta["contact_names"])
         self.columns = np.array(meta.get("columns", range(contacts)), dtype=int)
-        self._blank = STEP_BLANK_S + meta.get("force_rise_s", 0.0)
-        self._blanks = [(step, step + self._blank) for step in meta.get("force_steps_s", ())]
+        blank = STEP_BLANK_S + meta.get("force_rise_s", 0.0)
+        self._blanks = [(step, step + blank) for step in meta.get("force_steps_s", ())]
         self.landed: list[float | None] = [None] * contacts
         self.open = [False] * contacts
         self._since: list[float | None] = [None] * contacts
-        self._commands = np.zeros((2, len(self.columns)))  # of the last two ticks (N)
-        self._released = [-np.inf] * contacts  # time at which the command last jumped to zero (s)
 
     def add(self, piece: Mapping[str, npt.NDArray[np.generic]]) -> tuple[Flags, Flags, Flags]:
         """Flags of judged ticks in the next piece of the recording.
@@ -69,37 +67,18 @@ class JudgedTicks:
         t = np.asarray(piece["t"], dtype=float)
         contacts = np.zeros((len(t), len(self.landed)), dtype=bool)
         is_whole = t >= SETTLE_S - 1e-9
-        commands = np.concatenate((self._commands, piece["alpha_cmd"]))
-        self._commands = commands[-2:]
         for i in range(len(self.landed)):
-            own = commands[:, self.columns == i]
-            commanded = (own[2:] != 0.0).any(axis=1)
+            commanded = (piece["alpha_cmd"][:, self.columns == i] != 0.0).any(axis=1)
             commanded |= piece["contact_phase"][:, i] != OPEN
             closed = np.asarray(piece["closed"], dtype=bool)[:, i]
-            settled = self._judged_ticks(i, t, commanded, closed)
-            is_whole &= settled | ~commanded
-            contacts[:, i] = settled & ~self._unloaded(i, t, own)
+            contacts[:, i] = self._judged_ticks(i, t, commanded, closed)
+            is_whole &= contacts[:, i] | ~commanded
+        if "contact_named" in piece:
+            contacts &= np.asarray(piece["contact_named"], dtype=bool)
         quiet = np.ones(len(t), dtype=bool)
         for begin, end in self._blanks:
             quiet &= ~((t >= begin - 1e-9) & (t < end - 1e-9))
         return (contacts, contacts[:, self.columns] & quiet[:, None], is_whole & quiet)
-
-    def _unloaded(self, i: int, t: Array, commands: Array) -> Flags:
-        """Flags (k,) of the ticks in which contact i is unloaded, since its command jumped to zero.
-
-        A command that reaches zero as it changed before, such as a ramp or a sine, does not jump.
-
-        Args:
-            i: index of the contact.
-            t: (k,) times (s).
-            commands: (2 + k, m) commanded forces of the contact (N), beginning two ticks before t.
-        """
-        before_last, last, now = commands[:-2], commands[1:-1], commands[2:]
-        is_zero = (now == 0.0).all(axis=1)
-        jumps = (np.abs(last) > 2.0 * np.abs(last - before_last)).any(axis=1) & is_zero
-        released = np.maximum.accumulate(np.where(jumps, t, self._released[i]))
-        self._released[i] = float(released[-1]) if len(t) else self._released[i]
-        return is_zero & (t < released + self._blank - 1e-9)
 
     def _judged_ticks(self, i: int, t: Array, commanded: Flags, closed: Flags) -> Flags:
         """Flags (k,) of the ticks at which contact i is judged.
@@ -142,7 +121,7 @@ def judged_ticks(recording: Recording) -> tuple[Flags, Flags]:
     ticks = JudgedTicks(recording)
     magnitude_flags = []
     run_flags = []
-    for piece in recording.pieces(*READ):
+    for piece in recording.pieces(*(name for name in READ if name in recording)):
         _, magnitudes, run = ticks.add(piece)
         magnitude_flags.append(magnitudes)
         run_flags.append(run)

@@ -28,6 +28,7 @@ _READ = (
     "motion_error",
     "closed",
     "contact_phase",
+    "contact_named",
     "status",
     "tau",
 )
@@ -297,7 +298,7 @@ class _Sums:
         self.status = np.zeros(len(_STATUS), dtype=int)
         self.count = 0
         judged_forces = [np.zeros((0, len(self.ticks.columns)), dtype=bool)]
-        for piece in recording.pieces(*_READ):
+        for piece in recording.pieces(*(name for name in _READ if name in recording)):
             settled, force_flags, quiet = self.ticks.add(piece)
             judged_forces.append(self._add_forces(piece, force_flags))
             self._add_motion(piece, quiet)

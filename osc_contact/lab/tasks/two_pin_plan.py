@@ -136,7 +136,7 @@ def _search_stages() -> list[Stage]:
     push = {LEFT_POINT: 6.0, RIGHT_POINT: 6.0}
     turning = {LEFT_RIM: 5.0, RIGHT_POINT: 6.0}
     landed = made(LEFT_POINT, RIGHT_POINT, lasting=0.15)
-    is_pressed = made(LEFT_RIM, lasting=0.2) | (at_rest(*RESTING).lasting(0.3) & after(0.8))
+    is_pressed = made(LEFT_RIM, lasting=0.2) | resting()
     inward, turn = along(-SIDEWAYS, 6e-3), about(-INTO, 0.025)
     left_dropped, right_dropped = _dropped("left", LEFT_POINT), _dropped("right", RIGHT_POINT)
     return [
@@ -148,6 +148,20 @@ def _search_stages() -> list[Stage]:
     ]
 
 
+def resting() -> End:
+    """Condition that the bar rests, some time after the beginning of a stage."""
+    return at_rest(*RESTING).lasting(0.3) & after(0.8)
+
+
+def sunk(name: str) -> End:
+    """Condition that the tip of a pin has moved into its hole.
+
+    Args:
+        name: name of the pin.
+    """
+    return moved(0.5e-3, INTO, point=POINTS[name])
+
+
 def _dropped(name: str, contact: str) -> End:
     """Condition that the tip of a pin has dropped, or has been off the face for a while.
 
@@ -155,7 +169,7 @@ def _dropped(name: str, contact: str) -> End:
         name: name of the pin.
         contact: its contact with the face.
     """
-    return moved(0.5e-3, INTO, point=POINTS[name]) | lost(contact, lasting=0.1)
+    return sunk(name) | lost(contact, lasting=0.1)
 
 
 def _touched(now: Sensed) -> dict[str, Array]:
@@ -240,7 +254,7 @@ def _entry_stages(task: TwoPins) -> list[Stage]:
     sides = {LEFT_RIM: 5.0, RIGHT_RIM: 5.0}
     down = along(INTO, 5e-3, yields=8.0)
     roll = turn_to([0, 0, 1], into_found, 0.5 * roll_of(task))
-    is_pressed = made(*sides, lasting=0.3) | (at_rest(*RESTING).lasting(0.3) & after(0.8))
+    is_pressed = made(*sides, lasting=0.3) | resting()
     is_upright = (when(is_parallel, "upright") & deeper_than(3e-3, "3 mm deep")).lasting(0.2)
     has_entered = lost(*sides, lasting=0.5) & deeper_than(2.5e-3, "in the mouths")
     at_bottom = deeper_than(DEPTH - 4e-3, "at the bottom") & pressed(6.0, INTO)
