@@ -388,6 +388,9 @@ class _Names:
     def begin(self, table: str) -> None:
         """Begin a table at its first row; the caller sets `own` to this row.
 
+        Index of the row and number of motors of the rows before it become 0; there is no row before
+        it.
+
         Args:
             table: name of the table; "": the head of the record.
         """

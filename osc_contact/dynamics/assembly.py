@@ -183,7 +183,10 @@ def object_columns(chain: ClosedChain, J: Array) -> Array:
 
 
 def inertia_of(chain: ClosedChain, X_WO: SE3) -> Array:
-    """Inertia of the coordinates of `object_columns`: M (n, n), or M and the object's (n+6, n+6).
+    """Inertia of the rates that close the chain: M (n, n) of q̇, or (n + 6, n + 6) of [q̇; V_O].
+
+    The second is without a leader, an arm that holds the object rigidly: then the twist V_O of the
+    object is a coordinate, too, with its inertia (6, 6) at its origin in world axes.
 
     Args:
         chain: the arms, with M in its data.

@@ -442,6 +442,7 @@ def torque_rate(t, share):
 def limit_changes(t, has_last):
     """Limit the change of the motor torques since the last tick to the torque rate.
 
+    The rate (1/s) is a multiple of each motor's torque limit, and depends on the speeds of joints.
     Changes `tau` (n_a,; N m, N) of WORK, and stores it as `torques` in MEMORY.
 
     Args:

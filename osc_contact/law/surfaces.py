@@ -55,6 +55,12 @@ def _cell(x, count):
 def _height(shapes, at, x, y):
     """Height of a gridded surface and its derivatives at a place, by bicubic interpolation.
 
+        h(u, v) = Σ a_kl u^k v^l   in each cell, with its coordinates u, v (0 … 1)
+
+    The row at `at` has the corner of the grid (9:11; m), the reciprocal lengths of a cell along x
+    and y (11:13; 1/m) and the numbers of cells (13:15); the coefficients a (4, 4) of the cells
+    follow from `at` + 2 on, one row for each cell.
+
     Args:
         shapes: SHAPE rows.
         at: index of the first row of the surface.
@@ -81,7 +87,7 @@ def _height(shapes, at, x, y):
         h_uv = h_uv * u + h_v
         h_v = h_v * u + f_v
         h_vv = h_vv * u + f_vv
-    s = row[11]
+    s = row[11]  # du/dx and dv/dy (1/m)
     r = row[12]
     return h, s * h_u, r * h_v, s * s * h_uu, s * r * h_uv, r * r * h_vv
 

@@ -448,6 +448,10 @@ class _Drawn:
     def _body(self, path: str) -> str:
         """Name of the body of MuJoCo that a node moves with; empty for a node at rest.
 
+        Nodes that move are bodies/NAME/base of the object and of each body, which MuJoCo names
+        object and face0, face1, …, and arms/ARM/JOINT of links, whose body is that of the joint
+        ARM/JOINT.
+
         Args:
             path: path of the node in the scene.
         """
