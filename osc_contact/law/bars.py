@@ -177,8 +177,11 @@ def _find_internal_torques(t, count, n_locked):
 def _fill_basis(t, settable, count, bars, n_locked):
     """Fill `basis` (bars, s) with orthonormal combinations of bar forces that motors can set.
 
-    If all bars can be set, they are the bars themselves; if all torques that load bars are in
-    null(G), the rows of `bar_effects`; else the forces by the torques in `bar_torques`.
+    If all bars can be set, they are the bars themselves. If all torques that load bars are in
+    null(G), so that they do not move the object, they are the bar forces in the rows of
+    `bar_effects`; else the forces by the torques in `bar_torques` (s, n). A row of `bar_effects`
+    has the effects of the locked wrenches (n_locked elements), of unit torques of the n joints, and
+    the bar forces that belong to them. `bar_inverse` is overwritten.
 
     Args:
         t: Tick.

@@ -349,9 +349,10 @@ def finish(raw, slack):
     """Compute torques from the solver's answer, and the losses that they cause.
 
     Reads `z` (v,), the changes of torques in units of `scale`, then the slack variables, and `lam`
-    (v + k,), the multipliers of their bounds and of the bounds of A z. Fills `tau` and `at_limit`
-    (a,), `lost_force`, `lost_motion`, `lost_squeeze` (commanded less resulting values), and
-    `short`, 1 if a force leaves its range.
+    (v + k,), the multipliers of their bounds and of the bounds of A z. Fills `tau` (a,; N m, N) and
+    `at_limit` (a,; 1 at a limit); the commanded less the resulting values of contact forces
+    `lost_force` (r,; N), motion `lost_motion` (6,; energy coordinates, d free axes last) and
+    internal forces `lost_squeeze` (s,; N); and `short`, 1 if a force leaves its range.
 
     Args:
         raw: bytes of PROGRAM.
