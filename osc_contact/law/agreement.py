@@ -140,9 +140,10 @@ def _balance_arm(t, k, dt):
     the torque opposes the motion. Differences above half of the bound suspend the identification of
     friction for up to `_DOUBTED`, longer than the detection of a fault takes.
 
-    Reads the fields that `observe_arm` fills. Updates of the joints in MEMORY `unbalanced` (s above
-    the bound) and the fields of the functions called here, and `doubtful` of the arm (s above half
-    of the bound).
+    Of the joints in MEMORY `residual` (torque that neither model nor wrist explains; N m, N) and
+    `means` (low-passed speed, …) are updated first. Updates further `unexplained`, `usual` (N m,
+    N), `rubbed` (mean magnitude of the residual in motion; N m, N) and `unbalanced` (s above the
+    bound), and `doubtful` of the arm (s above half of the bound).
 
     Args:
         t: Tick.

@@ -115,8 +115,8 @@ def column_law(t, j):
     """Gain K_i (1/s), damping K_v (N s/m) and brake κ (1/s) of the force law of a column.
 
     Of a contact that holds without a desired force they are `hold_gain`, the contact's damping and
-    `hold_brake`; its brake acts on the whole speed, see `commands.brake_contacts`. The loop of such
-    a contact with play is stable for every stiffness between 0 and that of its walls.
+    `hold_brake`; its brake acts on the whole speed, not on the part that does not last. The loop of
+    such a contact with play is stable for every stiffness between 0 and that of its walls.
 
     Args:
         t: Tick.

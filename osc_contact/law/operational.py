@@ -301,9 +301,10 @@ def _separate(t, lo, n, m, arm, row):
 
     N (m, 6) are the wrenches that the grasp transmits, J (6, n) is the Jacobian, K (n, n) the
     factor of the joint-space inertia M = KKᵀ, J̄ (n, 6) the inverse of J and Λ (6, 6) the inertia
-    at the tip. A⁺ omits the directions that count as locked (see `arm_terms`). Reads J and M of the
-    joints, and `passed` (N). Fills J̄ of the joints and, of the arm, `Lambda`, `kept`, `n_kept` and
-    `n_locked`; rows of `locked_rows`. All are in energy coordinates.
+    at the tip. A⁺ omits the directions that count as locked: those with a singular value σ up to
+    `rank_tolerance` σ_max/√(1 + σ_max²). Reads J and M of the joints, and `passed` (N). Fills J̄ of
+    the joints and, of the arm, `Lambda`, `kept` (wrenches along the other directions), `n_kept` and
+    `n_locked`; rows of `locked_rows` (wrenches along locked ones). All are in energy coordinates.
 
     Args:
         t: Tick.

@@ -386,9 +386,10 @@ def _find_mobility(t, weighed, normal):
     A normal acceleration x = d(NᵀV_rel)/dt (r,; m/s²) of an object in free flight adds the inertial
     force Λ_outN⁺x to the reading, and therefore D⁻¹x = (HᵀR⁻¹H)⁻¹HᵀR⁻¹Λ_outN⁺x to α. N (6, r) are
     the columns of contact forces, V_rel the twist relative to the touched bodies, N⁺x the motion of
-    least kinetic energy with Nᵀa = x, Λ_out the inertia beyond the sensors; H and R are those of
-    `weigh_magnitudes`. Reads `N_basis`, `N_factor`, `out_T`. Fills `mobility` (r, r; (m/s²)/N);
-    sets `weightless` to 1 if D does not exist.
+    least kinetic energy with Nᵀa = x, Λ_out the inertia beyond the sensors, H (6, r) the reading of
+    unit contact forces and R (6, 6) the covariance of the reading's errors. Reads `N_basis`,
+    `N_factor`, `out_T`. Fills `mobility` (r, r; (m/s²)/N); sets `weightless` to 1 if D does not
+    exist.
 
     Args:
         t: Tick.
