@@ -368,8 +368,11 @@ def _command(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Arra
 def _forces(alpha_d: ArrayLike) -> Array:
     """Return alpha_d as doubles (r,), or the shared read-only array if it is empty.
 
+    Args:
+        alpha_d: desired contact forces (N).
+
     Raises:
-        InvalidInputError: see `_command`.
+        InvalidInputError: alpha_d is no vector of numbers.
     """
     array = _command("alpha_d", alpha_d, None)
     return array if array.size else _NO_FORCES
@@ -383,7 +386,7 @@ def _number_or_command(name: str, value: float | ArrayLike) -> float | Array:
         value: a number, or several.
 
     Raises:
-        InvalidInputError: see `_command`.
+        InvalidInputError: the value is neither a number nor a vector of numbers.
     """
     array = _command(name, value, None)
     return float(array[0]) if np.ndim(value) == 0 else array

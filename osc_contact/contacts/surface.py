@@ -216,7 +216,8 @@ def distance_and_normal(shapes: Shapes, p: Array) -> tuple[Array, Array]:
     """Compute signed distances of points from a surface, and outward normals at the nearest points.
 
     Args:
-        shapes: rows of the surface, see `Surface.rows`.
+        shapes: SHAPE rows of the surface, from `Surface.rows`: bend, slope and level of the quadric
+            and the grid of cells, the pose of the surface, then the coefficients of each cell.
         p: (3,) or (3, k) points in the axes of the surface (m).
 
     Returns:

@@ -200,7 +200,9 @@ class BatchController:
         """Run the ticks of all rows, a part of them in each thread, the first part in this one.
 
         Args:
-            flags: switches of the job, see `law.rows.rows`.
+            flags: sum of the law's switches: MOVING (motions of touched bodies are measured),
+                COMMANDED (internal forces are commanded), OWN_FORCE and OWN_MOTION (custom laws),
+                PARTIAL; 0: none.
             args: arrays of inputs of all rows.
 
         Raises:
@@ -224,7 +226,9 @@ class BatchController:
         Args:
             thread: number of the thread.
             first, end: first row, and the row after the last one.
-            flags: switches of the job, see `law.rows.rows`.
+            flags: sum of the law's switches: MOVING (motions of touched bodies are measured),
+                COMMANDED (internal forces are commanded), OWN_FORCE and OWN_MOTION (custom laws),
+                PARTIAL; 0: none.
             args: arrays of inputs of all rows.
         """
         job = self._jobs[thread]

@@ -555,7 +555,8 @@ def require_ranges(raw: Bytes, program: Bytes) -> None:
     """Refuse records with numbers out of their ranges, which a file must not hold.
 
     Args:
-        raw, program: bytes of the records, see `broken_ranges`.
+        raw: bytes of JOB, MODEL, MEMORY, WORK and INPUT of a controller.
+        program: bytes of PROGRAM, the quadratic program of its motor limits.
 
     Raises:
         InvalidInputError: a number is out of its range.

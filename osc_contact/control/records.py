@@ -103,12 +103,17 @@ class TickRecords:
         """Run parts of a tick.
 
         Args:
-            inputs: q, v, wrenches, X_WD, V_D, A_D, alpha_d, touched, active, see `law.rows.rows`.
-            flags: switches of `law.tick`.
+            inputs: q, v (n,), wrenches (arms, 6), X_WD (4, 4), V_D, A_D (6,), alpha_d (r,), touched
+                (contacts · 28,), and active (contacts,), which is empty unless active contacts are
+                named.
+            flags: sum of the law's switches: MOVING (motions of touched bodies are measured),
+                COMMANDED (internal forces are commanded), OWN_FORCE and OWN_MOTION (custom laws),
+                PARTIAL; 0: none.
             begin, stop: first part, and the part before which to stop.
 
         Returns:
-            The result of `law.rows.rows`, which is 2 for one row that ended OK.
+            Twice the number of the next row, plus 1 if the row did not end OK: 2 for one that ended
+            OK.
         """
         self._job[:3] = flags, begin, stop
         try:
@@ -120,7 +125,10 @@ class TickRecords:
         """Compute a whole tick of one row; return True if it ended OK.
 
         Args:
-            inputs, switches: arguments of the law, see `run`.
+            inputs: q, v (n,), wrenches (arms, 6), X_WD (4, 4), V_D, A_D (6,), alpha_d (r,), touched
+                (contacts · 28,), and active (contacts,), which is empty unless active contacts are
+                named.
+            switches: sum of the law's switches, such as MOVING; 0: none.
         """
         if switches:
             return self.run(inputs, switches) == _ENDED_OK

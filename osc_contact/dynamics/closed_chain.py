@@ -365,7 +365,8 @@ def _grasps_of(grasps: SE3 | Grasp | Sequence[SE3 | Grasp] | None, arms: int) ->
     A pose X_TO becomes a rigid grasp; without grasps the object's frame is the tip's, held rigidly.
 
     Args:
-        grasps: see `ClosedChain`.
+        grasps: for each arm the pose X_TO of the object in its tip frame, held rigidly, or a
+            `Grasp`; one of them for a single arm; None: the tip's own frame.
         arms: number of arms.
 
     Raises:

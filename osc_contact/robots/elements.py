@@ -84,7 +84,10 @@ def refuse_file(
     """Raise a `ModelError` with one finding about a file, or about a place in it.
 
     Args:
-        check, file, reason, cure, line, column: see `ModelFinding`.
+        check: name of the violated check.
+        file: the file.
+        reason, cure: sentences on the error and its correction.
+        line, column: place in the file, from 1; 0: the whole file.
     """
     refuse([ModelFinding(check, file, line, column, "", reason, cure)])
 

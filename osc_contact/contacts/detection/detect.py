@@ -568,7 +568,10 @@ class TrackedContact:
         """Contact of all shapes that touch, with N (6, r) and n_γ (r,).
 
         Args:
-            X_WO, V_O, X_WE, V_E: see `ContactPair.contact`.
+            X_WO: pose of the object.
+            V_O: (6,) its twist at O, world axes (m/s, rad/s).
+            X_WE: pose of the other body; None: the world's frame.
+            V_E: (6,) its twist at its own origin, world axes (m/s, rad/s); None: at rest.
 
         Raises:
             ContactError: no contact has been detected so far.

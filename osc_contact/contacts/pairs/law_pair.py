@@ -172,8 +172,8 @@ class LawPair(PackagedPair):
         """Evaluate the pair by the functions of the law.
 
         Args:
-            A, E: elements of the poses of the object and of the touched body in the world, see
-                `_elements`.
+            A, E: poses of the object and of the touched body in the world: elements of [R p] (3, 4)
+                by (row, column), numbers, or arrays (k,) over time.
             V_O, V_E: (6,) twists of object and body at O (m/s, rad/s).
 
         Returns:
