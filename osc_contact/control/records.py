@@ -104,7 +104,7 @@ class TickRecords:
 
         Args:
             inputs: q, v (n,), wrenches (arms, 6), X_WD (4, 4), V_D, A_D (6,), alpha_d (r,), touched
-                (contacts · 28,), and active (contacts,), which is empty unless active contacts are
+                (contacts, 28), and active (contacts,), which is empty unless active contacts are
                 named.
             flags: sum of the law's switches: MOVING (motions of touched bodies are measured),
                 COMMANDED (internal forces are commanded), OWN_FORCE and OWN_MOTION (custom laws),
@@ -126,7 +126,7 @@ class TickRecords:
 
         Args:
             inputs: q, v (n,), wrenches (arms, 6), X_WD (4, 4), V_D, A_D (6,), alpha_d (r,), touched
-                (contacts · 28,), and active (contacts,), which is empty unless active contacts are
+                (contacts, 28), and active (contacts,), which is empty unless active contacts are
                 named.
             switches: sum of the law's switches, such as MOVING; 0: none.
         """
