@@ -69,7 +69,10 @@ class GapFunctions(PackagedPair):
             raise InvalidInputError(f"{self.name}.step = {self.step}; give 1e-5 … 0.3")
 
     def _contact(self, b: Bodies) -> Contact:
-        """N and n_γ from the first and second differences of the gaps.
+        """N and n_γ from the first and second differences of the gaps g (r,), at O in world axes.
+
+        N (6, r) = −∂g/∂x for displacements x of the object, and n_γ (r,) is d²g/dt² along a
+        constant relative twist, plus the part by the rotation of N with the environment.
 
         Args:
             b: poses and twists of object and environment at one instant.
