@@ -242,7 +242,7 @@ class _StopAndGo:
     def _stopping(self, t: float) -> Array:
         """State (3, n) at the time t (s) of the first part, in which coordinates are stopped.
 
-        A coordinate that has stopped is at rest.
+        Its rows are position, velocity and acceleration. A coordinate that has stopped is at rest.
         """
         states = np.array(
             [

@@ -326,8 +326,8 @@ def weigh_magnitudes(t):
     friction, and the inertial force of an object that moves with a yielding body, where Φ_μ (r, r)
     is the mobility of the touched bodies and N⁺ (6, r) the motion of least kinetic energy with a
     unit normal acceleration. R (6, 6) is the covariance of the errors of f. All are in energy
-    coordinates. Reads `reading_e`, `pushed` (N_μ), `Phi_mu`, and the fields that
-    `desired_inertia_force` and `_likely_errors` read. Fills `alpha_meas` α (r,; N), `reading_rest`
+    coordinates. Reads `reading_e`, `pushed` (N_μ), `Phi_mu`, and for Λ_out a and R those that
+    `desired_inertia_force` and `_likely_errors` name. Fills `alpha_meas` α (r,; N), `reading_rest`
     R⁻¹(f − Hα) (6,), and, with contact phases, `mobility` (r, r; (m/s²)/N) and `weightless` (1 if
     it does not exist, else 0).
 

@@ -57,6 +57,10 @@ class TorqueInputs:
     def send(self, data: MjData, tau: Array) -> None:
         """Write torques of the joints into MuJoCo's data.
 
+        A joint that one plain motor drives (`_driven`) gets a control signal, the torque over that
+        of a unit signal (`_per_torque`); the torques of the others are applied to the joints
+        directly.
+
         Args:
             data: `mujoco.MjData`, changed.
             tau: (n_a,) torques (N m; N).
