@@ -116,6 +116,8 @@ class Measurement:
             are not numbered.
         estimated: True if v was estimated from q, so that comparing the two cannot reveal faults
             of encoders.
+        noisy: True if v was estimated from encoders that are found to be far noisier than expected:
+            the arms are stopped. It requires `estimated`.
 
     Example:
         >>> reading = osc.Measurement(q=[0.1, 0.2], v=[0, 0], wrenches=[[0, 0, 9.81, 0, 0, 0]])
@@ -133,6 +135,7 @@ class Measurement:
     wrench_valid: bool | None = None
     sequence: int | None = None
     estimated: bool = False
+    noisy: bool = False
 
     def __init__(
         self,
@@ -146,6 +149,7 @@ class Measurement:
         wrench_valid: bool | None = None,
         sequence: int | None = None,
         estimated: bool = False,
+        noisy: bool = False,
     ) -> None:
         """Convert and store the readings of one tick.
 
@@ -160,6 +164,7 @@ class Measurement:
                 otherwise.
             sequence: number of the packet; None: packets are not numbered.
             estimated: True if v was estimated from q.
+            noisy: True if encoders are found to be far noisier than v was estimated for.
         """
         self.__dict__.update(
             q=_readable(q),
@@ -172,6 +177,7 @@ class Measurement:
             wrench_valid=wrench_valid,
             sequence=sequence,
             estimated=estimated,
+            noisy=noisy,
         )
 
 

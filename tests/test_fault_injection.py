@@ -94,6 +94,28 @@ def test_wrists_that_motors_contradict_do_not_show_that_an_arm_has_let_go(every)
     assert not verdict.wrong, verdict
 
 
+SATURATED = [Case(scenario="dual_panda_rod", every=every, seed=6211) for every in (3, 0)]
+
+
+@parametrize("case", first(SATURATED, 1), ids=str)
+def test_wrists_at_the_end_of_their_range_are_found_before_the_contact_is_lost(case):
+    """Motors do not contradict them: forces of 92 and 74 N, and a contact open for 0.65 s."""
+    verdict = try_fault("wrists saturate", case, fault_for=3.5, stopped_for=1.0)
+    assert verdict.state is SAFE_STOP and not verdict.wrong, verdict
+    assert "end of its range" in verdict.reason
+
+
+NOISY = [Case("approach", every=every, seed=6211) for every in (0, 3)]
+
+
+@parametrize("case", first(NOISY, 1), ids=str)
+def test_encoders_that_become_noisy_before_contact_is_made_stop_the_arms_at_rest(case):
+    """Speeds that the noise had made lasted for 80 ms: 156 N, and 0.2 rad/s in the stop."""
+    verdict = try_fault("encoder noise of 5 mrad", case, stopped_for=3.0)
+    assert verdict.state is SAFE_STOP and verdict.stopped < 0.01, verdict
+    assert not verdict.wrong, verdict
+
+
 def test_an_arm_with_encoders_far_noisier_than_expected_is_held_at_rest():
     """Speeds are estimated from them; with the gains of quiet encoders it moved at 2.6 rad/s."""
     case = Case(scenario="panda_wrist", every=3, seed=2911)

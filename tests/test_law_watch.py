@@ -29,7 +29,13 @@ from osc_contact.law.phases import APPROACHING, CLOSED
 from osc_contact.law.plausibility import JUMPED, NO_ROTATION, OUT_OF_RANGE, WRENCH_TIMEOUT
 from osc_contact.law.reasons import NO_REASON
 from osc_contact.law.safety import CONTACT_LOST, NEAR_END, OVERFORCE, OVERSPEED, POWERED
-from osc_contact.law.sensors import DISAGREE, FROZEN, MIXED, STUCK, WRIST_FROZEN
+from osc_contact.law.sensors import (
+    DISAGREE,
+    FROZEN,
+    MIXED,
+    STUCK,
+)
+from osc_contact.law.wrist_readings import WRIST_FROZEN, WRIST_SATURATED
 
 DT = 1e-3
 BOTH = parametrize("sign", [1.0, -1.0])
@@ -473,6 +479,26 @@ def test_a_wrist_in_contact_may_repeat_itself_for_so_long():
         assert sensors.tick(wrench=still + k // 10) == NO_REASON
 
 
+@parametrize("axis", range(6))
+def test_a_number_of_a_wrist_that_ends_to_change_is_at_the_end_of_its_range(axis):
+    """Not that of a coarse sensor, whose numbers hardly changed before, nor one that is zero."""
+
+    def wrench(k, value, coarse=1):
+        moving = np.full((1, 6), float(k // coarse))
+        moving[0, axis] = value
+        return moving
+
+    for coarse, value, found in ((1, 3.0, WRIST_SATURATED), (3, 3.0, 0), (1, 0.0, 0)):
+        sensors = Sensors()
+        for k in range(1, 200):
+            assert sensors.tick(wrench=wrench(k, k // coarse, coarse)) == NO_REASON
+        seen = [sensors.tick(wrench=wrench(k, value, coarse)) for k in range(200, 240)]
+        assert seen[:10] == [NO_REASON] * 10 and seen[-1] == found
+    sensors = Sensors(force_rank=0)  # free: gravity alone may well be constant
+    for k in range(1, 200):
+        assert sensors.tick(wrench=wrench(k, float(max(k, 100)))) == NO_REASON
+
+
 STILL = {"wrench": np.ones((1, 6)), "q": np.ones(2), "v": (0.0, 0.0)}
 
 
@@ -679,8 +705,22 @@ def test_speeds_that_are_those_of_one_another_are_exchanged(lost, sign):
             assert_near(sensors.memory.v, v, atol=1e-6)
     sensors = Sensors()
     sensors.until(most=20)
-    sensors.memory.derived = 1
+    sensors.memory.derived = at.ESTIMATED
     assert sensors.tick(v=(-0.2, 0.1), true=(0.3, -0.4)) == NO_REASON
+
+
+@parametrize("late", [0.0, 0.1])
+def test_noisy_encoders_do_not_contradict_speeds_that_are_estimated_from_them(late):
+    """Nor did they in the milliseconds before the noise was found; what is older stays."""
+    sensors = Sensors()
+    sensors.until(most=20)
+    sensors.memory.derived = at.ESTIMATED
+    assert sensors.until(v=(9.0, 0.0), true=(0.3, -0.4))[1] == DISAGREE
+    marks = sensors.joints.faulty.copy()
+    assert marks.any()
+    write(sensors.memory, state=at.SAFE_STOP, cause=DISAGREE, age=late / DT, derived=at.NOISY)
+    assert sensors.until(v=(9.0, 0.0), true=(0.3, -0.4), most=30) == (0, NO_REASON)
+    assert_array_equal(sensors.joints.faulty, marks if late else 0)
 
 
 def test_joints_that_pass_one_another_are_not_exchanged():

@@ -425,6 +425,46 @@ def test_noise_far_beyond_the_expected_one_is_measured(noise):
     assert first_loud < 200.0 * 2e-4 / noise
 
 
+def test_noise_that_begins_is_announced_and_measured_by_the_last_readings():
+    """The mean still contains the quiet readings before it. One wrong reading is no noise."""
+    first_measures = []
+    for seed in range(20):
+        sensors = ReadingNoise(vector(2e-5), DT)
+        rng = default_rng(seed)
+        x = np.concatenate([2e-5 * rng.standard_normal(300), 5e-3 * rng.standard_normal(100)])
+        x[100] += 0.02  # one wrong reading
+        x[200:] += 0.02  # one jump
+        found = []
+        for reading in x:
+            noise = sensors.update(vector(reading))
+            found.append((sensors.begins, noise[0]))
+        begun = [k for k, (begins, _) in enumerate(found) if begins]
+        assert len(begun) == 1 and 300 <= begun[0] < 312
+        first_measures.append(found[begun[0]][1] / 5e-3)
+    assert max(first_measures) < 3.0 and 0.5 < np.median(first_measures) < 1.5
+
+
+@parametrize("make", [VelocityEstimate.optimal, VelocityEstimate.learning])
+def test_readings_that_were_noisy_already_are_estimated_again(make):
+    """As if the noise had been expected; else its speed decays with the time of the new gains."""
+    errors = 5e-3 * default_rng(2).standard_normal(8)
+    found = {}
+    for revises in (True, False):
+        estimate, loud = make(vector(2e-5), 0.8, DT), make(vector(2e-5), 0.8, DT)
+        for k in range(400):
+            estimate.update(vector(0.3 * DT * k), vector(0.0))
+            loud.update(vector(0.3 * DT * k), vector(0.0))
+        loud.expect_noise(vector(5e-3))
+        for k, error in enumerate(errors, 400):
+            estimate.update(vector(0.3 * DT * k + error), vector(0.0))
+            loud.update(vector(0.3 * DT * k + error), vector(0.0))
+        estimate.expect_noise(vector(5e-3), revises)
+        found[revises] = abs(estimate.v[0] - 0.3)
+        if revises:  # the last 20 ms contain 12 quiet readings, which count less then
+            assert abs(estimate.v[0] - loud.v[0]) < 0.01
+    assert found[True] < 0.02 < 0.05 < found[False]
+
+
 @parametrize("bits", [14, 16, 20])
 @parametrize("speed", [0.0, 1e-3, 0.05, 2.0])
 def test_resolution_jolts_and_missing_readings_are_no_noise(bits, speed):

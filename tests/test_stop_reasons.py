@@ -56,6 +56,7 @@ FAULTS = {
     "mirrored": ("DISAGREE", "joints", "error"),
     "drifting": ("DISAGREE", "joints", "drift"),
     "frozen wrist": ("WRIST_FROZEN", "arms", "same"),
+    "saturated wrist": ("WRIST_SATURATED", "arms", "constant"),
     "frozen packet": ("FROZEN", "", "frozen"),
 }
 #: what needs readings that the other one is without
@@ -63,6 +64,7 @@ IMPOSSIBLE = {
     ("JUMPED", "frozen packet"),
     ("OUT_OF_RANGE", "frozen packet"),
     ("WRENCH_TIMEOUT", "frozen wrist"),
+    ("WRENCH_TIMEOUT", "saturated wrist"),
 }
 
 
@@ -74,6 +76,7 @@ def prepared(case, fault):
     _, table, field = FAULTS[fault]
     memory = controller.records.memory
     memory.joints["turning"] = 1.0  # their positions have been noisy
+    memory.arms["lively"] = 1.0  # so have all numbers of their wrists
     if table:
         getattr(memory, table)[field][ROWS[table]] = 1e3
     else:

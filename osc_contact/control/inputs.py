@@ -10,7 +10,7 @@ from osc_contact.control.records import STILL, UNNAMED, TickRecords
 from osc_contact.errors import InvalidInputError, brief, require_kind
 from osc_contact.interface import Measurement, Reference, Stamps, Touched, as_numbers
 from osc_contact.law import tick as law
-from osc_contact.law.records import JOINTS, OUTDATED, WRISTS
+from osc_contact.law.records import ESTIMATED, JOINTS, NOISY, OUTDATED, WRISTS
 from osc_contact.spatial import Array, as_array
 
 #: alpha_d for the law if a reference has no forces; the reference's own empty array is read-only.
@@ -159,7 +159,7 @@ def read_tick(
         switches.
     """
     if measurement.estimated:
-        records.memory.derived = 1
+        records.memory.derived = NOISY if measurement.noisy else ESTIMATED
     if measurement.wrench_valid is not None and not measurement.wrench_valid:
         records.memory.wrench_missing = 1
     flags = 0

@@ -270,6 +270,7 @@ def _layout() -> str:
         "JOINT_MOTOR": _offset(records.JOINT, "motor"),
         "JOINT_TAU_MAX": _offset(records.JOINT, "tau_max"),
         "HISTORY": records.HISTORY,
+        "NOISY": records.NOISY,
         "OSC_FILE_HEAD": HEAD,
     }
     lines += [f"#define {name} {value}" for name, value in numbers.items()]

@@ -20,8 +20,7 @@ from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, place_p
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.phases import collect, slew
 from osc_contact.law.reading import read_wrist
-from osc_contact.law.records import BRAKED, SAFE_STOP, SETTLED
-from osc_contact.law.sensors import WRIST_FROZEN
+from osc_contact.law.records import BRAKED, NOISY, SAFE_STOP, SETTLED
 from osc_contact.law.vectors import (
     ZERO,
     ZERO_3,
@@ -44,6 +43,7 @@ from osc_contact.law.vectors import (
     transformed,
     velocity_at,
 )
+from osc_contact.law.wrist_readings import WRIST_FROZEN
 
 _AT_REST = 0.02  #: rad/s, m/s, speed below which a braked joint counts as at rest
 _BRAKING = 0.3  #: s, longest time of braking until the joints are held
@@ -52,6 +52,7 @@ BRAKE_RATE = 40.0  #: 1/s, rate of the torques of a hold, as a multiple of their
 _HASTE = 4.0  #: factor of that rate if a joint is above its speed limit
 _LIGHT = 0.25  #: share of its part of the object's weight below which an arm has let go
 LET_GO_TIME = 0.02  #: s for which the load has to be below that share until an arm has let go
+_SOFTER = 0.5  #: factor of `hold_rate` where speeds are estimated from noisy encoders
 _SHAKES = 0.02  #: s, time constant of the low-pass of the load of a wrist
 
 
@@ -64,13 +65,16 @@ def hold_posture(t):
     h (n,) is the torque of velocities and gravity, M (n, n) the joint-space inertia of an arm, ω =
     `hold_rate` (1/s), q and q̇ positions and speeds of the joints, q_hold the positions where they
     are held, J the Jacobian, and w the wrench for each arm's share of the object's weight and
-    inertia. While joints are braked, q_hold moves with them, at most by the braking distance; a
-    joint beyond it is pushed by an error of the modelled weight or by an object that another arm
-    has let go of. No acceleration is commanded to joints without a motor, which would drive others
-    through the object. If motors cannot exert the braking torques, these are reduced as a whole,
-    and q_hold follows the joints, so that the torques dissipate energy. Torques move in a straight
-    line from the last ones, at the rate `BRAKE_RATE`, or faster if a joint is above its speed limit
-    or its motor at its torque limit.
+    inertia. Where q̇ is estimated from noisy encoders, with the bandwidth `hold_rate`, ω is half of
+    that: a hold as fast as the estimate oscillates, and a faster estimate returns the noise.
+
+    While joints are braked, q_hold moves with them, at most by the braking distance; a joint beyond
+    it is pushed by an error of the modelled weight or by an object that another arm has let go of.
+    No acceleration is commanded to joints without a motor, which would drive others through the
+    object. If motors cannot exert the braking torques, these are reduced as a whole, and q_hold
+    follows the joints, so that the torques dissipate energy. Torques move in a straight line from
+    the last ones, at the rate `BRAKE_RATE`, or faster if a joint is above its speed limit or its
+    motor at its torque limit.
 
     Reads q and v of MEMORY. Fills `tau`, `step` and the holds of the joints.
 
@@ -121,8 +125,9 @@ def hold_posture(t):
 def _command_braking(t):
     """Fill `acceleration` of the joints, −2ω q̇ − ω²(q − q_hold), which brakes and holds them.
 
-    ω = `hold_rate` (1/s), q and q̇ are the estimated positions and speeds of MEMORY, q_hold = `hold`
-    the positions where the joints are held (rad, m). Joints without a motor get 0.
+    ω = `hold_rate` (1/s), or `_SOFTER` times that with noisy encoders, q and q̇ are the estimated
+    positions and speeds of MEMORY, q_hold = `hold` the positions where the joints are held (rad,
+    m). Joints without a motor get 0.
 
     Args:
         t: Tick.
@@ -133,7 +138,7 @@ def _command_braking(t):
     """
     model = t.model
     memory = t.memory
-    omega = model.hold_rate
+    omega = (_SOFTER if memory.derived == NOISY else 1.0) * model.hold_rate
     rate_limit = min(BRAKE_RATE, model.torque_rate)
     for j in range(model.n_joints):
         speed = memory.v[j]

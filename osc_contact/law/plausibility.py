@@ -2,7 +2,8 @@
 
 A tick is not computed (see `safety`) if the reference pose is not a rotation matrix, if a wrench
 exceeds the range of its sensor or is too old, if a packet arrives out of order, if a joint moves or
-changes its speed faster than possible, or if two joints exchange their positions.
+changes its speed faster than possible, if two joints exchange their positions, or if speeds are
+estimated from encoders far noisier than expected.
 """
 
 from __future__ import annotations
@@ -11,7 +12,15 @@ from math import isfinite
 
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.reasons import NO_REASON, declare_reason
-from osc_contact.law.records import EXCHANGED, JOINTS, JUMP, NOT_BARRED, OUTDATED, WRISTS
+from osc_contact.law.records import (
+    EXCHANGED,
+    JOINTS,
+    JUMP,
+    NOISY,
+    NOT_BARRED,
+    OUTDATED,
+    WRISTS,
+)
 from osc_contact.law.vectors import cross, dot3
 
 NO_ROTATION = declare_reason(
@@ -54,6 +63,13 @@ SPEEDS_JUMPED = declare_reason(
     "the speeds of joint {joint} and of others jump in one packet by more than speed_error = "
     "{safety.speed_error:g} of their limits, or are exchanged",
 )
+NOISY_ENCODERS = declare_reason(
+    "NOISY_ENCODERS",
+    65,
+    "encoders are far noisier than those for which speeds are estimated from them: the law cannot "
+    "control forces with speeds as slow, or as noisy, as these. Check encoders, couplings and "
+    "shields",
+)
 
 _ROUND = 1e-4  #: largest deviation of R Rᵀ from the identity
 _NOISE = 0.02  #: rad, m, largest change of a position that never counts as a jump
@@ -80,6 +96,8 @@ def check_readings(t):
     model = t.model
     table = model.joints
     memory = t.memory
+    if memory.derived == NOISY:
+        return NOISY_ENCODERS
     if not _is_rotation(t.input.X_WD):
         return NO_ROTATION
     if memory.wrench_missing:

@@ -265,6 +265,8 @@ OUTDATED = 4  #: flag: the packet is older than the last one
 NOT_BARRED, JUMP, EXCHANGED = range(3)
 BRAKED = 1  #: state of a hold: joints are being braked
 SETTLED = 2  #: state of a hold: joints are held at fixed positions
+ESTIMATED = 1  #: speeds are estimated from positions, so a joint has one reading only
+NOISY = 2  #: so they are, of encoders far noisier than expected
 FAULTY_POSITION = 1  #: flag of a joint
 FAULTY_SPEED = 2  #: flag of a joint
 
@@ -303,7 +305,7 @@ _MEMORY = _record(
         "instant",  # number of those ticks, including lost ones
         "stamped",  # `instant` since which wrenches have time stamps; 0 without stamps
         "late",  # delay of the wrenches relative to the joints' readings (ticks)
-        "derived",  # 1 if speeds are estimated from positions, so a joint has one reading only
+        "derived",  # 0, ESTIMATED or NOISY: whether speeds are estimated from positions
         "given",  # GIVEN_POSE, GIVEN_TWIST, or 0 if pose and twist follow from the grasps
         # see `active_set`
         "chosen_set",  # 1 if the last reference named the active contacts
@@ -491,12 +493,14 @@ FRICTION = _record(
 #: load of its wrist was read, 1 if it has let go of the object, 1 if it alone holds the object; s
 #: of identical readings of its wrist, s for which motor torques contradict the wrist, s for which
 #: the load of a stopped arm contradicts that it has, or has not, let go; force by which its gripper
-#: carries the object (N), low-passed; and the state of this low-pass (N).
+#: carries the object (N), low-passed; the state of this low-pass (N); s for which each of the six
+#: numbers of its wrist has been identical, and the share of them that change with a reading.
 ARM_MEMORY = _record(
     whole=("unread", "weighed", "let_go", "holds"),
-    number=("same", "doubtful", "light"),
+    number=("same", "doubtful", "light", "lively"),
     load=3,
     weighing=3,
+    constant=6,
 )
 
 # Intermediate results of a tick -----------------------------------------------------------------

@@ -1,10 +1,10 @@
 """Detection of sensor faults after each tick, computed or not; a fault stops the arms.
 
 Detected are encoders that are constant although their joints are driven, speeds that contradict the
-positions or their changes, and constant readings of wrists or of whole packets. Evidence is
-measured in time between readings, so that lost packets do not reduce it. `plausibility` checks
-readings before a tick, `agreement` during it; `isolation` determines the faulty reading of a joint
-and the estimates with which the joint is braked.
+positions or their changes, constant readings of whole packets, and of wrists (`wrist_readings`).
+Evidence is measured in time between readings, so that lost packets do not reduce it.
+`plausibility` checks readings before a tick, `agreement` during it; `isolation` determines the
+faulty reading of a joint and the estimates with which the joint is braked.
 """
 
 from __future__ import annotations
@@ -13,18 +13,19 @@ from math import isfinite
 
 from osc_contact.law.isolation import BLIND, DEAD, isolate_joint
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.plausibility import find_jumps, is_measurable
+from osc_contact.law.plausibility import find_jumps
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
     FAULTY_POSITION,
     FAULTY_SPEED,
     JOINTS,
+    NOISY,
     NOT_BARRED,
     SAFE_STOP,
     SETTLED,
-    WRISTS,
 )
 from osc_contact.law.vectors import clamped
+from osc_contact.law.wrist_readings import check_wrists
 
 STUCK = declare_reason(
     "STUCK",
@@ -37,13 +38,6 @@ FROZEN = declare_reason(
     56,
     "the readings of all joints are the very same for {safety.frozen_time:g} s, and were noisy "
     "before: a packet repeats itself",
-)
-WRIST_FROZEN = declare_reason(
-    "WRIST_FROZEN",
-    57,
-    "the wrist of arm '{arm}' reads the very same for {safety.frozen_time:g} s: it is dead, or "
-    "its last reading repeats itself. Sensors too coarse to show any noise take frozen_time = "
-    "inf",
 )
 DISAGREE = declare_reason(
     "DISAGREE",
@@ -98,9 +92,9 @@ def check_sensors(t):
 
     with the position q, the speed q̇ that was read, and the time T = `_FORGET` of forgetting. The
     integral is not checked if speeds are estimated from positions, because it would contain lasting
-    errors of the model. WRIST_FROZEN: a wrist in contact is constant for too long. FROZEN: the
-    readings of all joints are, which were noisy before (`_check_packet`). MIXED: several joints
-    jump in each packet for `BLIND`.
+    errors of the model. WRIST_FROZEN: a wrist in contact is constant for too long;
+    WRIST_SATURATED: one of its six numbers is. FROZEN: the readings of all joints are, which were
+    noisy before (`_check_packet`). MIXED: several joints jump in each packet for `BLIND`.
 
     A later reason replaces an earlier one: wrists, jumps, joints, packet. If a joint is at fault
     while all joints have read the same for `DEAD`, the packet is dead, and all joints are faulty.
@@ -116,10 +110,12 @@ def check_sensors(t):
     work = t.work
     reason = NO_REASON
     culprit = memory.culprit
-    dead_arm, same_wrenches = _check_wrists(t)
-    if dead_arm >= 0:
-        reason = WRIST_FROZEN
-        culprit = dead_arm
+    if memory.derived == NOISY:
+        _discard_marks(t)
+    wrist_reason, arm, same_wrenches = check_wrists(t)
+    if wrist_reason != NO_REASON:
+        reason = wrist_reason
+        culprit = arm
     if work.looked == 0:  # `find_jumps` has not been called in this tick
         find_jumps(t)
     work.looked = 0
@@ -147,6 +143,24 @@ def check_sensors(t):
     if memory.state != SAFE_STOP:  # the cause of a stop keeps its culprit
         memory.culprit = culprit
     return reason
+
+
+@leaf
+def _discard_marks(t):
+    """Trust joints again that were marked as faulty just before encoders were found to be noisy.
+
+    The noise itself has contradicted speeds that were estimated from it with the gains for quiet
+    encoders; meanwhile these have been estimated again.
+
+    Args:
+        t: Tick, of which `state`, `cause` and `age` of MEMORY are read, and `faulty` of the joints
+            in MEMORY is changed.
+    """
+    memory = t.memory
+    is_recent = memory.age * t.model.period < _LAG
+    if memory.state == SAFE_STOP and memory.cause == DISAGREE and is_recent:
+        for j in range(t.model.n_joints):
+            memory.joints[j].faulty = 0
 
 
 @leaf
@@ -305,7 +319,7 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
 
     Returns:
         `STUCK` if the joint does not follow commands, `DISAGREE` if position and speed contradict
-        each other, else `NO_REASON`.
+        each other, else `NO_REASON`; this, too, if the speed was estimated from noisy positions.
     """
     model = t.model
     slope = step / dt
@@ -319,6 +333,8 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
     drift = max(drift - explained, 0.0) if drift > 0.0 else min(drift + explained, 0.0)
     joint_memory.drift = drift
     _compare_with_predictions(joint_memory, slope, v, dt, shares, forgetting)
+    if t.memory.derived == NOISY:
+        return NO_REASON
     # verdict: stuck, a speed read although readings are constant after a stop, a large difference
     joint_memory.stuck = joint_memory.gained > model.stuck_speed * limit
     if joint_memory.stuck:
@@ -400,63 +416,6 @@ def _compare_with_predictions(joint_memory, slope, v, dt, shares, forgetting):
     joint_memory.blame = (joint_memory.blame + difference * dt) * forgetting
     joint_memory.model_v += shares[0] * (v - joint_memory.model_v)
     joint_memory.model_q += shares[0] * (slope - joint_memory.model_q)
-
-
-@inner
-def _check_wrists(t):
-    """Detect wrist sensors whose readings repeat.
-
-    Reads `wrenches` of INPUT; updates `same` and `unread` of the arms and `wrenches` in MEMORY.
-
-    Args:
-        t: Tick.
-
-    Returns:
-        Index of an arm in contact whose reading has been constant for `frozen_time`, or −1; and
-        True if the readings of all wrists equal those of the last tick.
-    """
-    model = t.model
-    memory = t.memory
-    last_wrenches = memory.wrenches
-    wrenches = t.input.wrenches
-    all_same = True
-    dead_arm = -1
-    is_new = memory.repeated & WRISTS == 0 and memory.wrench_missing == 0
-    for k in range(model.n_arms):
-        arm_memory = memory.arms[k]
-        # a reading beyond the sensor's range is new evidence that readings change
-        if not (is_new and is_measurable(t, k)):
-            arm_memory.unread += 1
-            all_same = all_same and not (is_new and _exceeds(t, k))
-            continue
-        is_same = memory.has_wrench != 0
-        for i in range(6):
-            is_same = is_same and last_wrenches[k, i] == wrenches[k, i]
-            last_wrenches[k, i] = wrenches[k, i]
-        arm_memory.same = (
-            arm_memory.same + model.period * (1 + arm_memory.unread) if is_same else 0.0
-        )
-        arm_memory.unread = 0
-        all_same = all_same and is_same
-        pressed = model.arms[k].sensor_joint >= 0 and memory.engaged != 0 and memory.force_rank > 0
-        if pressed and arm_memory.same > model.frozen_time:
-            dead_arm = k
-    return dead_arm, all_same
-
-
-@leaf
-def _exceeds(t, k):
-    """Determine whether the reading of a wrist is beyond the range of its sensor; false for NaN.
-
-    Args:
-        t: Tick, of which `wrenches` of INPUT are read.
-        k: index of the arm.
-    """
-    exceeds = False
-    for i in range(6):
-        limit = t.model.force_range if i < 3 else t.model.torque_range
-        exceeds = exceeds or abs(t.input.wrenches[k, i]) > limit
-    return exceeds
 
 
 @leaf

@@ -13,6 +13,10 @@ _AVERAGED = 0.05  #: s, time constant of their mean
 #: Multiple of the expected noise above which a sensor is noisier than expected. Resolution alone,
 #: expected as a uniform distribution, comes to 2 if readings alternate between two steps.
 _LOUD = 5.0
+#: Largest third difference in the mean, as a multiple of that of the largest expected noise or of
+#: the mean so far: one wrong reading, or one jump, comes to 4/5 of that noise at most.
+_OUTLIER = 10.0
+_LATEST = 5  #: third differences whose mean is the first measure of a noise that has begun
 #: rad, m, noise below which nothing is noisier than expected: an acceleration that changes by
 #: 1,000 rad/s² in one sample of 1 ms, and back within the mean, comes to 0.02 mrad
 _LEAST = 2e-4
@@ -28,6 +32,7 @@ class ReadingNoise:
     Attributes:
         expected: (k,) standard deviation of the readings (rad, m).
         is_loud: whether some sensor is noisier than expected.
+        begins: whether that of some sensor has been found by its last reading.
     """
 
     def __init__(self, expected: Array, sample: float) -> None:
@@ -38,11 +43,13 @@ class ReadingNoise:
             sample: their period (s).
         """
         self.expected = np.array(expected, dtype=float)
-        self.is_loud = False
+        self.is_loud = self.begins = False
+        self._loud = np.zeros(len(self.expected), dtype=bool)
         self._share = sample / (_AVERAGED + sample)
         self._largest_expected = np.maximum(_LOUD * self.expected, _LEAST)
         self._mean = _THIRD * self.expected
         self._readings = np.full((4, len(self.expected)), np.nan)
+        self._latest = np.zeros((_LATEST, len(self.expected)))
 
     def update(self, measured: Array) -> Array:
         """Return the noise (k,) of the sensors after a new reading, a standard deviation (rad, m).
@@ -51,6 +58,7 @@ class ReadingNoise:
         Measured is the mean magnitude of the readings' third differences x_k − 3x_{k−1} + 3x_{k−2}
         − x_{k−3}, low-passed and divided by that of unit normal noise, `_THIRD`. Motion hardly
         changes third differences.
+        When this begins, the mean still contains quiet readings: then it is that of the last ones.
 
         Args:
             measured: (k,) new readings (rad, m). Readings that are not finite are no evidence.
@@ -59,9 +67,17 @@ class ReadingNoise:
         readings[:-1] = readings[1:]
         readings[-1] = measured
         third = np.abs(readings[3] - readings[0] - 3.0 * (readings[2] - readings[1]))
-        change = self._share * (third - self._mean)
-        self._mean += np.where(np.isfinite(change), change, 0.0)
-        noise = self._mean / _THIRD
-        loud = noise > self._largest_expected
+        is_new = np.isfinite(third)
+        self._latest = np.where(is_new, np.vstack([self._latest[1:], third]), self._latest)
+        most = _OUTLIER * np.maximum(_THIRD * self._largest_expected, self._mean)
+        change = self._share * (np.minimum(third, most) - self._mean)
+        self._mean += np.where(is_new, change, 0.0)
+        loud = self._mean > _THIRD * self._largest_expected
+        begins = loud & ~self._loud
+        self.begins = bool(begins.any())
+        if self.begins:
+            latest = np.maximum(self._mean, self._latest.mean(axis=0))
+            self._mean = np.where(begins, latest, self._mean)
+        self._loud = loud
         self.is_loud = bool(loud.any())
-        return np.where(loud, noise, self.expected)
+        return np.where(loud, self._mean / _THIRD, self.expected)

@@ -26,9 +26,11 @@ filtering, IEEE Trans. Automatic Control 14, 1969).
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +42,9 @@ _CHANGES = (
     1.0  #: time in which c may change by `_DOUBT`, for example if a joint begins to stick (s)
 )
 _MOST = 1.5  #: largest share c, of a joint whose links or rotors are modelled too heavy
+_REVISED = (
+    0.02  #: s of readings that are estimated again when their noise is found to be another one
+)
 _EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
 
 
@@ -131,6 +136,10 @@ class VelocityEstimate:
         self._by_share = np.zeros((3, len(self.alpha)))
         self._gains = self._scaled_gains()
         self._design: Design | None = None
+        #: states before each of the last updates, and the arguments of these
+        self._past: deque[tuple[tuple[Any, ...], tuple[Any, ...]]] = deque(
+            maxlen=max(round(_REVISED / self.dt), 1)
+        )
         self._learns = bool(np.isfinite(self.scatter).all())
 
     @classmethod
@@ -199,13 +208,16 @@ class VelocityEstimate:
         estimate._design = design
         return estimate
 
-    def expect_noise(self, noise: Array) -> None:
+    def expect_noise(self, noise: Array, revises: bool = False) -> None:
         """Change the gains to those that `optimal` or `learning` have for another noise.
 
-        Position, velocity, unknown acceleration and share continue without a jump.
+        Position, velocity, unknown acceleration and share continue without a jump, unless the last
+        readings have had this noise already: the speeds that larger gains had made of it would
+        decay with the time constant of the new ones. These readings are estimated again then.
 
         Args:
             noise: (k,) rms noise of the readings (m, rad).
+            revises: whether readings of the last `_REVISED` are estimated again.
 
         Raises:
             InvalidInputError: the estimate was made from gains.
@@ -218,6 +230,20 @@ class VelocityEstimate:
         self.alpha, self.beta, self.gamma = self._design(noise)
         self.scatter = _scatter(noise, self.alpha)
         self._gains = self._scaled_gains()
+        if revises and self._past:
+            past = list(self._past)
+            self._past.clear()
+            self._continue_from(past[0][0])
+            for _, arguments in past:
+                self.update(*arguments)
+
+    def _state(self) -> tuple[Any, ...]:
+        """Everything that an update changes."""
+        return (self.x, self.v, self.unknown, self.share, self._variance, self._by_share)
+
+    def _continue_from(self, state: tuple[Any, ...]) -> None:
+        """Return to a state of `_state`."""
+        self.x, self.v, self.unknown, self.share, self._variance, self._by_share = state
 
     def _scaled_gains(self) -> Array:
         """Gains (3, k) of position, velocity (1/s) and unknown acceleration (1/s²)."""
@@ -258,14 +284,18 @@ class VelocityEstimate:
         """Advance the estimate by one period; return position and velocity, (k,) each.
 
         Args:
-            measured: (k,) positions (m, rad); channels that are not finite are only predicted.
-            acceleration: (k,) known acceleration over the period that ends now (m/s², rad/s²).
+            measured: (k,) positions (m, rad); channels that are not finite are only predicted. It
+                must not be changed later.
+            acceleration: (k,) known acceleration over the period that ends now (m/s², rad/s²); it
+                must not be changed later.
             fresh: False if the reading is an old one (slower sensor, lost sample): all channels
                 are only predicted.
         """
         if self.x is None:
             self.x = np.array(measured, dtype=float)
             return (self.x, self.v)
+        if self._design is not None:
+            self._past.append((self._state(), (measured, acceleration, fresh)))
         # prediction by the known share of the acceleration and the unknown one
         total = self.share * acceleration + self.unknown
         self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * total

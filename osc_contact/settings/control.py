@@ -207,8 +207,8 @@ class SafetySettings(OrderedSpec):
     """speed that a joint may be commanded to gain, by more torque than friction, while its encoder
     repeats one reading, as a share of its speed limit; more stops the arms"""
     frozen_time: TimeLimit = 0.25
-    """time of identical readings of a wrist in contact, or of all noisy sensors, that stops the
-    arms"""
+    """time of identical readings of a wrist in contact, of one of its forces or torques, or of all
+    noisy sensors, that stops the arms"""
     speed_error: Limit = 0.1
     """difference between speeds and changes of the positions, low-passed with 20 ms, that stops the
     arms, as a share of a joint's speed limit"""

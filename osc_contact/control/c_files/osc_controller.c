@@ -346,7 +346,7 @@ int osc_tick(osc_controller *c, const osc_measurement *m, const osc_reference *r
     if (c->dimensions.arms > 2 && r->squeeze_d.count) switches |= COMMANDED;
     if (m->touched.count) switches |= MOVING;
     if (m->repeated) set_whole(c->memory, MEMORY_repeated, m->repeated);
-    if (m->estimated) set_whole(c->memory, MEMORY_derived, 1);
+    if (m->estimated) set_whole(c->memory, MEMORY_derived, m->estimated == NOISY ? NOISY : 1);
     if (m->wrench_missing) set_whole(c->memory, MEMORY_wrench_missing, 1);
     if (m->wrench_age >= 0) {
         if (!whole(c->memory, MEMORY_stamped))

@@ -4,7 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { MEMORY = 1, TOUCHED = 2, WRENCH_MISSING = 4, ESTIMATED = 8, SQUEEZE = 16, ACTIVE = 32, REPEATED = 6 };
+enum { MEMORY = 1, TOUCHED = 2, WRENCH_MISSING = 4, ESTIMATED = 8, SQUEEZE = 16, ACTIVE = 32,
+       NOISY = 64, REPEATED = 7 };
 
 static void fail(const char *what, const char *why) {
     fprintf(stderr, "%s: %s\n", what, why);
@@ -79,7 +80,7 @@ recorded_tick next_tick(recording *tape, osc_controller *c) {
     t.m.touched = take_numbers(tape, flags & TOUCHED ? 28 * n->contacts : 0);
     t.r.active = take_numbers(tape, flags & ACTIVE ? n->contacts : 0);
     t.m.wrench_missing = (flags & WRENCH_MISSING) != 0;
-    t.m.estimated = (flags & ESTIMATED) != 0;
+    t.m.estimated = ((flags & ESTIMATED) != 0) + ((flags & NOISY) != 0);
     t.m.repeated = (int32_t)(flags >> REPEATED);
     t.torques = take(tape, 8 * n->motors);
     if (t.memory != NULL) require(osc_set_memory(c, t.memory, tape->memory_bytes), "recording");

@@ -297,7 +297,8 @@ class ObservedRobot:
     Joint velocities are estimated from encoders, the motion of bodies from vision. Readings are
     extrapolated over the sensors' known delay. Ideal readings pass unchanged. Positions and
     velocities of dead encoders are NaN. Velocities from encoders that are far noisier than the
-    scenario says are estimated with the gains for their measured noise.
+    scenario says are estimated with the gains for their measured noise, or those with which a
+    stopped arm can still be held; the controller stops then.
 
     Attributes:
         robot: robot that measures.
@@ -346,6 +347,10 @@ class ObservedRobot:
             self._accepted = np.full(chain.nq, np.nan)
             self._missed = np.zeros(chain.nq)
             self._joints, error = joint_estimate(scenario, chain, measured_forces)
+            #: largest noise whose estimate is as fast as the hold of a stopped arm: √(σ_a/σ_n) = ω
+            unknown = encoder_errors(scenario, chain)[1]
+            rate = scenario.control.safety.hold_rate
+            self._most_expected = np.maximum(unknown / rate**2, error)
             self._noise = ReadingNoise(error, 1.0 / spec.encoder.rate)
             noise = _joint_errors(chain, spec.encoder, attrgetter("noise"))
             resolution = _joint_errors(chain, spec.encoder, attrgetter("resolution"))
@@ -401,7 +406,8 @@ class ObservedRobot:
             q, v = self._joints.update(np.where(dead, np.nan, q), self._acceleration, fresh)
             q = np.where(implausible | dead, np.nan, q + self._delay * v)
             v = np.where(dead, np.nan, v)  # only predicted
-            measurement = replace(measurement, q=q, v=v, estimated=True)
+            noisy = self._noise.is_loud
+            measurement = replace(measurement, q=q, v=v, estimated=True, noisy=noisy)
         if self.vision is not None and measurement.touched is not None:
             touched = self.vision.update(
                 self._ticks * self.dt,
@@ -418,6 +424,9 @@ class ObservedRobot:
     def _expect_noise(self, estimate: VelocityEstimate, q: Array) -> None:
         """Change the gains of the estimated velocities while encoders are noisier than expected.
 
+        When this is found of an encoder, its last readings were noisy, too. Estimates are not
+        slower than the hold of a stopped arm, which would oscillate.
+
         Args:
             estimate: of the joints.
             q: (n,) new readings (rad, m); NaN: implausible.
@@ -425,7 +434,9 @@ class ObservedRobot:
         was_loud = self._noise.is_loud
         noise = self._noise.update(q)
         if was_loud or self._noise.is_loud:
-            estimate.expect_noise(noise)
+            estimate.expect_noise(
+                np.minimum(noise, self._most_expected), revises=self._noise.begins
+            )
 
     def command(self, tau: Array, duration: float) -> None:
         """Command the robot, and store the joint accelerations that the next estimate expects.

@@ -23,8 +23,8 @@ from osc_contact.spatial import Array
 
 MAGIC = b"OSCTAPE3"
 #: Flags of a tick, as in replay.c; bits from REPEATED on state which readings are repeated.
-MEMORY, TOUCHED, WRENCH_MISSING, ESTIMATED, SQUEEZE, ACTIVE = 1, 2, 4, 8, 16, 32
-REPEATED = 6
+MEMORY, TOUCHED, WRENCH_MISSING, ESTIMATED, SQUEEZE, ACTIVE, NOISY = 1, 2, 4, 8, 16, 32, 64
+REPEATED = 7
 
 
 class Tape:
@@ -89,6 +89,7 @@ class Tape:
             TOUCHED: measurement.touched is not None,
             WRENCH_MISSING: is_wrench_missing,
             ESTIMATED: measurement.estimated,
+            NOISY: measurement.estimated and measurement.noisy,
             SQUEEZE: has_squeeze,
             ACTIVE: reference.active is not None,
         }
