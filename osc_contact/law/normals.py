@@ -96,8 +96,7 @@ def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
     Args:
         t: Tick.
         pair: PAIR row with one column, whose N, `turn` and `drift` are filled.
-        X_WO: (4, 4) pose of the object.
-        X_WE: (4, 4) pose of the touched body.
+        X_WO, X_WE: (4, 4) poses of the object and of the touched body.
         V_rel: (6,) measured twist of the object relative to the body, at O.
         V_goal: (6,) desired twist of the object relative to the body, at O.
     """
