@@ -41,3 +41,11 @@ def test_a_hole_at_its_modelled_place_is_entered_without_a_search():
     tried = try_inserting("ours", "peg_round_16", 0.0, 100)
     assert tried.inserted and tried.seated
     assert tried.time < 6.0 and tried.peak < 30.0
+
+
+def test_a_round_peg_finds_a_hole_that_is_2_mm_aside():
+    """On a spiral of the upright peg it hopped, turned in the fingers and passed over the hole."""
+    tried = try_inserting("ours", "peg_round_16", 2.0, 100)
+    assert tried.inserted and tried.seated
+    assert tried.time < 15.0 and tried.peak < 40.0
+    assert tried.slip < 0.5 and tried.turned < 2.0
