@@ -117,7 +117,6 @@ def hold_posture(t):
         share = _split_torques(t, model.arms[k], object_share, R, centre, weight)
         rate = rate_limit if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
         _take_share(t, model.arms[k], share, rate)
-    # at most at the rates `step` from the torques of the last tick
     slew(work.tau, memory.torques, work.step, memory.ticked != 0)
 
 
