@@ -24,6 +24,7 @@ import typer
 
 import osc_contact as osc
 from benchmarks.measuring import side_by_side
+from benchmarks.random_tasks import spring_wall
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.lab.plants.mujoco import MujocoPlant
 from osc_contact.lab.rig.rig import PLANTS, Rig
@@ -43,6 +44,8 @@ TWO_ARMS = {
 ROTORS = ("friction=1.0", "damping=2.0", "armature=0.1")
 #: Encoders (bit), noise of the wrists (N), the most that the error may be; 3 ms of delay.
 SENSORS = ((20, 0.05, 1.5), (16, 0.5, 3.0))
+
+SPRINGY = 5e4  #: N/m, of a wall that the controller takes for rigid
 
 
 def _stribeck(rig: Rig, seed: int) -> Any:
@@ -228,6 +231,15 @@ def _of_arm(arm: str) -> Iterable[tuple[str, float, tuple[str, ...]]]:
         )
         name = f"Stribeck 1 % {arm} {frequency:g} Hz, {'line' if moves == 1 else 'circle'}"
         yield (name, 5.0, (*slide(frequency, moves), *falling))
+    drafted = osc.load_scenario(_file(arm))
+    springy = (
+        *slide(0.3, 1),
+        *_joints(arm, ["friction=0", "armature=0.1"]),
+        "plant.type=stribeck",
+        "plant.joint_friction=0.015",
+        *spring_wall(drafted, SPRINGY),
+    )
+    yield (f"springy wall {arm}, Stribeck 1.5 %", 5.0, springy)
     for bits, newtons, most in SENSORS:
         name = f"noise {arm} {bits} bit, {newtons} N, 3 ms"
         yield (name, most, (*slide(), *rotors, *HALF, _noisy(bits, newtons)))

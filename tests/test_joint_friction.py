@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
-from law_calls import friction_estimate, joint_friction, records, write
+from law_calls import friction_estimate, friction_slope, joint_friction, records, write
 from numpy.linalg import inv, solve
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
@@ -365,6 +365,36 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         assert_near(tau[3] - tau[1], expected, atol=1e-9, rtol=1e-9)
 
 
+@parametrize("slides, viscous, least", [(0, 0.0, 0.0), (1, 0.0, 0.0), (0, 4.0, 0.0), (0, 0.0, 0.8)])
+def test_force_integrals_are_reduced_by_what_falling_friction_excites(slides, viscous, least):
+    """To κ less 12 κ_f: power of falling friction over twice the energy, along Λ_o⁻¹N."""
+    rng = default_rng(3)
+    t = records(1, 3, 1, 2, force_gain=30.0, force_brake=40.0, largest_cut=1.0 - least)
+    t.model.joints.motor = (0, 1, -1)
+    t.model.joints.slides = slides
+    A = rng.normal(size=(6, 6))
+    inertia = 50.0 * (A @ A.T + np.eye(6))
+    g = rng.normal(size=(3, 6))
+    N = rng.normal(size=(2, 6))
+    F, s = (vector(3.0, 2.0, 9.0), vector(0.0, -0.1, 0.02))
+    write(t.work, rank=2, Lambda=inertia, N_t=N)
+    t.work.joints.J_bar[:] = g
+    t.memory.joints.speed[:] = s
+    t.model.joints.theta[:, 0] = F
+    t.model.joints.theta[:, 1] = viscous
+    slow = 0.03 * (0.2 if slides else 1.0)
+    slopes = np.maximum(0.3 * F / np.hypot(s, slow) - viscous, 0.0)[:2]
+    excited = sum(slopes @ (g[:2] @ n) ** 2 / (n @ inertia @ n) for n in N)
+    excess = 30.0 + 12.0 * excited - 40.0
+    assert excess < 30.0
+    for tick in range(7):
+        t.memory.ticked = tick
+        friction_slope.limit_integrals(t)
+        whole_round = tick >= 3
+        cut = max(min(excess / 30.0, 1.0 - least), 0.0) if whole_round else 0.0
+        assert t.memory.integral_cut == approx(cut)
+
+
 @parametrize(
     "name",
     [
@@ -377,6 +407,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         "unknown ur10 2 % of the limit, to and fro at 0.2 Hz",
         "noise panda 20 bit, 0.05 N, 3 ms",
         "late wrist xarm7 10 ms",
+        "springy wall panda, Stribeck 1.5 %",
         "force step ur10 x0.5",
         "two arms two_contact_rod x1.5",
         "two arms dual_panda_rod x0",

@@ -259,6 +259,10 @@ def _pack_friction(settings: Settings, head: View) -> None:
     head.friction_errors = bool(friction.errors)
     head.friction_share = friction.share
     head.friction_smoothing = friction.smoothing
+    force = settings.gains.force
+    if force.brake > 0.0 and friction.brake_ratio > 0.0 and force.integral > 0.0:
+        least = force.brake / friction.brake_ratio  # K_i (1/s)
+        head.largest_cut = max(1.0 - least / force.integral, 0.0)
     limit = np.minimum(rows.tau_max, _UNLIMITED)
     largest = friction.most * limit
     priors = head.priors

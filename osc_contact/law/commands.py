@@ -151,7 +151,8 @@ def shape_steps(t, is_custom):
     Fills of the columns `goal` (N), `scale` (size of the force, N), `shaped`, `to_come` (a, b, c of
     w, N); of WORK `step_left` (remaining share of the rise time), `step_time` (s), and
     `integral_scale` (0 … 1), the factor of the integral gain, 0 while w is a large part of some
-    force. Contacts that unload, or that the user has just made active, do not reduce it.
+    force, and else 1 less `integral_cut` of MEMORY. Contacts that unload, or that the user has just
+    made active, do not reduce it.
 
     Args:
         t: Tick.
@@ -201,7 +202,7 @@ def shape_steps(t, is_custom):
             largest = max(largest, abs(w) / row.scale)
     work.step_left = 1.0 if is_sudden else remaining
     work.step_time = rise_time if is_sudden else last_time
-    work.integral_scale = max(1.0 - largest / _RESTS, 0.0)
+    work.integral_scale = (1.0 - memory.integral_cut) * max(1.0 - largest / _RESTS, 0.0)
 
 
 @leaf

@@ -511,7 +511,7 @@ def _compensation(t, j):
     row = t.memory.joints[j]
     last_friction = row.friction
     row.friction = believed_friction(t, j)
-    F, D, _ = _theta(t, j)
+    F, D, _ = compensated_theta(t, j)
     bound = F + D * abs(row.speed)
     if t.model.friction_errors:
         bound += _LINKS * abs(t.work.joints[j].h)
@@ -523,7 +523,7 @@ def _compensation(t, j):
 
 
 @leaf
-def _theta(t, j):
+def compensated_theta(t, j):
     """Return F, D and A of a joint: the identified ones, as far as phased in, or the model's.
 
     F is Coulomb friction, D viscous friction, A the inertia of the rotor beyond the model's; the
@@ -574,7 +574,7 @@ def believed_friction(t, j):
     row = t.memory.joints[j]
     friction = model_friction = _friction_along(row, t.model.joints[j].theta)
     if t.memory.friction_known[j] == LEARNED:
-        friction = _friction_along(row, _theta(t, j))
+        friction = _friction_along(row, compensated_theta(t, j))
         trusted = row.trusted[0] + row.trusted[1] * abs(row.speed) + row.trusted[2] * abs(row.turn)
         bound = t.model.wrist_error * t.model.joints[j].tau_max + trusted
         friction = min(max(friction, model_friction - bound), model_friction + bound)

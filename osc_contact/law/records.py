@@ -136,6 +136,7 @@ _MODEL = _record(
         # see `joint_friction`
         "friction_share",  # g, share of e that is compensated
         "friction_smoothing",  # K_d (1/s)
+        "largest_cut",  # largest share of K_i that is taken off, see `friction_slope`
         # limits of sensor checks, see `plausibility`, `sensors`, `agreement` and `safety`
         "force_range",  # N
         "torque_range",  # N m
@@ -337,6 +338,9 @@ _MEMORY = _record(
         "over_tip",
         "ceiling",  # ceiling that stopped the arms, and the value above it
         "reached",
+        # see `friction_slope`
+        "slope",  # 1/s, κ_f of the joints of this round so far
+        "integral_cut",  # share of the gains of force integrals that is taken off
     ),
     centre_speed=3,  # velocity of the object's centre in the last tick (m/s)
     centre_rate=3,  # its rate, low-passed (m/s²)

@@ -53,6 +53,7 @@ from osc_contact.law.commands import (
 )
 from osc_contact.law.contact import place_contacts, predict_friction
 from osc_contact.law.force_law import command_force, contact_laws, last_integral
+from osc_contact.law.friction_slope import limit_integrals
 from osc_contact.law.hopping import watch_hops
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.joint_friction import compensate_friction
@@ -519,6 +520,8 @@ def finish(t):
         return reason
     if model.rubs:
         compensate_friction(t)
+        if model.largest_cut > 0.0:
+            limit_integrals(t)
     internal_forces(t)
     excess, is_finite_result = limit_torques(t)
     # NaN if an integral is not finite
