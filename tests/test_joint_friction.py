@@ -1,5 +1,6 @@
 """Joint friction: what is learned, against least squares in NumPy; what it brings, in MuJoCo."""
 
+import pickle
 from functools import cache
 
 import numpy as np
@@ -365,34 +366,139 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         assert_near(tau[3] - tau[1], expected, atol=1e-9, rtol=1e-9)
 
 
-@parametrize("slides, viscous, least", [(0, 0.0, 0.0), (1, 0.0, 0.0), (0, 4.0, 0.0), (0, 0.0, 0.8)])
-def test_force_integrals_are_reduced_by_what_falling_friction_excites(slides, viscous, least):
+FALLING = {
+    "rotary": ({}, "part"),
+    "slides": ({"slides": 1, "mass": 20.0}, "part"),
+    "viscous": ({"viscous": 4.0, "mass": 2.0}, "part"),
+    "little": ({"mass": 50.0}, "nothing"),
+    "most": ({"brake_ratio": 1.4}, "most"),
+    "off": ({"brake_ratio": 0.0}, "nothing"),
+    "free": ({"rank": 0}, "nothing"),
+    "small brake": ({"force_brake": 20.0, "mass": 20.0}, "part"),
+    "small brake, no friction": ({"force_brake": 20.0, "dry": 0.0}, "nothing"),
+    "no brake": ({"force_brake": 0.0}, "nothing"),
+    "no force law": ({"force_gain": 0.0}, "nothing"),
+}
+
+
+@parametrize("name", FALLING)
+def test_force_integrals_are_reduced_by_what_falling_friction_excites(name):
     """To κ less 12 κ_f: power of falling friction over twice the energy, along Λ_o⁻¹N."""
+    changes, expected = FALLING[name]
+    case = {"slides": 0, "viscous": 0.0, "mass": 5.0, "dry": 1.0, "rank": 2, **changes}
+    gains = {"force_gain": 30.0, "force_brake": 40.0, "brake_ratio": 4.0}
+    gains = {key: case.get(key, value) for key, value in gains.items()}
     rng = default_rng(3)
-    t = records(1, 3, 1, 2, force_gain=30.0, force_brake=40.0, largest_cut=1.0 - least)
+    t = records(1, 3, 1, 2, rubs=1, **gains)
     t.model.joints.motor = (0, 1, -1)
-    t.model.joints.slides = slides
+    t.model.joints.slides = case["slides"]
     A = rng.normal(size=(6, 6))
-    inertia = 50.0 * (A @ A.T + np.eye(6))
+    inertia = case["mass"] * (A @ A.T + np.eye(6))
     g = rng.normal(size=(3, 6))
     N = rng.normal(size=(2, 6))
-    F, s = (vector(3.0, 2.0, 9.0), vector(0.0, -0.1, 0.02))
-    write(t.work, rank=2, Lambda=inertia, N_t=N)
+    F, s = (case["dry"] * vector(3.0, 2.0, 9.0), vector(0.01, -0.1, 0.02))
+    write(t.work, rank=case["rank"], Lambda=inertia, N_t=N)
     t.work.joints.J_bar[:] = g
     t.memory.joints.speed[:] = s
     t.model.joints.theta[:, 0] = F
-    t.model.joints.theta[:, 1] = viscous
-    slow = 0.03 * (0.2 if slides else 1.0)
-    slopes = np.maximum(0.3 * F / np.hypot(s, slow) - viscous, 0.0)[:2]
-    excited = sum(slopes @ (g[:2] @ n) ** 2 / (n @ inertia @ n) for n in N)
-    excess = 30.0 + 12.0 * excited - 40.0
-    assert excess < 30.0
+    t.model.joints.theta[:, 1] = case["viscous"]
+    slow = 0.03 * (0.2 if case["slides"] else 1.0)
+    slopes = np.maximum(0.3 * F * abs(s) / (s**2 + slow**2) - case["viscous"], 0.0)[:2]
+    excited = sum(slopes @ (g[:2] @ n) ** 2 / (n @ inertia @ n) for n in N[: case["rank"]])
+    K, brake, ratio = gains.values()
+    rule = {
+        "nothing": 0.0,
+        "most": 1.0 - brake / (ratio * K) if ratio * K else 0.0,
+        "part": (min(K, brake) - (brake - 12.0 * excited)) / K if K else 0.0,
+    }
+    if expected == "part":
+        assert 0.01 < rule["part"] < rule["most"]
+    t.memory.integral_cut = 0.9
     for tick in range(7):
         t.memory.ticked = tick
         friction_slope.limit_integrals(t)
-        whole_round = tick >= 3
-        cut = max(min(excess / 30.0, 1.0 - least), 0.0) if whole_round else 0.0
+        cut = rule[expected] if tick >= 3 else 0.0
         assert t.memory.integral_cut == approx(cut)
+    t.memory.slope = np.nan
+    for tick in (9, 10, 11, 12):
+        t.memory.ticked = tick
+        friction_slope.limit_integrals(t)
+        assert t.memory.integral_cut == approx(rule[expected] if tick == 12 else 0.0)
+    t.model.rubs = 0
+    friction_slope.limit_integrals(t)
+    assert t.memory.integral_cut == t.memory.slope == 0.0
+
+
+def sliding(contact, magnitudes, **settings):
+    """Controller of a Panda with dry joints, and what ticks of it get to move it along a face."""
+    chain = strong(panda(friction=20.0 * DRY))
+    state = chain.state(PANDA_Q, np.zeros(7))
+    X = state.X_WO
+    controller = osc.Controller(chain, [contact(X)], safety=UNLIMITED, **settings)
+    desired = osc.Reference(X, 0.1 * np.arange(6.0), np.zeros(6), magnitudes)
+    return (controller, unloaded(PANDA_Q, np.zeros(7)), desired)
+
+
+def corner_of(X):
+    """Corner of the object on a face normal to its axis z."""
+    p = vector(0.1, 0.02, 0.03)
+    return osc.VertexOnFace(p, X.act(p), X.rotation[:, 2])
+
+
+def peg_of(X):
+    """Cylinder along the object's axis z in a hole around it."""
+    p = vector(0.0, 0.0, 0.1)
+    return osc.CylinderInHole(p, [0.0, 0.0, 1.0], X.act(p), X.rotation[:, 2])
+
+
+def test_what_is_taken_off_force_integrals_follows_from_the_gains_of_each_tick():
+    """Gains of one mass have no brake: nothing is taken off, nor by a copy; nor after a reset."""
+    controller, *given = sliding(corner_of, vector(9.0), reading="filter")
+    for _ in range(15):
+        ticked(controller, *given)
+    reduced = controller.records.memory.integral_cut
+    assert reduced > 0.1
+    soft = controller.with_gains(osc.Gains(force=osc.ForceGains(integral=30, damping=100)))
+    copy = pickle.loads(pickle.dumps(soft))
+    for _ in range(15):
+        assert_array_equal(ticked(soft, *given), ticked(copy, *given))
+        assert soft.records.memory.integral_cut == copy.records.memory.integral_cut == 0.0
+    again = soft.with_gains(controller.gains)
+    for _ in range(15):
+        ticked(again, *given)
+    assert again.records.memory.integral_cut == approx(reduced)
+    assert again.records.memory.slope > 0.0
+    again.reset()
+    assert again.records.memory.integral_cut == again.records.memory.slope == 0.0
+
+
+@parametrize("pressed", [False, True])
+def test_holds_at_zero_force_keep_the_gain_that_has_its_own_margin(pressed):
+    """K_i/6 whatever friction excites; with a desired force K_i less what is taken off."""
+    force = osc.ForceGains(rise=0.0)
+    magnitudes = vector(0.0, 0.0, 0.0, 9.0 * pressed)
+    controller, *given = sliding(peg_of, magnitudes, gains=osc.Gains(force=force), reading="filter")
+    for _ in range(15):
+        ticked(controller, *given)
+    cut = float(controller.records.memory.integral_cut)
+    assert cut > 0.1
+    ticked(controller, *given)
+    gain = controller.records.work.gain[: controller.records.work.rank]
+    assert_near(gain, (1.0 - cut) * force.integral if pressed else force.hold_integral)
+
+
+def test_a_tick_that_fails_adds_nothing_to_the_slope_of_friction():
+    """Torques that are not finite: the joint of this tick is added by the next one."""
+    controller, *given = sliding(corner_of, vector(9.0), reading="filter")
+    for _ in range(9):
+        ticked(controller, *given)
+    memory = controller.records.memory
+    before = (memory.slope, memory.integral_cut)
+    memory.force_sum[0] = np.nan
+    controller.tick(*given)
+    assert controller.status is osc.Status.HELD
+    assert "torques are not finite" in controller.reason
+    assert (memory.slope, memory.integral_cut) == before
 
 
 @parametrize(

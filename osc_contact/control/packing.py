@@ -239,8 +239,8 @@ def _pack_joints(settings: Settings, head: View) -> None:
 def _pack_friction(settings: Settings, head: View) -> None:
     """Pack the joints' friction of the model, and the priors of its identification, into MODEL.
 
-    Fills `rubs`, the fields friction_… and `priors`, and `slip` and `theta` of the joints. theta
-    has F (N m), D (N m s/rad), A (kg m²), a bias and a mass error of each joint.
+    Fills `rubs`, the fields friction_…, `brake_ratio` and `priors`, and `slip` and `theta` of the
+    joints. theta has F (N m), D (N m s/rad), A (kg m²), a bias and a mass error of each joint.
 
     Args:
         settings: settings of the controller.
@@ -259,10 +259,7 @@ def _pack_friction(settings: Settings, head: View) -> None:
     head.friction_errors = bool(friction.errors)
     head.friction_share = friction.share
     head.friction_smoothing = friction.smoothing
-    force = settings.gains.force
-    if force.brake > 0.0 and friction.brake_ratio > 0.0 and force.integral > 0.0:
-        least = force.brake / friction.brake_ratio  # K_i (1/s)
-        head.largest_cut = max(1.0 - least / force.integral, 0.0)
+    head.brake_ratio = friction.brake_ratio
     limit = np.minimum(rows.tau_max, _UNLIMITED)
     largest = friction.most * limit
     priors = head.priors

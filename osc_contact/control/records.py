@@ -48,6 +48,8 @@ FORGOTTEN = (
     "over_wrist",
     "over_tip",
     "centre_rate",
+    "slope",
+    "integral_cut",
 )
 FORGOTTEN_TABLES: dict[str, tuple[str, ...]] = {
     "joints": (),

@@ -151,8 +151,7 @@ def shape_steps(t, is_custom):
     Fills of the columns `goal` (N), `scale` (size of the force, N), `shaped`, `to_come` (a, b, c of
     w, N); of WORK `step_left` (remaining share of the rise time), `step_time` (s), and
     `integral_scale` (0 … 1), the factor of the integral gain, 0 while w is a large part of some
-    force, and else 1 less `integral_cut` of MEMORY. Contacts that unload, or that the user has just
-    made active, do not reduce it.
+    force. Contacts that unload, or that the user has just made active, do not reduce it.
 
     Args:
         t: Tick.
@@ -202,7 +201,7 @@ def shape_steps(t, is_custom):
             largest = max(largest, abs(w) / row.scale)
     work.step_left = 1.0 if is_sudden else remaining
     work.step_time = rise_time if is_sudden else last_time
-    work.integral_scale = (1.0 - memory.integral_cut) * max(1.0 - largest / _RESTS, 0.0)
+    work.integral_scale = max(1.0 - largest / _RESTS, 0.0)
 
 
 @leaf
@@ -546,7 +545,7 @@ def keep_steps(t):
     its covariance are retained for the next contact with the same face. The lasting speed v̄
     (`drift`) is a low-pass of NᵀV_rel; of a contact that presses, of the part 1 − `slides` of it
     that is not attributed to an error of the normal. During a step (`integral_scale` = 0) neither
-    v̄ nor the turn of the normal changes.
+    v̄ nor the turn of the normal changes; `integral_cut` of MEMORY reduces both rates with K_i.
 
     Reads of the columns in WORK `here` (1 if in N), `goal` (N; of the column α_s, of the table
     α_d), `scale` (size of the force, N), `shaped`, `to_come` (part of the step that is still to
@@ -565,6 +564,7 @@ def keep_steps(t):
     t.memory.step_left = work.step_left
     t.memory.step_time = work.step_time
     _keep_squeeze(t)
+    scale = work.integral_scale * (1.0 - t.memory.integral_cut)
     for j in range(t.model.n_columns):
         row = t.memory.columns[j]
         column_work = work.columns[j]
@@ -580,13 +580,13 @@ def keep_steps(t):
         presses = column_work.shaped != 0 and work.alpha[j] > _PRESSES * work.goal[j] > 0.0
         # an approach shows no tilt of the face, so its whole speed counts as lasting
         lasting = work.speeds[j] * (1.0 - column_work.slides if presses else 1.0)
-        row.drift += work.integral_scale * t.model.drift_share * (lasting - row.drift)
-        normal_share = work.integral_scale * t.model.drift_share if presses else 0.0
+        row.drift += scale * t.model.drift_share * (lasting - row.drift)
+        normal_share = scale * t.model.drift_share if presses else 0.0
         learn_normal(normal_share, row, column_work)
         fill3(row.to_come, column_work.to_come)
         if presses:
             change = minus3(column_work.turned, row.turn)
-            fill3(row.turn, add3(row.turn, work.integral_scale, change))
+            fill3(row.turn, add3(row.turn, scale, change))
 
 
 @leaf

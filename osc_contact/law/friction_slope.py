@@ -5,30 +5,30 @@ any Stribeck speed v_s, a negative slope:
 
     F (1 − q (1 − exp(−(v/v_s)²))),   −slope = 2 q F v/v_s² exp(−(v/v_s)²) ≤ 2 q F/(e v).
 
-Its bound at the speed s of a joint is σ = 2 q F/(e √(s² + s_1²)) less the viscous friction D. A
-contact that moves along the column N moves the object by V = Λ_o⁻¹N per unit of its acceleration,
-and the joints by J̄V. Falling friction feeds this motion, with the inertia Λ_S of object and arms,
-at the rate
+At the speed s of a joint σ = 2 q F |s|/(e (s² + s_1²)) less the viscous friction D is taken, the
+bound at speeds beyond s_1. It is 0 at rest: friction damps joints whose speed changes its sign. The
+direction of the oscillation along the column N is V = Λ_o⁻¹N, an approximation of the contact mode;
+joints move by J̄V. Falling friction feeds this motion, with the inertia Λ_S of object and arms, at
+the rate
 
     κ_f = Σ σ (J̄V)²/(VᵀΛ_S V),
 
 so that the brake κ leaves a damping of κ − κ_f. On every spring the contact decays if and only if
 this exceeds the gain K_i of the force integral (Routh, docs/tuning.md). A larger κ would return
-more noise of the encoders, and raises the frequency below which v̄ leaves contacts undamped. So K_i
-is reduced to κ − `_MARGIN` κ_f, to a least share of κ, and the rate of v̄ with it.
+more noise of the encoders, and raise the frequency below which v̄ leaves contacts undamped. So K_i
+is reduced to κ − `_MARGIN` κ_f, to a least share of κ, and the rate of v̄ with it. `_MARGIN` was
+chosen by measurement.
 """
 
 from __future__ import annotations
-
-from math import sqrt
 
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.joint_friction import SLIDES, compensated_theta
 from osc_contact.law.vectors import dot6, fill_free
 
 _FALL = 0.3  #: 2 q/e: friction falls by the share q = 0.4
-_SLOW = 0.03  #: s_1 (rad/s), speed of an oscillation of joints that do not move else
-_MARGIN = 12.0  #: multiple of κ_f; modelled masses may lack rotors, speeds come late
+_SLOW = 0.03  #: s_1 (rad/s), speed of the oscillation, below which a joint's speed changes its sign
+_MARGIN = 12.0  #: multiple of κ_f, chosen by measurement: masses may lack rotors, speeds come late
 
 
 @inner
@@ -36,17 +36,34 @@ def limit_integrals(t):
     """Update the share by which gains of force integrals are reduced (`integral_cut` of MEMORY).
 
     Each tick adds one joint to κ_f (`slope` of MEMORY, 1/s). After a round through all joints the
-    share leaves K_i at κ less `_MARGIN` κ_f; it is at most `largest_cut`.
+    share leaves K_i at κ less `_MARGIN` κ_f, where κ_f is what makes K_i too large: without it the
+    share is 0 also where κ < K_i. K_i keeps at least κ divided by `brake_ratio`. Where no friction
+    is compensated, or K_i, κ or `brake_ratio` is 0, the share is 0.
 
     Args:
-        t: Tick whose friction has been compensated.
+        t: Tick whose friction has been compensated, and whose torques are finite.
     """
     memory = t.memory
-    j = memory.ticked % t.model.n_joints
+    model = t.model
+    largest = 0.0
+    if (
+        model.rubs
+        and model.brake_ratio > 0.0
+        and model.force_brake > 0.0
+        and model.force_gain > 0.0
+    ):
+        largest = max(1.0 - model.force_brake / (model.brake_ratio * model.force_gain), 0.0)
+    if largest == 0.0:
+        memory.integral_cut = 0.0
+        memory.slope = 0.0
+        return
+    j = memory.ticked % model.n_joints
     if j == 0:
-        excess = t.model.force_gain + _MARGIN * memory.slope - t.model.force_brake
-        cut = min(excess / t.model.force_gain, t.model.largest_cut)
-        memory.integral_cut = max(cut, 0.0)
+        if not memory.slope >= 0.0:  # NaN does not last
+            memory.slope = 0.0
+        added = _MARGIN * memory.slope
+        excess = max(model.force_gain + added - model.force_brake, 0.0)
+        memory.integral_cut = min(min(excess, added) / model.force_gain, largest)
         memory.slope = 0.0
     _add_joint(t, j)
 
@@ -55,8 +72,8 @@ def limit_integrals(t):
 def _add_joint(t, j):
     """Add the part of joint j to the sum κ_f of this round (`slope` of MEMORY, 1/s).
 
-    Of several columns the parts are added, which is a bound. Reads F and D that are compensated,
-    the permitted `speed` s and J̄ of the joint, and the columns N_t, where V = N.
+    Of several columns the parts are added. Reads F and D that are compensated, the permitted
+    `speed` s and J̄ of the joint, and the columns N_t, where V = N.
 
     Args:
         t: Tick.
@@ -70,7 +87,7 @@ def _add_joint(t, j):
         return
     slow = _SLOW * (SLIDES if t.model.joints[j].slides else 1.0)
     s = t.memory.joints[j].speed
-    slope = _FALL * F / sqrt(s * s + slow * slow) - D
+    slope = _FALL * F * abs(s) / (s * s + slow * slow) - D
     if slope <= 0.0:
         return
     g = local(6)

@@ -136,7 +136,7 @@ _MODEL = _record(
         # see `joint_friction`
         "friction_share",  # g, share of e that is compensated
         "friction_smoothing",  # K_d (1/s)
-        "largest_cut",  # largest share of K_i that is taken off, see `friction_slope`
+        "brake_ratio",  # largest ratio κ/K_i to which K_i may be reduced, see `friction_slope`
         # limits of sensor checks, see `plausibility`, `sensors`, `agreement` and `safety`
         "force_range",  # N
         "torque_range",  # N m

@@ -46,6 +46,7 @@ from osc_contact.law.command_filter import (
 from osc_contact.law.commands import (
     brake_contacts,
     command_motion,
+    holds_at_zero,
     keep_steps,
     pose_error,
     shape_squeeze,
@@ -321,10 +322,11 @@ def measure(t):
 def set_desired_forces(t, flags):
     """Compute the desired forces of the kept columns from the goals of all columns.
 
-    Steps are shaped and oscillating contacts braked, except with a force law of the user. Fills
-    `alpha_d` (r,) and `felt` (r,), the measured force that the integral compares with it (of an
-    approaching contact the force K_a NᵀV_rel of its speed law); changes `gain` (K_i, 1/s), `brake`
-    (m/s²) and `damping` (K_v, N s/m). Reads `goal` (N) and `share` (r,; magnitudes of the kept
+    Steps are shaped and oscillating contacts braked, except with a force law of the user. Gains are
+    reduced by `integral_cut` of MEMORY, except those of holds at zero force. Fills `alpha_d` (r,)
+    and `felt` (r,), the measured force that the integral compares with it (of an approaching
+    contact the force K_a NᵀV_rel of its speed law); changes `gain` (K_i, 1/s), `brake` (m/s²) and
+    `damping` (K_v, N s/m). Reads `goal` (N) and `share` (r,; magnitudes of the kept
     columns with the same wrench) of the active columns, and `alpha_meas` (r,; N).
 
     Args:
@@ -345,6 +347,8 @@ def set_desired_forces(t, flags):
             s += column.share[a] * column.goal
         work.alpha_d[a] = s
         work.gain[a] *= work.integral_scale
+        if not holds_at_zero(t, work.kept[a]):  # its gains have their own margin
+            work.gain[a] *= 1.0 - t.memory.integral_cut
         work.brake[a] = 0.0 if users_own else work.brake[a]
         is_approached = contact_of(t, work.kept[a]).phase == phases.APPROACHING
         work.felt[a] = work.alpha_meas[a]
@@ -520,14 +524,13 @@ def finish(t):
         return reason
     if model.rubs:
         compensate_friction(t)
-        if model.largest_cut > 0.0:
-            limit_integrals(t)
     internal_forces(t)
     excess, is_finite_result = limit_torques(t)
     # NaN if an integral is not finite
     s = finiteness(work.motion_next, 6) + finiteness(work.force_next, work.rank)
     if not (is_finite_result and isfinite(s)):
         return NOT_FINITE
+    limit_integrals(t)
     if excess:  # a motor limit was reached
         work.status = SATURATED
     elif work.n_lost > 0:

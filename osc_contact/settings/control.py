@@ -333,7 +333,7 @@ class JointFriction(OrderedSpec):
     smoothing: Annotated[PositiveNumber, "1/s"] = 70.0
     """rate K_d of that observer"""
     brake_ratio: NotNegativeNumber = 4.0
-    """ratio of brake and integral gain, κ/K_i, up to which K_i is reduced where
+    """largest ratio κ/K_i to which K_i may be reduced where
     [friction of the joints can excite contacts](tuning.md#why); 0: K_i stays"""
     most: Annotated[Number, Field(gt=0, le=1)] = 0.3
     """largest friction that is identified and compensated, as a share of a motor's torque limit"""
