@@ -165,7 +165,16 @@ class Measurement:
             sequence: number of the packet; None: packets are not numbered.
             estimated: True if v was estimated from q.
             noisy: True if encoders are found to be far noisier than v was estimated for.
+
+        Raises:
+            InvalidInputError: `noisy` without `estimated`.
         """
+        if noisy and not estimated:
+            raise InvalidInputError(
+                "noisy = True needs estimated = True: it states that speeds v were estimated from "
+                "encoders that are too noisy; v that was read does not depend on them. Set "
+                "estimated = True if v was estimated from q, else leave noisy out"
+            )
         self.__dict__.update(
             q=_readable(q),
             v=_readable(v),

@@ -24,7 +24,7 @@ from osc_contact.law.ceilings import (
     WRIST_ABOVE_CEILING,
 )
 from osc_contact.law.reasons import NO_REASON
-from osc_contact.law.records import views
+from osc_contact.law.records import WRISTS, views
 from osc_contact.loop.reference_rules import speed_ceiling
 from osc_contact.settings.control import HEADROOM, LEAST_CEILING
 
@@ -313,18 +313,57 @@ def test_actions_that_could_be_above_a_given_ceiling_are_refused():
         )
 
 
+def one_arm(columns=3, rank=0, n_arms=1):
+    """The first of the arms alone; no column of N is kept."""
+    arms = Arms()
+    write(arms.t.model, n_arms=n_arms, n_columns=columns)
+    arms.t.work.rank = rank
+    return arms
+
+
 def test_a_wrist_of_a_free_arm_has_little_time_above_its_ceiling():
-    """With an active contact, or without contacts in the model, it has all of `ceiling_time`."""
-    for columns, rank, reason, ticks in (
-        (3, 0, FREE_WRIST_ABOVE_CEILING, 3),
-        (3, 2, WRIST_ABOVE_CEILING, 21),
-        (0, 0, WRIST_ABOVE_CEILING, 21),
+    """With an active contact, without contacts in the model, or with another arm: `ceiling_time`.
+
+    Two arms also bear what they squeeze, and what errors of their closed chain press.
+    """
+    for setup, reason, ticks in (
+        ((3, 0, 1), FREE_WRIST_ABOVE_CEILING, 3),
+        ((3, 2, 1), WRIST_ABOVE_CEILING, 21),
+        ((0, 0, 1), WRIST_ABOVE_CEILING, 21),
+        ((3, 0, 2), WRIST_ABOVE_CEILING, 21),
     ):
-        arms = Arms()
-        arms.t.model.n_columns = columns
-        arms.t.work.rank = rank
-        assert arms.ticks_until(reason, net=60.1) == ticks
-        assert Arms().ticks_until(reason, net=59.9) == 0
+        assert one_arm(*setup).ticks_until(reason, net=60.1) == ticks
+        assert one_arm(*setup).ticks_until(reason, net=59.9) == 0
+
+
+def test_the_force_of_a_contact_that_ends_is_not_that_of_a_free_wrist():
+    """Until it leaves N it has `ceiling_time`; from then on 2.5 ms, as often as it leaves."""
+    arms = one_arm(rank=2)
+    for _ in range(2):
+        arms.t.work.rank = 2
+        assert {arms.tick(net=90.0) for _ in range(8)} == {NO_REASON}
+        arms.t.work.rank = 0
+        assert {arms.tick(net=90.0) for _ in range(2)} == {NO_REASON}
+    assert arms.tick(net=90.0) == WRIST_ABOVE_CEILING, "of 20 ms above it"
+    arms = one_arm(rank=2)
+    assert {arms.tick(net=90.0) for _ in range(8)} == {NO_REASON}
+    arms.t.work.rank = 0
+    assert arms.ticks_until(FREE_WRIST_ABOVE_CEILING, net=90.0) == 3
+
+
+@parametrize("lost", [1, 2])
+def test_a_single_reading_of_a_free_wrist_stops_no_arm(lost):
+    """Nor does one after lost ticks, or one that repeats itself."""
+    arms = one_arm()
+    arms.t.work.dt = DT * (1 + lost)
+    assert arms.tick(net=90.0) == NO_REASON
+    arms.t.work.dt = DT
+    assert arms.tick() == NO_REASON
+    assert arms.tick(net=90.0) == NO_REASON
+    arms.memory.repeated = WRISTS
+    assert {arms.tick(net=90.0) for _ in range(4)} == {NO_REASON}
+    arms.memory.repeated = 0
+    assert [arms.tick(net=90.0) for _ in range(2)] == [NO_REASON, FREE_WRIST_ABOVE_CEILING]
 
 
 @parametrize("speed", [0.015, 0.05])

@@ -499,6 +499,33 @@ def test_a_number_of_a_wrist_that_ends_to_change_is_at_the_end_of_its_range(axis
         assert sensors.tick(wrench=wrench(k, float(max(k, 100)))) == NO_REASON
 
 
+def saturating(sensors, most=60):
+    """Ticks until a number of the wrist that repeats stops the arms."""
+    for k in range(1, most):
+        moving = np.full((1, 6), float(sensors.count))
+        moving[0, 2] = 3.0
+        if sensors.tick(wrench=moving) != NO_REASON:
+            return k
+    return 0
+
+
+def test_a_wrist_at_the_end_of_its_range_is_found_as_soon_after_a_reset():
+    """Also after a long run: its readings are observed anew, not with the time of those before."""
+    sensors = Sensors()
+    assert saturating(sensors) == 12
+    for name in sensors.memory.arms.dtype.names:  # as `Controller.reset` does
+        sensors.memory.arms[name] = 0
+    sensors.memory.ticked = 5000
+    assert saturating(sensors) == 11
+
+
+def test_a_number_that_repeats_in_the_air_is_no_evidence_at_the_first_contact():
+    sensors = Sensors(force_rank=0)
+    assert saturating(sensors) == 0
+    sensors.memory.force_rank = 1
+    assert saturating(sensors) == 11
+
+
 STILL = {"wrench": np.ones((1, 6)), "q": np.ones(2), "v": (0.0, 0.0)}
 
 
@@ -721,6 +748,17 @@ def test_noisy_encoders_do_not_contradict_speeds_that_are_estimated_from_them(la
     write(sensors.memory, state=at.SAFE_STOP, cause=DISAGREE, age=late / DT, derived=at.NOISY)
     assert sensors.until(v=(9.0, 0.0), true=(0.3, -0.4), most=30) == (0, NO_REASON)
     assert_array_equal(sensors.joints.faulty, marks if late else 0)
+
+
+@parametrize("j", [0, 1])
+def test_marks_of_a_constant_position_stay_where_encoders_are_noisy(j):
+    sensors = Sensors()
+    sensors.until(most=20)
+    sensors.joints.faulty[:] = 3
+    sensors.joints.stuck[j] = 1
+    write(sensors.memory, state=at.SAFE_STOP, cause=DISAGREE, age=1, derived=at.NOISY)
+    sensors.tick()
+    assert_array_equal(sensors.joints.faulty, [3 * (i == j) for i in range(2)])
 
 
 def test_joints_that_pass_one_another_are_not_exchanged():

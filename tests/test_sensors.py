@@ -425,11 +425,34 @@ def test_noise_far_beyond_the_expected_one_is_measured(noise):
     assert first_loud < 200.0 * 2e-4 / noise
 
 
-def test_noise_that_begins_is_announced_and_measured_by_the_last_readings():
+def test_speeds_that_were_read_do_not_depend_on_noisy_encoders():
+    given = (np.zeros(3), np.zeros(3), np.zeros((2, 6)))
+    with invalid_input("noisy = True needs estimated = True.*leave noisy out"):
+        Measurement(*given, noisy=True)
+    assert Measurement(*given, estimated=True, noisy=True).noisy
+
+
+@parametrize("expected", [2e-5, 1e-3])
+@parametrize("rate", [100.0, 250.0, 500.0, 1000.0])
+def test_one_wrong_reading_or_one_jump_is_no_noise_at_any_rate(rate, expected):
+    """Beside the expected noise; nor are two of them 0.2 s, and 40 readings, apart."""
+    noise = expected * default_rng(1).standard_normal((500, 20))
+    apart = max(40, round(0.2 * rate))
+    for size in (0.005, 0.02, 0.1, 3.0, 1e3):
+        for change in (slice(200, 201), slice(200, None), slice(200, 201 + apart, apart)):
+            sensors = ReadingNoise(np.full(20, expected), 1.0 / rate)
+            readings = noise.copy()
+            readings[change] += size
+            for reading in readings:
+                assert (sensors.update(reading) == expected).all()
+
+
+@parametrize("rate", [100.0, 250.0, 500.0, 1000.0])
+def test_noise_that_begins_is_announced_and_measured_by_the_last_readings(rate):
     """The mean still contains the quiet readings before it. One wrong reading is no noise."""
     first_measures = []
     for seed in range(20):
-        sensors = ReadingNoise(vector(2e-5), DT)
+        sensors = ReadingNoise(vector(2e-5), 1.0 / rate)
         rng = default_rng(seed)
         x = np.concatenate([2e-5 * rng.standard_normal(300), 5e-3 * rng.standard_normal(100)])
         x[100] += 0.02  # one wrong reading

@@ -155,7 +155,7 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             *_ticks("wrench_age", "old_joints", "old_wrists", "balanced", "instant", "stamped"),
             *_flags("fresh", "engaged", "hand_over", "wrench_missing", "has_wrench"),
             f"0 <= settled <= {at.SETTLED}",
-            "0 <= derived <= 2",
+            f"0 <= derived <= {at.NOISY}",
             *_flags("compared", "above", "chosen_set", "by_column"),
             *_REASON,
             f"0 <= cause <= {max(CODES.values())}",

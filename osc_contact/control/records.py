@@ -46,6 +46,7 @@ FORGOTTEN = (
     "force_sum",
     "over_contact",
     "over_wrist",
+    "over_free",
     "over_tip",
     "centre_rate",
     "slope",

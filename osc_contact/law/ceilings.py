@@ -6,9 +6,11 @@ of the bodies outboard of it and of the arm's share of the object; that of a tip
 If the largest commands are not known in advance, ceilings of forces rise with them: they are
 `contact_headroom` or `wrist_headroom` times the largest command so far.
 
-A wrist of a controller with contacts of which none is active bears nothing but weight and inertia.
-Above its ceiling it has met a body where the model has none; an arm that moves on presses harder
-with each millisecond, and is stopped after `SURE`.
+The wrist of a single arm with contacts of which none is active bears nothing but weight and
+inertia. Above its ceiling it has met a body where the model has none, or a contact was released
+that still presses; an arm that moves on presses harder with each millisecond, and is stopped after
+`SURE`. Several arms have all of `ceiling_time`: they also bear what they squeeze, and what errors
+of their closed chain press.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from osc_contact.law.jit import inner, leaf
 from osc_contact.law.joint_friction import LAG
 from osc_contact.law.phases import SURE, collect
 from osc_contact.law.reasons import NO_REASON, declare_reason
+from osc_contact.law.records import WRISTS
 from osc_contact.law.vectors import (
     add3,
     dot3,
@@ -45,9 +48,9 @@ WRIST_ABOVE_CEILING = declare_reason(
 FREE_WRIST_ABOVE_CEILING = declare_reason(
     "FREE_WRIST_ABOVE_CEILING",
     73,
-    "the wrist of arm '{arm}' bears {reached:.3g} N beside weight and inertia though no contact is "
-    "active, above the ceiling of {ceiling:.4g} N (wrist_ceiling): it met something that the model "
-    "does not have there",
+    "the wrist of arm '{arm}' bears {reached:.3g} N beside weight and inertia while no contact is "
+    "active, above the ceiling of {ceiling:.4g} N (wrist_ceiling): a body that the model does not "
+    "have there, or a contact that was released too early",
 )
 TIP_ABOVE_CEILING = declare_reason(
     "TIP_ABOVE_CEILING",
@@ -62,13 +65,14 @@ def watch_ceilings(t):
     """Return a reason if a contact, a wrist or a tip has been above its ceiling for too long.
 
     A ceiling is an absolute limit of a contact force or wrist force (N), or of the speed of a tip
-    (m/s); too long is more than `ceiling_time` (s), of a wrist more than `SURE` (s) while no
-    contact is active. Time below a ceiling is subtracted from the time above it, as for the limits
-    of `safety`. If wrists were not read in this tick, their time does not change. Updates in MEMORY
-    `over_contact`, `over_wrist`, `over_tip` (s) and the largest commands `largest_force`,
-    `largest_sum` (N); fills `culprit` (column or arm concerned), `reached` and `ceiling` (N, m/s).
-    A ceiling of force is `contact_ceiling` or `wrist_ceiling` (N), at least the headroom times the
-    largest command so far.
+    (m/s); too long is more than `ceiling_time` (s), of the wrist of a single arm more than `SURE`
+    (s) while no contact is active (`_is_pressed_while_free`). Time below a ceiling is subtracted
+    from the time above it, as for the limits of `safety`. If wrists were not read in this tick,
+    their time does not change. Updates in MEMORY `over_contact`, `over_wrist`, `over_free`,
+    `over_tip` (s) and the largest commands `largest_force`, `largest_sum` (N); fills `culprit`
+    (column or arm concerned), `reached` and `ceiling` (N, m/s). A ceiling of force is
+    `contact_ceiling` or `wrist_ceiling` (N), at least the headroom times the largest command so
+    far.
 
     Args:
         t: Tick after `command`.
@@ -92,14 +96,36 @@ def watch_ceilings(t):
         memory.over_wrist = collect(memory.over_wrist, t.work.dt, force > ceiling)
         if force > ceiling and memory.over_wrist > model.ceiling_time:
             return _stop(memory, WRIST_ABOVE_CEILING, arm, force, ceiling)
-        free = model.n_columns > 0 and t.work.rank == 0
-        if free and force > ceiling and memory.over_wrist > max(SURE, 1.5 * model.period):
+        if _is_pressed_while_free(t, force > ceiling):
             return _stop(memory, FREE_WRIST_ABOVE_CEILING, arm, force, ceiling)
     arm, speed = _fastest_tip(t)
     memory.over_tip = collect(memory.over_tip, t.work.dt, speed > model.speed_ceiling)
     if speed > model.speed_ceiling and memory.over_tip > model.ceiling_time:
         return _stop(memory, TIP_ABOVE_CEILING, arm, speed, model.speed_ceiling)
     return NO_REASON
+
+
+@leaf
+def _is_pressed_while_free(t, is_above):
+    """Test whether the wrist of a single free arm has been above its ceiling for more than `SURE`.
+
+    Only new readings of the time without an active contact count, each for one period at most:
+    forces of a contact that ends are no evidence, and after lost ticks a single reading is not
+    enough.
+
+    Args:
+        t: Tick, of which `over_free` of MEMORY (s) is updated.
+        is_above: whether the wrist is above its ceiling in this tick.
+    """
+    model = t.model
+    memory = t.memory
+    is_free = model.n_arms == 1 and model.n_columns > 0 and t.work.rank == 0
+    if memory.repeated & WRISTS == 0:
+        dt = min(t.work.dt, model.period)
+        memory.over_free = collect(memory.over_free, dt, is_above)
+    if not is_free:
+        memory.over_free = 0.0
+    return is_above and memory.over_free > max(SURE, 1.5 * model.period)
 
 
 @leaf

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from osc_contact.law.agreement import APART, HEAVY, UNBALANCED_TIME, weight_share
 from osc_contact.law.ceilings import carried_force
-from osc_contact.law.jit import inner
+from osc_contact.law.jit import inner, leaf
 from osc_contact.law.records import FAULTY_POSITION, FAULTY_SPEED, SAFE_STOP
 from osc_contact.law.vectors import angular, clamped, dot3, dot6, join, minus3
 
@@ -43,9 +43,8 @@ def isolate_joint(t, j):
     """
     joint_memory = t.memory.joints
     joint = joint_memory[j]
-    distance = _DISTANCE * t.model.position_drift  # rad, m
-    position_constant = abs(joint.due) > distance or joint.stuck != 0
-    has_changed = position_constant or abs(joint.moved) > distance
+    position_constant = is_constant(t, joint)
+    has_changed = position_constant or abs(joint.moved) > _DISTANCE * t.model.position_drift
     speed_constant = joint.same_speed > DEAD and has_changed
     if position_constant:
         joint.faulty |= FAULTY_POSITION
@@ -61,6 +60,17 @@ def isolate_joint(t, j):
                     joint_memory[i].faulty = FAULTY_SPEED
         else:
             joint.faulty = FAULTY_POSITION
+
+
+@leaf
+def is_constant(t, joint):
+    """Test whether the position of a joint is constant although the joint must have moved.
+
+    Args:
+        t: Tick.
+        joint: JOINT_MEMORY, of which `due` (rad, m) and `stuck` are read.
+    """
+    return abs(joint.due) > _DISTANCE * t.model.position_drift or joint.stuck != 0
 
 
 @inner

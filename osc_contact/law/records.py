@@ -335,6 +335,7 @@ _MEMORY = _record(
         "largest_sum",  # N, largest sum of commands so far
         "over_contact",  # s above the ceiling of contacts
         "over_wrist",
+        "over_free",  # while no contact is active
         "over_tip",
         "ceiling",  # ceiling that stopped the arms, and the value above it
         "reached",
@@ -498,10 +499,11 @@ FRICTION = _record(
 #: of identical readings of its wrist, s for which motor torques contradict the wrist, s for which
 #: the load of a stopped arm contradicts that it has, or has not, let go; force by which its gripper
 #: carries the object (N), low-passed; the state of this low-pass (N); s for which each of the six
-#: numbers of its wrist has been identical, and the share of them that change with a reading.
+#: numbers of its wrist has been identical, the share of them that change with a reading, and s for
+#: which this share has been observed.
 ARM_MEMORY = _record(
     whole=("unread", "weighed", "let_go", "holds"),
-    number=("same", "doubtful", "light", "lively"),
+    number=("same", "doubtful", "light", "lively", "watched"),
     load=3,
     weighing=3,
     constant=6,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from math import isfinite
 
-from osc_contact.law.isolation import BLIND, DEAD, isolate_joint
+from osc_contact.law.isolation import BLIND, DEAD, is_constant, isolate_joint
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.plausibility import find_jumps
 from osc_contact.law.reasons import NO_REASON, declare_reason
@@ -150,7 +150,8 @@ def _discard_marks(t):
     """Trust joints again that were marked as faulty just before encoders were found to be noisy.
 
     The noise itself has contradicted speeds that were estimated from it with the gains for quiet
-    encoders; meanwhile these have been estimated again.
+    encoders; meanwhile these have been estimated again. Positions that are constant are no noise:
+    marks of such a joint stay.
 
     Args:
         t: Tick, of which `state`, `cause` and `age` of MEMORY are read, and `faulty` of the joints
@@ -160,7 +161,8 @@ def _discard_marks(t):
     is_recent = memory.age * t.model.period < _LAG
     if memory.state == SAFE_STOP and memory.cause == DISAGREE and is_recent:
         for j in range(t.model.n_joints):
-            memory.joints[j].faulty = 0
+            if not is_constant(t, memory.joints[j]):
+                memory.joints[j].faulty = 0
 
 
 @leaf

@@ -23,7 +23,7 @@ WRIST_SATURATED = declare_reason(
 )
 
 _REMEMBERED = 1.0  #: s, time constant of the share of a wrist's numbers that change
-_MOST = 0.5  #: least share of them of a sensor of which a number that repeats is evidence
+_LEAST_LIVELY = 0.5  #: least share of them of a sensor of which a number that repeats is evidence
 
 
 @inner
@@ -32,9 +32,10 @@ def check_wrists(t):
 
     One of its six numbers that repeats is evidence only if most numbers of that sensor change with
     each reading (`lively`): those of a sensor whose noise is smaller than its resolution repeat in
-    sound operation, too. Numbers that are zero are left out, since a sensor may lack them. Reads
-    `wrenches` of INPUT; updates `same`, `constant`, `lively` and `unread` of the arms and
-    `wrenches` in MEMORY.
+    sound operation, too. Numbers that are zero are left out, since a sensor may lack them; and a
+    number is evidence only while it repeats in contact, since in the air it has no reason to
+    change. Reads `wrenches` of INPUT; updates `same`, `constant`, `lively`, `watched` and `unread`
+    of the arms and `wrenches` in MEMORY.
 
     Args:
         t: Tick.
@@ -60,6 +61,7 @@ def check_wrists(t):
             all_same = all_same and not (is_new and _exceeds(t, k))
             continue
         is_same = memory.has_wrench != 0
+        pressed = model.arms[k].sensor_joint >= 0 and memory.engaged != 0 and memory.force_rank > 0
         elapsed = model.period * (1 + arm_memory.unread)
         longest = 0.0
         n_constant = 0
@@ -71,18 +73,18 @@ def check_wrists(t):
             n_read += 1 if wrenches[k, i] != 0.0 else 0
             if is_constant and wrenches[k, i] != 0.0:
                 n_constant += 1
-                arm_memory.constant[i] += elapsed
+                arm_memory.constant[i] = arm_memory.constant[i] + elapsed if pressed else 0.0
                 longest = max(longest, arm_memory.constant[i])
             else:
                 arm_memory.constant[i] = 0.0
         changed = 1.0 - n_constant / max(n_read, 1)
-        span = min(_REMEMBERED, memory.ticked * model.period)
+        span = min(_REMEMBERED, arm_memory.watched)
+        arm_memory.watched += elapsed
         arm_memory.lively += elapsed / (span + elapsed) * (changed - arm_memory.lively)
-        longest = longest if arm_memory.lively > _MOST else 0.0
+        longest = longest if arm_memory.lively > _LEAST_LIVELY else 0.0
         arm_memory.same = arm_memory.same + elapsed if is_same else 0.0
         arm_memory.unread = 0
         all_same = all_same and is_same
-        pressed = model.arms[k].sensor_joint >= 0 and memory.engaged != 0 and memory.force_rank > 0
         if pressed and max(longest, arm_memory.same) > model.frozen_time:
             reason = WRIST_FROZEN if arm_memory.same > model.frozen_time else WRIST_SATURATED
             culprit = k

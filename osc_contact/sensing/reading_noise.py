@@ -9,13 +9,19 @@ import numpy as np
 from osc_contact.spatial import Array
 
 _THIRD = sqrt(2.0 / pi * 20.0)  #: mean magnitude of third differences of unit normal noise
-_AVERAGED = 0.05  #: s, time constant of their mean
+#: s, time constant of their mean, or longer where readings come at less than 280 Hz: so long that
+#: `_ONCE` leaves differences of `_LEAST_CAP` at least
+_AVERAGED = 0.05
 #: Multiple of the expected noise above which a sensor is noisier than expected. Resolution alone,
 #: expected as a uniform distribution, comes to 2 if readings alternate between two steps.
 _LOUD = 5.0
-#: Largest third difference in the mean, as a multiple of that of the largest expected noise or of
-#: the mean so far: one wrong reading, or one jump, comes to 4/5 of that noise at most.
-_OUTLIER = 10.0
+#: Largest part of the mean that comes from one wrong reading, which is in four third differences,
+#: or from one jump, which is in three: a multiple of the mean at which a sensor is noisier than
+#: expected. The expected noise comes to 1/5 of that, so that no single reading suffices beside it.
+_ONCE = 0.8
+#: Bounds of the largest third difference in the mean, as a multiple of that of the largest expected
+#: noise or of the mean so far. Noise far beyond it is found after 5 to 11 readings.
+_LEAST_CAP, _MOST_CAP = 3.0, 10.0
 _LATEST = 5  #: third differences whose mean is the first measure of a noise that has begun
 #: rad, m, noise below which nothing is noisier than expected: an acceleration that changes by
 #: 1,000 rad/s² in one sample of 1 ms, and back within the mean, comes to 0.02 mrad
@@ -45,7 +51,8 @@ class ReadingNoise:
         self.expected = np.array(expected, dtype=float)
         self.is_loud = self.begins = False
         self._loud = np.zeros(len(self.expected), dtype=bool)
-        self._share = sample / (_AVERAGED + sample)
+        self._share = min(sample / (_AVERAGED + sample), _ONCE / (4.0 * _LEAST_CAP))
+        self._cap = min(_ONCE / (4.0 * self._share), _MOST_CAP)
         self._largest_expected = np.maximum(_LOUD * self.expected, _LEAST)
         self._mean = _THIRD * self.expected
         self._readings = np.full((4, len(self.expected)), np.nan)
@@ -69,7 +76,7 @@ class ReadingNoise:
         third = np.abs(readings[3] - readings[0] - 3.0 * (readings[2] - readings[1]))
         is_new = np.isfinite(third)
         self._latest = np.where(is_new, np.vstack([self._latest[1:], third]), self._latest)
-        most = _OUTLIER * np.maximum(_THIRD * self._largest_expected, self._mean)
+        most = self._cap * np.maximum(_THIRD * self._largest_expected, self._mean)
         change = self._share * (np.minimum(third, most) - self._mean)
         self._mean += np.where(is_new, change, 0.0)
         loud = self._mean > _THIRD * self._largest_expected

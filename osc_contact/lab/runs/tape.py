@@ -21,7 +21,7 @@ from osc_contact.law.records import Bytes
 from osc_contact.loop.loop import run_loop
 from osc_contact.spatial import Array
 
-MAGIC = b"OSCTAPE3"
+MAGIC = b"OSCTAPE4"
 #: Flags of a tick, as in replay.c; bits from REPEATED on state which readings are repeated.
 MEMORY, TOUCHED, WRENCH_MISSING, ESTIMATED, SQUEEZE, ACTIVE, NOISY = 1, 2, 4, 8, 16, 32, 64
 REPEATED = 7
