@@ -5,7 +5,9 @@
 Of the stages of the plan of `two_pins`, a frame describes the contacts of all but "left rim" and
 "turn": there the left pin presses on its rim and the right one on the face, along skew lines 240 mm
 apart. In these two stages each rival has, in place of both contacts, the axes of one frame of the
-modelled block, and everything else as ours: stages, conditions, forces, gains, guarded approach.
+modelled block. Stages, forces and gains are ours, and so are the approaches of all other stages. A
+selection of axes cannot be approached, made or lost: "left rim" ends when the bar rests, "turn"
+when the tip has dropped, and forces of either sign are commanded.
 
 * `couple`: the frame at the left rim; force along y, couple about y by which the right tip presses.
 * `face only`: the frame at the right tip; force along z, the left pin is held by motion.
@@ -137,7 +139,8 @@ def _replaced(stage: osc.Stage, rival: Rival) -> osc.Stage:
     """
     if stage.name not in SKEW:
         return stage
-    assert set(stage.forces) == {LEFT_RIM, RIGHT_POINT}
+    if set(stage.forces) != {LEFT_RIM, RIGHT_POINT}:
+        raise osc.InvalidInputError(f"stage {stage.name!r} has other contacts: {stage.forces}")
     until = two_pin_plan.resting() if stage.name == "left rim" else two_pin_plan.sunk("right")
     return replace(stage, forces={SELECTION: rival.forces}, until=until)
 
