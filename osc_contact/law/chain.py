@@ -224,11 +224,13 @@ def _combine_twists(t):
 
 @leaf
 def _add_covariance(t, k, G):
-    """Add the covariance J_k J_kᵀ + ρ 1 of the twist of the object by arm k to a matrix.
+    """Add the covariance C + ρ I of the object's twist by the speeds of arm k to a matrix.
 
-    J_k (6, n) is the Jacobian in energy coordinates, ρ = `_GEOMETRY`² tr(J_k J_kᵀ) the variance by
-    errors of the geometry. The standard deviation of speeds is 1 rad/s for revolute joints,
-    `SLIDES` (m/s) for prismatic ones.
+    C = J_k S J_kᵀ (6, 6), where J_k (6, n) is the Jacobian in energy coordinates and S (n, n) the
+    diagonal matrix of the variances of joint speeds: 1 (rad/s)² for revolute joints, `SLIDES`²
+    (m/s)² for prismatic ones. ρ = `_GEOMETRY`² tr C, in all six directions, stands for errors of
+    the geometry, whose directions are not known; `_GEOMETRY` is their relative size. I is the
+    identity.
 
     Args:
         t: Tick.

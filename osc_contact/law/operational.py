@@ -215,9 +215,10 @@ def _store_wrenches(locked_rows, arm, row, n, Q):
 
 @inner
 def _congruence_of_inertia(joints, lo, n, Lambda):
-    """Compute the inertia Λ = J̄ᵀMJ̄ (6, 6) of an arm at its tip, exactly symmetric.
+    """Compute the operational-space inertia Λ = J̄ᵀMJ̄ (6, 6) of an arm, exactly symmetric.
 
-    J̄ (n, 6) is the inverse of its Jacobian, M (n, n) its joint-space inertia.
+    J̄ (n, 6) is the inertia-weighted inverse of its Jacobian in energy coordinates, M (n, n) its
+    joint-space inertia; Λ is in energy coordinates, too.
 
     Args:
         joints: JOINT_WORK rows, of which J̄ and M are read.
@@ -233,7 +234,7 @@ def _congruence_of_inertia(joints, lo, n, Lambda):
             x = add(x, joints[lo + j].M[k], joints[lo + k].J_bar)
         for i in range(6):
             accumulate(Lambda[i], bar[i], x)
-    for i in range(1, 6):  # the upper triangle is the lower one, without its rounding errors
+    for i in range(1, 6):  # rounding errors of both triangles differ; the lower one is kept
         for j in range(i):
             Lambda[j, i] = Lambda[i, j]
 

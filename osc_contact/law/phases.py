@@ -300,10 +300,12 @@ def _pushed_back(t, contact):
 
 @inner
 def _measure_gap(t, c, last_phase, phase):
-    """Integrate the distance of a lost contact from its face, and the time since its loss.
+    """Integrate the distance of a contact from its face, and the time since its loss.
 
-    Both are zero for an open contact, and from `rise` (s) after a contact has closed on. A loss is
-    a change from CLOSED to APPROACHING of a contact that had a steady force (`held`). Fills, of the
+    The distance is integrated from the measured speeds of separation while the contact is
+    approached, and until `rise` (s) after it has closed; it is at least zero. The time counts from
+    a change from CLOSED to APPROACHING of a contact that had a steady force (`held`). Both are zero
+    for an open contact, and for one that has been closed for longer than `rise`. Fills, of the
     columns of the contact, `gap` (m) and `time_since_loss` (s) in MEMORY, and `here` in WORK: 1
     where the column remains in N without returning to an earlier phase.
 

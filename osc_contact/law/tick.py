@@ -146,10 +146,11 @@ _BEYOND = 1e302  #: makes forces above 2 MN overflow; rounding errors would rema
 def look(t, flags):
     """Check the input, advance the phases of contacts, solve the closed chain; return a reason.
 
-    Contacts count only while the controller is `engaged`. Readings are checked in a controller
-    (`guarded`), not in a chain alone. Fills `status`, `dt` (s, lost ticks included), `commanded` (1
-    if internal forces are commanded), `moving` (1 if bodies move), and the fields that `take_in`,
-    `choose_columns` and `solve_chain` fill.
+    Contacts are part of the tick only while the controller is `engaged`. Readings are checked in a
+    controller (`guarded`), not in a chain without control. Fills `status` (OK; the caller changes
+    it after a reason), `dt` (s; with at most `MOST_LOST` lost ticks), `commanded` (1 for two arms,
+    whose squeeze is 0 unless given, and if internal forces are given), `moving` (1 if bodies move),
+    and the fields that `take_in`, `choose_columns` and `solve_chain` fill.
 
     Args:
         t: Tick.
