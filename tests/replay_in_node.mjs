@@ -4,7 +4,8 @@
 import { existsSync, readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
-const MEMORY = 1, TOUCHED = 2, WRENCH_MISSING = 4, ESTIMATED = 8, SQUEEZE = 16, ACTIVE = 32, REPEATED = 6n;
+const MEMORY = 1, TOUCHED = 2, WRENCH_MISSING = 4, ESTIMATED = 8, SQUEEZE = 16, ACTIVE = 32;
+const NOISY = 64, REPEATED = 7n;
 const [, , module, wrapper, ...folders] = process.argv;
 const { loadLaw, Controller } = await import(pathToFileURL(wrapper));
 const law = await loadLaw(readFileSync(module));
@@ -36,7 +37,7 @@ function replay(folder) {
     if (flags & ACTIVE) controller.active.set(numbers(controller.sizes.active));
     controller.set({
       squeezed: flags & SQUEEZE, switched: flags & ACTIVE, touching: flags & TOUCHED, wrenchMissing: (flags & WRENCH_MISSING) !== 0,
-      estimated: (flags & ESTIMATED) !== 0, repeated: word >> REPEATED, wrenchAge: age,
+      estimated: Number((flags & ESTIMATED) !== 0) + Number((flags & NOISY) !== 0), repeated: word >> REPEATED, wrenchAge: age,
     });
     const recorded = numbers(controller.sizes.torques);
     const before = performance.now(), ended = controller.tick();
