@@ -469,7 +469,10 @@ def test_noise_that_begins_is_announced_and_measured_by_the_last_readings(rate):
 
 @parametrize("make", [VelocityEstimate.optimal, VelocityEstimate.learning])
 def test_readings_that_were_noisy_already_are_estimated_again(make):
-    """As if the noise had been expected; else its speed decays with the time of the new gains."""
+    """Estimates are those with gains for the measured noise from the first of these readings on.
+
+    Without it, the speeds that noise has made decay with the time constant of the new gains.
+    """
     errors = 5e-3 * default_rng(2).standard_normal(8)
     found = {}
     for revises in (True, False):

@@ -41,7 +41,7 @@ static const char *path_of(int number, const char *name, int count, char **words
 
 void rewind_recording(recording *tape) {
     tape->at = 0;
-    if (memcmp(take(tape, 8), "OSCTAPE4", 8) != 0) fail("recording", "the file is none");
+    if (memcmp(take(tape, 8), "OSCTAPE4", 8) != 0) fail("recording", "not a recording of this version");
     tape->count = take_whole(tape);
     tape->memory_bytes = (size_t)take_whole(tape);
     if (tape->count < 1) fail("recording", "it has no ticks");
