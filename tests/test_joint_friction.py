@@ -32,6 +32,7 @@ import osc_contact as osc
 from benchmarks.joint_friction import cases
 from osc_contact.control.packing import SLIP
 from osc_contact.law.phases import APPROACHING, CLOSED
+from osc_contact.law.records import views
 
 MOST = 30.0
 PRIOR = vector(9.0, 4.0, 2.0, 0.01, 0.04)
@@ -364,6 +365,53 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
         s = np.clip(weighed @ solve(J @ weighed, V), -fastest, fastest)
         expected = VISCOUS * s + DRY * s / np.hypot(s, SLIP)
         assert_near(tau[3] - tau[1], expected, atol=1e-9, rtol=1e-9)
+
+
+def test_friction_of_an_approach_is_that_of_its_low_passed_speed():
+    """Speeds follow within 6 ms; what alternates from tick to tick is reduced to a seventh."""
+    rng = default_rng(7)
+    q, v = random_state(one_panda(), rng)
+    chain = strong(panda(friction=DRY))
+    state = chain.state(q, np.zeros_like(q))
+    X = state.X_WO
+    p = vector(0.1, 0.02, 0.03)
+    corner = osc.VertexOnFace(p, X.act(p + vector(0.0, 0.0, 0.02)), X.rotation[:, 2])
+    controller = osc.Controller(
+        chain, [corner], GAINS, life=osc.PhaseSettings(), in_contact=False, safety=UNLIMITED
+    )
+    desired = osc.Reference(X, np.zeros(6), np.zeros(6), vector(9.0))
+    for _ in range(2):  # the second one approaches
+        ticked(controller, unloaded(q, np.zeros_like(q)), desired)
+    t = views(controller.records.rows)
+    assert t.memory.contacts.phase[0] == APPROACHING and t.work.rank == 1
+
+    def permitted(speed):
+        """Speeds of the joints in a tick whose approach is commanded this speed (m/s)."""
+        t.work.alpha_d[0] = speed * t.work.damping[0]
+        joint_friction.permit_speeds(t)
+        return t.memory.joints.speed.copy()
+
+    for _ in range(300):
+        last = permitted(0.02)
+    # the nearest permitted twist, in the metric of the object's inertia, and J̄ of Khatib
+    N = corner.contact(X, np.zeros(6)).N
+    B = inv(chain.reference_inertia(X))
+    V = B @ N @ solve(N.T @ B @ N, vector(0.02))
+    J = state.arms[0].J
+    weighed = solve(state.M, J.T)
+    assert_near(last, weighed @ solve(J @ weighed, V), rtol=1e-9, atol=1e-12)
+
+    t.memory.columns.approach = 0.0
+    for tick in range(1, 30):
+        share = 1.0 - np.exp(-tick / 6.0)
+        assert_near(permitted(0.02), share * last, atol=0.06 * largest(last))
+    before = permitted(0.0)
+    for tick in range(20):
+        now = permitted(0.02 * (-1) ** tick)
+        assert 0.0 < largest(now - before) < 0.3 * largest(last)  # 2 of them without a low-pass
+        before = now
+    t.memory.contacts.phase = CLOSED
+    assert largest(permitted(0.02)) == 0.0 == t.memory.columns.approach[0]
 
 
 FALLING = {
