@@ -484,11 +484,31 @@ def compiled_pair() -> TickCase:
     return replace(case, name="compiled_pair", pairs=(own, second))
 
 
+KNOWN = 12  #: known contacts of `two_of_twelve`
+
+
+def two_of_twelve() -> TickCase:
+    """`two_pandas` with ten more known contacts, which are not active."""
+    case = two_pandas()
+    first, second = (pair for pair in case.pairs if isinstance(pair, VertexOnFace))
+    others = []
+    for k, along in enumerate(np.linspace(-0.25, 0.25, KNOWN - 2)):
+        vertex = np.array([along, 0.0, 0.0])
+        point = case.reference.X_WD.act(vertex) - np.array([0.0, 0.0, 0.1])
+        up = np.array([0.0, 0.0, 1.0])
+        others.append(VertexOnFace(vertex, point, up, RADIUS, name=f"other{k}"))
+    active = np.arange(KNOWN) < 2
+    forces = np.where(active, case.reference.alpha_d[0], 0.0)
+    reference = replace(case.reference, alpha_d=forces, active=active.astype(float))
+    return replace(case, name="two_of_twelve", pairs=(first, second, *others), reference=reference)
+
+
 SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
     "near_singular": near_singular,
     "saturated": saturated,
     "three_arms": three_arms,
     "contact_phases": contact_phases,
+    "two_of_twelve": two_of_twelve,
     "own_pair": own_pair,
     "compiled_pair": compiled_pair,
 }

@@ -1,12 +1,15 @@
 """A second contact, commanded in the air: when it is closed, and what the first one does.
 
-    python -m benchmarks.handovers [--seconds 6]
+    python -m benchmarks.handovers [--seconds 6] [--seed 0]
 
 A Panda presses a rounded nose on a floor with 6 N; the friction of the floor is unknown to the
 controller. From 1.5 s on another tip of the tool, 15 mm in front of a wall, is commanded to press
-on it with 2 N. Lines of force that pass 30 mm apart, and lines that meet where the nose touches.
-Wrist noise 0.2 N and 10 mN m, encoders of 18 bits, joint friction of 1 %, default safety. One row
-for each case is printed; the exit code is 1 where a contact is closed in the air.
+on it with 2 N. Lines of force that pass 30 mm apart, and lines that meet where the nose touches:
+these also with 6 N, more than friction of the nose may explain. Wrist noise 0.2 N and 10 mN m,
+encoders of 18 bits, joint friction of 1 %, default safety. One row for each case is printed, with
+the times from 1 N, and from 1 N more than friction of the nose may be where lines meet, until the
+contact is closed (negative: before that force); the exit code is 1 where a contact is closed in
+the air.
 """
 
 import sys
@@ -20,6 +23,7 @@ from rich.console import Console
 
 import osc_contact as osc
 from osc_contact.control.status import Phase
+from osc_contact.settings.control import PhaseSettings
 from osc_contact.spatial import Array
 from paper.study import PANDA, table_of
 
@@ -28,8 +32,11 @@ RADIUS = 0.01  #: m, of the tips
 NOSE = np.array([0.45, 0.0, 0.3])  #: where the middle of the nose starts
 PRESSED = 6.0  #: N, of the nose
 SIDE = 2.0  #: N, of the other tip
+CERTAIN_SIDE = 6.0  #: N, of the other tip where friction of the nose cannot explain its force
 COMMANDED_AT = 1.5  #: s
-MADE_AT = 1.0  #: N, from which on a contact is to be closed
+MADE_AT = 1.0  #: N that friction cannot explain, from which on a contact is to be closed
+#: N, the same where all friction that is permitted may explain the force.
+CERTAIN_AT = PhaseSettings().friction_bound * PRESSED + MADE_AT
 FRICTION = (0.0, 0.2, 0.5)
 SENSORS = {
     "encoder": {"rate": 1000.0, "angle": {"resolution": 2.0 * np.pi / 2**18}},
@@ -55,12 +62,21 @@ MEETING = Tip("meet at the nose", (0.1, 0.0, -0.02), (0.1 / _LENGTH, 0.0, 0.03 /
 
 
 def scenario_of(
-    tip: Tip, friction: float, gap: float = 0.015, seconds: float = 6.0, **control: Any
+    tip: Tip,
+    friction: float,
+    gap: float = 0.015,
+    seconds: float = 6.0,
+    side: float = SIDE,
+    **control: Any,
 ) -> osc.Scenario:
     """Nose on the floor; the other tip moves so far from its wall before its contact is commanded.
 
     Args:
-        tip: the second one. friction: of floor and wall. gap: m. seconds: of the run.
+        tip: the second tip.
+        friction: coefficient of floor and wall.
+        gap: distance of the second tip from its wall as its contact is commanded (m).
+        seconds: duration of the run (s).
+        side: force commanded of the second tip (N).
         control: keys of the scenario's control.
     """
     into = np.array(tip.into)
@@ -90,7 +106,7 @@ def scenario_of(
         ],
         "force": {
             "nose": [{"type": "constant", "value": PRESSED}],
-            "side": [{"type": "constant", "value": SIDE}],
+            "side": [{"type": "constant", "value": side}],
         },
         "active": {"side": [[COMMANDED_AT, seconds + 1.0]]},
         "motion": [{"kind": "linear", "direction": [-1, 0, 0], "signals": [away]}],
@@ -141,10 +157,16 @@ class Handover:
         """s."""
         return 1e-3 * float(np.count_nonzero(self.closed[: self.touched]))
 
-    @property
-    def delay(self) -> float:
-        """s from `MADE_AT` to closed; NaN: there was no such force, or it was never closed."""
-        pressed = _first(self.forces[:, 1] >= MADE_AT)
+    def delay(self, made_at: float = MADE_AT) -> float:
+        """Time from a force of the second tip until its contact is closed (s).
+
+        Args:
+            made_at: the force (N).
+
+        Returns:
+            NaN if there was no such force, or the contact was never closed.
+        """
+        pressed = _first(self.forces[:, 1] >= made_at)
         if len(self.t) in (pressed, _first(self.closed)):
             return float("nan")
         return 1e-3 * (_first(self.closed) - pressed)
@@ -172,27 +194,45 @@ def _first(truth: Array) -> int:
     return int(np.argmax(truth)) if truth.any() else len(truth)
 
 
-def main(seconds: float = 6.0) -> None:
+def row_of(tip: Tip, side: float, friction: float, seconds: float, seed: int) -> list[float]:
+    """Numbers of one row of the table.
+
+    Args:
+        tip: the second tip.
+        side: its commanded force (N).
+        friction: coefficient of floor and wall.
+        seconds: duration of the run (s).
+        seed: seed of the noise.
+    """
+    scenario = scenario_of(tip, friction, seconds=seconds, side=side)
+    found = Handover.of(osc.run(scenario, seed=seed))
+    return [
+        side,
+        friction,
+        found.closed_in_the_air,
+        100.0 * found.share,
+        found.closed_at,
+        1e3 * found.delay(),
+        1e3 * found.delay(CERTAIN_AT),
+        *found.off,
+    ]
+
+
+def main(seconds: float = 6.0, seed: int = 0) -> None:
     """Print the table."""
     heads = (
-        "lines of force; friction; closed in the air (s); missing one reads (%); closed at (N); "
-        "after 1 N (ms); nose off before (N); and later (N)"
+        "lines of force; commanded (N); friction; closed in the air (s); missing one reads (%); "
+        f"closed at (N); after {MADE_AT:g} N (ms); after {CERTAIN_AT:g} N (ms); "
+        "nose off before (N); and later (N)"
     )
     rows = []
     wrong = False
-    for tip in (APART, MEETING):
+    for tip, side in ((APART, SIDE), (MEETING, SIDE), (MEETING, CERTAIN_SIDE)):
         for friction in FRICTION:
-            found = Handover.of(osc.run(scenario_of(tip, friction, seconds=seconds)))
-            wrong = wrong or found.closed_in_the_air > 0.0
-            numbers = (
-                friction,
-                found.closed_in_the_air,
-                100.0 * found.share,
-                found.closed_at,
-                1e3 * found.delay,
-                *found.off,
-            )
-            rows.append((tip.name, *(f"{number:.3g}" for number in numbers)))
+            numbers = row_of(tip, side, friction, seconds, seed)
+            wrong = wrong or numbers[2] > 0.0
+            cells = ("–" if np.isnan(number) else f"{number:.3g}" for number in numbers)
+            rows.append((tip.name, *cells))
     Console(width=140).print(table_of("A second contact commanded in the air", heads, rows))
     sys.exit(wrong)
 

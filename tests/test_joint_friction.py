@@ -370,7 +370,7 @@ def test_friction_is_that_of_the_speeds_that_contacts_permit(joints, pressed):
 def test_friction_of_an_approach_is_that_of_its_low_passed_speed():
     """Speeds follow within 6 ms; what alternates from tick to tick is reduced to a seventh."""
     rng = default_rng(7)
-    q, v = random_state(one_panda(), rng)
+    q, _ = random_state(one_panda(), rng)
     chain = strong(panda(friction=DRY))
     state = chain.state(q, np.zeros_like(q))
     X = state.X_WO

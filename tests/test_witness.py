@@ -97,7 +97,7 @@ def test_no_contact_is_closed_in_the_air_where_lines_meet(friction):
 def test_a_contact_is_closed_soon_after_it_touches(seed):
     """Beside stiction, which holds an approach at rest with less than makes contact."""
     found = Handover.of(osc.run(scenario_of(APART, 0.2, seconds=4.0), seed=seed))
-    assert found.closed_in_the_air == 0.0 and found.delay < 0.05
+    assert found.closed_in_the_air == 0.0 and found.delay() < 0.05
 
 
 def test_noise_of_the_wrist_is_taken_at_the_sensor():
