@@ -268,14 +268,17 @@ def _certain_force(row):
     """Compute the force (N) that a column of an approached contact certainly has; may be negative.
 
     It is the measured force less its noise, and not more than wrists alone show, nor than friction
-    of closed contacts leaves unexplained.
+    of closed contacts leaves unexplained. The inertial force of an object that sticks and slips
+    follows from speeds that are estimated with a lag, so it counts only where it makes the force
+    smaller.
 
     Args:
-        row: COLUMN_MEMORY, of which `net`, `force`, `noise`, `touch` and `explained` are read.
+        row: COLUMN_MEMORY, of which `net`, `force`, `noise`, `touch_read`, `touch` and `explained`
+            are read.
     """
     force = min(row.net, _FELT * row.force) - row.noise
     if row.explained > 0.0:
-        force = min(force, row.touch - row.explained)
+        force = min(force, min(row.touch, row.touch_read) - row.explained)
     return force
 
 

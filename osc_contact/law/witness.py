@@ -13,7 +13,8 @@ the moment of the closed contacts' forces about points that are known to `_POINT
 changes α_n by at most e = μ_b Σα_j‖gᵀT_j‖, and ν by more than 3σ, σ² = gᵀ(cov ν)g, hardly ever. If
 the lines of action do not meet, g is nearly orthogonal to the friction forces and e is small; if
 they meet, e is μ_b times the force of the closed contact. Contact is made when α_n − e, low-passed,
-exceeds both `force_on`, the threshold of an ordinary contact, and 3σ.
+exceeds both `force_on`, the threshold of an ordinary contact, and 3σ, with Λ_out V̇_O and without
+it: estimated speeds lag, so that V̇_O of a tool that sticks and slips may have the wrong sign.
 """
 
 from __future__ import annotations
