@@ -38,9 +38,11 @@ class SlidingPlant(RigidPlant):
     mu = 0.0
     rounds = 3  #: of α and friction, which determine one another
 
-    def _solve(self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0) -> Solution:
-        solution = super()._solve(tau, with_wrenches, ahead)
-        X, V = self._object()
+    def _solve_motion(
+        self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0
+    ) -> Solution:
+        solution = super()._solve_motion(tau, with_wrenches, ahead)
+        X, V = self._object_state()
         J = self._jacobian(X)
         lines = []
         pairs: tuple[Any, ...] = self.contacts
@@ -54,9 +56,9 @@ class SlidingPlant(RigidPlant):
         friction = np.zeros(6)
         for _ in range(self.rounds):
             friction = self.mu * np.hstack(lines) @ solution.alpha
-            solution = super()._solve(tau - J.T @ friction, with_wrenches, ahead)
+            solution = super()._solve_motion(tau - J.T @ friction, with_wrenches, ahead)
         if with_wrenches:
-            sensor = self._sensors[0]
+            sensor = self._wrist_cuts[0]
             assert sensor is not None
             at = self.data.oMi[sensor.joint] * sensor.placement
             f = carry_wrench(friction, X.translation, at.translation).reshape(2, 3)

@@ -210,7 +210,7 @@ __all__ = [
 
 
 @cache
-def _homes() -> dict[str, str]:
+def _module_of_each_name() -> dict[str, str]:
     """Map every public name to its module, by the imports above, which only type checkers run."""
     source = __spec__.loader.get_source(__name__)  # type: ignore[union-attr]
     block = next(node for node in ast.parse(source).body if isinstance(node, ast.If))
@@ -218,14 +218,14 @@ def _homes() -> dict[str, str]:
     return {name.name: str(node.module) for node in imports for name in node.names}
 
 
-def _imported(name: str) -> Any:
+def _import_public_name(name: str) -> Any:
     """Import a public name from its module; return the object.
 
     Raises:
         ModuleNotFoundError: the module needs a package; the message names its extra.
     """
     try:
-        return getattr(import_module(_homes()[name]), name)
+        return getattr(import_module(_module_of_each_name()[name]), name)
     except ModuleNotFoundError as error:
         from osc_contact.errors import missing
 
@@ -240,11 +240,13 @@ def __getattr__(name: str) -> Any:
     Raises:
         AttributeError: there is no such name.
     """
-    if name in _homes():
-        value = _imported(name)
+    if name in _module_of_each_name():
+        value = _import_public_name(name)
     elif find_spec(f"{__name__}.{name}"):
         return import_module(f"{__name__}.{name}")
-    elif name[0].isupper() and hasattr(pairs := import_module(_homes()["ContactPair"]), name):
+    elif name[0].isupper() and hasattr(
+        pairs := import_module(_module_of_each_name()["ContactPair"]), name
+    ):
         value = getattr(pairs, name)  # a pair whose file was added to the package
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -19,7 +19,7 @@ _NO_FORCES: Array = np.zeros(0)
 _NO_FORCES.flags.writeable = False
 
 
-def _doubles(value: ArrayLike) -> Array:
+def _as_doubles(value: ArrayLike) -> Array:
     """Return `value` itself if the compiled law can read it, else an array of its numbers.
 
     The law reads aligned, contiguous, writeable arrays of doubles. Numbers need not be finite.
@@ -34,10 +34,10 @@ def _doubles(value: ArrayLike) -> Array:
     return np.array(value, dtype=np.float64, order="C")
 
 
-def _readable(value: ArrayLike) -> ArrayLike:
+def _reading_as_doubles(value: ArrayLike) -> ArrayLike:
     """Return a reading as doubles, or unchanged if it cannot be converted: its tick is held."""
     try:
-        return _doubles(value)
+        return _as_doubles(value)
     except Exception:  # for instance numbers too large, or warnings turned into errors
         return value
 
@@ -176,9 +176,9 @@ class Measurement:
                 "estimated = True if v was estimated from q, else leave noisy out"
             )
         self.__dict__.update(
-            q=_readable(q),
-            v=_readable(v),
-            wrenches=_readable(wrenches),
+            q=_reading_as_doubles(q),
+            v=_reading_as_doubles(v),
+            wrenches=_reading_as_doubles(wrenches),
             touched=touched,
             joint_torques=joint_torques,
             stamps=stamps,
@@ -338,15 +338,15 @@ class Reference:
             squeeze_d = _number_or_command("squeeze_d", squeeze_d)
         self.__dict__.update(
             X_WD=X_WD if isinstance(X_WD, pin.SE3) else _pose_of(X_WD),
-            V_D=np.zeros(6) if V_D is None else _command("V_D", V_D, (6,)),
-            A_D=np.zeros(6) if A_D is None else _command("A_D", A_D, (6,)),
-            alpha_d=_forces(alpha_d),
+            V_D=np.zeros(6) if V_D is None else _command_as_doubles("V_D", V_D, (6,)),
+            A_D=np.zeros(6) if A_D is None else _command_as_doubles("A_D", A_D, (6,)),
+            alpha_d=_forces_as_doubles(alpha_d),
             squeeze_d=squeeze_d,
-            active=None if active is None else _command("active", active, None),
+            active=None if active is None else _command_as_doubles("active", active, None),
         )
 
 
-def _command(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:
+def _command_as_doubles(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Array:
     """Return a field of a reference as an array of doubles.
 
     Args:
@@ -358,7 +358,7 @@ def _command(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Arra
         InvalidInputError: another shape, or no numbers.
     """
     try:
-        array = _doubles(value)
+        array = _as_doubles(value)
     except Exception as error:  # conversion of foreign objects to numbers may raise any error
         expected = "a list of numbers" if shape is None else f"numbers of shape {shape}"
         raise InvalidInputError(
@@ -380,7 +380,7 @@ def _command(name: str, value: ArrayLike, shape: tuple[int, ...] | None) -> Arra
     return array
 
 
-def _forces(alpha_d: ArrayLike) -> Array:
+def _forces_as_doubles(alpha_d: ArrayLike) -> Array:
     """Return alpha_d as doubles (r,), or the shared read-only array if it is empty.
 
     Args:
@@ -389,7 +389,7 @@ def _forces(alpha_d: ArrayLike) -> Array:
     Raises:
         InvalidInputError: alpha_d is no vector of numbers.
     """
-    array = _command("alpha_d", alpha_d, None)
+    array = _command_as_doubles("alpha_d", alpha_d, None)
     return array if array.size else _NO_FORCES
 
 
@@ -403,7 +403,7 @@ def _number_or_command(name: str, value: float | ArrayLike) -> float | Array:
     Raises:
         InvalidInputError: the value is neither a number nor a vector of numbers.
     """
-    array = _command(name, value, None)
+    array = _command_as_doubles(name, value, None)
     return float(array[0]) if np.ndim(value) == 0 else array
 
 
@@ -414,7 +414,7 @@ def _pose_of(matrix: ArrayLike) -> pin.SE3:
         InvalidInputError: another shape, a last row other than 0, 0, 0, 1, or R not a rotation.
     """
     try:
-        X = _doubles(matrix)
+        X = _as_doubles(matrix)
     except Exception:  # conversion of foreign objects to numbers may raise any error
         X = np.zeros(())
     if X.shape != (4, 4):

@@ -24,10 +24,10 @@ Pieces = tuple[tuple[float, float], ...]
 """Duration (s) and jerk of each phase of constant jerk, in the order of time."""
 
 #: Shares of the limits with which ruckig is tried, one after the other.
-_SHARES = (1.0, 1.0 - 1e-9, 1.0 - 1e-6, 0.999)
+_TRIED_SHARES = (1.0, 1.0 - 1e-9, 1.0 - 1e-6, 0.999)
 #: Largest error at the end of ruckig's trajectory, relative to its length plus 1 s at full speed.
-_END = 1e-7
-_NO_SHARE = 1e-300  #: coordinates with a smaller share of a straight line do not move
+_MOST_END_ERROR = 1e-7
+_LEAST_SHARE = 1e-300  #: coordinates with a smaller share of a straight line do not move
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def rise(t: Any, start: float, duration: float) -> tuple[Any, Any, Any]:
     )
 
 
-def _duration(pieces: Pieces) -> float:
+def _total_duration(pieces: Pieces) -> float:
     """Duration of all phases (s)."""
     return sum(duration for duration, _ in pieces)
 
@@ -201,6 +201,13 @@ class _StopAndGo:
 
     Attributes:
         duration: duration of both parts (s).
+        _start_state: position, velocity and acceleration (n,) at the beginning.
+        _stop_pieces, _stop_times: pieces of constant jerk that stop each coordinate, and the times
+            at which it rests (s).
+        _all_stopped: time at which all coordinates rest (s).
+        _line_start, _line_direction: (n,) position there, and direction of the line to the goal,
+            whose largest component is 1.
+        _line_pieces: pieces of constant jerk along the line.
     """
 
     def __init__(self, x: Array, v: Array, a: Array, goal: Array, limits: Array) -> None:
@@ -215,31 +222,32 @@ class _StopAndGo:
             goal: (n,) position at the end.
             limits: (3, n) largest velocity, acceleration and jerk of each coordinate.
         """
-        # first part: every coordinate is brought to rest independently, the last one at `_stopped`
-        self._begin = (x, v, a)
+        # first part: every coordinate is brought to rest independently, the last one at
+        # `_all_stopped`
+        self._start_state = (x, v, a)
         _, most_acceleration, most_jerk = limits
-        self._stops = [
+        self._stop_pieces = [
             _to_rest(v0, a0, a_max, j_max)
             for v0, a0, a_max, j_max in zip(v, a, most_acceleration, most_jerk, strict=True)
         ]
-        self._ends = [_duration(stop) for stop in self._stops]
-        self._stopped = max(self._ends)
+        self._stop_times = [_total_duration(stop) for stop in self._stop_pieces]
+        self._all_stopped = max(self._stop_times)
 
         # second part: a straight line to the goal; s is the distance of the coordinate with the
         # longest way, and the limits along s are those of the coordinate that reaches them first
-        self._corner = self._stopping(self._stopped)[0]
-        line = np.nan_to_num(goal - self._corner)
+        self._line_start = self._state_while_stopping(self._all_stopped)[0]
+        line = np.nan_to_num(goal - self._line_start)
         length = float(np.abs(line).max())
-        self._along = line / length if length > 0.0 else line
-        is_moved = np.abs(self._along) > _NO_SHARE
-        along_line = (limits[:, is_moved] / np.abs(self._along[is_moved])).min(
+        self._line_direction = line / length if length > 0.0 else line
+        is_moved = np.abs(self._line_direction) > _LEAST_SHARE
+        along_line = (limits[:, is_moved] / np.abs(self._line_direction[is_moved])).min(
             axis=1, initial=np.inf
         )
         v_max, a_max, j_max = along_line.tolist() if is_moved.any() else (1.0, 1.0, 1.0)
-        self._line = from_rest_to_rest(length, v_max, a_max, j_max)
-        self.duration = self._stopped + _duration(self._line)
+        self._line_pieces = from_rest_to_rest(length, v_max, a_max, j_max)
+        self.duration = self._all_stopped + _total_duration(self._line_pieces)
 
-    def _stopping(self, t: float) -> Array:
+    def _state_while_stopping(self, t: float) -> Array:
         """State (3, n) at the time t (s) of the first part, in which coordinates are stopped.
 
         Its rows are position, velocity and acceleration. A coordinate that has stopped is at rest.
@@ -248,28 +256,31 @@ class _StopAndGo:
             [
                 follow(pieces, time, x, v, a)
                 for pieces, time, x, v, a in zip(
-                    self._stops, np.minimum(t, self._ends), *self._begin, strict=True
+                    self._stop_pieces,
+                    np.minimum(t, self._stop_times),
+                    *self._start_state,
+                    strict=True,
                 )
             ]
         ).T
-        states[1:, t >= np.array(self._ends)] = 0.0
+        states[1:, t >= np.array(self._stop_times)] = 0.0
         return states
 
     def at_time(self, t: float) -> Array:
         """Position, velocity and acceleration (3, n) at a time.
 
-        Until `_stopped` (s) the initial velocity is braked. Then the straight line from `_corner`
-        (n,) along `_along` (n,) is followed, of which `_line` gives distance, speed and
-        acceleration.
+        Until `_all_stopped` (s) the initial velocity is braked. Then the straight line from
+        `_line_start` (n,) along `_line_direction` (n,) is followed, of which `_line_pieces` gives
+        distance, speed and acceleration.
 
         Args:
             t: time since the beginning (s). Units of the rest are those of x, v and a.
         """
-        if t < self._stopped:
-            return self._stopping(t)
-        s, v, a = follow(self._line, t - self._stopped)
-        along = self._along
-        return np.array((self._corner + along * s, along * v, along * a))
+        if t < self._all_stopped:
+            return self._state_while_stopping(t)
+        s, v, a = follow(self._line_pieces, t - self._all_stopped)
+        along = self._line_direction
+        return np.array((self._line_start + along * s, along * v, along * a))
 
 
 class _Fastest:
@@ -290,7 +301,7 @@ class _Fastest:
         Raises:
             SolverError: ruckig finds no trajectory, as happens at the borders between its cases.
         """
-        ruckig = _ruckig()
+        ruckig = _ruckig_module()
         n = len(x)
         # from the origin and in units of the velocity limits, ruckig's tolerances suit any motion
         unit = limits[0]
@@ -312,7 +323,7 @@ class _Fastest:
             raise SolverError(str(result))
         self.duration = float(self._trajectory.duration)
         distance = np.abs(self.at_time(self.duration)[0] - goal)
-        if not (distance <= _END * (unit + np.abs(goal - x))).all():
+        if not (distance <= _MOST_END_ERROR * (unit + np.abs(goal - x))).all():
             raise SolverError(f"ruckig's trajectory ends {distance} from the goal")
 
     def at_time(self, t: float) -> Array:
@@ -322,7 +333,7 @@ class _Fastest:
         return states
 
 
-def _ruckig() -> ModuleType:
+def _ruckig_module() -> ModuleType:
     """Module `ruckig`, which an extra installs.
 
     Raises:
@@ -346,6 +357,8 @@ class Trajectory:
 
     Attributes:
         goal: (n,) position at the end.
+        _motion: the trajectory as a function of the time since its beginning.
+        _clock: this time (s).
     """
 
     def __init__(self, x: Array, v: Array, a: Array, goal: Array, bounds: Bounds) -> None:
@@ -359,8 +372,8 @@ class Trajectory:
                 s³).
         """
         self.goal = goal
-        self._path = _fastest(x, v, a, goal, np.array(bounds))
-        self._t = 0.0
+        self._motion = _fastest_trajectory(x, v, a, goal, np.array(bounds))
+        self._clock = 0.0
 
     @classmethod
     def rest(cls, x: Array, bounds: Bounds) -> Trajectory:
@@ -373,12 +386,12 @@ class Trajectory:
         Raises:
             OscContactError: ruckig is not installed; it is needed for later trajectories.
         """
-        _ruckig()
+        _ruckig_module()
         return cls(x, 0.0 * x, 0.0 * x, x, bounds)
 
     def advance(self, dt: float) -> None:
         """Advance the clock of the trajectory by dt (s)."""
-        self._t += dt
+        self._clock += dt
 
     @property
     def state(self) -> tuple[Array, Array, Array]:
@@ -386,18 +399,20 @@ class Trajectory:
 
         From the end of the trajectory on it is the goal, at rest.
         """
-        if self._t >= self._path.duration:
+        if self._clock >= self._motion.duration:
             return (self.goal.copy(), np.zeros(len(self.goal)), np.zeros(len(self.goal)))
-        x, v, a = self._path.at_time(self._t)
+        x, v, a = self._motion.at_time(self._clock)
         return (x, v, a)
 
     @property
     def remaining(self) -> float:
         """Time to the end of the trajectory (s)."""
-        return max(0.0, self._path.duration - self._t)
+        return max(0.0, self._motion.duration - self._clock)
 
 
-def _fastest(x: Array, v: Array, a: Array, goal: Array, limits: Array) -> _Fastest | _StopAndGo:
+def _fastest_trajectory(
+    x: Array, v: Array, a: Array, goal: Array, limits: Array
+) -> _Fastest | _StopAndGo:
     """Compute the fastest trajectory: by ruckig with ever lower limits, else in closed form.
 
     From rest the closed form is the fastest one. From other states ruckig is tried; at the borders
@@ -409,7 +424,7 @@ def _fastest(x: Array, v: Array, a: Array, goal: Array, limits: Array) -> _Faste
         limits: (3, n) limits of velocity, acceleration and jerk.
     """
     if v.any() or a.any():
-        for share in _SHARES:
+        for share in _TRIED_SHARES:
             try:
                 return _Fastest(x, v, a, goal, share * limits)
             except SolverError:

@@ -28,7 +28,7 @@ def Omega_f(N: Array, A_inv: Array) -> Array:
     Raises:
         ContactError: columns are zero or dependent, or the metric is singular along one of them.
     """
-    return _onto(N, A_inv, "Ω_f")
+    return _onto_range(N, A_inv, "Ω_f")
 
 
 def Omega_f_bar(T: Array, A: Array) -> Array:
@@ -41,7 +41,7 @@ def Omega_f_bar(T: Array, A: Array) -> Array:
     Raises:
         ContactError: columns are zero or dependent, or the metric is singular along one of them.
     """
-    return _onto(T, A, "Ω̄_f").T
+    return _onto_range(T, A, "Ω̄_f").T
 
 
 def Omega_m(T: Array, B_inv: Array) -> Array:
@@ -54,7 +54,7 @@ def Omega_m(T: Array, B_inv: Array) -> Array:
     Raises:
         ContactError: columns are zero or dependent, or the metric is singular along one of them.
     """
-    return _onto(T, B_inv, "Ω_m")
+    return _onto_range(T, B_inv, "Ω_m")
 
 
 def Omega_m_bar(N: Array, B: Array) -> Array:
@@ -67,10 +67,10 @@ def Omega_m_bar(N: Array, B: Array) -> Array:
     Raises:
         ContactError: columns are zero or dependent, or the metric is singular along one of them.
     """
-    return _onto(N, B, "Ω̄_m").T
+    return _onto_range(N, B, "Ω̄_m").T
 
 
-def _onto(columns: Array, metric: Array, subject: str) -> Array:
+def _onto_range(columns: Array, metric: Array, subject: str) -> Array:
     """Compute the projection N (NᵀΦN)⁻¹ NᵀΦ (n, n) onto the range of N.
 
     Args:
@@ -95,7 +95,7 @@ def Omega_f_bar_from_complement(N_prime: Array, T: Array) -> Array:
     Raises:
         ContactError: N′ meets N, so that TᵀN′ is singular.
     """
-    return _along(N_prime, T, "N′", "N")
+    return _along_range(N_prime, T, "N′", "N")
 
 
 def Omega_m_bar_from_complement(T_prime: Array, N: Array) -> Array:
@@ -108,7 +108,7 @@ def Omega_m_bar_from_complement(T_prime: Array, N: Array) -> Array:
     Raises:
         ContactError: T′ meets T, so that NᵀT′ is singular.
     """
-    return _along(T_prime, N, "T′", "T")
+    return _along_range(T_prime, N, "T′", "T")
 
 
 def null_space(columns: Array) -> Array:
@@ -121,7 +121,7 @@ def null_space(columns: Array) -> Array:
     return U[:, columns.shape[1] :] / rows
 
 
-def _along(complement: Array, dual: Array, prime: str, space: str) -> Array:
+def _along_range(complement: Array, dual: Array, prime: str, space: str) -> Array:
     """Projection C (DᵀC)⁻¹ Dᵀ (6, 6), computed with well-conditioned bases of the two ranges.
 
     Args:
@@ -172,9 +172,9 @@ BLOCKED = 1e-8
 #: Error of the direction that unit columns hardly span, times their least singular value.
 BLURRED = 1e-13
 #: Least eigenvalue of a scaled metric relative to the largest; rounding turns 0 into 1e-17 … 1e-14.
-_NO_MOBILITY = 1e-12
+_LEAST_MOBILITY = 1e-12
 #: Largest difference from symmetry of a scaled metric.
-_ASYMMETRIC = 1e-9
+_MOST_ASYMMETRY = 1e-9
 
 
 def scaled_columns(columns: Array, name: str = "N") -> tuple[Array, Array]:
@@ -242,7 +242,7 @@ def span(columns: Array) -> tuple[Array, Array, Array]:
     if n == 6:
         largest = np.abs(columns).reshape(2, -1).max(axis=1, initial=0.0)
         rows = np.repeat(np.where(largest > 0.0, largest, 1.0), 3)[:, None]
-    unit, length = _unit(columns / rows)
+    unit, length = _unit_columns(columns / rows)
     U, S, Vt = np.linalg.svd(unit)
     return (rows, U, S[:, None] * Vt * length)
 
@@ -269,7 +269,10 @@ def unit_diagonal(
         size = np.sqrt(diagonal)
         scaled = matrix / np.outer(size, size)
         asymmetry = np.abs(scaled - scaled.T).max(initial=0.0)
-        if asymmetry <= _ASYMMETRIC and np.linalg.eigvalsh(scaled).min(initial=1.0) > _NO_MOBILITY:
+        if (
+            asymmetry <= _MOST_ASYMMETRY
+            and np.linalg.eigvalsh(scaled).min(initial=1.0) > _LEAST_MOBILITY
+        ):
             return (scaled, size)
     raise refusal(
         f"{name} is not symmetric positive definite (diagonal {np.round(diagonal, 9)}); give {cure}"
@@ -282,8 +285,8 @@ def least(columns: Array) -> tuple[float, list[int]]:
     Returns:
         The singular value, and the indices of the columns that take part in its singular vector.
     """
-    _, S, Vt = np.linalg.svd(_unit(columns)[0], full_matrices=False)
-    return (float(S[-1]), _large(Vt[-1]))
+    _, S, Vt = np.linalg.svd(_unit_columns(columns)[0], full_matrices=False)
+    return (float(S[-1]), _large_weights(Vt[-1]))
 
 
 def orthonormal(columns: Array, metric: Array, subject: str) -> tuple[Array, Array, Array]:
@@ -311,14 +314,14 @@ def orthonormal(columns: Array, metric: Array, subject: str) -> tuple[Array, Arr
         return (np.zeros((n, 0)), np.zeros((n, 0)), np.zeros((0, 0)))
     if k > n:
         raise ContactError(f"{subject}: {k} columns of {n} numbers are dependent. Remove some.")
-    sizes, F = _factor(metric, subject)
+    sizes, F = _scaled_factors(metric, subject)
     rows, U, C = span(columns)
     Q, M = np.linalg.qr(sizes * rows * U[:, :k])
     M = M @ C
-    independent = np.linalg.svd(_unit(M)[0], compute_uv=False)[-1]
+    independent = np.linalg.svd(_unit_columns(M)[0], compute_uv=False)[-1]
     P, Sigma, Zt = np.linalg.svd(F.T @ Q, full_matrices=False)
     if independent < DEPENDENT or Sigma[-1] < max(BLOCKED, BLURRED / independent):
-        _refuse(M, F.T @ Q, Zt[-1], subject)
+        _raise_refusal(M, F.T @ Q, Zt[-1], subject)
     Z = Zt.T / Sigma
     return (Q @ Z / sizes, sizes * (F @ P), np.linalg.solve(M, Z))
 
@@ -338,7 +341,7 @@ def left_inverse(columns: Array, metric: Array, subject: str) -> Array:
     return G @ W.T
 
 
-def _refuse(M: Array, X: Array, unseen: Array, subject: str) -> NoReturn:
+def _raise_refusal(M: Array, X: Array, unseen: Array, subject: str) -> NoReturn:
     """Raise the error of `orthonormal`: a zero column, dependent columns, or a blocked combination.
 
     Args:
@@ -350,7 +353,7 @@ def _refuse(M: Array, X: Array, unseen: Array, subject: str) -> NoReturn:
     Raises:
         ContactError: always.
     """
-    unit, length = _unit(M)
+    unit, length = _unit_columns(M)
     mobility = np.linalg.norm(X @ unit, axis=0)
     column = mobility.argmin()
     independent, which = least(M)
@@ -366,7 +369,7 @@ def _refuse(M: Array, X: Array, unseen: Array, subject: str) -> NoReturn:
             f"{independent:.2g}, limit {DEPENDENT:g}). Remove the redundant ones."
         )
     share = norm(X @ unseen)
-    which = _large(np.linalg.solve(unit, unseen))
+    which = _large_weights(np.linalg.solve(unit, unseen))
     raise ContactError(
         f"{subject}: columns {which} are dependent in the metric (least singular value "
         f"{share:.2g}, limit {max(BLOCKED, BLURRED / independent):.2g}); it cannot move along one "
@@ -374,20 +377,20 @@ def _refuse(M: Array, X: Array, unseen: Array, subject: str) -> NoReturn:
     )
 
 
-def _unit(columns: Array) -> tuple[Array, Array]:
+def _unit_columns(columns: Array) -> tuple[Array, Array]:
     """Scale columns (n, k) to unit length; return them and divisors (k,), 1 for zero columns."""
     length = np.linalg.norm(columns, axis=0)
     length[length == 0.0] = 1.0
     return (columns / length, length)
 
 
-def _large(weights: Array) -> list[int]:
+def _large_weights(weights: Array) -> list[int]:
     """List the indices of weights (k,) whose magnitude is above 0.1 % of the largest one."""
     size = np.abs(weights)
     return np.flatnonzero(size > 1e-3 * size.max()).tolist()
 
 
-def _factor(metric: Array, subject: str) -> tuple[Array, Array]:
+def _scaled_factors(metric: Array, subject: str) -> tuple[Array, Array]:
     """Factors sizes (n, 1) and F (n, n), of norm 1, with metric = (sizes F)(sizes F)ᵀ.
 
     A size is the root of a diagonal element: in six dimensions that of the largest linear or
@@ -407,17 +410,17 @@ def _factor(metric: Array, subject: str) -> tuple[Array, Array]:
     sizes = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))[:, None]
     scaled = metric / sizes / sizes.T
     skew = np.abs(scaled - scaled.T).max()
-    if skew > _ASYMMETRIC:
+    if skew > _MOST_ASYMMETRY:
         raise ContactError(
             f"{subject}: the metric is not symmetric (relative difference {skew:.3g}); "
             "inertias and inverse inertias are"
         )
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    if values[0] < -_ASYMMETRIC:
+    if values[0] < -_MOST_ASYMMETRY:
         raise ContactError(
             f"{subject}: the scaled metric has smallest eigenvalue {values[0]:.3g}; that of an "
             "inertia or inverse inertia is not negative. Pass a positive semidefinite metric."
         )
-    values[values < _NO_MOBILITY * values[-1]] = 0.0
+    values[values < _LEAST_MOBILITY * values[-1]] = 0.0
     root = np.sqrt(values[-1]) if values[-1] > 0.0 else 1.0
     return (sizes * root, vectors * np.sqrt(np.maximum(values, 0.0)) / root)

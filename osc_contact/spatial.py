@@ -274,7 +274,7 @@ class Poses:
         """Position and quaternion x, y, z, w (k, 7), in the order of `pin.SE3ToXYZQUAT`."""
         rows = np.empty((k, 7))
         rows[:, :3] = self.p.T
-        rows[:, 3:] = _quaternions(self.R)
+        rows[:, 3:] = _quaternions_of(self.R)
         return rows
 
 
@@ -319,7 +319,7 @@ def moved(X: Array, d: Array) -> Array:
     return poses
 
 
-def _quaternions(R: Array) -> Array:
+def _quaternions_of(R: Array) -> Array:
     """Unit quaternions x, y, z, w (k, 4) of rotations R (3, 3, k).
 
     Rotations by at most 120° are given with w ≥ 0; Eigen converts the larger ones.

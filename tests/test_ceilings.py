@@ -302,7 +302,7 @@ def test_the_speed_that_is_compared_is_that_of_the_tips():
 def test_actions_that_could_be_above_a_given_ceiling_are_refused():
     """Ceilings that are not given follow what is commanded by actions."""
     gymnasium = osc.make_vector_env("panda_edge", 1, overrides=["duration=0.1 s"], most_force=300.0)
-    model = gymnasium._now[0].start.controller.records.model
+    model = gymnasium._episodes[0].start.controller.records.model
     assert (model.contact_headroom, model.contact_ceiling) == (HEADROOM, LEAST_CEILING)
     with refused("forces of up to 300 N in 1 contacts"):
         osc.make_vector_env(

@@ -477,7 +477,7 @@ def test_other_arrays_give_the_same_torques_and_are_never_refused_by_the_law(
     """The refusal of arrays by the compiled law costs as much as dozens of ticks."""
     plant = rig.plant()
     refused = []
-    monkeypatch.setattr(Controller, "_refuse", lambda self, *args: refused.append(args))
+    monkeypatch.setattr(Controller, "_refuse_inputs", lambda self, *args: refused.append(args))
     usual = rig.controller()
     other = rig.controller()
     for k in range(20):

@@ -152,7 +152,7 @@ def test_a_robot_that_ends_the_motion_ends_the_loop(franka, fault, sentence):
 
 def without_weight(robot):
     weight = 9.81 * 0.73 * robot._data.oMf[robot._sensor].rotation[2]
-    return robot._estimate(robot.state) - [*weight, 0.0, 0.0, 0.0]
+    return robot._estimate_wrench(robot.state) - [*weight, 0.0, 0.0, 0.0]
 
 
 @parametrize(
@@ -199,7 +199,7 @@ def at_rest(server, ticks, sensor="tcp", **scene):
 
 def test_the_weight_that_the_robot_carries_is_taken_from_the_torques(franka):
     robot, read = at_rest(franka, 200)
-    assert largest(robot._torques.tau_J) < 1e-9, "the robot adds gravity by itself"
+    assert largest(robot._sent_torques.tau_J) < 1e-9, "the robot adds gravity by itself"
     assert largest(read[-1].q - read[0].q) < 1e-3
     assert largest(read[-1].joint_torques) > 20.0, "as its own sensors read"
     steps = np.diff([m.sequence for m in read[2:]])
@@ -231,12 +231,12 @@ def test_torques_stay_within_the_limits_of_the_robot(franka):
     robot, _ = at_rest(franka, 1)
     before = np.array(robot.state.tau_J_d)
     robot.command(np.full(7, 1e6), 1e-3)
-    assert largest(np.array(robot._torques.tau_J) - before) == approx(0.99)
+    assert largest(np.array(robot._sent_torques.tau_J) - before) == approx(0.99)
     robot._v = robot.chain.model.upperVelocityLimit.copy()  # every joint at its limit
     robot.state = type("state", (), {"tau_J_d": robot.chain.tau_max})
     weight = pin.computeGeneralizedGravity(robot._model, robot._data, robot._q)
     robot.command(robot.chain.tau_max + weight, 1e-3)
-    assert (np.array(robot._torques.tau_J) < robot.chain.tau_max).all(), "braked"
+    assert (np.array(robot._sent_torques.tau_J) < robot.chain.tau_max).all(), "braked"
     with invalid_input("tau"):
         robot.command(np.full(7, np.nan), 1e-3)
     with invalid_input(r"each 1 ms, not each 2 ms"):
@@ -256,7 +256,7 @@ def test_payload_end_effector_and_mounted_sensor(franka):
     assert first.wrench_valid and first.wrenches[0].tolist() == [0, 1, 2, 3, 4, 5]
     assert not second.wrench_valid and not third.wrench_valid and not third.wrenches.any()
     robot._wrench = None
-    assert_near(robot._hangs.mass, 0.5)
+    assert_near(robot._load.mass, 0.5)
     franka.begin(height=0.0, tcp_off=0.02)
     with plant_error(r"tip 'tcp' is 20 mm and .* give end_effector="):
         FrankaRobot(franka.host, chain)

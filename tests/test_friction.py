@@ -115,9 +115,9 @@ def test_tangential_forces_of_a_contact_at_rest_leave_the_contact_force_as_comma
         controller.tick(measurement, reference)
         controller.records.memory.columns.tangential[:] = f
         tau = controller.tick(measurement, reference)
-        load = plant._jacobian(plant._object()[0]).T @ np.append(f, np.cross(p, f))
-        forces.append(plant._solve(tau - load).alpha[0])
-        held = plant._solve(tau).alpha[0] - forces[0]
+        load = plant._jacobian(plant._object_state()[0]).T @ np.append(f, np.cross(p, f))
+        forces.append(plant._solve_motion(tau - load).alpha[0])
+        held = plant._solve_motion(tau).alpha[0] - forces[0]
         read.append(controller.records.memory.columns.tangential[0].copy())
     assert forces[1] == approx(forces[0], abs=1e-6) and abs(held) > 0.1
     assert_near(read[1] - read[0], f * 5.0 / 6.0, atol=1e-9)  # a lag of 5 ms at 1 kHz

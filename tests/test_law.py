@@ -99,9 +99,9 @@ def test_the_front_end_is_pinocchios_and_a_foreign_model_is_refused():
     model.addFrame(pin.Frame("tip", joint, 0, placed(0.2), pin.FrameType.OP_FRAME))
     body = osc.RigidObject(pin.Inertia(1.0, vector(0.02, 0.01, 0.0), 0.01 * np.eye(3)))
     chain = osc.ClosedChain([osc.Arm.from_urdf(model, name="arm", tip="tip")], payload=body)
-    wrong_link = chain.law_row(led=False).copy()
+    wrong_link = chain.law_row(from_leader=False).copy()
     MODEL.view(wrong_link).joints.link[3][0] *= 1.0 + 1e-6
-    wrong_rotor = chain.law_row(led=False).copy()
+    wrong_rotor = chain.law_row(from_leader=False).copy()
     MODEL.view(wrong_rotor).joints.armature[3] += 0.1
     for row in (wrong_link, wrong_rotor):
         with model_error("law's .* differs from Pinocchio"):

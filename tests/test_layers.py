@@ -42,7 +42,9 @@ def allowed(room):
     return {room, ""}.union(*found[height + 1 :])
 
 
-HOMES = sorted({*osc._homes().values(), f"{PACKAGE}.drivers.franka", f"{PACKAGE}.testing"})
+HOMES = sorted(
+    {*osc._module_of_each_name().values(), f"{PACKAGE}.drivers.franka", f"{PACKAGE}.testing"}
+)
 #: Opens each door in a process of its own, which has loaded other software only.
 OPEN = """
 import json, os, sys

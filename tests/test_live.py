@@ -279,7 +279,7 @@ def test_a_run_is_the_same_with_a_viewer_that_dies_in_it(caplog):
 
 def test_nothing_that_is_shown_can_raise(viewer, caplog):
     viewer.show(TICKS[0])
-    viewer._due = 0.0
+    viewer._next_send = 0.0
     viewer.show({"t": 0.0, "q": "no numbers"})
     assert "does not hold numbers" in str(viewer.error) and len(caplog.records) == 1
     viewer.show(TICKS[1])
@@ -291,9 +291,9 @@ def test_at_most_so_many_ticks_per_second_are_sent():
         sent = 0
         end = time.monotonic() + 1.0
         while time.monotonic() < end:
-            due = viewer._due
+            due = viewer._next_send
             viewer.show(TICKS[0])
-            sent += viewer._due != due
+            sent += viewer._next_send != due
             time.sleep(TICK_S)
         assert 2 <= sent <= 21
     for rate in (0.0, 61.0, float("nan")):

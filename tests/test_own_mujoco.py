@@ -409,7 +409,7 @@ def test_a_viewer_takes_the_robot_and_its_recording(recorded, tmp_path):
     robot, recording, _ = recorded
     with osc.open_viewer(robot) as viewer:
         for tick in (0, 200):
-            viewer._due = 0.0
+            viewer._next_send = 0.0
             viewer.show(recording.at(tick))
         with Browser(viewer.url) as page:
             page.until("element('live').textContent === 'LIVE'")

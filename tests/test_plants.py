@@ -68,7 +68,7 @@ def test_divergence_is_an_error_and_leaves_no_log_file(rig, tmp_path, monkeypatc
 
 def test_rigid_plant_refuses_to_run_away(rig):
     plant = rigid_plant(rig.q_contact, rig.chain, rig.pairs)
-    plant._project(plant.q, plant._X, np.full(10, 2e3), np.zeros(6))
+    plant._project_state(plant.q, plant._X, np.full(10, 2e3), np.zeros(6))
     with plant_error("diverged"):
         plant.command(np.zeros(8), 1e-3)
 

@@ -196,7 +196,7 @@ def test_large_recordings_stay_in_their_file(tmp_path, monkeypatch):
         assert_array_equal(loaded[name], values)
         assert_array_equal(loaded.rows(7, 9, name)[name], values[7:9])
         assert_array_equal(loaded.at(-1)[name], values[-1])
-    monkeypatch.setattr("osc_contact.recorder.recording._FROM_DISK", 3000)
+    monkeypatch.setattr("osc_contact.recorder.recording._TICKS_OF_DISK_PIECE", 3000)
     pieces = list(loaded.pieces("q", "t"))
     assert [len(piece["t"]) for piece in pieces] == [3000, 3000, 3000, 1000]
     assert_array_equal(np.concatenate([piece["q"] for piece in pieces]), loaded["q"])

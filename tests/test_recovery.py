@@ -130,7 +130,7 @@ def test_two_runs_of_a_seed_are_the_same_file(tmp_path):
 def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tmp_path):
     scenario = osc.load_scenario(name, [f"plant.type={plant}"])
     once = run_of(scenario, duration=0.06)
-    monkeypatch.setattr(rows_of_runs, "_EVERY", 0.0)
+    monkeypatch.setattr(rows_of_runs, "_WRITE_EVERY_S", 0.0)
     monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", 0)
     same(run_of(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap"), once)
     recovered = osc.recover(tmp_path / "unfinished.mcap")

@@ -21,7 +21,7 @@ MOTION_LAWS = (P.Omega_m, P.Omega_f_bar)
 @fixture(params=[0.01, 1.0, 100.0], ids=["stricter", "as is", "laxer"])
 def limits(request, monkeypatch):
     """Limits a hundred times larger or smaller, which must not change any verdict."""
-    for name in ("DEPENDENT", "BLOCKED", "BLURRED", "_NO_MOBILITY"):
+    for name in ("DEPENDENT", "BLOCKED", "BLURRED", "_LEAST_MOBILITY"):
         monkeypatch.setattr(P, name, getattr(P, name) * request.param)
 
 

@@ -143,7 +143,7 @@ class Contact:
         N = np.hstack([c.N for c in contacts])
         n_gamma = np.concatenate([c.n_gamma for c in contacts])
         # with Φ = L Lᵀ, lengths of the columns of LᵀN are √(nᵀΦn), independent of frame and unit
-        metric_columns = N if Phi_ref is None else _factor(Phi_ref).T @ N
+        metric_columns = N if Phi_ref is None else _scaled_cholesky(Phi_ref).T @ N
         unit_columns, size = projections.scaled_columns(metric_columns)
         R = None
         if not projections.independent(unit_columns):
@@ -246,11 +246,11 @@ class Contact:
 
 
 _PIVOT = 0.3  #: least length of a pivot column's independent part, relative to the largest one
-_RECIPROCAL = 1e-9  #: largest power NᵀT, relative to the sum of its absolute summands
+_MOST_RELATIVE_POWER = 1e-9  #: largest power NᵀT, relative to the sum of its absolute summands
 #: Largest difference of n_γ from its value by dependent columns, relative to its summands.
-_CONSISTENT = 1e-6
+_MOST_DIFFERENCE = 1e-6
 #: Rounding error of n_γ of bodies that hardly move (m/s², rad/s²).
-_STILL = 1e-9
+_ROUNDING_OF_N_GAMMA = 1e-9
 
 
 def require_reciprocal(N: Array, T: Array) -> None:
@@ -264,7 +264,7 @@ def require_reciprocal(N: Array, T: Array) -> None:
         ContactError: the message names the columns and their power.
     """
     power = np.abs(N.T @ T)
-    excess = power - _RECIPROCAL * (np.abs(N).T @ np.abs(T))
+    excess = power - _MOST_RELATIVE_POWER * (np.abs(N).T @ np.abs(T))
     if (excess > 0.0).any():
         i, j = (int(k) for k in np.unravel_index(excess.argmax(), excess.shape))
         raise ContactError(
@@ -328,7 +328,7 @@ def require_consistent(
     summands = (np.abs(n_gamma) + np.abs(independent) @ np.abs(R)) / size
     worst_column = int((violation / size).argmax())
     if violation[worst_column] <= max(
-        _STILL, _CONSISTENT * size[worst_column] * float(summands.max())
+        _ROUNDING_OF_N_GAMMA, _MOST_DIFFERENCE * size[worst_column] * float(summands.max())
     ):
         return
 
@@ -344,7 +344,7 @@ def require_consistent(
     )
 
 
-def _factor(Phi: Array) -> Array:
+def _scaled_cholesky(Phi: Array) -> Array:
     """Compute the Cholesky factor L (6, 6) of Φ = LLᵀ after scaling Φ to unit diagonal.
 
     Args:

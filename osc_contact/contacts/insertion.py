@@ -4,6 +4,12 @@ The frames of peg and hole coincide when the peg's tip is in the mouth of the ho
 the peg is the middle of its tip, that of the hole the middle of its mouth, and both z axes point
 into the hole. Sides are named by their directions in these frames, "+x", "-x", "+y" and "-y", and
 corners by two of them, "+x+y".
+
+Attributes of `_Pairs`, which makes the pairs: `_peg_half` and `_hole_half`, half widths (m);
+`_depth`, depth of the hole (m); `_peg_pose` and `_hole_pose`, poses of peg and hole in the object
+and in the body that has the hole; `_to_object`, `_turn_to_object`, `_to_body`, `_turn_to_body`,
+functions that transform points and directions from the common frame to object and body; `_prefix`,
+beginning of all names.
 """
 
 from __future__ import annotations
@@ -38,8 +44,10 @@ _OUT = np.array([0.0, 0.0, -1.0])  #: direction out of the hole
 _INTO = -_OUT  #: direction into the hole
 #: Distance of the two points of a round peg's axis at which it is held (m). A couple that
 #: overcomes stiction of the joints, some 0.5 N m, takes a few newtons at both, not some tens.
-_LEVER = 0.1
-_APART = 0.7  #: distance of the two points of a side along a rim, as a share of the rim's length
+_HELD_LENGTH = 0.1
+_SHARE_OF_RIM = (
+    0.7  #: distance of the two points of a side along a rim, as a share of the rim's length
+)
 
 
 @dataclass(frozen=True)
@@ -190,15 +198,15 @@ class _Pairs:
             prefix: beginning of all names.
         """
         self._prefix = prefix
-        self._peg = 0.5 * peg.width
-        self._hole = 0.5 * hole.width
+        self._peg_half = 0.5 * peg.width
+        self._hole_half = 0.5 * hole.width
         self._depth = hole.depth
-        self._pose = hole.pose
+        self._hole_pose = hole.pose
         self._peg_pose = peg.pose
-        self._place: Callable[[Array], Array] = hole.pose.act
-        self._rotate: Callable[[Array], Array] = lambda d: hole.pose.rotation @ d
-        self._place_peg: Callable[[Array], Array] = peg.pose.act
-        self._rotate_peg: Callable[[Array], Array] = lambda d: peg.pose.rotation @ d
+        self._to_body: Callable[[Array], Array] = hole.pose.act
+        self._turn_to_body: Callable[[Array], Array] = lambda d: hole.pose.rotation @ d
+        self._to_object: Callable[[Array], Array] = peg.pose.act
+        self._turn_to_object: Callable[[Array], Array] = lambda d: peg.pose.rotation @ d
 
     def square(self) -> Iterator[ContactPair]:
         """Yield the pairs that a square peg and the hole can make, one after the other.
@@ -209,7 +217,7 @@ class _Pairs:
         hole.
         """
         for name, corner in CORNERS.items():
-            tip = self._peg * corner
+            tip = self._peg_half * corner
             yield self._on_plane(f"corner {name} on face", tip, np.zeros(3), _OUT)
             for side in (name[:2], name[2:]):
                 yield self._on_wall(f"corner {name} on wall {side}", tip, side)
@@ -221,12 +229,12 @@ class _Pairs:
             along = np.cross(_INTO, direction)
             yield self._side_on_rim(f"side {name} on rim {name}", direction, np.zeros(3))
             for end, half in (("a", 0.5), ("b", -0.5)):
-                offset = half * _APART * 2.0 * self._hole * along
+                offset = half * _SHARE_OF_RIM * 2.0 * self._hole_half * along
                 yield self._side_on_rim(f"side {name} on rim {name}, {end}", direction, offset)
-        yield from self._tip()
-        tip = self._place_peg(np.zeros(3))
-        seated = self._pose * self._peg_pose.inverse()  # pose of the object
-        yield Prismatic(tip, self._rotate_peg(_INTO), seated, name=f"{self._prefix}hole")
+        yield from self._pairs_of_tip()
+        tip = self._to_object(np.zeros(3))
+        seated = self._hole_pose * self._peg_pose.inverse()  # pose of the object
+        yield Prismatic(tip, self._turn_to_object(_INTO), seated, name=f"{self._prefix}hole")
 
     def round(self) -> Iterator[ContactPair]:
         """Yield the pairs of a round peg, at its four sides, and 45° beside each of them.
@@ -235,7 +243,7 @@ class _Pairs:
         equal forces there keep it in the middle.
         """
         for name, side in SIDES.items():
-            tip = self._peg * side
+            tip = self._peg_half * side
             yield self._on_plane(f"point {name} on face", tip, np.zeros(3), _OUT)
             yield self._on_wall(f"point {name} on wall {name}", tip, name)
             yield self._side_on_rim(f"side {name} on rim {name}", side, np.zeros(3))
@@ -243,17 +251,17 @@ class _Pairs:
             for end, sign in (("a", 1.0), ("b", -1.0)):
                 beside = (side + sign * along) / sqrt(2.0)
                 yield self._side_on_rim(f"side {name} on rim {name}, {end}", beside, np.zeros(3))
-        yield from self._tip()
+        yield from self._pairs_of_tip()
         yield CylinderInHole(
-            self._place_peg(-0.5 * self._depth * _INTO),
-            self._rotate_peg(_INTO),
-            self._place(np.zeros(3)),
-            self._rotate(_INTO),
-            length=_LEVER,
+            self._to_object(-0.5 * self._depth * _INTO),
+            self._turn_to_object(_INTO),
+            self._to_body(np.zeros(3)),
+            self._turn_to_body(_INTO),
+            length=_HELD_LENGTH,
             name=f"{self._prefix}hole",
         )
 
-    def _tip(self) -> Iterator[ContactPair]:
+    def _pairs_of_tip(self) -> Iterator[ContactPair]:
         """Yield the pairs of the middle of the tip, with the face and with the bottom."""
         yield self._on_plane("tip on face", np.zeros(3), np.zeros(3), _OUT)
         yield self._on_plane("tip on bottom", np.zeros(3), self._depth * _INTO, _OUT)
@@ -268,15 +276,15 @@ class _Pairs:
             normal: normal out of the plane's material.
         """
         return VertexOnFace(
-            self._place_peg(point),
-            self._place(on),
-            self._rotate(normal),
+            self._to_object(point),
+            self._to_body(on),
+            self._turn_to_body(normal),
             name=self._prefix + name,
         )
 
     def _on_wall(self, name: str, point: Array, side: str) -> ContactPair:
         """Pair of a point of the peg and the wall on a side of the hole, such as "+x"."""
-        return self._on_plane(name, point, self._hole * SIDES[side], -SIDES[side])
+        return self._on_plane(name, point, self._hole_half * SIDES[side], -SIDES[side])
 
     def _long_edge(self, name: str, tip: Array, rim: str) -> ContactPair:
         """Pair of the long edge through a corner `tip` of the square tip and the rim on a side."""
@@ -286,7 +294,7 @@ class _Pairs:
         """Pair of the edge of the square tip on the side `edge` and the rim on the side `rim`."""
         side = SIDES[edge]
         name = f"edge {edge} on rim {rim}"
-        return self._crossed_edges(name, self._peg * side, np.cross(_INTO, side), rim, _OUT)
+        return self._crossed_edges(name, self._peg_half * side, np.cross(_INTO, side), rim, _OUT)
 
     def _crossed_edges(
         self, name: str, point: Array, direction: Array, rim: str, outward: Array
@@ -300,14 +308,14 @@ class _Pairs:
             outward: direction out of the material at the rim.
         """
         side = SIDES[rim]
-        edge = self._rotate(np.cross(_INTO, side))
-        on_rim = self._place(self._hole * side)
+        edge = self._turn_to_body(np.cross(_INTO, side))
+        on_rim = self._to_body(self._hole_half * side)
         return EdgeOnEdge(
-            self._place_peg(point),
-            self._rotate_peg(direction),
+            self._to_object(point),
+            self._turn_to_object(direction),
             on_rim,
             edge,
-            self._rotate(outward),
+            self._turn_to_body(outward),
             name=self._prefix + name,
         )
 
@@ -319,6 +327,6 @@ class _Pairs:
             side: direction of the side.
             offset: offset of the point from the middle of the rim (m).
         """
-        point = self._place(self._hole * side + offset)
-        on_side = self._place_peg(self._peg * side)
-        return FaceOnVertex(on_side, self._rotate_peg(side), point, name=self._prefix + name)
+        point = self._to_body(self._hole_half * side + offset)
+        on_side = self._to_object(self._peg_half * side)
+        return FaceOnVertex(on_side, self._turn_to_object(side), point, name=self._prefix + name)

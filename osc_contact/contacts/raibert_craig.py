@@ -31,12 +31,12 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.projections import require_independent
 from osc_contact.spatial import Array, as_array, carry_wrench, cross, norm, skew
 
-_VISIBLE = 1e-6  #: least sine of an angle, or share of the object's size, that is reported
+_LEAST_REPORTED = 1e-6  #: least sine of an angle, or share of the object's size, that is reported
 _EYE = np.eye(3)
 #: 48 permutations of the axes with all combinations of signs
 _SIGNED = [_EYE[:, p] * s for p in permutations(range(3)) for s in product((1.0, -1.0), repeat=3)]
 #: (24, 3, 3) permutations and reversals of axes that keep a triad right-handed
-_RELABEL = np.array([P for P in _SIGNED if np.linalg.det(P) > 0.0])
+_RIGHT_HANDED_RELABELLINGS = np.array([P for P in _SIGNED if np.linalg.det(P) > 0.0])
 
 Triple = tuple[bool, bool, bool]  #: flags of the three axes of a frame
 
@@ -84,7 +84,7 @@ def selection_columns(frame: SE3, forces: Sequence[bool], couples: Sequence[bool
     Raises:
         InvalidInputError: not three flags.
     """
-    flags = np.concatenate((_flags("forces", forces), _flags("couples", couples)))
+    flags = np.concatenate((_checked_flags("forces", forces), _checked_flags("couples", couples)))
     return frame.toDualActionMatrix()[:, flags]
 
 
@@ -118,7 +118,7 @@ def as_raibert_craig(
     if not 0.0 < tolerance < 1.0:
         raise InvalidInputError(f"tolerance = {tolerance}; give a sine between 0 and 1")
     middle = np.zeros(3) if centre is None else as_array("centre", centre, (3,))
-    Q, complement = _orthonormal(columns, middle, size)
+    Q, complement = _orthonormal_bases(columns, middle, size)
 
     triads, points, flags = explicit(Q)
     sine = sines(triads, points, flags, complement)
@@ -131,7 +131,9 @@ def as_raibert_craig(
     i_best = sine.argmin()
 
     # order and signs of the axes: the largest trace of E P, nearest to the world's axes
-    P = _RELABEL[np.einsum("ij,pji->p", triads[i_best], _RELABEL).argmax()]
+    P = _RIGHT_HANDED_RELABELLINGS[
+        np.einsum("ij,pji->p", triads[i_best], _RIGHT_HANDED_RELABELLINGS).argmax()
+    ]
     axis_flags = (flags[i_best].reshape(2, 3) @ np.abs(P)) > 0.5
     forces, couples = ((bool(x), bool(y), bool(z)) for x, y, z in axis_flags)
     is_described = sine[i_best] <= tolerance
@@ -140,7 +142,7 @@ def as_raibert_craig(
     return RaibertCraig(frame, forces, couples, float(sine[i_best]), reason)
 
 
-def _flags(name: str, flags: Sequence[bool]) -> Array:
+def _checked_flags(name: str, flags: Sequence[bool]) -> Array:
     """Check three flags; return them as an array (3,).
 
     Args:
@@ -156,7 +158,7 @@ def _flags(name: str, flags: Sequence[bool]) -> Array:
     return array.astype(bool)
 
 
-def _orthonormal(columns: Array, centre: Array, size: float) -> tuple[Array, ...]:
+def _orthonormal_bases(columns: Array, centre: Array, size: float) -> tuple[Array, ...]:
     """Compute orthonormal bases (6, r) of N and (6, 6−r) of its complement.
 
     Orthonormal refers to wrenches with moments about the object's centre, divided by its size.
@@ -215,9 +217,9 @@ def _violation_in_words(Q: Array, size: float, tolerance: float, forces: int) ->
     miss = _couple_about_best_point(F, moments, U_C[:, r - k :])
 
     reasons = []
-    if tilt > _VISIBLE or tilt > miss:
+    if tilt > _LEAST_REPORTED or tilt > miss:
         reasons.append(_tilt_in_words(k, r - k, angle))
-    if miss > _VISIBLE or miss >= tilt:
+    if miss > _LEAST_REPORTED or miss >= tilt:
         reasons.append(_miss_in_words(F, moments, r - k, miss, size))
     if forces != k:
         reasons.append(f"the nearest frame has forces on {forces}, couples on {r - forces} axes")
@@ -286,7 +288,7 @@ def _miss_in_words(F: Array, moments: Array, couples: int, miss: float, size: fl
         moments_along = F.T @ moments
         low, high = np.linalg.eigvalsh(0.5 * (moments_along + moments_along.T))
         offset = 2.0 * float(np.sqrt(max(0.0, -low * high)))
-        if offset > _VISIBLE:
+        if offset > _LEAST_REPORTED:
             return (
                 f"(ii) the lines of force pass {1e3 * size * offset:.4g} mm apart; "
                 "no one point lies on both"
@@ -336,8 +338,8 @@ def explicit(Q: Array) -> tuple[Array, Array, Array]:
         wrenches[:, :k] = Q @ Vh[:k].T
         perpendicular = (False,) if a is None or b is None else (False, True)
         for upright in perpendicular:
-            selection = _pattern(k, 0) + _pattern(r - k, int(upright))
-            frames.append((_triad(a, b, upright), selection, wrenches))
+            selection = _selection_of(k, 0) + _selection_of(r - k, int(upright))
+            frames.append((_nearest_triad(a, b, upright), selection, wrenches))
     E, chosen, W = map(np.array, zip(*frames, strict=True))
 
     # equations p × f = m in the axes of each triad, for its selected forces, without the moments
@@ -367,7 +369,7 @@ def axis_of(U: Array, dimension: int) -> Array | None:
     return None
 
 
-def _pattern(dimension: int, axis: int) -> list[bool]:
+def _selection_of(dimension: int, axis: int) -> list[bool]:
     """Selection (3 flags) of the axes of a triad that span a space of directions.
 
     Args:
@@ -381,7 +383,7 @@ def _pattern(dimension: int, axis: int) -> list[bool]:
     return [dimension == 3] * 3
 
 
-def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
+def _nearest_triad(a: Array | None, b: Array | None, upright: bool) -> Array:
     """Compute the right-handed triad (3, 3) nearest to the axes of forces and couples.
 
     Args:
@@ -404,7 +406,7 @@ def _triad(a: Array | None, b: Array | None, upright: bool) -> Array:
     return np.column_stack((x, y, cross(x, y)))
 
 
-def _space(E: Array, p: Array, chosen: Array) -> Array:
+def _force_spaces(E: Array, p: Array, chosen: Array) -> Array:
     """Compute orthonormal bases (B, 6, r) of the force spaces of B Raibert–Craig frames.
 
     Args:
@@ -431,7 +433,7 @@ def sines(E: Array, p: Array, chosen: Array, complement: Array) -> Array:
         chosen: (B, 6) selected forces, then selected couples.
         complement: (6, 6−r) orthonormal basis of the complement of N.
     """
-    residual = complement.T @ _space(E, p, chosen)
+    residual = complement.T @ _force_spaces(E, p, chosen)
     return np.linalg.svd(residual, compute_uv=False).max(axis=1, initial=0.0)
 
 
@@ -453,7 +455,7 @@ def refined(E: Array, p: Array, chosen: Array, complement: Array) -> tuple[Array
     damping = np.full(len(E), 1e-3)
     E = E.copy()
     p = p.copy()
-    S = _space(E, p, chosen)
+    S = _force_spaces(E, p, chosen)
     residual = complement.T @ S  # (B, 6−r, r) residual, zero if S is N
     for _ in range(_REFINEMENTS):
         # Jacobian (B, 6, (6−r) r): change of the residual by each unit twist
@@ -468,7 +470,7 @@ def refined(E: Array, p: Array, chosen: Array, complement: Array) -> tuple[Array
         # accept steps of those frames that become better
         new_E = turn @ E
         new_p = (turn @ p[:, :, None])[:, :, 0] + step[:, :3]
-        new_S = _space(new_E, new_p, chosen)
+        new_S = _force_spaces(new_E, new_p, chosen)
         new_across = complement.T @ new_S
         is_better = (new_across**2).sum(axis=(1, 2)) < (residual**2).sum(axis=(1, 2))
         E[is_better] = new_E[is_better]

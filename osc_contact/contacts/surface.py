@@ -20,7 +20,7 @@ from osc_contact.law.jit import as_python
 from osc_contact.law.surfaces import is_near, nearest
 from osc_contact.spatial import Array, as_array
 
-_UPWARD = 0.5  #: least z of the unit normal of a triangle that is part of a fitted surface
+_LEAST_NORMAL_Z = 0.5  #: least z of the unit normal of a triangle that is part of a fitted surface
 _near = as_python(is_near)
 
 
@@ -102,12 +102,12 @@ class Surface:
     @classmethod
     def sphere(cls, radius: float) -> Surface:
         """Sphere about the origin; a radius < 0 (m) is a bowl, with material outside the sphere."""
-        return cls(np.full(3, 1.0 / _radius(radius)), level=-0.5 * radius)
+        return cls(np.full(3, 1.0 / _checked_radius(radius)), level=-0.5 * radius)
 
     @classmethod
     def cylinder(cls, radius: float) -> Surface:
         """Cylinder about the z axis; a radius < 0 (m) is a pipe, with material outside of it."""
-        return cls(np.array([1.0, 1.0, 0.0]) / _radius(radius), level=-0.5 * radius)
+        return cls(np.array([1.0, 1.0, 0.0]) / _checked_radius(radius), level=-0.5 * radius)
 
     @classmethod
     def saddle(cls, along_x: float, along_y: float) -> Surface:
@@ -116,7 +116,7 @@ class Surface:
         Args:
             along_x, along_y: radii of curvature R₁, R₂ at the origin (m); > 0: concave.
         """
-        bend = -1.0 / np.array([_radius(along_x), _radius(along_y), np.inf])
+        bend = -1.0 / np.array([_checked_radius(along_x), _checked_radius(along_y), np.inf])
         return cls(bend, slope=1.0)
 
     @classmethod
@@ -153,8 +153,8 @@ class Surface:
         # polynomial coefficients of each cell, from those of the B-splines along x and along y
         pitch = (high - low) / cells
         knots_x, knots_y = spline.get_knots()
-        along_x = _taylor(knots_x, edges[0], pitch[0])
-        along_y = _taylor(knots_y, edges[1], pitch[1])
+        along_x = _spline_coefficients(knots_x, edges[0], pitch[0])
+        along_y = _spline_coefficients(knots_y, edges[1], pitch[1])
         factors = spline.get_coeffs().reshape(along_x.shape[2], along_y.shape[2])
         errors = cloud[2] - spline.ev(*cloud[:2])
         return cls(
@@ -189,7 +189,7 @@ class Surface:
         triangles = triangles_of(mesh.tri_indices, mesh.num_tris)
         a, b, c = corners[triangles].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
-        faces_up = normals[:, 2] > _UPWARD * np.linalg.norm(normals, axis=1)
+        faces_up = normals[:, 2] > _LEAST_NORMAL_Z * np.linalg.norm(normals, axis=1)
         return cls.fitted(np.unique(corners[np.unique(triangles[faces_up])], axis=0), cells)
 
     def rows(self, ball: Array, radius: float, X_ES: pin.SE3) -> tuple[Array, ...]:
@@ -247,7 +247,7 @@ def triangles_of(read: Callable[[int], Any], count: int) -> Array:
     return np.array([[triangle[k] for k in range(3)] for triangle in triangles])
 
 
-def _taylor(knots: Array, edges: Array, side: float) -> Array:
+def _spline_coefficients(knots: Array, edges: Array, side: float) -> Array:
     """Compute the coefficients (4, n, m) of u⁰ … u³ of m cubic B-splines in each of n cells.
 
     u = 0 … 1 is the coordinate in a cell; the coefficients are those of Taylor series at u = 0.
@@ -263,7 +263,7 @@ def _taylor(knots: Array, edges: Array, side: float) -> Array:
     return np.array([splines(edges[:-1], nu=p) * side**p / factorial(p) for p in range(4)])
 
 
-def _radius(radius: float) -> float:
+def _checked_radius(radius: float) -> float:
     """Check a radius of curvature (m) and return it.
 
     Raises:

@@ -1,4 +1,19 @@
-"""Many controllers at once: the rows of one batch, each with a separate model and memory."""
+"""Many controllers at once: the rows of one batch, each with a separate model and memory.
+
+Attributes of `BatchController` that its methods share; B rows:
+
+* `_records`: MODEL and MEMORY of all rows as bytes, one row each, with WORK and INPUT of each
+  thread;
+* `_start_memory`: (B, bytes) MEMORY with which the rows began;
+* `_structure`: sizes and switches that all rows have in common, by name;
+* `_settings`: settings of the controller of each row;
+* `_memories`, `_statuses`, `_columns`, `_torques`, `_squeeze`: views of all rows' MEMORY: the heads
+  (B,), their status (B,), states of the columns of N (B, r), motor torques (B, n_a) (N m, N),
+  desired internal forces (B, bars) (N);
+* `_jobs`: JOB record of each thread: rows to be computed, and switches of the law;
+* `_limits`: solvers for torques at the motor limits by row, made at the first saturation;
+* `_pool`: threads.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +28,10 @@ import numpy.typing as npt
 from osc_contact.control.controller import Controller
 from osc_contact.control.records import STILL, UNNAMED, TickRecords
 from osc_contact.control.status import Status
-from osc_contact.control.torque_limits import MotorLimits, relieve
+from osc_contact.control.torque_limits import MotorLimits, apply_least_loss
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.errors import InvalidInputError, ModelError, SolverError
-from osc_contact.law import records as at
+from osc_contact.law import records as law_records
 from osc_contact.law import tick as law
 from osc_contact.law.compiled import rows as law_rows
 from osc_contact.law.records import Rows
@@ -62,14 +77,14 @@ class BatchController:
         self.rows = len(controllers)
         self.threads = threads
         self._settings = [c.settings for c in controllers]
-        self._bytes = Rows(
+        self._records = Rows(
             np.stack([c.records.model_bytes for c in controllers]),
             np.stack([c.records.memory_bytes for c in controllers]),
             threads,
         )
-        self._start = self._bytes.memory.copy()
+        self._start_memory = self._records.memory.copy()
         self._make_views()
-        self._codes[:] = Status.OK
+        self._statuses[:] = Status.OK
         self._limits: dict[int, MotorLimits] = {}
         self._pool = ThreadPoolExecutor(threads)
 
@@ -98,26 +113,28 @@ class BatchController:
             )
 
     def _make_views(self) -> None:
-        """Make views of the bytes in `_bytes`: of MEMORY of all rows, and of JOB of each thread.
+        """Make views of the bytes in `_records`: of MEMORY of all rows, and of JOB of each thread.
 
-        Sets `_memories` (B,), the heads of the MEMORY records, `_codes` (B,), their status, and
+        Sets `_memories` (B,), the heads of the MEMORY records, `_statuses` (B,), their status, and
         `_columns`, `_torques` and `_squeeze`, the tables of these names with B rows.
         """
-        memory = self._bytes.memory
-        first = at.MEMORY.view(memory[0])
-        starts = dict(zip(at.MEMORY.tables, first.layout.tolist(), strict=False))
+        memory = self._records.memory
+        first = law_records.MEMORY.view(memory[0])
+        starts = dict(zip(law_records.MEMORY.tables, first.layout.tolist(), strict=False))
 
         def view_table(name: str) -> Array:
             """View (B, …) of a table of MEMORY, which is at the same place in all rows."""
             rows = getattr(first, name)
             return memory[:, starts[name] :][:, : rows.nbytes].view(rows.dtype)
 
-        self._memories = memory[:, : at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)[:, 0]
-        self._codes = self._memories["status"]
+        self._memories = memory[:, : law_records.MEMORY.dtype.itemsize].view(
+            law_records.MEMORY.dtype
+        )[:, 0]
+        self._statuses = self._memories["status"]
         self._columns = view_table("columns")
         self._torques = view_table("torques")
         self._squeeze = view_table("squeeze")
-        self._jobs = [at.JOB.view(raw) for raw in self._bytes.jobs]
+        self._jobs = [law_records.JOB.view(raw) for raw in self._records.jobs]
 
     def tick(
         self,
@@ -162,22 +179,22 @@ class BatchController:
         flags = self._command_squeeze(squeeze_d)
         if touched is not None:
             flags |= law.MOVING
-        joints = _table("q", q, (B, n))
+        joints = _input_table("q", q, (B, n))
         args = (
             joints,
-            _table("v", v, (B, n)),
-            _table("wrenches", wrenches, (B, k, 6)),
-            _table("X_WD", X_WD, (B, 4, 4)),
-            _table("V_D", V_D, (B, 6)),
-            _table("A_D", A_D, (B, 6)),
-            _table("alpha_d", alpha_d, (B, r)),
-            STILL if touched is None else _table("touched", touched, (B, c, 28)),
-            UNNAMED if active is None else _table("active", active, (B, c)).ravel(),
+            _input_table("v", v, (B, n)),
+            _input_table("wrenches", wrenches, (B, k, 6)),
+            _input_table("X_WD", X_WD, (B, 4, 4)),
+            _input_table("V_D", V_D, (B, 6)),
+            _input_table("A_D", A_D, (B, 6)),
+            _input_table("alpha_d", alpha_d, (B, r)),
+            STILL if touched is None else _input_table("touched", touched, (B, c, 28)),
+            UNNAMED if active is None else _input_table("active", active, (B, c)).ravel(),
         )
         if wrench_valid is not None:
             self._memories["wrench_missing"][:] = np.broadcast_to(wrench_valid, (B,)) == 0
         # rows are computed in parallel; each thread writes the torques of its rows
-        self._locate(joints.reshape(B, n))
+        self._locate_objects(joints.reshape(B, n))
         self._run_threads(flags, args)
         return np.array(self._torques)
 
@@ -210,17 +227,19 @@ class BatchController:
         """
         ends = np.linspace(0, self.rows, self.threads + 1).astype(int).tolist()
         parts = [
-            self._pool.submit(self._run, i, ends[i], ends[i + 1], flags, args)
+            self._pool.submit(self._run_rows, i, ends[i], ends[i + 1], flags, args)
             for i in range(1, self.threads)
         ]
         try:
-            self._run(0, 0, ends[1], flags, args)
+            self._run_rows(0, 0, ends[1], flags, args)
         finally:
             wait(parts)
         for part in parts:
             part.result()
 
-    def _run(self, thread: int, first: int, end: int, flags: int, args: tuple[Array, ...]) -> None:
+    def _run_rows(
+        self, thread: int, first: int, end: int, flags: int, args: tuple[Array, ...]
+    ) -> None:
         """Run the ticks of some rows in one thread; rows that saturate are completed in Python.
 
         Args:
@@ -232,36 +251,37 @@ class BatchController:
             args: arrays of inputs of all rows.
         """
         job = self._jobs[thread]
-        start = self._bytes.starts[thread]
+        start = self._records.starts[thread]
         while first < end:
             job.switches = flags
             job.first = first
             job.last = end
             # the law stops after a row that saturates and returns twice the number of the next row,
             # plus 1 if some row is not OK
-            first = law_rows()(self._bytes.raw, start, args) >> 1
-            if self._codes[first - 1] == Status.SATURATED:
-                self._relieve(first - 1, thread, args)
+            first = law_rows()(self._records.raw, start, args) >> 1
+            if self._statuses[first - 1] == Status.SATURATED:
+                self._limit_torques(first - 1, thread, args)
 
-    def _relieve(self, i: int, thread: int, args: tuple[Array, ...]) -> None:
+    def _limit_torques(self, i: int, thread: int, args: tuple[Array, ...]) -> None:
         """Compute torques within the motor limits for a row whose tick ended SATURATED.
 
-        If the quadratic program has no solution, the row's tick is run again with switch MISFIT.
+        If the quadratic program has no solution, the row's tick is run again with switch MISFIT, by
+        which the law ends it HELD instead of SATURATED.
 
         Args:
             i: number of the row.
             thread: number of its thread.
             args: arrays of inputs of all rows.
         """
-        rows = TickRecords(self._bytes, i, thread)
+        rows = TickRecords(self._records, i, thread)
         if i not in self._limits:
             self._limits[i] = MotorLimits(self._settings[i], rows.model)
         try:
-            relieve(self._limits[i].program, rows)
+            apply_least_loss(self._limits[i].program, rows)
         except SolverError:
-            self._run(thread, i, i + 1, int(self._jobs[thread].switches) | law.MISFIT, args)
+            self._run_rows(thread, i, i + 1, int(self._jobs[thread].switches) | law.MISFIT, args)
 
-    def _locate(self, q: Array) -> None:
+    def _locate_objects(self, q: Array) -> None:
         """Compute the objects' initial poses from the joints, if no arm holds its object rigidly.
 
         Rows whose pose cannot be found keep `located` = 0; the law then ends their tick HELD.
@@ -290,8 +310,8 @@ class BatchController:
         is_reset = np.ones(self.rows, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
         if is_reset.shape != (self.rows,):
             raise InvalidInputError(f"mask: expected ({self.rows},), got {is_reset.shape}")
-        self._bytes.memory[is_reset] = self._start[is_reset]
-        self._codes[is_reset] = Status.OK
+        self._records.memory[is_reset] = self._start_memory[is_reset]
+        self._statuses[is_reset] = Status.OK
 
     def replace(self, row: int, controller: Controller) -> None:
         """Replace the controller of a row by another one, which continues with its own memory.
@@ -307,24 +327,24 @@ class BatchController:
             raise InvalidInputError(f"row {row}; the batch has rows 0 … {self.rows - 1}")
         self._require_fitting(row, controller)
         records = controller.records
-        model = self._bytes.model
+        model = self._records.model
         if model.flags.writeable:
             model[row] = records.model_bytes
         elif (model[row] != records.model_bytes).any():
             model = model.copy()
             model[row] = records.model_bytes
-            self._bytes = Rows(model, self._bytes.memory, self.threads)
+            self._records = Rows(model, self._records.memory, self.threads)
             self._make_views()
-        for memory in (self._bytes.memory, self._start):
+        for memory in (self._records.memory, self._start_memory):
             memory[row] = records.memory_bytes
         self._settings[row] = controller.settings
         self._limits.pop(row, None)
-        self._codes[row] = Status.OK
+        self._statuses[row] = Status.OK
 
     @property
     def status(self) -> Array:
         """Status (B,) of the last tick of each row, as integers of `Status`."""
-        return self._codes.copy()
+        return self._statuses.copy()
 
     @property
     def state(self) -> Array:
@@ -346,15 +366,15 @@ class BatchController:
 
         `__setstate__` makes threads and views again.
         """
-        rebuilt = ("_pool", "_memories", "_codes", "_columns", "_torques", "_squeeze", "_jobs")
+        rebuilt = ("_pool", "_memories", "_statuses", "_columns", "_torques", "_squeeze", "_jobs")
         attributes = {name: value for name, value in self.__dict__.items() if name not in rebuilt}
-        return {**attributes, "_bytes": (self._bytes.model, self._bytes.memory)}
+        return {**attributes, "_records": (self._records.model, self._records.memory)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore a batch from its pickle: its records, views of them, and its threads."""
         self.__dict__.update(state)
-        model, memory = state["_bytes"]
-        self._bytes = Rows(model, memory, self.threads)
+        model, memory = state["_records"]
+        self._records = Rows(model, memory, self.threads)
         self._make_views()
         self._pool = ThreadPoolExecutor(self.threads)
 
@@ -376,7 +396,7 @@ def _structure_of(controller: Controller) -> dict[str, int]:
     return {name: int(head[name]) for name in names}
 
 
-def _table(name: str, x: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
+def _input_table(name: str, x: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
     """Input of a batch as an array in which the values of all rows follow each other.
 
     Args:

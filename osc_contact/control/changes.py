@@ -1,4 +1,13 @@
-"""Changes of a controller from one tick to the next, as events for a log."""
+"""Changes of a controller from one tick to the next, as events for a log.
+
+Attributes of `Changes`: `_controller`, which is watched, and `_records`, in which the fields were
+found; `_words`, its records as words of 64 bits, and `_word_indices`, those of the watched fields;
+`_buffer`, copy of these words, and `_last_bytes`, their bytes at the last look;
+`_largest_commands`, view of the buffer with the largest command of each kind of ceiling (N);
+`_headroom`, `_set_ceilings`, `_noted_ceilings`: by kind the ceiling over the largest command, the
+ceiling that the user set and the one that was noted last (N); `_noted_joint`, joint without a brake
+that was noted last.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +20,7 @@ from osc_contact.control.controller_settings import Settings
 from osc_contact.control.controller_state import ControllerState
 from osc_contact.control.reasons import hopping_contact
 from osc_contact.control.status import SafetyState
-from osc_contact.law import records as at
+from osc_contact.law import records as law_records
 
 Event = tuple[str, dict[str, Any]]  #: kind of the event, and its values by name
 
@@ -21,7 +30,7 @@ _STATES = tuple(SafetyState)
 _CEILINGS = {"contact": "largest_force", "wrist": "largest_sum"}
 #: Fields of MEMORY whose change is an event, or may be a part of one. The last ones, the commands,
 #: change often.
-_WATCHED = (
+_WATCHED_FIELDS = (
     "state",
     "engaged",
     "unbraked",
@@ -34,25 +43,28 @@ _WATCHED = (
 
 def _field_slices() -> dict[str, slice]:
     """Compute the place of each watched field in the concatenated bytes of all watched fields."""
-    sizes = [at.MEMORY.dtype[name].itemsize for name in _WATCHED]
+    sizes = [law_records.MEMORY.dtype[name].itemsize for name in _WATCHED_FIELDS]
     ends = np.cumsum(sizes).tolist()
     return {
-        name: slice(end - size, end) for name, size, end in zip(_WATCHED, sizes, ends, strict=True)
+        name: slice(end - size, end)
+        for name, size, end in zip(_WATCHED_FIELDS, sizes, ends, strict=True)
     }
 
 
-_PARTS = _field_slices()
-_COMMANDS_BEGIN = _PARTS[next(iter(_CEILINGS.values()))].start  #: where the bytes of commands begin
+_BYTES_OF_FIELD = _field_slices()
+_COMMANDS_BEGIN = _BYTES_OF_FIELD[
+    next(iter(_CEILINGS.values()))
+].start  #: where the bytes of commands begin
 
 
-def _field(watched: bytes, name: str) -> np.ndarray[Any, Any]:
+def _field_numbers(watched: bytes, name: str) -> np.ndarray[Any, Any]:
     """Numbers of a watched field, as an array of the field's type.
 
     Args:
         watched: bytes of all watched fields, one after the other.
         name: name of the field.
     """
-    return np.frombuffer(watched[_PARTS[name]], at.MEMORY.dtype[name].base)
+    return np.frombuffer(watched[_BYTES_OF_FIELD[name]], law_records.MEMORY.dtype[name].base)
 
 
 class Changes:
@@ -64,29 +76,31 @@ class Changes:
     def __init__(self, controller: ControllerState) -> None:
         """Store the present state of the controller; only later changes are events."""
         self._controller = controller
-        self._take_records()
-        self._ceilings: dict[str, float] = {}
-        self._unbraked: str | None = None
+        self._locate_fields()
+        self._noted_ceilings: dict[str, float] = {}
+        self._noted_joint: str | None = None
 
-    def _take_records(self) -> None:
+    def _locate_fields(self) -> None:
         """Locate the watched fields in the controller's records, and read the ceilings' settings.
 
         It is called again after the controller has replaced its records by others of another size.
         """
         records = self._controller.records
-        head = records.memory_bytes[: at.MEMORY.dtype.itemsize].view(at.MEMORY.dtype)
+        head = records.memory_bytes[: law_records.MEMORY.dtype.itemsize].view(
+            law_records.MEMORY.dtype
+        )
         self._records = records
         self._words = records.rows.raw.view(np.int64)
-        self._places = records.places(*(head[name] for name in _WATCHED))
+        self._word_indices = records.places(*(head[name] for name in _WATCHED_FIELDS))
         self._headroom = {key: float(records.model[f"{key}_headroom"]) for key in _CEILINGS}
-        self._least = {key: float(records.model[f"{key}_ceiling"]) for key in _CEILINGS}
-        self._buffer = np.zeros(len(self._places), np.int64)
-        self._commands = self._buffer[_COMMANDS_BEGIN // 8 :].view(np.float64)  # the largest ones
-        self._before = self._read()
+        self._set_ceilings = {key: float(records.model[f"{key}_ceiling"]) for key in _CEILINGS}
+        self._buffer = np.zeros(len(self._word_indices), np.int64)
+        self._largest_commands = self._buffer[_COMMANDS_BEGIN // 8 :].view(np.float64)
+        self._last_bytes = self._read()
 
     def _read(self) -> bytes:
         """Copy the bytes of the watched fields, one field after the other."""
-        self._words.take(self._places, out=self._buffer, mode="clip")
+        self._words.take(self._word_indices, out=self._buffer, mode="clip")
         return self._buffer.tobytes()
 
     def look(self) -> Sequence[Event]:
@@ -96,16 +110,16 @@ class Changes:
         events.
         """
         if self._controller.records is not self._records:
-            self._take_records()
+            self._locate_fields()
             return ()
         after = self._read()
-        before = self._before
+        before = self._last_bytes
         if after == before:
             return ()
-        self._before = after
+        self._last_bytes = after
         if after[:_COMMANDS_BEGIN] == before[:_COMMANDS_BEGIN]:  # often: a command grows
             return tuple(self._raised_ceilings())
-        changes = {name for name, part in _PARTS.items() if after[part] != before[part]}
+        changes = {name for name, part in _BYTES_OF_FIELD.items() if after[part] != before[part]}
         return tuple(self._events(changes, before, after))
 
     def _events(self, changed: set[str], before: bytes, after: bytes) -> Iterator[Event]:
@@ -117,22 +131,22 @@ class Changes:
         """
         controller = self._controller
         if "engaged" in changed:
-            yield "setting", {"name": "engaged", "value": bool(_field(after, "engaged")[0])}
+            yield "setting", {"name": "engaged", "value": bool(_field_numbers(after, "engaged")[0])}
         for name in ("f_tare", "f_bias"):
             if name in changed:
-                yield "setting", {"name": name, "value": _field(after, name).tolist()}
+                yield "setting", {"name": name, "value": _field_numbers(after, name).tolist()}
         if "state" in changed:
-            old = _STATES[int(_field(before, "state")[0])]
-            new = _STATES[int(_field(after, "state")[0])]
+            old = _STATES[int(_field_numbers(before, "state")[0])]
+            new = _STATES[int(_field_numbers(after, "state")[0])]
             kind = "reset" if old is SafetyState.SAFE_STOP else "state"
             reason = controller.reason if new is not SafetyState.RUN else ""
             yield kind, {"from": old.name, "to": new.name, "reason": reason}
         if changed & {"unbraked", "state"}:  # `unbraked` is a name only while the arms are stopped
             joint = controller.unbraked
-            if joint is not None and joint != self._unbraked:
+            if joint is not None and joint != self._noted_joint:
                 yield "brakes", {"joint": joint, "reason": controller.reason}
-            self._unbraked = joint
-        if "hopping" in changed and _field(after, "hopping")[0]:
+            self._noted_joint = joint
+        if "hopping" in changed and _field_numbers(after, "hopping")[0]:
             yield "hopping", {"reason": hopping_contact(controller.records, controller.settings)}
         yield from self._raised_ceilings()
 
@@ -141,10 +155,10 @@ class Changes:
 
         Ceilings that are not set by the user follow the largest command: headroom × command.
         """
-        for key, command in zip(_CEILINGS, self._commands.tolist(), strict=True):
+        for key, command in zip(_CEILINGS, self._largest_commands.tolist(), strict=True):
             ceiling = self._headroom[key] * command
-            if ceiling > max(RISE * self._ceilings.get(key, 0.0), self._least[key]):
-                self._ceilings[key] = ceiling
+            if ceiling > max(RISE * self._noted_ceilings.get(key, 0.0), self._set_ceilings[key]):
+                self._noted_ceilings[key] = ceiling
                 yield "ceiling", {"name": f"{key}_ceiling", "value": ceiling}
 
 
@@ -160,15 +174,15 @@ def changed_settings(before: Settings, after: Settings) -> dict[str, list[Any]]:
     """
     differences: dict[str, list[Any]] = {}
     for group in ("gains", "safety", "friction", "life", "posture_task", "joint_friction"):
-        old = _flatten(group, getattr(before, group))
-        new = _flatten(group, getattr(after, group))
+        old = _flat_settings(group, getattr(before, group))
+        new = _flat_settings(group, getattr(after, group))
         for key in {**old, **new}:
             if old.get(key) != new.get(key):
                 differences[key] = [old.get(key), new.get(key)]
     return differences
 
 
-def _flatten(path: str, value: Any) -> dict[str, Any]:
+def _flat_settings(path: str, value: Any) -> dict[str, Any]:
     """Map the path of each key in a group of settings, nested groups included, to its value.
 
     Args:
@@ -180,5 +194,5 @@ def _flatten(path: str, value: Any) -> dict[str, Any]:
         return {path: value}
     values: dict[str, Any] = {}
     for key in fields:
-        values |= _flatten(f"{path}.{key}", getattr(value, key))
+        values |= _flat_settings(f"{path}.{key}", getattr(value, key))
     return values

@@ -154,8 +154,8 @@ class Controller(ControllerState):
             reading,
         )
         _require_beginning(laws, life, in_contact=in_contact)
-        chain.law_row(led=False)  # raises ModelError for arms that the law does not support
-        self._begin(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))
+        chain.law_row(from_leader=False)  # raises ModelError for arms that the law does not support
+        self._initialise(settings, laws or Laws(), StartCheck(), pack_model(settings, {}))
         self._begin_contacts(engaged=engaged, in_contact=in_contact)
 
     def _begin_contacts(self, *, engaged: bool, in_contact: bool) -> None:
@@ -184,7 +184,7 @@ class Controller(ControllerState):
             contact.phase[self.records.model.bodies.pushes != 0] = Phase.OPEN
             memory.columns.closed[:] = 0
 
-    def _begin(self, settings: Settings, laws: Laws, start: StartCheck, model: Bytes) -> None:
+    def _initialise(self, settings: Settings, laws: Laws, start: StartCheck, model: Bytes) -> None:
         """Set the attributes of a new controller, with a MEMORY of zeros.
 
         Args:
@@ -258,12 +258,12 @@ class Controller(ControllerState):
                 parts = TickParts(self.records, inputs, switches)
                 error = self.custom.tick(parts, measurement, reference, self._replace_records)
                 if error is not None:
-                    self._hold(measurement)
+                    self._hold_arms(measurement)
             elif self.records.tick(inputs, switches) and not self.idle.waiting:
                 return self.records.torques.copy()
-            return self._end(measurement, reference, error)
+            return self._complete_tick(measurement, reference, error)
         except Exception as error:  # no input may end the control loop
-            return self._refuse(measurement, reference, error)
+            return self._refuse_inputs(measurement, reference, error)
 
     def _note_stamps(self, measurement: Measurement) -> None:
         """Compare the stamps and the sequence number of a measurement with those before it.
@@ -272,13 +272,16 @@ class Controller(ControllerState):
         readings are older than those of the encoders) of MEMORY.
         """
         memory = self.records.memory
-        memory.repeated = self.freshness.look(measurement)
+        memory.repeated = self.freshness.compare(measurement)
         if measurement.stamps is not None:
             memory.stamped = memory.stamped or memory.instant + 1
+            # rounded to whole ticks by the 0.5, as the field is a whole number
             late = measurement.stamps.encoders - measurement.stamps.wrists
             memory.late = min(max(0.0, late / self.dt + 0.5), HISTORY)
 
-    def _refuse(self, measurement: Measurement, reference: Reference, error: Exception) -> Array:
+    def _refuse_inputs(
+        self, measurement: Measurement, reference: Reference, error: Exception
+    ) -> Array:
         """Compute the torques (n_a,) of a tick with unusable inputs by the safety layer (N m, N).
 
         Args:
@@ -295,9 +298,9 @@ class Controller(ControllerState):
         except Exception as size_error:  # its message names the input, unlike that of `error`
             error = size_error
         self.ended.note(measurement, reference, error)
-        return self._hold(measurement)
+        return self._hold_arms(measurement)
 
-    def _hold(self, measurement: Measurement) -> Array:
+    def _hold_arms(self, measurement: Measurement) -> Array:
         """Compute the torques (n_a,) of a tick that failed outside of the law (N m, N).
 
         The law runs with wrenches of NaN, so that it ends the tick HELD: repeated torques, or a
@@ -311,7 +314,7 @@ class Controller(ControllerState):
         self.records.hold(q, v)
         return self.last_torques()
 
-    def _end(
+    def _complete_tick(
         self, measurement: Measurement, reference: Reference, error: Exception | None
     ) -> Array:
         """Complete a tick of the law according to its status; return its torques (n_a,) (N m, N).
@@ -335,7 +338,7 @@ class Controller(ControllerState):
         if code == Status.HELD:
             if not self.records.memory.ticked:
                 require_shapes(measurement, reference, self.settings)
-            if self.records.work.reason == OBJECT_UNKNOWN and self._locate(measurement.q):
+            if self.records.work.reason == OBJECT_UNKNOWN and self._locate_object(measurement.q):
                 return self.tick(replace(measurement, stamps=None, sequence=None), reference)
         elif code == Status.SATURATED:
             try:
@@ -343,11 +346,11 @@ class Controller(ControllerState):
                     self.records, self.settings, custom_structure=self.laws.structure is not None
                 )
             except SolverError as solver_error:
-                self._hold(measurement)
+                self._hold_arms(measurement)
                 self.ended.failure = solver_error
         return self.last_torques()
 
-    def _locate(self, q: Array) -> bool:
+    def _locate_object(self, q: Array) -> bool:
         """Compute the object's pose from the joints, as an initial pose for the law.
 
         Args:
@@ -358,7 +361,8 @@ class Controller(ControllerState):
             rigidly, the pose was computed in this tick before, or cannot be found.
         """
         memory = self.records.memory
-        if self.chain.leader is not None or memory.located == 2:  # 2: computed in this tick
+        # 2: computed in this tick, which was repeated with it in vain
+        if self.chain.leader is not None or memory.located == 2:
             memory.located = 0
             return False
         try:
@@ -413,7 +417,7 @@ class Controller(ControllerState):
             gains: gains of both loops.
         """
         settings = replace(self.settings, gains=gains)
-        other = self._another(settings, self.laws)
+        other = self._copy_with(settings, self.laws)
         memory = other.records.memory
         model = other.records.model
         pack_gains(settings, model)
@@ -439,7 +443,7 @@ class Controller(ControllerState):
             safety: limits of the robot, and conditions of a hold and a stop.
         """
         settings = replace(self.settings, safety=safety)
-        other = self._another(settings, self.laws)
+        other = self._copy_with(settings, self.laws)
         pack_safety(settings, other.records.model)
         return other
 
@@ -449,9 +453,9 @@ class Controller(ControllerState):
         Args:
             **laws: fields of `Laws` to change: force, motion or structure, a function or None.
         """
-        return self._another(self.settings, replace(self.laws, **laws))
+        return self._copy_with(self.settings, replace(self.laws, **laws))
 
-    def _another(self, settings: Settings, laws: Laws) -> Self:
+    def _copy_with(self, settings: Settings, laws: Laws) -> Self:
         """Copy the controller with changed settings and laws; the copy continues from its memory.
 
         MODEL is copied, too; the caller packs changed settings into it.
@@ -461,7 +465,7 @@ class Controller(ControllerState):
             laws: laws of the copy.
         """
         duplicate = type(self).__new__(type(self))
-        duplicate._begin(settings, laws, deepcopy(self.start), self.records.model_bytes)
+        duplicate._initialise(settings, laws, deepcopy(self.start), self.records.model_bytes)
         duplicate.records.memory_bytes[:] = self.records.memory_bytes
         duplicate.records.memory.status = Status.OK
         duplicate.idle.begin(waiting=not duplicate.engaged)
@@ -490,7 +494,7 @@ class Controller(ControllerState):
                 "ended" (end of the last tick).
         """
         settings, laws, start = state["parts"]
-        self._begin(settings, laws, start, pack_model(settings, state["columns"]))
+        self._initialise(settings, laws, start, pack_model(settings, state["columns"]))
         self.records.memory_bytes[:], self.records.work_bytes[:] = state["bytes"]
         self.__dict__["ended"] = state["ended"]
         self.idle.begin(waiting=not self.engaged)

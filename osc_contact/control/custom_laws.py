@@ -1,4 +1,8 @@
-"""Laws, pairs and bodies in Python, evaluated between the compiled parts of a tick."""
+"""Laws, pairs and bodies in Python, evaluated between the compiled parts of a tick.
+
+`CustomParts` has `_pairs` and `_bodies`, index and object of each pair and of each touched body
+that only Python can evaluate.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +61,7 @@ class Laws:
     structure: StructureCommand | None = None
 
 
-def _require(law: str, returned: Any, shape: tuple[int, ...], expected: str) -> Array:
+def _checked_result(law: str, returned: Any, shape: tuple[int, ...], expected: str) -> Array:
     """Check the result of a custom law; return it as an array.
 
     Args:
@@ -196,7 +200,7 @@ class CustomParts:
             if not self._fill_contacts(parts, measurement, reference, replace):
                 return None
             if self.laws != Laws():
-                if not self._command(parts, reference):
+                if not self._command_by_laws(parts, reference):
                     return None
                 begin = at.ALLOCATE
         except Exception as error:  # any exception of custom code becomes a status
@@ -225,11 +229,11 @@ class CustomParts:
         Returns:
             False if the tick has ended HELD.
         """
-        evaluated = self._evaluate(parts.records, measurement) if self._pairs else {}
+        evaluated = self._evaluate_pairs(parts.records, measurement) if self._pairs else {}
         columns = {number: N.shape[1] for number, (N, _, _) in evaluated.items()}
         counts = parts.records.model.pairs.count
         if any(r != counts[number] for number, r in columns.items()):
-            parts.records = self._repack(parts.records, columns)
+            parts.records = self._resized_records(parts.records, columns)
             replace(parts.records)
             if not parts.run(at.LOOK, at.MEASURE):
                 return False
@@ -248,7 +252,7 @@ class CustomParts:
             return parts.run(at.LOOK, at.MEASURE)  # ends the tick HELD, with its reason
         return True
 
-    def _command(self, parts: TickParts, reference: Reference) -> bool:
+    def _command_by_laws(self, parts: TickParts, reference: Reference) -> bool:
         """Run the parts MEASURE and COMMAND of the tick with the custom laws.
 
         A custom force law fills `alpha_u` of WORK, a motion law `a_u`, a structure law
@@ -271,19 +275,21 @@ class CustomParts:
             r = int(work.rank)
             returned = laws.force(work.alpha_d[:r].copy(), work.alpha_meas[:r].copy())
             words = f"{r} finite numbers, one for each column of N"
-            work.alpha_u[:r] = _require("force", returned, (r,), words)
+            work.alpha_u[:r] = _checked_result("force", returned, (r,), words)
         if laws.motion is not None:
             X_WO = SE3(work.X_WO)
             V_O = work.V_O.copy()
-            a = _require("motion", laws.motion(reference, X_WO, V_O), (6,), "six finite numbers")
+            a = _checked_result(
+                "motion", laws.motion(reference, X_WO, V_O), (6,), "six finite numbers"
+            )
             work.a_u[:] = classical_to_spatial(a, V_O)
         if not parts.run(at.COMMAND, at.ALLOCATE, force | motion):
             return False
         if laws.structure is not None:
-            self._structure(parts.records)
+            self._apply_structure_law(parts.records)
         return True
 
-    def _evaluate(
+    def _evaluate_pairs(
         self, records: TickRecords, measurement: Measurement
     ) -> dict[int, tuple[Array, Array, Array | None]]:
         """Evaluate the active custom pairs at the object's pose in WORK.
@@ -347,7 +353,7 @@ class CustomParts:
                 *environment.V_e,
             )
 
-    def _repack(self, old: TickRecords, changed: dict[int, int]) -> TickRecords:
+    def _resized_records(self, old: TickRecords, changed: dict[int, int]) -> TickRecords:
         """Make records with other numbers of columns of N; copy the states that do not depend on N.
 
         MEMORY begins with its layout, which depends on the number of columns, and ends with the
@@ -370,14 +376,14 @@ class CustomParts:
         new.memory.columns.closed[:] = phase == Phase.CLOSED
         return new
 
-    def _structure(self, records: TickRecords) -> None:
+    def _apply_structure_law(self, records: TickRecords) -> None:
         """Evaluate the custom structure law, and convert η̇_c and f_S to turned energy coordinates.
 
         The law gives the filtered acceleration η̇_c (d,) and the generalised force f_S (d,) on the
         object along its d free motions S (6, d), both in the coordinates of `state.S`. Fills of
-        WORK `acceleration_t`, S η̇_c + σ (6,), and `f_S` (6,), a wrench whose components along S are
-        f_S. A law with a method `fill(records)` writes both by itself, without signals, which takes
-        0.1 ms instead of 1 ms.
+        WORK `acceleration_t`, S η̇_c + σ (6,), and `f_S` (6,), a wrench whose components along S
+        are f_S. A law with a method `fill(records)` writes both by itself, without signals, which
+        takes 0.1 ms instead of 1 ms.
 
         Args:
             records: records after the motion law of the tick.
@@ -393,7 +399,7 @@ class CustomParts:
         state = signals.state
         words = f"η̇_c and f_S, {state.d} finite numbers each"
         structure: Any = self.laws.structure
-        eta, f_S = _require("structure", structure(signals), (2, state.d), words)
+        eta, f_S = _checked_result("structure", structure(signals), (2, state.d), words)
         turn = records.reflection()  # energy coordinates to locked axes
         to_motions = records.motions()  # energy coordinates to motions at O
         acceleration = state.S @ eta + state.sigma
@@ -438,8 +444,8 @@ def impedance(stiffness: npt.ArrayLike = (1000.0, 100.0), damping_ratio: float =
     Flexible-Joint Robots, Springer, 2008 (own inertia). A. Albu-Schäffer, C. Ott, U. Frese,
     G. Hirzinger, Cartesian impedance control of redundant robots, ICRA 2003 (D).
     """
-    ratio = _on_axes("damping_ratio", [damping_ratio] * 2)
-    return Laws(structure=_Impedance(_on_axes("stiffness", stiffness), float(ratio[0])))
+    ratio = _six_values("damping_ratio", [damping_ratio] * 2)
+    return Laws(structure=_Impedance(_six_values("stiffness", stiffness), float(ratio[0])))
 
 
 def admittance(
@@ -473,14 +479,14 @@ def admittance(
     Source: L. Villani, J. De Schutter, Force control, in: Springer Handbook of Robotics, 2nd ed.,
     2016, chapter 9.2.
     """
-    M = _on_axes("mass", mass, positive=True)
-    D = _on_axes("damping", damping)
-    K = _on_axes("stiffness", stiffness)
-    rate = _on_axes("frequency", [frequency] * 2, positive=True)
+    M = _six_values("mass", mass, positive=True)
+    D = _six_values("damping", damping)
+    K = _six_values("stiffness", stiffness)
+    rate = _six_values("frequency", [frequency] * 2, positive=True)
     return Laws(structure=_Admittance(M, D, K, 2.0 * np.pi * float(rate[0])))
 
 
-def _on_axes(name: str, numbers: npt.ArrayLike, positive: bool = False) -> Array:
+def _six_values(name: str, numbers: npt.ArrayLike, positive: bool = False) -> Array:
     """Expand a parameter of an impedance to (6,): a linear and an angular value, or all six.
 
     Args:

@@ -1,11 +1,16 @@
-"""End of a tick that is not OK: cause of the status, and losses by the motor limits."""
+"""End of a tick that is not OK: cause of the status, and losses by the motor limits.
+
+A `TickEnd` has `_limit_program`, solver for torques at the motor limits (None: none was needed
+yet), and `_known_loss`, loss of the last saturated tick (None: it follows from the solver, or there
+is none).
+"""
 
 from __future__ import annotations
 
 from osc_contact.control.controller_settings import Settings
 from osc_contact.control.records import TickRecords
 from osc_contact.control.status import LimitLoss
-from osc_contact.control.torque_limits import MotorLimits, relieve, scale_torques
+from osc_contact.control.torque_limits import MotorLimits, apply_least_loss, scale_torques
 from osc_contact.errors import OscContactError
 from osc_contact.interface import Measurement, Reference
 
@@ -20,8 +25,8 @@ class TickEnd:
 
     inputs: tuple[Measurement, Reference] | None = None
     failure: Exception | None = None
-    _loss: LimitLoss | None = None
-    _limits: MotorLimits | None = None
+    _known_loss: LimitLoss | None = None
+    _limit_program: MotorLimits | None = None
 
     def note(
         self, measurement: Measurement, reference: Reference, failure: Exception | None
@@ -35,7 +40,7 @@ class TickEnd:
         """
         self.inputs = (measurement, reference)
         self.failure = failure
-        self._loss = None
+        self._known_loss = None
 
     def limit_torques(
         self, records: TickRecords, settings: Settings, custom_structure: bool
@@ -53,11 +58,11 @@ class TickEnd:
             SolverError: no torques within the limits were found.
         """
         if custom_structure:
-            self._loss = scale_torques(records, settings.chain)
+            self._known_loss = scale_torques(records, settings.chain)
             return
-        if self._limits is None:
-            self._limits = MotorLimits(settings, records.model)
-        relieve(self._limits.program, records)
+        if self._limit_program is None:
+            self._limit_program = MotorLimits(settings, records.model)
+        apply_least_loss(self._limit_program.program, records)
 
     def limit_loss(self, records: TickRecords) -> LimitLoss | None:
         """Cost of the motor limits in the last saturated tick, or None.
@@ -65,13 +70,13 @@ class TickEnd:
         Args:
             records: records of that tick.
         """
-        if self._loss is None and self._limits is not None:
-            self._loss = self._limits.given_up(records)
-        return self._loss
+        if self._known_loss is None and self._limit_program is not None:
+            self._known_loss = self._limit_program.given_up(records)
+        return self._known_loss
 
     def forget_limits(self) -> None:
         """Drop the quadratic program of the limits, whose size is that of older records."""
-        self._limits = None
+        self._limit_program = None
 
     def lasting(self, loss: LimitLoss | None) -> TickEnd:
         """Copy without references to records or to exceptions of the user, for `pickle`.
@@ -85,5 +90,5 @@ class TickEnd:
         other = TickEnd()
         other.inputs = self.inputs
         other.failure = None if self.failure is None else OscContactError(str(self.failure))
-        other._loss = loss
+        other._known_loss = loss
         return other

@@ -21,7 +21,7 @@ _NEVER = float("-inf")  #: stamp and number before the first ones
 _READINGS = {"encoders": JOINTS, "wrists": WRISTS, "packet": JOINTS | WRISTS}
 
 
-def _arrays(
+def _required_arrays(
     measurement: object, reference: object, settings: Settings
 ) -> Iterator[tuple[str, object, tuple[int, ...]]]:
     """Yield name, value and required shape of each array that every tick needs.
@@ -51,7 +51,7 @@ def require_sizes(measurement: Measurement, reference: Reference, settings: Sett
     """
     k = len(settings.chain.arms)
     c = len(settings.contacts)
-    for name, value, shape in _arrays(measurement, reference, settings):
+    for name, value, shape in _required_arrays(measurement, reference, settings):
         as_array(name, value, shape)
     require_stamps(measurement)
     touched = measurement.touched
@@ -116,7 +116,7 @@ def require_shapes(measurement: object, reference: object, settings: Settings) -
     Raises:
         InvalidInputError: with the expected shape and that of the array.
     """
-    for name, value, shape in _arrays(measurement, reference, settings):
+    for name, value, shape in _required_arrays(measurement, reference, settings):
         if isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.shape != shape:
             raise InvalidInputError(f"{name}: expected shape {shape}, got {value.shape}")
 
@@ -219,11 +219,14 @@ class Freshness:
 
     def forget(self) -> None:
         """Forget all stamps and packet numbers, so that the next measurement counts as new."""
-        self._newest = dict.fromkeys(_READINGS, _NEVER)
+        self._newest_stamps = dict.fromkeys(_READINGS, _NEVER)
         self.repeated = self.flags = 0
 
-    def look(self, measurement: Measurement) -> int:
+    def compare(self, measurement: Measurement) -> int:
         """Compare stamps and packet number of a measurement with the newest ones; return `flags`.
+
+        `_newest_stamps` has the newest time (s) or number by the name of its source: "encoders",
+        "wrists", "packet".
 
         Args:
             measurement: measurement of a tick, with stamps, a packet number or both.
@@ -236,11 +239,11 @@ class Freshness:
             marks["packet"] = measurement.sequence
         self.flags = 0
         for name, stamp in marks.items():
-            if stamp > self._newest[name]:
-                self._newest[name] = stamp
+            if stamp > self._newest_stamps[name]:
+                self._newest_stamps[name] = stamp
                 continue
             self.flags |= _READINGS[name]
-            if name == "packet" and stamp < self._newest[name]:
+            if name == "packet" and stamp < self._newest_stamps[name]:
                 self.flags |= OUTDATED
         self.repeated = self.repeated + 1 if self.flags else 0
         return self.flags

@@ -8,6 +8,8 @@ reaches the link. With the motor's inertia J_m and the spring K,
 moves the resonance from ω = √(K/J_m) to ω√(1 + k_p) and reduces the effects of motor inertia, bias,
 ripple and friction by the factor 1 + k_p. There is no integral: the remaining errors are small, and
 it would wind up in every contact loss. The loop runs at a higher rate than the controller.
+
+A `JointTorqueLoop` has `_torque_rate`, the estimate of τ̇ from torque readings.
 """
 
 from dataclasses import dataclass
@@ -69,7 +71,9 @@ class JointTorqueLoop:
         self.gain = self.settings.gain
         self.bandwidth = np.sqrt(K * (1.0 + self.gain) / J)
         self.rate_gain = 2.0 * self.settings.damping_ratio * (1.0 + self.gain) / self.bandwidth
-        self._rate = VelocityEstimate.with_bandwidth(RATE_BANDWIDTH * self.bandwidth, self.dt)
+        self._torque_rate = VelocityEstimate.with_bandwidth(
+            RATE_BANDWIDTH * self.bandwidth, self.dt
+        )
         radius = float(self.spectral_radius().max())
         if radius >= 1.0:
             raise InvalidInputError(
@@ -87,7 +91,7 @@ class JointTorqueLoop:
             tau: (n_a,) measured joint torques.
             fresh: True if the sensors have sampled since the last call.
         """
-        _, rate = self._rate.update(tau, fresh=fresh)
+        _, rate = self._torque_rate.update(tau, fresh=fresh)
         u = tau_d + self.gain * (tau_d - tau) - self.rate_gain * rate
         return np.clip(u, -self.tau_max, self.tau_max)
 
@@ -101,8 +105,8 @@ class JointTorqueLoop:
             self.stiffness,
             self.motor_inertia,
             self.rate_gain,
-            self._rate.alpha,
-            self._rate.beta,
+            self._torque_rate.alpha,
+            self._torque_rate.beta,
             strict=True,
         )
         return np.array([self._spectral_radius(*joint) for joint in joints])

@@ -31,24 +31,25 @@ _BODIES: dict[type, tuple[int, tuple[str, ...]]] = {
     Yielding: (at.YIELDING, ("compliance",)),
     Guided: (at.CART, ("direction", "inertia", "stiffness", "damping", "preload", "descent")),
 }
-_NEVER = 1e12  #: number of ticks that no run reaches
+_NEVER_TICKS = 1e12  #: number of ticks that no run reaches
 _WHOLE = np.pi  #: largest range of a joint that counts for the width of its margins (rad, m)
 #: Speed of a joint above which its Coulomb friction counts as fully developed (rad/s).
 SLIP = 3e-4
 SLIDING = 0.3  #: ratio of that speed of sliding to that of turning joints (m/rad)
-_UNLIMITED = 100.0  #: torque limit assumed of motors without a limit (N m, N)
-_NOISE = 0.003  #: residuals that are not friction, as a share of the torque limit
-_ROUNDING = 2e-4  #: residuals by discrete time with an exact model, as a share of the torque limit
+_ASSUMED_LIMIT = 100.0  #: torque limit assumed of motors without a limit (N m, N)
+_RESIDUAL_SHARE = 0.003  #: residuals that are not friction, as a share of the torque limit
+_ROUNDING_SHARE = (
+    2e-4  #: residuals by discrete time with an exact model, as a share of the torque limit
+)
 #: Standard deviations by which residuals have to exceed zero before friction is compensated in a
 #: joint whose model has less friction than noise.
-_SURELY = 2.0
+_SURE_DEVIATIONS = 2.0
 # Priors of the identified parameters F, D, A, bias and mass error of a joint, in a unit in which F,
 # D at 1 rad/s and A at 1 rad/s² are at most 1.
-_DOUBT = np.array(
-    [0.07, 0.07, 0.07, 0.017, 0.07]
-)  #: initial deviation, plus half the model's value
-_SPREAD = np.array([0.5, 0.5, 0.5, 0.5, 0.2])  #: largest standard deviation
-_BOUND = np.array([1.0, 20.0, 20.0, 1.0, 0.5])  #: bound of the magnitude
+#: Initial deviation, plus half the model's value.
+_PRIOR_DEVIATIONS = np.array([0.07, 0.07, 0.07, 0.017, 0.07])
+_MOST_DEVIATION = np.array([0.5, 0.5, 0.5, 0.5, 0.2])  #: largest standard deviation
+_PARAMETER_BOUNDS = np.array([1.0, 20.0, 20.0, 1.0, 0.5])  #: bound of the magnitude
 
 
 def pack_model(settings: Settings, columns: dict[int, int]) -> Bytes:
@@ -149,9 +150,9 @@ def pack_gains(settings: Settings, head: View) -> None:
     dt = settings.dt
     motion = settings.gains.motion
     force = settings.gains.force
-    _copy(motion, head)
+    _copy_settings(motion, head)
     head.period = dt
-    _copy(
+    _copy_settings(
         force,
         head,
         integral="force_gain",
@@ -165,8 +166,10 @@ def pack_gains(settings: Settings, head: View) -> None:
     drifts = force.brake > 0.0 or force.tilt > 0.0
     head.drift_share = -np.expm1(-force.drift * dt) if drifts else 0.0
     head.tilt = 2.0 * np.sin(0.5 * force.tilt)  # length of the chord between unit normals
-    _copy(settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping")
-    _copy(settings.friction or Friction(mu=0.0), head)
+    _copy_settings(
+        settings.posture_task, head, stiffness="posture_stiffness", damping="posture_damping"
+    )
+    _copy_settings(settings.friction or Friction(mu=0.0), head)
     _pack_friction(settings, head)
     head.reading = at.LEAST_SQUARES if settings.reading == "least_squares" else at.FILTER
     B = settings.B
@@ -175,7 +178,7 @@ def pack_gains(settings: Settings, head: View) -> None:
     head.B_inv[:] = np.eye(6) if isinstance(B, str) else np.linalg.inv(B)
     head.phased = settings.life is not None
     # the limited torque rate after a change of the active set is needed without phases, too
-    _copy(settings.life or PhaseSettings(), head, **PHASE_NAMES)
+    _copy_settings(settings.life or PhaseSettings(), head, **PHASE_NAMES)
 
 
 def pack_safety(settings: Settings, head: View) -> None:
@@ -186,7 +189,7 @@ def pack_safety(settings: Settings, head: View) -> None:
         head: MODEL, which is changed.
     """
     safety = settings.safety
-    _copy(safety, head, stop_after="fault_ticks")
+    _copy_settings(safety, head, stop_after="fault_ticks")
     # effective delay (s) from the decision to stop until the brakes act, for stopping distances
     head.reaction = 0.5 / safety.hold_rate + 0.5 / BRAKE_RATE + SURE
     for key in ("contact", "wrist"):  # a ceiling that is not set follows the commands
@@ -194,7 +197,7 @@ def pack_safety(settings: Settings, head: View) -> None:
         setattr(head, f"{key}_ceiling", LEAST_CEILING if ceiling is None else ceiling)
         setattr(head, f"{key}_headroom", HEADROOM if ceiling is None else 0.0)
     head.guarded = 1
-    head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER))
+    head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER_TICKS))
     weight = 9.81 * settings.chain.reference.inertia.mass
     head.force_range = max(safety.force_range, 3.0 * weight)
     head.torque_range = max(safety.torque_range, 3.0 * weight)  # at a lever arm of 1 m
@@ -260,19 +263,19 @@ def _pack_friction(settings: Settings, head: View) -> None:
     head.friction_share = friction.share
     head.friction_smoothing = friction.smoothing
     head.brake_ratio = friction.brake_ratio
-    limit = np.minimum(rows.tau_max, _UNLIMITED)
+    limit = np.minimum(rows.tau_max, _ASSUMED_LIMIT)
     largest = friction.most * limit
     priors = head.priors
-    priors.noise[:] = _NOISE * limit
-    priors.rounding[:] = _ROUNDING * limit
+    priors.noise[:] = _RESIDUAL_SHARE * limit
+    priors.rounding[:] = _ROUNDING_SHARE * limit
     rows.slip[:] = np.where(rows.slides != 0, SLIDING * SLIP, SLIP)
     rows.theta[:] = model_values
     scale = np.ones_like(model_values)
     scale[:, :4] = largest[:, None]
-    priors.sure[:] = np.where(model_values.sum(axis=1) > priors.noise, 0.0, _SURELY)
-    priors.doubt[:] = 0.5 * model_values + scale * _DOUBT
-    priors.spread[:] = scale * _SPREAD
-    priors.high[:] = np.maximum(scale * _BOUND, model_values)
+    priors.sure[:] = np.where(model_values.sum(axis=1) > priors.noise, 0.0, _SURE_DEVIATIONS)
+    priors.doubt[:] = 0.5 * model_values + scale * _PRIOR_DEVIATIONS
+    priors.spread[:] = scale * _MOST_DEVIATION
+    priors.high[:] = np.maximum(scale * _PARAMETER_BOUNDS, model_values)
     priors.low[:, 2] = -np.array(model.armature)  # rotor inertia ≥ 0 in total; F and D ≥ 0
     priors.low[:, 3:] = -priors.high[:, 3:]
 
@@ -300,7 +303,7 @@ def joint_limit_margins(
     return lower + width, upper - width, width, stiffness * width
 
 
-def _copy(settings: Spec, head: View, **names: str) -> None:
+def _copy_settings(settings: Spec, head: View, **names: str) -> None:
     """Copy settings into fields of MODEL; settings of None, or without a field, are left out.
 
     Args:

@@ -45,8 +45,8 @@ class _Facts(dict[str, Any]):
         """
         rows = self.rows
         chain = self.settings.chain
-        # index of the joint, arm, contact or column that is the cause, and of the column in
-        # question
+        # what `culprit` numbers (a joint, arm, contact or column of N) depends on the reason: each
+        # sentence uses only the names that fit its own
         i = int(rows.memory.culprit)
         where = int(rows.work.where)
         match name:
@@ -61,12 +61,12 @@ class _Facts(dict[str, Any]):
             case "arm":
                 return chain.arms[i].name
             case "contact":
-                return self._contact(i)
+                return self._contact_name(i)
             case "force":
                 return float(rows.memory.columns.alpha[i])
             # `hopping` counts from 1; 0 means that no contact hops
             case "hopping":
-                return self._contact(int(rows.memory.hopping) - 1)
+                return self._contact_name(int(rows.memory.hopping) - 1)
             case "hop_percent":
                 return 100.0 * float(rows.memory.columns.hop_share[int(rows.memory.hopping) - 1])
             case "safety":
@@ -84,16 +84,16 @@ class _Facts(dict[str, Any]):
             case "column":
                 return where
             case "column_contact":
-                return self._contact(where)
+                return self._contact_name(where)
             case "n_gamma":
                 return float(rows.work.columns.n_gamma[where])
             case "kept":
                 return int(rows.kept()[where])
             case "kept_contact":
-                return self._contact(rows.kept()[where])
+                return self._contact_name(rows.kept()[where])
         raise KeyError(name)
 
-    def _contact(self, column: int) -> str:
+    def _contact_name(self, column: int) -> str:
         """Name of the contact that a column of N (its index) belongs to."""
         return self.settings.contacts[self.rows.model.columns.contact[column]].name
 
@@ -123,7 +123,7 @@ def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
     facts = _Facts(records, settings)
     stopped = memory.state == at.SAFE_STOP
     if stopped and code != cause and memory.age == 1:
-        return f"{SENTENCES[cause].format_map(facts)}{warning}{_RESET}"
+        return f"{SENTENCES[cause].format_map(facts)}{warning}{_ADVICE_TO_RESET}"
     if code == STOPPED or (stopped and code != cause):
         sentence = "a tick could not be computed" if failure is None else str(failure)
         if cause in (UNREACHABLE, CONTRADICTION):  # WORK of that tick, with their column, is gone
@@ -136,11 +136,11 @@ def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
         return f"{failure}{warning}"
     if code == BAD_INPUT and ended.inputs is not None:
         return _describe_input(records, settings, *ended.inputs) + warning
-    lasting = _RESET if code >= LASTING else ""
+    lasting = _ADVICE_TO_RESET if code >= LASTING else ""
     return f"{SENTENCES[code].format_map(facts)}{warning}{lasting}"
 
 
-_RESET = ". See why, then call reset()"
+_ADVICE_TO_RESET = ". See why, then call reset()"
 
 
 def _describe_input(

@@ -57,7 +57,7 @@ RECORDS = {
 }
 
 
-def _each(relation: str, *names: str) -> tuple[str, ...]:
+def _for_each_field(relation: str, *names: str) -> tuple[str, ...]:
     """Repeat a relation for several fields.
 
     Args:
@@ -67,17 +67,17 @@ def _each(relation: str, *names: str) -> tuple[str, ...]:
     return tuple(re.sub(r"\bx\b", name, relation) for name in names)
 
 
-def _flags(*names: str) -> tuple[str, ...]:
+def _flag_relations(*names: str) -> tuple[str, ...]:
     """Relations of fields that are 0 or 1."""
-    return _each("0 <= x <= 1", *names)
+    return _for_each_field("0 <= x <= 1", *names)
 
 
-def _ticks(*names: str) -> tuple[str, ...]:
+def _tick_relations(*names: str) -> tuple[str, ...]:
     """Relations of fields that count ticks."""
-    return _each(f"0 <= x <= {MOST_TICKS}", *names)
+    return _for_each_field(f"0 <= x <= {MOST_TICKS}", *names)
 
 
-_REASON = _each(f"0 <= x <= {max(CODES.values())}", "reason")
+_REASON = _for_each_field(f"0 <= x <= {max(CODES.values())}", "reason")
 _SIX = "0 <= x <= 6"
 _SQUEEZES = ("n_bars == 0 or size_squeezes == n_bars", "n_bars != 0 or size_squeezes == 1")
 
@@ -93,7 +93,7 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             "first == 0",
             "last == 1",
             "count == 1",
-            *_each("0 <= x", "model", "memory", "work", "input"),
+            *_for_each_field("0 <= x", "model", "memory", "work", "input"),
             "model_step == row_bytes",
         ),
     },
@@ -102,16 +102,18 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             f"1 <= n_arms <= {MOST_ARMS}",
             f"n_arms <= n_joints <= {at.MAX_JOINTS} * n_arms",
             "0 <= n_motors <= n_joints",
-            *_each(f"0 <= x <= {MOST_ROWS}", "n_contacts", "n_shapes", "n_columns", "n_bars"),
+            *_for_each_field(
+                f"0 <= x <= {MOST_ROWS}", "n_contacts", "n_shapes", "n_columns", "n_bars"
+            ),
             "2 * n_bars == n_arms * n_arms - n_arms",
             "n_bars == 0 or n_extra == n_bars + 6 * n_arms",
             "n_bars != 0 or n_extra == 1 + 6 * n_arms",
-            *_flags("held", "slipping", "rubs", "friction_learning", "friction_errors"),
-            *_flags("phased", "guarded", "hop_stops"),
+            *_flag_relations("held", "slipping", "rubs", "friction_learning", "friction_errors"),
+            *_flag_relations("phased", "guarded", "hop_stops"),
             f"{at.BY_OBJECT} <= metric <= {at.BY_MATRIX}",
             f"{at.FILTER} <= reading <= {at.LEAST_SQUARES}",
             "-1 <= leader <= n_arms - 1",
-            *_ticks("repeats", "fault_ticks", "fast_ticks", "row_bytes", "memory_bytes"),
+            *_tick_relations("repeats", "fault_ticks", "fast_ticks", "row_bytes", "memory_bytes"),
         ),
         "arms": (
             "first == before_end",
@@ -120,12 +122,12 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             "first <= tip_joint <= end - 1",
             "sensor_joint == -1 or first <= sensor_joint <= end - 1",
             "outer_joint == -1 or first <= outer_joint <= end - 1",
-            *_each(_SIX, "m", "full_rank"),
+            *_for_each_field(_SIX, "m", "full_rank"),
             "full_rank <= m",
             f"{at.RIGID} <= kind <= {at.OTHER}",
-            *_flags("filtered"),
+            *_flag_relations("filtered"),
         ),
-        "joints": (*_flags("slides"), "motor == -1 or motor == motors_before"),
+        "joints": (*_flag_relations("slides"), "motor == -1 or motor == motors_before"),
         "pairs": (
             f"{at.POINTS} <= kind <= {at.FUNCTION}",
             f"kind != {at.GIVEN}",  # Python evaluates it
@@ -137,26 +139,28 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             "shape_at == before_shape_at + before_count + before_freedoms",
             f"shape_at + count + freedoms <= {MOST_ROWS}",
             "surface_shapes <= count + freedoms",
-            *_flags("has_friction"),
+            *_flag_relations("has_friction"),
             "address == 0",
         ),
         "columns": ("before_contact <= contact <= n_contacts - 1",),
         "bodies": (
             f"{at.UNYIELDING} <= kind <= {at.YIELDING}",
             "0 <= same <= row",
-            *_flags("pushes"),
+            *_flag_relations("pushes"),
         ),
     },
     "MEMORY": {
         "": (
-            *_each(_SIX, "force_rank"),
+            *_for_each_field(_SIX, "force_rank"),
             "0 <= located <= 2",
-            *_ticks("ticked", "gap", "age", "faults", "lost", "overspeed", "repeats"),
-            *_ticks("wrench_age", "old_joints", "old_wrists", "balanced", "instant", "stamped"),
-            *_flags("fresh", "engaged", "hand_over", "wrench_missing", "has_wrench"),
+            *_tick_relations("ticked", "gap", "age", "faults", "lost", "overspeed", "repeats"),
+            *_tick_relations(
+                "wrench_age", "old_joints", "old_wrists", "balanced", "instant", "stamped"
+            ),
+            *_flag_relations("fresh", "engaged", "hand_over", "wrench_missing", "has_wrench"),
             f"0 <= settled <= {at.SETTLED}",
             f"0 <= derived <= {at.NOISY}",
-            *_flags("compared", "above", "chosen_set", "by_column"),
+            *_flag_relations("compared", "above", "chosen_set", "by_column"),
             *_REASON,
             f"0 <= cause <= {max(CODES.values())}",
             f"{at.RUN} <= state <= {at.SAFE_STOP}",
@@ -169,45 +173,47 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             f"{at.OK} <= status <= {at.HOPPING}",
             *_SQUEEZES,
         ),
-        "contacts": (*_flags("active", "held"), "0 <= phase <= 2"),
+        "contacts": (*_flag_relations("active", "held"), "0 <= phase <= 2"),
         "joints": (
             f"0 <= faulty <= {at.FAULTY_POSITION + at.FAULTY_SPEED}",
-            *_ticks("unread_q", "unread_v", "changes"),
-            *_flags("stuck", "driven"),
+            *_tick_relations("unread_q", "unread_v", "changes"),
+            *_flag_relations("stuck", "driven"),
             f"{at.NOT_BARRED} <= barred <= {at.EXCHANGED}",
             "0 <= followed <= 4",
         ),
-        "arms": (*_ticks("unread"), *_flags("weighed", "let_go", "holds")),
+        "arms": (*_tick_relations("unread"), *_flag_relations("weighed", "let_go", "holds")),
         "columns": (
-            *_flags("closed", "collision", "known", "has_desired"),
+            *_flag_relations("closed", "collision", "known", "has_desired"),
             "0 <= pressing <= 2",
         ),
         "friction_known": ("0 <= friction_known <= 3",),
     },
     "WORK": {
         "": (
-            *_each(_SIX, "rank", "locked", "n_lost"),
-            *_flags("looked"),
-            *_each("0 <= x <= n_joints", "jumps", "jumped", "speed_jumps", "speed_jumped"),
+            *_for_each_field(_SIX, "rank", "locked", "n_lost"),
+            *_flag_relations("looked"),
+            *_for_each_field(
+                "0 <= x <= n_joints", "jumps", "jumped", "speed_jumps", "speed_jumped"
+            ),
             "0 <= count <= n_columns",
             f"{at.OK} <= status <= {at.HOPPING}",
             *_REASON,
             f"0 <= where <= {MOST_ROWS}",
             "0 <= n_internal <= n_bars",
-            *_flags("commanded", "moving", "weightless"),
+            *_flag_relations("commanded", "moving", "weightless"),
             "size_6k == 6 * n_arms",
             "size_6e == 6 + n_extra",
             *_SQUEEZES,
             "size_bar_row == 3 * n_arms + n_bars",
             "size_effect_row == 6 * n_arms + n_joints + n_bars",
         ),
-        "arms": (*_each(_SIX, "n_locked", "n_kept", "n_lost"), *_flags("wide")),
-        "columns": _flags("shaped"),
+        "arms": (*_for_each_field(_SIX, "n_locked", "n_kept", "n_lost"), *_flag_relations("wide")),
+        "columns": _flag_relations("shaped"),
         "chosen": ("0 <= chosen <= n_columns - 1",),
         "kept": ("0 <= kept <= n_columns - 1",),
         "owners": ("0 <= owners <= n_arms - 1",),
     },
-    "INPUT": {"": _flags("moving", "chosen_set")},
+    "INPUT": {"": _flag_relations("moving", "chosen_set")},
     "PROGRAM": {
         "": (
             "size_a == n_motors",
@@ -221,12 +227,12 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             "size_vv == size_v * size_v",
             "size_kv == size_k * size_v",
             "size_vk == size_v + size_k",
-            *_each(_SIX, "d", "r"),
+            *_for_each_field(_SIX, "d", "r"),
             "0 <= k <= size_k",
             "0 <= s <= size_s",
-            *_flags("short"),
+            *_flag_relations("short"),
         ),
-        "at_limit": _flags("at_limit"),
+        "at_limit": _flag_relations("at_limit"),
         "sense": ("sense == 0",),
         "free": ("0 <= free <= size_v - 1",),
     },
@@ -341,7 +347,7 @@ def names_in(text: str) -> set[str]:
     return words
 
 
-def _holds(text: str, value: Callable[[str], int]) -> bool:
+def _relation_holds(text: str, value: Callable[[str], int]) -> bool:
     """Determine whether one of the alternatives of a relation holds.
 
     A relation compares sums of products of names and whole numbers, each with its neighbour, by <=,
@@ -474,11 +480,13 @@ def broken_relations(name: str, record: View, model: View) -> Iterator[str]:
             value.row = index
             value.own = row
             place = f"{name}.{table}[{value.row}]" if table else name
-            yield from (f"{place}: {text}" for text in relations if not _holds(text, value))
+            yield from (
+                f"{place}: {text}" for text in relations if not _relation_holds(text, value)
+            )
             value.step()
         value.own = None
         for text in ENDS.get(name, {}).get(table, ()):
-            if not _holds(text, value):
+            if not _relation_holds(text, value):
                 yield f"{name}.{table}: {text}"
     yield from _strange_numbers(name, record)
 

@@ -1,4 +1,8 @@
-"""Records of one controller: views of all its bytes, and calls of the law with them."""
+"""Records of one controller: views of all its bytes, and calls of the law with them.
+
+`TickRecords` keeps in `_job` the JOB record of its thread as 64-bit words, the first three of which
+are the switches of the law, the first part to run and the part before which to stop.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,11 @@
-"""Set points whose goals may change at any time: one state within the limits each period."""
+"""Set points whose goals may change at any time: one state within the limits each period.
+
+Attributes: `_trajectory`, way from the present state to the goal; `_bounds`, limits of velocity,
+acceleration and jerk of each coordinate; `_dt`, period (s). A `SetPoint` has `_shape`, shape of its
+values; a `PoseSetPoint` has `_goal`, pose of the goal, and `_R_0`, rotation (3, 3) when the goal
+last changed. The coordinates of the latter are the position (m), then the rotation vector w from
+`_R_0` (rad).
+"""
 
 from __future__ import annotations
 
@@ -64,7 +71,7 @@ class SetPoint:
         Raises:
             InvalidInputError: `start` is empty or not finite, or the period is not positive.
         """
-        self._dt = _period(dt)
+        self._dt = _checked_period(dt)
         numbers = np.asarray(as_numbers("start", start))
         if numbers.size == 0:
             raise InvalidInputError("start is empty; give a number, or one for each coordinate")
@@ -74,7 +81,7 @@ class SetPoint:
 
     def reset(self, value: ArrayLike) -> None:
         """Set the state to rest at `value` (a number or (n,)), which is the goal, too."""
-        self._trajectory = Trajectory.rest(self._numbers("start", value), self._bounds)
+        self._trajectory = Trajectory.rest(self._flattened("start", value), self._bounds)
 
     def step(self, goal: ArrayLike | None = None) -> SetPointState:
         """Advance by one period on the way to the goal; return the new state.
@@ -87,7 +94,7 @@ class SetPoint:
                 and no time passed.
         """
         if goal is not None:
-            target = self._numbers("goal", goal)
+            target = self._flattened("goal", goal)
             if not np.array_equal(target, self._trajectory.goal):
                 self._trajectory = Trajectory(*self._trajectory.state, target, self._bounds)
         self._trajectory.advance(self._dt)
@@ -98,7 +105,7 @@ class SetPoint:
         """Time until the set point rests at its goal (s); 0 at the goal."""
         return self._trajectory.remaining
 
-    def _numbers(self, name: str, value: ArrayLike) -> Array:
+    def _flattened(self, name: str, value: ArrayLike) -> Array:
         """Check a value or goal and flatten it to (n,).
 
         Raises:
@@ -144,15 +151,15 @@ class PoseSetPoint:
         Raises:
             InvalidInputError: the pose or the period is not valid.
         """
-        self._dt = _period(dt)
+        self._dt = _checked_period(dt)
         bounds = zip(linear.each(3), angular.each(3), strict=True)
         self._bounds = tuple(position + rotation for position, rotation in bounds)
         self.reset(start)
 
     def reset(self, X: SE3) -> None:
         """Set the state to rest at the pose X, such as at the start or after a hold of the arm."""
-        self._goal = _pose("start", X)
-        self._base: Array = self._goal.rotation
+        self._goal = _checked_pose("start", X)
+        self._R_0: Array = self._goal.rotation
         self._trajectory = Trajectory.rest(
             np.append(self._goal.translation, np.zeros(3)), self._bounds
         )
@@ -177,19 +184,19 @@ class PoseSetPoint:
         forces = as_array("alpha_d", alpha_d, (None,))
         squeeze = as_numbers("squeeze_d", squeeze_d)
         if goal is not None and not (isinstance(goal, SE3) and goal == self._goal):
-            self._aim(_pose("goal", goal))
+            self._plan_trajectory(_checked_pose("goal", goal))
         self._trajectory.advance(self._dt)
         x, v, a = self._trajectory.state
         R, omega, omega_dot = rotation_of(x[3:], v[3:], a[3:])
         return Reference(
-            SE3(R @ self._base, x[:3]),
+            SE3(R @ self._R_0, x[:3]),
             np.concatenate((v[:3], omega)),
             np.concatenate((a[:3], omega_dot)),
             forces,
             squeeze,
         )
 
-    def _aim(self, goal: SE3) -> None:
+    def _plan_trajectory(self, goal: SE3) -> None:
         """Plan a trajectory from the present state to a new goal.
 
         The rotation vector w begins at zero again, where ẇ = ω and ẅ = ω̇.
@@ -201,12 +208,12 @@ class PoseSetPoint:
         x, v, a = self._trajectory.state
         R, v[3:], a[3:] = rotation_of(x[3:], v[3:], a[3:])
         # normalised, so that rounding errors do not accumulate over many goals
-        base = pin.Quaternion(R @ self._base).normalized().toRotationMatrix()
+        base = pin.Quaternion(R @ self._R_0).normalized().toRotationMatrix()
         x[3:] = 0.0
         w = pin.log3(goal.rotation @ base.T)
         trajectory = Trajectory(x, v, a, np.append(goal.translation, w), self._bounds)
         self._goal = goal
-        self._base = base
+        self._R_0 = base
         self._trajectory = trajectory
 
     @property
@@ -215,7 +222,7 @@ class PoseSetPoint:
         return self._trajectory.remaining
 
 
-def _period(dt: float) -> float:
+def _checked_period(dt: float) -> float:
     """Check the period dt (s) of a set point.
 
     Raises:
@@ -227,7 +234,7 @@ def _period(dt: float) -> float:
     return period
 
 
-def _pose(name: str, X: SE3) -> SE3:
+def _checked_pose(name: str, X: SE3) -> SE3:
     """Check the pose of a start or goal; return it as a new `pin.SE3`.
 
     Raises:
@@ -253,9 +260,8 @@ def rotation_of(w: Array, w_dot: Array, w_ddot: Array) -> tuple[Array, Array, Ar
     projection = float(w @ w_dot)
     normal = cross(w, w_dot)
     omega = a * w_dot + b * normal + (c * projection) * w
-    rate = (
-        a1 * projection * w_dot + b1 * projection * normal + (c1 * projection**2) * w
-    )  # ȧ = a₁ wᵀẇ, …
+    # ȧ = a₁ wᵀẇ, …
+    rate = a1 * projection * w_dot + b1 * projection * normal + (c1 * projection**2) * w
     turning = c * (projection * w_dot + float(w_dot @ w_dot) * w)
     omega_dot = a * w_ddot + b * cross(w, w_ddot) + (c * float(w @ w_ddot)) * w + rate + turning
     W = skew(w)

@@ -112,7 +112,9 @@ class Signals(TickResult):
     """
 
     def __init__(self, settings: Settings, records: TickRecords) -> None:
-        """Copy the records of a tick.
+        """Copy the records of a tick, and set the signals that are no single field of WORK.
+
+        Others are looked up in the records by their names (`self.joints`, `self.X_WD`, …).
 
         Args:
             settings: settings of the controller.
@@ -153,7 +155,11 @@ class Signals(TickResult):
 
     @cached_property
     def parts(self) -> list[Contact]:
-        """Active contacts: N (6, r) at O in world axes, n_γ (r,), and the name of the pair."""
+        """Active contacts: N (6, r) at O in world axes, n_γ (r,), and the name of the pair.
+
+        `_active_contacts` has the indices of these contacts, `_settings` their pairs; the columns
+        of N are those of WORK.
+        """
         contacts = []
         for number in self._active_contacts:
             columns = self.columns[self.records.model.columns.contact == number]

@@ -183,13 +183,13 @@ def judge_load(
     reading = error + expected
     return (
         f"the wrist sensor ({frames}) reads another load than it carries, and no contact is made: "
-        f"in world axes at the object's origin {_show(reading)}, expected {_show(expected)} of "
-        f"{chain.outboard_mass:.3g} kg; the difference is {force:.3g} N and {torque:.3g} N m, "
-        f"limit load_error = {limit:g} N ({limit * lever:.2g} N m). {cause}"
+        f"in world axes at the object's origin {_wrench_text(reading)}, expected "
+        f"{_wrench_text(expected)} of {chain.outboard_mass:.3g} kg; the difference is {force:.3g} "
+        f"N and {torque:.3g} N m, limit load_error = {limit:g} N ({limit * lever:.2g} N m). {cause}"
     )
 
 
-def _show(wrench: Array) -> str:
+def _wrench_text(wrench: Array) -> str:
     """Format a wrench (6,) with its units for a message; + 0.0 turns −0.0 into 0.0."""
     force = np.round(wrench[:3], 2) + 0.0
     torque = np.round(wrench[3:], 3) + 0.0

@@ -11,7 +11,7 @@ from osc_contact.law.nested import View
 from osc_contact.law.saturation import fill_program, settle
 
 
-def relieve(program: TorqueLimits, rows: TickRecords) -> None:
+def apply_least_loss(program: TorqueLimits, rows: TickRecords) -> None:
     """Replace the torques of a saturated tick by those within the limits that lose least.
 
     Writes the torques and the corrected force integral to MEMORY.
@@ -56,7 +56,7 @@ class MotorLimits:
         self.program.program.mass = chain.reference.inertia.mass
 
     def given_up(self, rows: TickRecords) -> LimitLoss:
-        """Compute the losses of the tick in which `relieve` was called last.
+        """Compute the losses of the tick in which `apply_least_loss` was called last.
 
         They are the motors at their limits with their desired torques, and the commanded less the
         resulting contact forces (N), motion (6,; at O in world axes, m/s², rad/s²) and squeeze (N).

@@ -57,7 +57,7 @@ def law_wasm() -> bytes:
         stored_module = store.find(key)
         if stored_module is not None:
             return stored_module
-        module = _compile(folder)
+        module = _compile_module(folder)
     store.keep(key, module)
     return module
 
@@ -71,25 +71,27 @@ def _hash_of(folder: Path) -> str:
     return digest.hexdigest()
 
 
-def _compile(folder: Path) -> bytes:
+def _compile_module(folder: Path) -> bytes:
     """Compile the law and the C sources in a folder to a module; return its content.
 
     Raises:
         OscContactError: there is no compiler, or it fails.
     """
-    compiler = _compiler()
-    _run(
+    compiler = _compiler_command()
+    _run_command(
         [sys.executable, "-m", "osc_contact.law.c_object", TRIPLE, str(folder / "law.o")],
         folder,
         OSC_CONTACT_LAW="compile",  # with a ready library of the law, numba would not be loaded
     )
     command = [*compiler, *_FLAGS, "-I.", "-Idaqp/include", *SOURCES, "law.o", "-lm", "-s"]
     cache = str(library.cache_folder() / "zig")
-    _run([*command, "-o", MODULE], folder, ZIG_GLOBAL_CACHE_DIR=cache, ZIG_LOCAL_CACHE_DIR=cache)
+    _run_command(
+        [*command, "-o", MODULE], folder, ZIG_GLOBAL_CACHE_DIR=cache, ZIG_LOCAL_CACHE_DIR=cache
+    )
     return (folder / MODULE).read_bytes()
 
 
-def _compiler() -> list[str]:
+def _compiler_command() -> list[str]:
     """Command of a C compiler that has a libc for WebAssembly.
 
     Zig is preferred, because the package `ziglang` is complete and of a known version. Of clang it
@@ -113,7 +115,7 @@ def _compiler() -> list[str]:
     )
 
 
-def _run(command: Sequence[str], folder: Path, **variables: str) -> None:
+def _run_command(command: Sequence[str], folder: Path, **variables: str) -> None:
     """Run a command in a folder.
 
     Args:

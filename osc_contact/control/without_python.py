@@ -89,20 +89,23 @@ def write_sources(folder: Path) -> None:
         folder: folder of the files; it is made if it does not exist.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    contents: dict[str, str | bytes] = {"osc_layout.h": _layout(), "osc_ranges.h": _ranges()}
+    contents: dict[str, str | bytes] = {
+        "osc_layout.h": _layout_header(),
+        "osc_ranges.h": _ranges_header(),
+    }
     for item in (files("osc_contact.control") / "c_files").iterdir():
         if item.name.endswith(".tar.xz"):
             with item.open("rb") as stream, tarfile.open(fileobj=stream) as archive:
                 archive.extractall(folder, filter="data")
         elif item.name.endswith(".in"):
-            contents[item.name.removesuffix(".in")] = _header(item.read_text("utf-8"))
+            contents[item.name.removesuffix(".in")] = _header_text(item.read_text("utf-8"))
         else:
             contents[item.name] = item.read_bytes()
     for name, content in contents.items():
         write_whole(content, folder / name)
 
 
-def _enum(prefix: str, members: Iterable[tuple[str, int]]) -> str:
+def _enum_lines(prefix: str, members: Iterable[tuple[str, int]]) -> str:
     """Write the lines of a C enum.
 
     Args:
@@ -112,11 +115,17 @@ def _enum(prefix: str, members: Iterable[tuple[str, int]]) -> str:
     return ",\n".join(f"    {prefix}{name} = {value}" for name, value in members)
 
 
-def _header(text: str) -> str:
+def _header_text(text: str) -> str:
     """Write osc_controller.h: fill in the names between @ in its template.
+
+    Names of errors, statuses, states, reasons, phases and settings, with their numbers and
+    descriptions, are those of the Python package, so that both have one declaration.
 
     Args:
         text: content of osc_controller.h.in.
+
+    Returns:
+        Content of osc_controller.h.
     """
     phases = (f" *   {setting.name}: {setting.words}" for setting in _phase_settings())
     values = {
@@ -127,13 +136,14 @@ def _header(text: str) -> str:
             f"    OSC_{name} = {-code} /* {words} */"
             for code, (name, words) in enumerate(ERRORS.items())
         ),
-        "STATUSES": _enum("OSC_STATUS_", Status.__members__.items()),
-        "STATES": _enum("OSC_STATE_", SafetyState.__members__.items()),
+        "STATUSES": _enum_lines("OSC_STATUS_", Status.__members__.items()),
+        "STATES": _enum_lines("OSC_STATE_", SafetyState.__members__.items()),
         "REASONS": ",\n".join(
-            f"    OSC_REASON_{name} = {code}{_culprit(code)}" for name, code in CODES.items()
+            f"    OSC_REASON_{name} = {code}{_culprit_comment(code)}"
+            for name, code in CODES.items()
         ),
-        "GAINS": "\n".join(f" *   {gain.name}: {gain.words}" for gain in _gains()),
-        "PHASES": _enum("OSC_PHASE_", Phase.__members__.items()),
+        "GAINS": "\n".join(f" *   {gain.name}: {gain.words}" for gain in _changeable_gains()),
+        "PHASES": _enum_lines("OSC_PHASE_", Phase.__members__.items()),
         "PHASE_SETTINGS": "\n".join(phases),
     }
     for name, value in values.items():
@@ -141,7 +151,7 @@ def _header(text: str) -> str:
     return text
 
 
-def _culprit(code: int) -> str:
+def _culprit_comment(code: int) -> str:
     """Write a C comment with the kind of part that the field `culprit` of a stop numbers.
 
     It is empty for a reason whose sentence names no joint, arm or contact.
@@ -172,7 +182,7 @@ class _Gain(NamedTuple):
     words: str
 
 
-def _gains() -> list[_Gain]:
+def _changeable_gains() -> list[_Gain]:
     """List the gains that may change while a controller runs, from the settings' declarations.
 
     Each has its name, the offsets (bytes) of its fields in MODEL and in a contact's row of MEMORY
@@ -183,9 +193,11 @@ def _gains() -> list[_Gain]:
         loop, key = name.split(".")
         kind = type(getattr(Gains(), loop))
         unit = " ".join(x for x in kind.model_fields[key].metadata if isinstance(x, str))
-        contact_offset = _offset(records.CONTACT_MEMORY, contact_field) if contact_field else -1
+        contact_offset = (
+            _field_offset(records.CONTACT_MEMORY, contact_field) if contact_field else -1
+        )
         words = f"{unit}; {meaning(kind, key)}"
-        gains.append(_Gain(name, _offset(records.MODEL.dtype, field), contact_offset, words))
+        gains.append(_Gain(name, _field_offset(records.MODEL.dtype, field), contact_offset, words))
     return gains
 
 
@@ -194,7 +206,7 @@ def _fields_of(dtype: _Dtype) -> dict[str, tuple[_Dtype, int]]:
     return {name: (field[0], field[1]) for name, field in (dtype.fields or {}).items()}
 
 
-def _offset(row: _Dtype, field: str) -> int:
+def _field_offset(row: _Dtype, field: str) -> int:
     """Offset (bytes) of a field in a row of a structured dtype."""
     return _fields_of(row)[field][1]
 
@@ -231,7 +243,7 @@ def _phase_settings() -> list[_PhaseSetting]:
             unit = next(iter(dimension.units), "")
         words = "; ".join(part for part in (unit, meaning(PhaseSettings, name)) if part)
         may_be_zero = any(getattr(x, "ge", None) == 0 for x in about.metadata)
-        offset = _offset(records.MODEL.dtype, field)
+        offset = _field_offset(records.MODEL.dtype, field)
         settings.append(_PhaseSetting(name, offset, may_be_zero, words))
     return settings
 
@@ -242,7 +254,7 @@ def _reason_texts() -> dict[int, str]:
     return texts | REASONS
 
 
-def _layout() -> str:
+def _layout_header() -> str:
     """Write osc_layout.h, from which the C library knows the layout of the records.
 
     It has offsets of fields, slots of tables, numbers of flags and sizes, and tables of gains,
@@ -267,8 +279,8 @@ def _layout() -> str:
         "MEMORY_LAYOUT_WORDS": words,
         "CONTACT_BYTES": records.CONTACT_MEMORY.itemsize,
         "JOINT_BYTES": records.JOINT.itemsize,
-        "JOINT_MOTOR": _offset(records.JOINT, "motor"),
-        "JOINT_TAU_MAX": _offset(records.JOINT, "tau_max"),
+        "JOINT_MOTOR": _field_offset(records.JOINT, "motor"),
+        "JOINT_TAU_MAX": _field_offset(records.JOINT, "tau_max"),
         "HISTORY": records.HISTORY,
         "NOISY": records.NOISY,
         "OSC_FILE_HEAD": HEAD,
@@ -280,7 +292,8 @@ def _layout() -> str:
     lines += ["struct gain { const char *name; size_t offset; int of_contact; };"]
     lines += ["static const struct gain GAINS[] = {"]
     lines += [
-        f'    {{"{gain.name}", {gain.offset}, {gain.contact_offset}}},' for gain in _gains()
+        f'    {{"{gain.name}", {gain.offset}, {gain.contact_offset}}},'
+        for gain in _changeable_gains()
     ] + ["};"]
     lines += ["struct phase_setting { const char *name; size_t offset; int may_be_zero; };"]
     lines += ["static const struct phase_setting PHASE_SETTINGS[] = {"]
@@ -293,8 +306,8 @@ def _layout() -> str:
         f"    {{{code}, {json.dumps(text, ensure_ascii=False)}}},"
         for code, text in sorted(_reason_texts().items())
     ] + ["};"]
-    lines += _rows()
-    lines += _structure()
+    lines += _row_offsets()
+    lines += _structure_lines()
     lines += ["/* What osc_reset sets to zero: of MEMORY (slot −1), and of rows of its tables. */"]
     lines += ["struct forgotten { int slot, count; size_t step, offset, bytes; };"]
     lines += ["static const struct forgotten FORGOTTEN[] = {"]
@@ -302,7 +315,7 @@ def _layout() -> str:
     return "\n".join(lines)
 
 
-def _rows() -> list[str]:
+def _row_offsets() -> list[str]:
     """Write the offsets in rows of tables of MEMORY and MODEL that the library's getters read.
 
     Returns:
@@ -321,11 +334,13 @@ def _rows() -> list[str]:
         for table, columns in fields_by_table.items():
             dtype = kind.tables[table][0]
             lines.append(f"#define {name}_{table}_BYTES {dtype.itemsize}")
-            lines += [f"#define {name}_{table}_{key} {_offset(dtype, key)}" for key in columns]
+            lines += [
+                f"#define {name}_{table}_{key} {_field_offset(dtype, key)}" for key in columns
+            ]
     return lines
 
 
-def _structure() -> list[str]:
+def _structure_lines() -> list[str]:
     """Write the sizes of the records' heads and tables, and the counts that are also in MODEL.
 
     The library checks with them that the bytes of a file have the layout that its header declares.
@@ -402,7 +417,7 @@ def _parts_to_reset() -> list[tuple[int, int, int, int, int]]:
 # --- Check of the numbers in a file ---------------------------------------------------------------
 
 
-def _ranges() -> str:
+def _ranges_header() -> str:
     """Write osc_ranges.h: the ranges that `record_ranges` declares, as C functions and tables.
 
     Returns:
@@ -412,7 +427,7 @@ def _ranges() -> str:
     lines += ['#include "osc_bytes.h"', "#include <math.h>", ""]
     lines += _surface_shapes()
     for name in RECORDS:
-        lines += _relations(name)
+        lines += _relations_function(name)
     lines += ["struct number_range {", "    int slot, rows, columns;"]
     lines += ["    size_t step, offset, count;", "    double low, high;", "};"]
     for name in NUMBERS:
@@ -448,7 +463,7 @@ def _surface_shapes() -> list[str]:
     ]
 
 
-def _relations(name: str) -> list[str]:
+def _relations_function(name: str) -> list[str]:
     """Write the C function that checks the relations of the whole numbers of a record.
 
     A relation such as "first + 1 <= end" limits an index or count, in the head of the record or in

@@ -3,6 +3,22 @@
 The robot adds torques against the weight of its model and of its load to the commanded ones, but
 no Coriolis torques. Therefore gravity is subtracted from the controller's torques. The wrench that
 the robot estimates lacks the weight beyond the wrist, which is added.
+
+Attributes of `FrankaRobot` beside the public ones:
+
+* `_lib`, `_robot`, `_control`: client library, its connection, its torque control (None: not
+  begun);
+* `_wrench`: function that reads a mounted force-torque sensor; None: the robot's estimate is used;
+* `_model`, `_data`: Pinocchio's model with the load, and its memory at the last reading; `_sensor`,
+  `_tip`: indices of the frames of wrist sensor and tip;
+* `_base`, `_base_rotation`: pose of the robot's base in the world, and its rotation alone;
+* `_load`: inertia beyond the wrist sensor, in its frame; `_lift_force`: force that carries its
+  weight, in world axes (N); `_K_in_EE`: (4,) origin of the stiffness frame in the end effector (m);
+* `_brake_speed`, `_brake`, `_tau_max`: (7,) speeds above which joints are braked (rad/s), gain of
+  the braking torque (N m s/rad), torque limits (N m);
+* `_q`, `_v`, `_read_at`: (7,) last positions (rad) and velocities (rad/s), and when they came (s);
+* `_sent_torques`: torques sent last; `_stopped`: nothing is sent any more;
+* `_translation`: pose without rotation that `_estimate_wrench` reuses.
 """
 
 from __future__ import annotations
@@ -86,7 +102,7 @@ class FrankaRobot:
         self._stopped = False
         self.read_to_write = 0.0
         self.success_rate = self.least_success_rate = 1.0
-        with self._reporting("cannot be prepared"):
+        with self._errors_reported("cannot be prepared"):
             self._robot: Robot = pylibfranka.Robot(host, pylibfranka.RealtimeConfig.kIgnore)
             if recover:
                 self._robot.automatic_error_recovery()
@@ -98,9 +114,8 @@ class FrankaRobot:
     def _prepare_model(self, chain: ClosedChain) -> None:
         """Copy the chain's model with the held object in its last link; set limits and weights.
 
-        Sets `_hangs`, the inertia beyond the wrist sensor in its frame, `_lift`, the force against
-        its weight (N), `_speed`, speeds above which joints are braked (rad/s), and `_brake`, the
-        gain of that (N m s/rad).
+        Sets `_load`, `_lift_force`, `_brake_speed`, `_brake` and the frames of base, tip and
+        sensor.
 
         Raises:
             InvalidInputError: a chain of other joints, or without a wrist sensor.
@@ -129,17 +144,17 @@ class FrankaRobot:
             load = X_object.act(chain.payload.inertia)
             model.inertias[last] += load
             hangs = hangs + load
-        self._hangs = sensor.placement.actInv(hangs)  # in axes of the sensor
+        self._load = sensor.placement.actInv(hangs)  # in axes of the sensor
         # force against its weight, in world axes
-        self._lift = pin.Force(-self._hangs.mass * model.gravity.linear, np.zeros(3))
+        self._lift_force = pin.Force(-self._load.mass * model.gravity.linear, np.zeros(3))
         self._data = model.createData()
-        self._at = pin.SE3.Identity()
-        self._speed = SPEED_SHARE * np.array(model.upperVelocityLimit)
+        self._translation = pin.SE3.Identity()
+        self._brake_speed = SPEED_SHARE * np.array(model.upperVelocityLimit)
         self._tau_max = np.array(chain.tau_max)
-        # the braking torque rises from 0 at `_speed` to the motor's limit at the speed limit
-        self._brake = self._tau_max / (np.array(model.upperVelocityLimit) - self._speed)
+        # the braking torque rises from 0 at `_brake_speed` to the motor's limit at the speed limit
+        self._brake = self._tau_max / (np.array(model.upperVelocityLimit) - self._brake_speed)
         self._base = chain.arms[0].base
-        self._turn = pin.SE3(self._base.rotation, np.zeros(3))
+        self._base_rotation = pin.SE3(self._base.rotation, np.zeros(3))
 
     def _set_up(self, end_effector: pin.SE3 | None, collision: tuple[float, float, float]) -> None:
         """Set collision limits, end effector and load of the robot.
@@ -157,14 +172,14 @@ class FrankaRobot:
         payload = self.chain.payload
         load = pin.Inertia.Zero()
         if payload is not None:
-            flange_to_tip = _pose(self.state.F_T_EE)
+            flange_to_tip = _pose_of_columns(self.state.F_T_EE)
             load = (flange_to_tip * self.chain.grasps[0].X_TO).act(payload.inertia)
         robot.set_load(
             float(load.mass), load.lever.tolist(), load.inertia.ravel(order="F").tolist()
         )
         self._read_state()
-        #: (4,) stiffness frame's origin K, homogeneous, in the end effector (m)
-        self._K = np.append(self.state.EE_T_K[12:15], 1.0)
+        # the position is the last column of the 4×4 matrix, given column by column
+        self._K_in_EE = np.append(self.state.EE_T_K[12:15], 1.0)
 
     def _read_state(self) -> None:
         """Read the present state of the robot; two are read, as the first may be an older one."""
@@ -192,16 +207,16 @@ class FrankaRobot:
         Raises:
             PlantError: they differ by more than TIP_ERROR.
         """
-        self._place(np.array(self.state.q))
+        self._update_placements(np.array(self.state.q))
         model = pin.updateFramePlacement(self._model, self._data, self._tip)
-        robot = self._base * _pose(self.state.O_T_EE)
+        robot = self._base * _pose_of_columns(self.state.O_T_EE)
         distance = norm(model.translation - robot.translation)
         angle = norm(pin.log3(model.rotation.T @ robot.rotation))
         if distance > TIP_ERROR[0] or angle > TIP_ERROR[1]:
             raise PlantError(
                 f"the model's tip '{self.chain.arms[0].tip}' is {1e3 * distance:.3g} mm and "
-                f"{angle:.3g} rad from the robot's end effector: {_show(model)} m, not "
-                f"{_show(robot)} m; choose another tip, or give end_effector="
+                f"{angle:.3g} rad from the robot's end effector: {_position_text(model)} m, not "
+                f"{_position_text(robot)} m; choose another tip, or give end_effector="
             )
 
     def measure(self) -> Measurement:
@@ -211,7 +226,7 @@ class FrankaRobot:
             PlantError: the robot ended the motion, or does not answer.
         """
         # before the first command the state is read without control; then each read ends a period
-        with self._reporting("ended the motion"):
+        with self._errors_reported("ended the motion"):
             if self._control is None:
                 state = self._robot.read_once()
             else:
@@ -223,8 +238,8 @@ class FrankaRobot:
             self.least_success_rate = min(self.least_success_rate, self.success_rate)
         self._q = np.array(state.q)
         self._v = np.array(state.dq)
-        self._place(self._q)
-        reading = self._estimate(state) if self._wrench is None else self._wrench()
+        self._update_placements(self._q)
+        reading = self._estimate_wrench(state) if self._wrench is None else self._wrench()
         # without a valid reading the controller continues with the previous wrench; zeros are not
         # used
         is_valid = reading is not None and bool(np.isfinite(reading).all())
@@ -239,12 +254,12 @@ class FrankaRobot:
             sequence=round(t / _PERIOD),
         )
 
-    def _place(self, q: Array) -> None:
+    def _update_placements(self, q: Array) -> None:
         """Compute the placements of the joints and of the wrist sensor at q (7,) (rad)."""
         pin.forwardKinematics(self._model, self._data, q)
         pin.updateFramePlacement(self._model, self._data, self._sensor)
 
-    def _estimate(self, state: RobotState) -> Array:
+    def _estimate_wrench(self, state: RobotState) -> Array:
         """Compute the wrench (6,) that a wrist sensor would read, in its axes (N, N m).
 
         It is the sum of the robot's estimate, without the load's weight, and of the force against
@@ -256,12 +271,12 @@ class FrankaRobot:
                 origin of the stiffness frame, in axes of the robot's base.
         """
         sensor = self._data.oMf[self._sensor]
-        K = np.reshape(state.O_T_EE, (4, 4), order="F") @ self._K  # in the base, homogeneous
-        to_origin = self._at  # translation, reused
+        K = np.reshape(state.O_T_EE, (4, 4), order="F") @ self._K_in_EE  # in the base, homogeneous
+        to_origin = self._translation  # translation, reused
         to_origin.translation = self._base.act(K[:3])
-        total = to_origin.act(self._turn.act(pin.Force(np.array(state.O_F_ext_hat_K))))
-        to_origin.translation = sensor.act(self._hangs.lever)  # the load's centre of mass
-        total += to_origin.act(self._lift)
+        total = to_origin.act(self._base_rotation.act(pin.Force(np.array(state.O_F_ext_hat_K))))
+        to_origin.translation = sensor.act(self._load.lever)  # the load's centre of mass
+        total += to_origin.act(self._lift_force)
         return sensor.actInv(total).vector
 
     def command(self, tau: Array, duration: float) -> None:
@@ -287,19 +302,21 @@ class FrankaRobot:
             )
         if self._stopped:
             return
-        with self._reporting("ended the motion"):
+        with self._errors_reported("ended the motion"):
             if self._control is None:
                 self._control = self._robot.start_torque_control()
                 self.state = self._control.readOnce()[0]
                 self._read_at = perf_counter()
             target = tau - pin.computeGeneralizedGravity(self._model, self._data, self._q)
-            excess_speed = np.maximum(np.abs(self._v) - self._speed, 0.0)
+            excess_speed = np.maximum(np.abs(self._v) - self._brake_speed, 0.0)
             target -= self._brake * np.sign(self._v) * excess_speed
+            # the change from the torques that the robot applied last is limited, in all joints by
+            # one factor, so that its direction is kept
             last = np.array(self.state.tau_J_d)
             step = np.clip(target, -self._tau_max, self._tau_max) - last
             step *= min(1.0, TORQUE_STEP / max(np.abs(step).max(), TORQUE_STEP))
-            self._torques = self._lib.Torques((last + step).tolist())
-            self._control.writeOnce(self._torques)
+            self._sent_torques = self._lib.Torques((last + step).tolist())
+            self._control.writeOnce(self._sent_torques)
             self.read_to_write = perf_counter() - self._read_at
 
     def stop(self, reason: str = "") -> None:
@@ -316,9 +333,9 @@ class FrankaRobot:
         self._control = None
         if control is None:
             return
-        self._torques.motion_finished = True
-        with self._reporting("did not end the motion in order"):
-            control.writeOnce(self._torques)
+        self._sent_torques.motion_finished = True
+        with self._errors_reported("did not end the motion in order"):
+            control.writeOnce(self._sent_torques)
 
     def recover(self) -> None:
         """Reset a reflex or an error and permit a new motion.
@@ -326,7 +343,7 @@ class FrankaRobot:
         Raises:
             PlantError: the robot does not recover, for example while its stop button is pressed.
         """
-        with self._reporting("does not recover"):
+        with self._errors_reported("does not recover"):
             self._robot.automatic_error_recovery()
             self._read_state()
         self._require_idle()
@@ -339,7 +356,7 @@ class FrankaRobot:
         Raises:
             PlantError: the robot does not answer.
         """
-        with self._reporting("gives no model"):
+        with self._errors_reported("gives no model"):
             return np.reshape(self._robot.load_model().mass(self.state), (7, 7))
 
     def close(self) -> None:
@@ -348,7 +365,7 @@ class FrankaRobot:
         self._robot = None  # type: ignore[assignment]  # its destructor disconnects
 
     @contextmanager
-    def _reporting(self, failure: str) -> Iterator[None]:
+    def _errors_reported(self, failure: str) -> Iterator[None]:
         """Turn errors of the client library into a `PlantError` with cause and cure.
 
         Args:
@@ -364,12 +381,12 @@ class FrankaRobot:
             ) from error
 
 
-def _pose(numbers: ArrayLike) -> pin.SE3:
+def _pose_of_columns(numbers: ArrayLike) -> pin.SE3:
     """Convert a homogeneous matrix, given as 16 numbers column by column, to a pose."""
     X = np.reshape(numbers, (4, 4), order="F")
     return pin.SE3(pin.Quaternion(X[:3, :3]).normalized(), X[:3, 3])
 
 
-def _show(X: pin.SE3) -> list[float]:
+def _position_text(X: pin.SE3) -> list[float]:
     """Position of a pose (m), rounded for messages."""
     return np.round(X.translation, 4).tolist()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 PerJoint = float | Sequence[float] | Array  #: a number for all joints, or one for each
 
-_UNLIMITED = 1e12  #: larger effort limits mean that a motor has no limit (N m, N)
+_NO_LIMIT = 1e12  #: larger effort limits mean that a motor has no limit (N m, N)
 #: Field of Pinocchio's model for each quantity of the joints.
 _PER_JOINT = {"armature": "armature", "damping": "damping", "friction": "upperDryFrictionLimit"}
 
@@ -46,7 +46,7 @@ def effort_limits(model: pin.Model, actuated: Array) -> Array:
                 "nothing. Give its largest torque (N m) or force (N), or list it among the passive "
                 "joints"
             )
-    return np.where(limits < _UNLIMITED, limits, np.inf)
+    return np.where(limits < _NO_LIMIT, limits, np.inf)
 
 
 def effort_scale(tau_max: Array) -> Array:
@@ -220,7 +220,7 @@ class Arm:
             ModelError: unreadable or impossible URDF, unknown frame or joint, no moving joint.
         """
         positions = {} if locked is None else locked
-        robot, model, masters = _load(urdf, tip, positions, passive_joints, wrist_sensor)
+        robot, model, masters = _load_reduced(urdf, tip, positions, passive_joints, wrist_sensor)
         model = _with_factors(model, mass_factor, effort_factor)
         losses = {"armature": armature, "damping": damping, "friction": friction}
         model = with_joints(model, losses, friction_factor)
@@ -297,7 +297,7 @@ def _with_point(model: pin.Model, tip: str, X: pin.SE3) -> tuple[pin.Model, str]
     return model, name
 
 
-def _load(
+def _load_reduced(
     urdf: str | Path | pin.Model,
     tip: str,
     positions: Mapping[str, float],

@@ -46,16 +46,16 @@ class ChainStructure(Protocol):
         """Number of joints of all arms."""
 
 
-def chain_row(chain: ChainStructure, led: bool) -> Bytes:
+def chain_row(chain: ChainStructure, from_leader: bool) -> Bytes:
     """Make a row of MODEL for the chain, without contacts and motors.
 
     Args:
         chain: the arms.
-        led: True: the leader, if there is one, determines the object's pose; False: the pose is
-            given in MEMORY.
+        from_leader: True: the leader, if there is one, determines the object's pose; False: the
+            pose is given in MEMORY.
     """
     raw = new_model(len(chain.arms), chain.nq, 0)
-    pack_chain(chain, raw, chain.leader if led else None)
+    pack_chain(chain, raw, chain.leader if from_leader else None)
     return raw
 
 
@@ -179,7 +179,9 @@ def _z_frame(model: pin.Model, joint: int) -> SE3:
     axis = S[:3] if S[:3].any() else S[3:]
     if tuple(np.round(axis, 15)) == (0.0, 0.0, 1.0):
         return SE3.Identity()
-    start = np.eye(3)[np.abs(axis).argmin()]  # the world's axis farthest from the joint's
+    # any two axes across the joint's complete the frame; the start is the coordinate axis that is
+    # farthest from the joint's, so that their product is far from zero
+    start = np.eye(3)[np.abs(axis).argmin()]
     first = cross(start, axis)
     first /= norm(first)
     return SE3(np.column_stack((first, cross(axis, first), axis)), np.zeros(3))

@@ -21,7 +21,7 @@ from osc_contact.law.records import Bytes, Rows, views
 from osc_contact.law.vectors import motions, reflection, wrenches
 from osc_contact.spatial import Array, carry_twist, columns_of
 
-_NOTHING = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))  #: terms without an object
+_NO_OBJECT = ObjectTerms(np.zeros((6, 6)), np.zeros(6), np.zeros(6))  #: terms without an object
 
 _NONE = np.zeros(0)  #: alpha_d and active contacts of a chain without contacts
 
@@ -31,11 +31,11 @@ class EvaluatedChain(ChainStructure, Protocol):
 
     actuated: NDArray[np.intp]
 
-    def law_row(self, led: bool) -> Bytes:
+    def law_row(self, from_leader: bool) -> Bytes:
         """Row of MODEL of the chain.
 
         Args:
-            led: True: the leader determines the object's pose; False: the pose is given.
+            from_leader: True: the leader determines the object's pose; False: the pose is given.
         """
 
     def tip_poses(self, data: pin.Data | None = None) -> list[SE3]:
@@ -57,7 +57,7 @@ def chain_work(row: Bytes, q: Array, v: Array, X_WO: SE3 | None, V_O: Array | No
     """Run the first part of the law, the arms without contacts; return WORK in new memory.
 
     Args:
-        row: row of MODEL by `chain_row`; a led one, if no pose is given.
+        row: row of MODEL by `chain_row`, made with `from_leader`=True if no pose is given.
         q, v: (n,) joint positions and velocities (rad, m; rad/s, m/s).
         X_WO: pose of the object; None: the joints determine it.
         V_O: (6,) twist of the object; None: the joints determine it.
@@ -121,7 +121,7 @@ def read_state(chain: EvaluatedChain, work: View, static_work: View, data: pin.D
     W = joints.J_bar @ free
     G = W.T[:, chain.actuated]
     M = mass_matrix(work, chain.slices)
-    reference = at.MODEL.view(chain.law_row(led=False)).reference
+    reference = at.MODEL.view(chain.law_row(from_leader=False)).reference
     X_WO = pin.SE3(work.X_WO)
     V_O = work.V_O.copy()
     return ChainState(
@@ -144,7 +144,7 @@ def read_state(chain: EvaluatedChain, work: View, static_work: View, data: pin.D
         metric=wrench @ wrench.T,
         grasp_points=np.array([tip.translation for tip in chain.tip_poses(data)]),
         sensors=chain.sensor_poses(data),
-        filters=_filters(chain, work.arms, motion, wrench),
+        filters=_reading_filters(chain, work.arms, motion, wrench),
         Lambda_out=wrench @ work.out_T.T @ wrench.T,
         bias_out=work.bias_out.copy(),
         unactuated=chain.unactuated_motions(G, S),
@@ -182,11 +182,11 @@ def _payload_terms(chain: EvaluatedChain, X_WO: SE3, V_O: Array) -> ObjectTerms:
         X_WO, V_O: its pose and twist (6,) (m/s, rad/s).
     """
     if chain.payload is None:
-        return _NOTHING
+        return _NO_OBJECT
     return chain.payload.terms(X_WO, V_O, chain.model.gravity.linear)
 
 
-def _filters(
+def _reading_filters(
     chain: EvaluatedChain, arms: Table, motion: Array, wrench: Array
 ) -> tuple[Array | None, ...]:
     """Convert the factor (6, 6) of each arm's wrist readings at O.
@@ -285,7 +285,8 @@ def require_pinocchio_agrees(chain: EvaluatedChain, row: Bytes) -> None:
 
     Args:
         chain: the arms.
-        row: row of MODEL by `chain_row`, not led, as the object's pose does not matter.
+        row: row of MODEL by `chain_row`, made with `from_leader`=False, as the object's pose does
+            not matter.
 
     Raises:
         ModelError: a difference above TOLERANCE: a kind of joint or a property of the model that

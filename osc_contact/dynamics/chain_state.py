@@ -215,12 +215,12 @@ class ChainState:
         without motors, and the wrench is unique only up to these: the sum over all `ArmTerms` is
         one choice. Then Φ is not the inverse of Λ, and Λ is meaningful for permitted motions only.
         """
-        return self._sum("Lambda")
+        return self._sum_of_terms("Lambda")
 
     @property
     def mu(self) -> Array:
         """Velocity-product wrench μ = Σμ_i + μ_o (6,), world axes; it belongs to `Lambda`."""
-        return self._sum("mu")
+        return self._sum_of_terms("mu")
 
     @property
     def p(self) -> Array:
@@ -228,9 +228,9 @@ class ChainState:
 
         If d < 6, it is unique only up to the wrenches C, see `Lambda`.
         """
-        return self._sum("p")
+        return self._sum_of_terms("p")
 
-    def _sum(self, name: str) -> Array:
+    def _sum_of_terms(self, name: str) -> Array:
         """Sum of a term, given by its name, over the object and all arms."""
         return sum(getattr(part, name) for part in (self.payload, *self.arms))
 

@@ -44,14 +44,14 @@ def columns_at(J_world: Array, O: Array) -> Array:  # noqa: E741 - the operation
 
 
 #: Inertia that is used in rank decisions if the arms hold nothing: 1 kg, radius of gyration 0.1 m.
-_REFERENCE = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+_REFERENCE_INERTIA = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
 
 #: ε^(1/3) = 6e-6: for smaller values the rounding error of an arm's Λ, ε/tolerance², exceeds the
 #: motion of the arm in the direction, ~tolerance.
 RANK_TOLERANCE = float(np.cbrt(np.finfo(float).eps))
 
 
-_PAYLOAD = "osc.RigidObject(pin.Inertia(mass, lever, I)), in kg, m and kg m²"
+_PAYLOAD_EXAMPLE = "osc.RigidObject(pin.Inertia(mass, lever, I)), in kg, m and kg m²"
 
 
 class ClosedChain:
@@ -126,7 +126,7 @@ class ClosedChain:
         self.leader = rigid[0] if rigid else None
         if self.payload is None:
             _require_rigid(self.grasps)
-        self.reference = RigidObject(_REFERENCE) if self.payload is None else self.payload
+        self.reference = RigidObject(_REFERENCE_INERTIA) if self.payload is None else self.payload
         self.rank_tolerance = rank_tolerance
         self.angle_tolerance = angle_tolerance
         self.allow_unactuated = allow_unactuated
@@ -194,7 +194,7 @@ class ClosedChain:
 
     def tip_poses(self, data: pin.Data | None = None) -> list[SE3]:
         """Pose of each arm's tip in the world, at the joint positions last given to `data`."""
-        return [self._placement(f, data) for f in self.tips]
+        return [self._frame_placement(f, data) for f in self.tips]
 
     def object_pose(self, data: pin.Data | None = None) -> SE3:
         """Pose of the object in the world, at the joint positions last given to `data`.
@@ -203,19 +203,21 @@ class ClosedChain:
             ModelError: the joints do not determine the pose.
         """
         if self.leader is not None:
-            return self._placement(self.tips[self.leader], data) * self.grasps[self.leader].X_TO
+            return (
+                self._frame_placement(self.tips[self.leader], data) * self.grasps[self.leader].X_TO
+            )
         tips = self.tip_poses(data)
         return locate(self.grasps, tips, self.reference_inertia, self.angle_tolerance)
 
     def sensor_poses(self, data: pin.Data | None = None) -> tuple[SE3 | None, ...]:
         """Poses of the wrist sensors in the world, see `tip_poses`; None without a sensor."""
-        return tuple(None if f is None else self._placement(f, data) for f in self.sensors)
+        return tuple(None if f is None else self._frame_placement(f, data) for f in self.sensors)
 
     def reference_inertia(self, X_WO: SE3) -> Array:
         """Inertia (6, 6) of the object or, if nothing is held, of `reference`, at its origin."""
         return self.reference.terms(X_WO, np.zeros(6), np.zeros(3)).Lambda
 
-    def _placement(self, number: int, data: pin.Data | None) -> SE3:
+    def _frame_placement(self, number: int, data: pin.Data | None) -> SE3:
         """Pose of a frame, given by its number, in the world at the joint positions in `data`.
 
         Args:
@@ -278,12 +280,12 @@ class ClosedChain:
         v = still if v is None else as_array("v", v, (self.nq,))
         data = self.data if data is None else data
         pin.forwardKinematics(self.model, data, q, v)
-        led = X_WO is None and V_O is None and self.leader is not None
-        row = self.law_row(led)
+        from_leader = X_WO is None and V_O is None and self.leader is not None
+        row = self.law_row(from_leader)
         V = None
-        if not led:
+        if not from_leader:
             X_WO = self.object_pose(data) if X_WO is None else X_WO
-            V = self._twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
+            V = self._object_twist(X_WO, data) if V_O is None else as_array("V_O", V_O, (6,))
         work = chain_work(row, q, v, X_WO, V)
         static_work = chain_work(row, q, still, X_WO, np.zeros(6))
         reason = int(work.reason)
@@ -294,7 +296,7 @@ class ClosedChain:
             raise ModelError(cause)
         return read_state(self, work, static_work, data)
 
-    def _twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:
+    def _object_twist(self, X_WO: pin.SE3, data: pin.Data) -> Array | None:
         """Twist (6,) of the object at O from the leader's tip (m/s, rad/s).
 
         It is None without a leader; then the law computes the twist from all arms.
@@ -308,24 +310,24 @@ class ClosedChain:
         V = pin.getFrameVelocity(self.model, data, self.tips[self.leader], pin.WORLD).vector
         return carry_twist(V, np.zeros(3), X_WO.translation)
 
-    def law_row(self, led: bool) -> Bytes:
+    def law_row(self, from_leader: bool) -> Bytes:
         """Row of the law's MODEL for the chain, see `chain_row`.
 
         Args:
-            led: True: the leader, if there is one, determines the object's pose; False: the pose
-                is given in MEMORY.
+            from_leader: True: the leader, if there is one, determines the object's pose; False: the
+                pose is given in MEMORY.
 
         Raises:
             ModelError: arms that the law does not support.
         """
-        row = self._rows[led]
+        row = self._model_rows[from_leader]  # made at first use
         at.MODEL.view(row).gravity = self.model.gravity.linear  # may have changed
         return row
 
     @cached_property
-    def _rows(self) -> dict[bool, Bytes]:
-        """Row of MODEL for both values of `led`, made and compared with Pinocchio at first use."""
-        rows = {led: chain_row(self, led) for led in (False, True)}
+    def _model_rows(self) -> dict[bool, Bytes]:
+        """Rows of MODEL for both values of `from_leader`, compared with Pinocchio at first use."""
+        rows = {from_leader: chain_row(self, from_leader) for from_leader in (False, True)}
         require_pinocchio_agrees(self, rows[False])
         return rows
 
@@ -415,7 +417,7 @@ def _payload_of(payload: RigidObject | pin.Inertia | None) -> RigidObject | None
     if isinstance(payload, pin.Inertia):
         payload = RigidObject(payload)
     if payload is not None:
-        require_kind("payload=", payload, RigidObject, _PAYLOAD)
+        require_kind("payload=", payload, RigidObject, _PAYLOAD_EXAMPLE)
     return payload
 
 

@@ -19,7 +19,7 @@ from pinocchio import SE3
 from osc_contact.errors import InvalidInputError, ModelError
 from osc_contact.spatial import Array, as_array, carry_twist, carry_wrench, cross_twist, unit_vector
 
-_SAME = 1e-9  #: least singular value of independent columns of unit length
+_LEAST_INDEPENDENT = 1e-9  #: least singular value of independent columns of unit length
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,16 +60,17 @@ class Grasp:
         if T.shape[1] and not size.min() > 0.0:
             raise InvalidInputError("T of the grasp: a column is zero; leave it out")
         values = np.linalg.svd(T / size, compute_uv=False)
-        if T.shape[1] > 6 or values.min(initial=1.0) < _SAME:
+        if T.shape[1] > 6 or values.min(initial=1.0) < _LEAST_INDEPENDENT:
             raise InvalidInputError(
                 f"T of the grasp: its {T.shape[1]} columns are dependent (smallest singular value "
                 f"{values.min():.2g}); give a basis"
             )
         object.__setattr__(self, "T", T)
-        object.__setattr__(self, "N", _wrenches(T))
+        object.__setattr__(self, "N", _complement_wrenches(T))
+        # motions form a group if the Lie bracket of each two is a combination of all: NᵀT_ij = 0
         for i, j in combinations(range(T.shape[1]), 2):
             bracket = cross_twist(T[:, i], T[:, j])
-            if np.abs(self.N.T @ bracket).max(initial=0.0) > _SAME * size[i] * size[j]:
+            if np.abs(self.N.T @ bracket).max(initial=0.0) > _LEAST_INDEPENDENT * size[i] * size[j]:
                 raise InvalidInputError(
                     f"T of the grasp: after motion {i} motion {j} is another one (their bracket "
                     f"{np.round(bracket, 6)} is not in T). A grasp permits a group of motions: "
@@ -175,7 +176,7 @@ def _rotate_columns(X: SE3, columns: Array) -> Array:
     return (X.rotation @ columns.reshape(2, 3, -1)).reshape(6, -1)
 
 
-def _wrenches(T: Array) -> Array:
+def _complement_wrenches(T: Array) -> Array:
     """Basis N (6, 6−k) with NᵀT = 0; if T consists of rotations, forces come before couples."""
     k = T.shape[1]
     if T[:3].any():
@@ -241,7 +242,7 @@ def locate(
     Raises:
         ModelError: the tips do not determine the pose.
     """
-    X = _align(grasps, tips)
+    X = _aligned_pose(grasps, tips)
     for _ in range(50):
         L = np.linalg.cholesky(inertia(X))
         step = -_solve_closure(grasps, tips, X, L, tolerance)
@@ -290,7 +291,7 @@ def _solve_closure(
     return np.linalg.solve(L.T, Vh.T @ ((U.T @ right_side) / s))
 
 
-def _align(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
+def _aligned_pose(grasps: Sequence[Grasp], tips: Sequence[SE3]) -> SE3:
     """Compute the pose that best aligns the grasps' points and axes (Kabsch 1976).
 
     It is the initial pose of `locate`.

@@ -16,7 +16,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.files import StrPath, write_whole
 from osc_contact.robots.model import joint_names, rotors
 
-_DIGITS = 9  #: significant digits of a model's numbers that enter its identity
+_SIGNIFICANT_DIGITS = 9  #: significant digits of a model's numbers that enter its identity
 
 
 def robot_identity(model: pin.Model) -> str:
@@ -36,7 +36,7 @@ def robot_identity(model: pin.Model) -> str:
         link = model.inertias[j + 1]
         numbers = [X.homogeneous, link.mass, link.lever, link.inertia, limits[j]]
         flat = np.hstack([np.ravel(part) for part in numbers])
-        words = (f"{x + 0.0:.{_DIGITS}g}" for x in flat)  # + 0.0: −0.0 is 0.0
+        words = (f"{x + 0.0:.{_SIGNIFICANT_DIGITS}g}" for x in flat)  # + 0.0: −0.0 is 0.0
         digest.update(" ".join((name, joint.shortname(), *words, "\n")).encode())
     return digest.hexdigest()
 

@@ -93,6 +93,9 @@ class _CompiledArm:
     def __init__(self, arm: Arm) -> None:
         """Lay out the terms of a state, and pack the arm into records.
 
+        `dtype` is the layout of the terms of one state, `size` their count of numbers, `raw` the
+        records with the arm's model, `free` copies of `raw` that no thread uses at the moment.
+
         Raises:
             ModelError: an arm that the law does not support.
         """
@@ -111,7 +114,7 @@ class _CompiledArm:
         self.n = n
         self.dtype = np.dtype([(name, float, shape) for name, shape in shapes.items()])
         self.size = self.dtype.itemsize // 8
-        self.raw: Bytes = Rows(ClosedChain([arm]).law_row(led=False)).raw
+        self.raw: Bytes = Rows(ClosedChain([arm]).law_row(from_leader=False)).raw
         self.free: list[Bytes] = []
 
 

@@ -5,6 +5,19 @@ of all environments is one call of a `BatchController` for each control period; 
 processor, so states and torques are copied from and to the device.
 
 mjlab and torch come with mjlab; nothing else in the package imports this module.
+
+Attributes of `ContactAction` beside `batch`; B environments, r contact forces (`_n_forces`):
+
+* `_env`, `_entity`, `device`: environments of mjlab, their entity with the arms, device of its
+  tensors;
+* `_joints`, `_motors`: the simulator's numbers of the joints (n,) and of those with motors (n_a,);
+* `_wrists`: names of the force and of the torque sensor of each arm;
+* `_steps_per_tick`, `_ticks_per_action`: physics steps in a control period, these in an action;
+* `_raw_actions`: (B, 6 + r) last actions; `_target`, `_forces`: (B, 4, 4) set points, (B, r) forces
+  (N) at the end of the last action; `_was_reset`: (B,) environments that begin with the next
+  action;
+* `_action_course`: set points (ticks, B, 4, 4), twists (B, 6) (m/s, rad/s) and forces (ticks, B, r)
+  (N) of the present action; `_step`: physics steps since its beginning.
 """
 
 from __future__ import annotations
@@ -134,48 +147,49 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         # steps of physics in a control period, and control periods in an action: whole numbers
         ticks_per_step = cfg.controller.dt / env.physics_dt
         of_action = env.step_dt / cfg.controller.dt
-        self._every = round(ticks_per_step)
-        self._ticks = round(of_action)
+        self._steps_per_tick = round(ticks_per_step)
+        self._ticks_per_action = round(of_action)
         if (
-            max(abs(ticks_per_step - self._every), abs(of_action - self._ticks)) > 1e-6
-            or not self._every
+            max(abs(ticks_per_step - self._steps_per_tick), abs(of_action - self._ticks_per_action))
+            > 1e-6
+            or not self._steps_per_tick
         ):
             raise InvalidInputError(
                 f"physics every {env.physics_dt:g} s, control every {cfg.controller.dt:g} s, "
                 f"actions every {env.step_dt:g} s: each must be a multiple of the one before"
             )
         self.batch = BatchController([cfg.controller] * self.num_envs, cfg.threads)
-        self._r = self.batch.alpha_meas.shape[1]
-        require_below_ceilings(cfg.controller.settings.safety, cfg.most_force, self._r)
-        # last actions, targets and forces of all environments; `_fresh` marks those to be reset
-        self._raw = torch.zeros(self.num_envs, 6 + self._r, device=self.device)
+        self._n_forces = self.batch.alpha_meas.shape[1]
+        require_below_ceilings(cfg.controller.settings.safety, cfg.most_force, self._n_forces)
+        # last actions, targets and forces of all environments; `_was_reset` marks those to be reset
+        self._raw_actions = torch.zeros(self.num_envs, 6 + self._n_forces, device=self.device)
         self._target = np.tile(np.eye(4), (self.num_envs, 1, 1))
-        self._forces = np.zeros((self.num_envs, self._r))
-        self._fresh = np.ones(self.num_envs, dtype=bool)
+        self._forces = np.zeros((self.num_envs, self._n_forces))
+        self._was_reset = np.ones(self.num_envs, dtype=bool)
         self._step = 0
-        self._plan: tuple[Array, Array, Array] | None = None
+        self._action_course: tuple[Array, Array, Array] | None = None
 
     @property
     def action_dim(self) -> int:
         """Length of an action, 6 + r."""
-        return 6 + self._r
+        return 6 + self._n_forces
 
     @property
     def raw_action(self) -> torch.Tensor:
         """Actions (B, 6 + r) as given."""
-        return self._raw
+        return self._raw_actions
 
     @property
     def force(self) -> torch.Tensor:
         """Measured contact forces (B, r) (N)."""
-        return self._tensor(self.batch.alpha_meas)
+        return self._to_tensor(self.batch.alpha_meas)
 
     @property
     def stopped(self) -> torch.Tensor:
         """Flags (B,) of controllers in SAFE_STOP, which are to end the episode."""
         return torch.as_tensor(self.batch.state == SafetyState.SAFE_STOP, device=self.device)
 
-    def _tensor(self, x: Array) -> torch.Tensor:
+    def _to_tensor(self, x: Array) -> torch.Tensor:
         """Array as single-precision numbers on the device of the environments."""
         return torch.as_tensor(x, dtype=torch.float32, device=self.device)
 
@@ -189,65 +203,65 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         Args:
             actions: (environments, 6 + r) actions of the policy.
         """
-        self._raw[:] = actions
+        self._raw_actions[:] = actions
         clipped = np.clip(actions.detach().cpu().numpy().astype(float), -1.0, 1.0)
         forces = 0.5 * (clipped[:, 6:] + 1.0) * self.cfg.most_force
-        self._begin(forces)
+        self._begin_where_reset(forces)
         increment = clipped[:, :6] * np.repeat(self.cfg.move, 3)
-        share = np.arange(1, self._ticks + 1)[:, None, None] / self._ticks
+        share = np.arange(1, self._ticks_per_action + 1)[:, None, None] / self._ticks_per_action
         X = moved(self._target, share * increment)
         alpha = self._forces + share * (forces - self._forces)
-        self._plan = (X, increment / self._env.step_dt, alpha)
+        self._action_course = (X, increment / self._env.step_dt, alpha)
         self._target = X[-1]
         self._forces = forces
         self._step = 0
 
-    def _begin(self, forces: Array) -> None:
+    def _begin_where_reset(self, forces: Array) -> None:
         """Set the set points of environments that were reset to the poses of their objects.
 
         Args:
             forces: (B, r) N, from which those environments begin.
         """
-        if not self._fresh.any():  # reading joints waits for the simulation
+        if not self._was_reset.any():  # reading joints waits for the simulation
             return
         chain = self.cfg.controller.chain
-        q = self._read(self._entity.data.joint_pos[:, self._joints])
-        for i in np.flatnonzero(self._fresh):
+        q = self._to_array(self._entity.data.joint_pos[:, self._joints])
+        for i in np.flatnonzero(self._was_reset):
             self._target[i] = chain.state(q[i]).X_WO.homogeneous
             self._forces[i] = forces[i]
 
     @staticmethod
-    def _read(x: torch.Tensor) -> Array:
+    def _to_array(x: torch.Tensor) -> Array:
         """Tensor of the device as an array of doubles."""
         return x.cpu().numpy().astype(float)
 
     def apply_actions(self) -> None:
         """Tick the controllers at each control period, and command their torques.
 
-        It is called in each step of the physics; only every `_every`-th call begins a control
-        period. Reads joints and wrists of all environments, and the set points and forces of
-        `process_actions`.
+        It is called in each step of the physics; only every `_steps_per_tick`-th call begins a
+        control period. Reads joints and wrists of all environments, and the set points and forces
+        of `process_actions`.
         """
-        assert self._plan is not None
-        tick, remainder = divmod(self._step, self._every)
+        assert self._action_course is not None
+        tick, remainder = divmod(self._step, self._steps_per_tick)
         self._step += 1
         if remainder:
             return
-        X, V, alpha = self._plan
+        X, V, alpha = self._action_course
         data = self._entity.data
         sensors = self._env.scene
         wrenches = [torch.cat([sensors[name].data for name in pair], 1) for pair in self._wrists]
         tau = self.batch.tick(
-            self._read(data.joint_pos[:, self._joints]),
-            self._read(data.joint_vel[:, self._joints]),
-            self._read(torch.stack(wrenches, 1)),
+            self._to_array(data.joint_pos[:, self._joints]),
+            self._to_array(data.joint_vel[:, self._joints]),
+            self._to_array(torch.stack(wrenches, 1)),
             X[tick],
             V_D=V,
             alpha_d=alpha[tick],
-            wrench_valid=~self._fresh,  # readings after a reset are of arms without torques
+            wrench_valid=~self._was_reset,  # readings after a reset are of arms without torques
         )
-        self._fresh[:] = False
-        self._entity.set_joint_effort_target(self._tensor(tau), joint_ids=self._motors)
+        self._was_reset[:] = False
+        self._entity.set_joint_effort_target(self._to_tensor(tau), joint_ids=self._motors)
 
     def reset(self, env_ids: torch.Tensor | slice | None = None) -> None:
         """Reset the controllers of some environments; None: of all.
@@ -258,7 +272,7 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         rows = env_ids.cpu().numpy() if isinstance(env_ids, torch.Tensor) else env_ids
         mask = np.zeros(self.num_envs, dtype=bool)
         mask[slice(None) if rows is None else rows] = True
-        self._fresh |= mask
+        self._was_reset |= mask
         if mask.any():
             self.batch.reset(mask)
-        self._raw[torch.as_tensor(mask, device=self.device)] = 0.0
+        self._raw_actions[torch.as_tensor(mask, device=self.device)] = 0.0

@@ -2,6 +2,10 @@
 
 Importing the module registers the controller under the name "OSC_CONTACT". robosuite is not a
 dependency of the package; nothing else imports this module.
+
+`OscContact._config` are the settings made by `osc_contact_config`. robosuite's attributes used
+here: `sim`, the simulation; `arms`, names of the arms; `part_controllers` and `grippers` by name;
+`_action_split_indexes`, first index and end of each part in an action.
 """
 
 from __future__ import annotations
@@ -206,7 +210,7 @@ class OscContact(CompositeController):  # type: ignore[misc]
             )
         return config
 
-    def _count(self, arm: str) -> int:
+    def _action_size(self, arm: str) -> int:
         """Count the numbers of an action that belong to an arm."""
         return 6 + len(self._contacts(arm))
 
@@ -216,11 +220,15 @@ class OscContact(CompositeController):  # type: ignore[misc]
         return tuple(contacts(self.sim) if callable(contacts) else contacts)
 
     def setup_action_split_idx(self) -> None:
-        """Divide actions among the parts of the robot."""
+        """Divide actions among the parts of the robot: first index and end of each part.
+
+        The parts keep their order (`_action_split_indexes`, filled by robosuite); those of arms
+        with contacts get 6 + contacts numbers, so that all following parts move.
+        """
         super().setup_action_split_idx()
         first = 0
         for part, (start, end) in self._action_split_indexes.items():
-            size = self._count(part) if part in self._config["contacts"] else end - start
+            size = self._action_size(part) if part in self._config["contacts"] else end - start
             self._action_split_indexes[part] = (first, first + size)
             first += size
 
@@ -261,7 +269,7 @@ class OscContact(CompositeController):  # type: ignore[misc]
         Args:
             all_action: action of the whole robot.
         """
-        self._begin()
+        self._make_loops()
         for part, controller in self.part_controllers.items():
             action = all_action[slice(*self._action_split_indexes[part])]
             if part in self.loops:
@@ -278,7 +286,7 @@ class OscContact(CompositeController):  # type: ignore[misc]
         Args:
             enabled_parts: True by the name of each part that is controlled.
         """
-        self._begin()
+        self._make_loops()
         self.update_state()
         return {
             part: self.loops[part].torques() if part in self.loops else other.run_controller()
@@ -292,7 +300,7 @@ class OscContact(CompositeController):  # type: ignore[misc]
         Raises:
             InvalidInputError: the arm has no contacts.
         """
-        self._begin()
+        self._make_loops()
         if arm not in self.loops:
             raise InvalidInputError(
                 f"{arm!r} has no contacts; arms with contacts: {set(self.loops)}"
@@ -356,7 +364,7 @@ class OscContact(CompositeController):  # type: ignore[misc]
                 'for example "Panda"'
             )
 
-    def _begin(self) -> None:
+    def _make_loops(self) -> None:
         """Make the loops of all arms with contacts, at the present state of the simulation.
 
         The tip of an arm is the grip site of its gripper; its wrist sensor is robosuite's force and

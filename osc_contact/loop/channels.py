@@ -19,7 +19,7 @@ from osc_contact.recorder.journal import Journal
 from osc_contact.recorder.recording import gather
 from osc_contact.spatial import Array, Poses
 
-_TOGETHER = 1000  #: number of rows whose channels are computed together
+_ROWS_OF_BLOCK = 1000  #: number of rows whose channels are computed together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,13 +65,13 @@ def channels(
     k = len(rows)
     alpha = rows["alpha"]
     squeeze = rows["squeeze_d"]
-    phase = _phases(subject, rows)
+    phase = _phases_of_ticks(subject, rows)
     if truths is None:
         truth = _measured_truths(subject, rows, phase)
     else:
         truth = truths.truths(rows["truth"])
     N = np.concatenate((np.zeros((6, 0, k)), *truth.N), axis=1)
-    points, directions = _feet(subject, truth, k)
+    points, directions = _contact_points(subject, truth, k)
     wrench = rows["f_meas"] - rows["bias_out"]
     projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, for faces at rest or in motion
     total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
@@ -126,7 +126,7 @@ def work_out(
     """
     unilateral = np.array([pushes_only(subject.pairs[i]) for i in subject.owners], dtype=bool)
     monitor = ContactMonitor(len(subject.owners), subject.dt)
-    for first, rows in _blocks(parts):
+    for first, rows in _row_blocks(parts):
         if subject.phased:  # results of the controller's own monitor
             bilateral_active = ~unilateral & (rows["active"][:, subject.owners] > 0.0)
             # a bilateral contact is closed while it is active
@@ -139,7 +139,7 @@ def work_out(
         yield channels(subject, truths, first, rows) | detections
 
 
-def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
+def _row_blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
     """Divide the rows of a journal into blocks at multiples of 1,000 ticks, and where rows lack.
 
     Args:
@@ -154,20 +154,20 @@ def _blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array]]:
         while len(rows):
             # a block ends where rows are missing, or at a multiple of _TOGETHER
             count = sum(len(piece) for piece in pieces)
-            if count and (first != begin + count or first % _TOGETHER == 0):
+            if count and (first != begin + count or first % _ROWS_OF_BLOCK == 0):
                 yield begin, np.concatenate(pieces)
                 pieces = []
             if not pieces:
                 begin = first
-            room = _TOGETHER - first % _TOGETHER
-            pieces.append(rows[:room])
+            rows_to_end = _ROWS_OF_BLOCK - first % _ROWS_OF_BLOCK
+            pieces.append(rows[:rows_to_end])
             first = first + len(pieces[-1])
-            rows = rows[room:]
+            rows = rows[rows_to_end:]
     if pieces:
         yield begin, np.concatenate(pieces)
 
 
-def _phases(subject: Subject, rows: Array) -> Array:
+def _phases_of_ticks(subject: Subject, rows: Array) -> Array:
     """Value of `Phase` (k, contacts) of each contact in k ticks, OPEN if it is not active.
 
     Without contact phases an active contact counts as CLOSED.
@@ -191,19 +191,19 @@ def _measured_truths(subject: Subject, rows: Array, phase: Array) -> Truths:
     """
     pairs = subject.pairs
     k = len(rows)
-    X_WO = _poses(rows["X_WO"].reshape(k, 4, 4))
+    X_WO = _poses_of_matrices(rows["X_WO"].reshape(k, 4, 4))
     X_WE = rows["X_WE"].reshape(k, len(pairs), 4, 4)
-    faces = tuple(_poses(X_WE[:, i]) for i in range(len(pairs)))
+    faces = tuple(_poses_of_matrices(X_WE[:, i]) for i in range(len(pairs)))
     N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(pairs, faces, strict=True))
     return Truths(rows["alpha"], phase == Phase.CLOSED, X_WO, rows["V_O"], faces, N)
 
 
-def _poses(X: Array) -> Poses:
+def _poses_of_matrices(X: Array) -> Poses:
     """Convert k homogeneous matrices (k, 4, 4) to `Poses`."""
     return Poses(X[:, :3, :3].transpose(1, 2, 0), X[:, :3, 3].T)
 
 
-def _feet(subject: Subject, truth: Truths, k: int) -> Array:
+def _contact_points(subject: Subject, truth: Truths, k: int) -> Array:
     """Mean contact point and first direction of force of each contact at k instants.
 
     Contact points are the intersections of the lines of force with the touched surface.
@@ -265,9 +265,10 @@ def add_stages(recording: Recording) -> None:
         names[event["number"]] = event["name"]
     numbers = np.array([-1, *(event["number"] for event in beginnings)])
     starts = np.array([event["t"] for event in beginnings])
-    t = recording["t"]
-    half = 0.5 / recording.meta["control_rate_hz"]
-    recording.channels["stage"] = numbers[np.searchsorted(starts, t + half)]
+    # a stage begins in the tick next to its time; half a period absorbs rounding errors of the
+    # times
+    half_period = 0.5 / recording.meta["control_rate_hz"]
+    recording.channels["stage"] = numbers[np.searchsorted(starts, recording["t"] + half_period)]
     recording.meta["stages"] = names
 
 

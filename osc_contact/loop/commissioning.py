@@ -1,4 +1,8 @@
-"""Commissioning of a robot up to its first contact, in steps that are confirmed one by one."""
+"""Commissioning of a robot up to its first contact, in steps that are confirmed one by one.
+
+A `Commissioning` has, after `run` began, `_chain`, model of the arm; `_model`, its Pinocchio model;
+and `_holder`, which reads the robot and holds it at rest.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -34,10 +38,11 @@ PATIENCE = 10.0  #: longest time until the push comes (s)
 READ_S = 0.3  #: time over which the readings of a robot at rest are averaged (s)
 ENGAGE_S = 0.05  #: time at rest before the approach (s)
 APPROACH_S = 15.0  #: longest time of the approach (s)
+#: Ends of the intervals in which the two forces are judged, after landing (s).
 JUDGED_S = (
     1.2,
     3.9,
-)  #: ends of the intervals in which the two forces are judged, after landing (s)
+)
 JUDGE_S = 0.5  #: length of these intervals (s)
 
 
@@ -90,11 +95,11 @@ class Commissioning:
         """
         self._chain = require_model(self.robot, self.chain)
         self._model = self._chain.model
-        self._held = HeldRobot(self.robot, self._chain, self.dt)
+        self._holder = HeldRobot(self.robot, self._chain, self.dt)
         steps = {
             "model: nothing moves": self._compare_model,
-            f"wrench: push the tool along {list(NUDGE)}, in axes of the base": self._nudge,
-            "shadow: lead the arm by the hand, at the tool, after a moment of rest": self._shadow,
+            f"wrench: push the tool along {list(NUDGE)}, in axes of the base": self._check_push,
+            "shadow: lead the arm by the hand, at the tool, after a moment of rest": self._lead_arm,
             f"contact: presses with {FORCES[0]:g} and {FORCES[1]:g} N, slides": self._press,
         }
         completed_steps = 0
@@ -117,17 +122,19 @@ class Commissioning:
         write_whole(text, self.folder / "report.md")
         return completed_steps == len(steps)
 
-    def _read(self) -> Measurement:
+    def _next_measurement(self) -> Measurement:
         """Read the next measurement of the robot at rest.
+
+        A robot that holds itself is only read; another one gets holding torques for one period.
 
         Raises:
             PlantError: a measurement that breaks the contract, or an arm that moves away.
         """
         if self.holds_itself:
-            self._held.now = self._held.read()
+            self._holder.last = self._holder.read()
         else:
-            self._held.settle(1)
-        return self._held.now
+            self._holder.settle(1)
+        return self._holder.last
 
     def _compare_model(self) -> Iterator[str]:
         """Compare mass matrix and weight with the robot's own; measure bias and noise of the wrist.
@@ -139,7 +146,7 @@ class Commissioning:
             PlantError: mass matrices differ by more than `MASS_ERROR`, or torques by more than
                 `TORQUE_ERROR`.
         """
-        measurements = [self._read() for _ in range(round(READ_S / self.dt))]
+        measurements = [self._next_measurement() for _ in range(round(READ_S / self.dt))]
         data = self._model.createData()
         q = measurements[-1].q
         # mass matrix, if the robot's own model can be asked for it
@@ -178,7 +185,7 @@ class Commissioning:
         noise = wrenches.std(axis=0).round(3).tolist()
         yield f"wrist: {mean}, noise {noise} N, N m"
 
-    def _nudge(self) -> Iterator[str]:
+    def _check_push(self) -> Iterator[str]:
         """Compare sign and axes of the wrench with a push of the tool while the arm is held.
 
         Yields:
@@ -190,13 +197,13 @@ class Commissioning:
 
         def outside() -> Array:
             """Mean wrench (6,) of the wrist over some ticks, in world axes (N, N m)."""
-            return mean_outside(self._chain, self._read)
+            return mean_outside(self._chain, self._next_measurement)
 
         base = self._chain.arms[0].base
         require_nudge(outside, base.rotation @ NUDGE, PATIENCE, self.dt)
         yield "the wrist reads the push in its direction"
 
-    def _shadow(self) -> Iterator[str]:
+    def _lead_arm(self) -> Iterator[str]:
         """Judge the model while somebody leads the arm, see `loop.shadow`.
 
         Yields:
@@ -227,9 +234,9 @@ class Commissioning:
         recover: Callable[[], None] | None = getattr(self.robot, "recover", None)
         if recover is not None:
             recover()
-        self._held = HeldRobot(self.robot, self._chain, self.dt)
+        self._holder = HeldRobot(self.robot, self._chain, self.dt)
         if not self.holds_itself:
-            self._held.settle(round(READ_S / self.dt))
+            self._holder.settle(round(READ_S / self.dt))
 
     def _present_state(self) -> tuple[Array, pin.SE3]:
         """Measure the joint positions (n,) and compute the pose of the tip from them."""

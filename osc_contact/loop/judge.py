@@ -133,7 +133,7 @@ class Watched(NotedTruths):
         """Set the judge whose truth is recorded, and the contacts of the controller."""
         super().__init__(contacts)
         self._judge = judge
-        self._noted: list[Array] = []
+        self._rows: list[Array] = []
 
     def note(self) -> None:
         """Append the judge's present truth as a row of numbers.
@@ -146,7 +146,7 @@ class Watched(NotedTruths):
         faces = truth.X_WE or (pin.SE3.Identity(),) * len(self._contacts)
         poses = [X.homogeneous[:3] for X in (truth.X_WO, *faces)]
         numbers = (truth.V_O, truth.X_WE is not None, truth.closed, truth.alpha)
-        self._noted.append(np.concatenate((*poses, *numbers), axis=None))
+        self._rows.append(np.concatenate((*poses, *numbers), axis=None))
 
     def noted(self, start: int = 0) -> Array:
         """Recorded rows (k, m), one for each `note` since the last `clear`.
@@ -157,11 +157,11 @@ class Watched(NotedTruths):
         Args:
             start: index of the first row returned.
         """
-        return np.array(self._noted[start:])
+        return np.array(self._rows[start:])
 
     def clear(self) -> None:
         """Delete the recorded rows."""
-        self._noted.clear()
+        self._rows.clear()
 
 
 class Judge(Protocol):

@@ -95,7 +95,7 @@ def run_loop(
         progress=progress,
     )
     # while `busy` is true signals are deferred: the last stop of the robot is not interrupted
-    with raised_signals() as signals, _process(realtime, recorder, report) as side:
+    with raised_signals() as signals, _process_context(realtime, recorder, report) as side:
         try:
             loop.run(loop.begin(references, check=check), signals, side)
             signals.busy = True
@@ -186,7 +186,7 @@ class _Loop:
                 self.stops.follow(controller)
             if self.recorder is not None:
                 signals.whole(self.recorder.append, measurement, reference, tau, seconds)
-                self._draw(k, side)
+                self._draw_tick(k, side)
             if self.shadow is not None:
                 tau = self.shadow.torques(measurement)
             # the robot's own measurement of the latency is preferred, if it has one
@@ -199,7 +199,7 @@ class _Loop:
             if self.progress is not None and k % NEWS == NEWS - 1:
                 self.progress((k + 1) * period)
 
-    def _draw(self, k: int, side: SideWork | None) -> None:
+    def _draw_tick(self, k: int, side: SideWork | None) -> None:
         """Show tick k to the viewer, if there is one, without delaying a real-time loop.
 
         Args:
@@ -216,7 +216,9 @@ class _Loop:
 
 
 @contextmanager
-def _process(realtime: bool, recorder: Any, report: LoopReport) -> Iterator[SideWork | None]:
+def _process_context(
+    realtime: bool, recorder: Any, report: LoopReport
+) -> Iterator[SideWork | None]:
     """Context of a loop with `realtime`: the process and a thread for side work.
 
     On exit it waits for the side work, adds the report to the recording, and raises an error of the

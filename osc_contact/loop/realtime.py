@@ -60,10 +60,12 @@ class LoopReport:
     largest: float = 0.0
     notes: list[str] = field(default_factory=list)
     shadow: ShadowReport | None = None
-    _last: float = inf
+    _last_read: float = inf
 
     def note(self, read: float, seconds: float) -> None:
         """Count a tick and check its deadlines.
+
+        The first measurement is not late, since the time of the last one is infinite before it.
 
         Args:
             read: time of its measurement (s).
@@ -71,8 +73,10 @@ class LoopReport:
         """
         self.histogram[min(int(seconds / BIN_S), BINS)] += 1
         self.largest = max(self.largest, seconds)
-        late = seconds > LATE_SHARE * self.period or read - self._last > LATE_CYCLES * self.period
-        self._last = read
+        late = (
+            seconds > LATE_SHARE * self.period or read - self._last_read > LATE_CYCLES * self.period
+        )
+        self._last_read = read
         self.ticks += 1
         if late:
             self.missed += 1
@@ -195,15 +199,16 @@ class SideWork:
                 work.
         """
         self._slack = SLACK_SHARE * period
-        self._thread = ThreadPoolExecutor(1, "side work", _lower_priority)
+        self._executor = ThreadPoolExecutor(1, "side work", _lower_priority)
         self.failure: Exception | None = None
-        self._last: Future[None] = self._thread.submit(self._make, int)  # begins the thread now
-        self._last.result()
+        # the thread begins with its first call, one without effect
+        self._last_call: Future[None] = self._executor.submit(self._run_and_log, int)
+        self._last_call.result()
 
     @property
     def idle(self) -> bool:
         """Whether the last call has been completed."""
-        return self._last.done()
+        return self._last_call.done()
 
     def submit(self, call: Callable[[], object]) -> None:
         """Queue a call for the thread; an error in it is logged and stored in `failure`.
@@ -211,7 +216,7 @@ class SideWork:
         Args:
             call: function without arguments.
         """
-        self._last = self._thread.submit(self._make, call)
+        self._last_call = self._executor.submit(self._run_and_log, call)
 
     def give_way(self) -> None:
         """Sleep for the slack time if calls are waiting; the loop calls this after its command."""
@@ -220,9 +225,9 @@ class SideWork:
 
     def close(self) -> None:
         """Wait until all calls are completed, and end the thread."""
-        self._thread.shutdown()
+        self._executor.shutdown()
 
-    def _make(self, call: Callable[[], object]) -> None:
+    def _run_and_log(self, call: Callable[[], object]) -> None:
         """Call a function of the side thread; log its exception, and store the first one."""
         try:
             call()

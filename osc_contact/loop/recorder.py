@@ -1,4 +1,26 @@
-"""Recorder of the control loop."""
+"""Recorder of the control loop.
+
+Attributes of `Recorder` beside the public ones. A row has `_blank` or its values, then torques,
+`_numbers`, `_normal_std` and `_integers`:
+
+* `_rows`: (block, numbers) rows, of which the first `_pending` are not in the journal yet;
+  `_fields`: name, type and shape of the parts of a row; `_flushed`: time of the last write (s);
+* `_controller`: controller whose ticks are recorded; `_rest_poses`: unit matrices as poses of
+  bodies at rest; `_write_interval`: longest time between writes to the journal (s);
+* `_blank`: NaN in place of the numbers that a tick without a result lacks;
+* `_numbers`: computing time, status, then three views: `_squeezes` (bars,) desired internal forces
+  (N), `_given_up` (r,) forces given up at motor limits (N), `_named` (contacts,) 1 for contacts
+  that the reference names; `_noted_squeeze`: the squeeze that `_squeezes` has, None: it has to be
+  written;
+* `_words`: words of 64 bits copied from the controller's records `_record_words`, at the indices
+  `_positions`; views of them: `_results` (α, speeds, results of names `_result_names`),
+  `_normal_std`, and `_integers` (active contacts, phases); `_located_result`: result whose
+  `_positions` are known;
+* `_meta`, `_events`, `_changes`: meta data, log of events, detector of events in the results;
+* `_first_reason`: why the first tick that failed could not be computed, with its time;
+* `_survives`: True for a named journal, which is kept; `_error_logged`: the error of the journal
+  was logged; `_start_times`: wall-clock and processor time at the start (s).
+"""
 
 from __future__ import annotations
 
@@ -40,19 +62,19 @@ from osc_contact.spatial import Array
 class Tick(UserDict[str, Any]):
     """Channels of one tick, computed when they are first read."""
 
-    def __init__(self, made: Callable[[], dict[str, Array]]) -> None:
+    def __init__(self, compute_channels: Callable[[], dict[str, Array]]) -> None:
         """Store a function that computes channels with one row each."""
-        self._made = made
+        self._compute_channels = compute_channels
 
     @cached_property
     def data(self) -> dict[str, Any]:  # type: ignore[override]
         """Channels of the row, without its axis."""
-        return {name: rows[0] for name, rows in self._made().items()}
+        return {name: rows[0] for name, rows in self._compute_channels().items()}
 
 
 _logger = logging.getLogger("osc_contact.recorder")
-_BLOCK = 500  #: largest number of rows that are written to the journal at once
-_EVERY = 0.08  #: s, longest time between writes to a named journal
+_ROWS_OF_BLOCK = 500  #: largest number of rows that are written to the journal at once
+_WRITE_EVERY_S = 0.08  #: s, longest time between writes to a named journal
 #: Attributes of `TickResult` that are stored, with their numbers of elements.
 _RESULTS = {
     "f_meas": 6,
@@ -116,7 +138,7 @@ class Recorder:
         Raises:
             RecordingError: the file cannot be created.
         """
-        self._began = perf_counter(), process_time()
+        self._start_times = perf_counter(), process_time()
         self._controller = controller
         self.of = of = own_subject(controller) if subject is None else subject
         self._meta = {**describe_subject(of, controller), **(meta or {})}
@@ -129,28 +151,28 @@ class Recorder:
         self.truth = None if judge is None else judge.log()
         self.count = 0
         self._first_reason = ""  #: why the first tick that failed could not be computed
-        self._logged = False
-        self._k = 0  #: rows that are not in the journal yet
-        self._named = journal is not None
+        self._error_logged = False
+        self._pending = 0  #: rows that are not in the journal yet
+        self._survives = journal is not None
         self._flushed = perf_counter()
-        self._last: TickResult | None = None
+        self._located_result: TickResult | None = None
         #: writes rows; `run_loop(…, realtime=True)` has another thread do it
         self.hand_over: Callable[[Callable[[], object]], None] = at_once
         self._lay_out(of)
         about = {key: self._meta[key] for key in ("version", "law_hash")}
         self.log("start", state=controller.state.name, **about)
 
-    def _lay_out(self, of: Subject) -> None:
+    def _lay_out(self, subject: Subject) -> None:
         """Lay out the fields of a row: first those that are NaN for a tick without a result.
 
         Allocates the buffers that `append` fills, so that a tick allocates little.
 
         Args:
-            of: description of the recorded system.
+            subject: description of the recorded system.
         """
         chain = self._controller.chain
-        contacts = len(of.pairs)
-        r = len(of.owners)
+        contacts = len(subject.pairs)
+        r = len(subject.owners)
         squeezes = internal_forces(len(chain.arms))
         results = {**_RESULTS, "squeeze": squeezes, "friction": chain.nq}
         unknown = {"q": chain.nq, "v": chain.nq, "alpha_d": r, "alpha": r, "speed": r, **results}
@@ -164,18 +186,18 @@ class Recorder:
             "named": contacts,
         }
         integers = {"active": contacts}
-        if of.phased:
+        if subject.phased:
             integers |= {"phase": contacts, "closed": r, "collision": r}
         sizes = {**unknown, "tau": chain.n_a, **numbers, "normal_std": r, **integers}
         self._result_names = tuple(results)
         self._fields = [(name, "<f8", (size,)) for name, size in sizes.items()]
-        self._rows = np.zeros((_BLOCK, sum(sizes.values())))
+        self._rows = np.zeros((_ROWS_OF_BLOCK, sum(sizes.values())))
         self._rest_poses = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
-        self._unknown = np.full(sum(unknown.values()), np.nan)
+        self._blank = np.full(sum(unknown.values()), np.nan)
         self._numbers = np.zeros(sum(numbers.values()))
         parts = np.split(self._numbers[2:], [squeezes, squeezes + r])
-        self._squeezes, self._given_up, self._named_now = parts
-        self._squeeze: float | None = None  #: of the last tick, if `_squeezes` still has it
+        self._squeezes, self._given_up, self._named = parts
+        self._noted_squeeze: float | None = None  #: of the last tick, if `_squeezes` still has it
         # words copied from the controller's records: α, speeds, results, normal_std, then integers
         results_end = 2 * r + sum(results.values())
         self._words = np.zeros(results_end + r + sum(integers.values()), np.int64)
@@ -184,9 +206,9 @@ class Recorder:
         self._integers = self._words[results_end + r :]
 
     @property
-    def _patience(self) -> float:
+    def _write_interval(self) -> float:
         """Longest time between writes (s); finite for named files and in real time."""
-        return _EVERY if self._named or self.hand_over is not at_once else inf
+        return _WRITE_EVERY_S if self._survives or self.hand_over is not at_once else inf
 
     @property
     def error(self) -> RecordingError | None:
@@ -203,34 +225,34 @@ class Recorder:
             tau: (n_a,) its motor torques (N m, N).
             seconds: computing time (s).
         """
-        if self._k == _BLOCK or perf_counter() - self._flushed > self._patience:
+        if self._pending == _ROWS_OF_BLOCK or perf_counter() - self._flushed > self._write_interval:
             self.flush()
         status = self._controller.status
         self._note_numbers(reference, seconds, status)
         values = (tau, self._numbers, self._normal_std, self._integers)
-        row = self._rows[self._k]
+        row = self._rows[self._pending]
         try:
             self._read_records()
             parts: tuple[np.ndarray[Any, Any], ...]
             command = reference.alpha_d
             if reference.active is not None:  # there is no command for contacts that are not named
-                command = command * self._named_now[self.of.owners]
+                command = command * self._named[self.of.owners]
             parts = (measurement.q, measurement.v, command, self._results)
             if self.truth is None:
                 touched = measurement.touched
                 parts += (self._rest_poses if touched is None else np.ravel(touched.X_WE),)
             np.concatenate(parts + values, out=row)
         except (InvalidInputError, TypeError, ValueError, IndexError):  # no result, or misshapen
-            np.concatenate((self._unknown, *values), out=row)
+            np.concatenate((self._blank, *values), out=row)
         if self.truth is not None:
             self.truth.note()
         stopped = self._controller.state is SafetyState.SAFE_STOP
         if (stopped or status is Status.HELD) and not self._first_reason:
-            at = self.count * self._controller.dt
-            self._first_reason = f"at {at:.3f} s: {self._controller.reason}"
+            t = self.count * self._controller.dt
+            self._first_reason = f"at {t:.3f} s: {self._controller.reason}"
         for event, facts in self._changes.look():
             self.log(event, **facts)
-        self._k += 1
+        self._pending += 1
         self.count += 1
 
     def _note_numbers(self, reference: Reference, seconds: float, status: Status) -> None:
@@ -246,14 +268,14 @@ class Recorder:
         """
         self._numbers[0] = seconds
         self._numbers[1] = status
-        self._named_now[:] = 1.0  # all, if none are named
+        self._named[:] = 1.0  # all, if none are named
         if reference.active is not None:
             with suppress(TypeError, ValueError):  # misshapen: the tick has no result
-                np.not_equal(reference.active, 0, out=self._named_now, casting="unsafe")
+                np.not_equal(reference.active, 0, out=self._named, casting="unsafe")
         squeeze = reference.squeeze_d
-        if status is Status.OK and squeeze is self._squeeze:
+        if status is Status.OK and squeeze is self._noted_squeeze:
             return
-        self._squeeze = squeeze if status is Status.OK and type(squeeze) is float else None
+        self._noted_squeeze = squeeze if status is Status.OK and type(squeeze) is float else None
         # NaN after a single internal force distinguishes it from several equal ones
         self._squeezes[:] = np.nan
         with suppress(TypeError, ValueError):  # the tick was held: the reference is not valid
@@ -291,12 +313,12 @@ class Recorder:
             InvalidInputError: no tick has been computed.
         """
         result = self._controller.result()
-        if result is not self._last:
-            self._last = result
-            self._locate(result)
-        self._record_words.take(self._places, out=self._words, mode="clip")
+        if result is not self._located_result:
+            self._located_result = result
+            self._locate_numbers(result)
+        self._record_words.take(self._positions, out=self._words, mode="clip")
 
-    def _locate(self, result: TickResult) -> None:
+    def _locate_numbers(self, result: TickResult) -> None:
         """Find the position of each stored number in the controller's records.
 
         Args:
@@ -310,20 +332,20 @@ class Recorder:
         if self.of.phased:
             integers += [contacts.phase, columns.closed, columns.collision]
         self._record_words = records.rows.raw.view(np.int64)
-        self._places = records.places(
+        self._positions = records.places(
             columns.alpha, columns.speed, *results, columns.normal_std, *integers
         )
 
     def flush(self) -> None:
         """Append the rows stored since the last call to the journal."""
-        if self._k:
+        if self._pending:
             rows = self._rows_since(0).copy()
-            self.hand_over(partial(self.journal.append, self.count - self._k, rows))
-            self._k = 0
+            self.hand_over(partial(self.journal.append, self.count - self._pending, rows))
+            self._pending = 0
             if self.truth is not None:
                 self.truth.clear()
-        if self.error is not None and not self._logged:
-            self._logged = True
+        if self.error is not None and not self._error_logged:
+            self._error_logged = True
             _logger.error("%s; the loop continues", self.error)
         self._flushed = perf_counter()
 
@@ -335,7 +357,7 @@ class Recorder:
         Args:
             start: index of the first row returned.
         """
-        rows = self._rows[start : self._k]
+        rows = self._rows[start : self._pending]
         fields = self._fields
         if self.truth is not None:
             truth = self.truth.noted(start)
@@ -345,7 +367,7 @@ class Recorder:
 
     def latest(self) -> Mapping[str, Any]:
         """Channels of the last tick, computed when they are first read."""
-        row = self._rows_since(self._k - 1).copy()
+        row = self._rows_since(self._pending - 1).copy()
         return Tick(partial(channels, self.of, self.truth, self.count - 1, row))
 
     def note(self, meta: Mapping[str, Any]) -> None:
@@ -383,8 +405,8 @@ class Recorder:
             "joint_friction": controller.joint_friction.tolist() if learns else [],
             "missing_inertia": controller.missing_inertia.tolist(),
             "normal_std": [std or None for std in controller.normal_std.tolist()],
-            "wall_s": perf_counter() - self._began[0],
-            "cpu_s": process_time() - self._began[1],
+            "wall_s": perf_counter() - self._start_times[0],
+            "cpu_s": process_time() - self._start_times[1],
         }
         return recording
 
@@ -421,11 +443,11 @@ def own_subject(controller: Controller) -> Subject:
     return subject_of(controller, pairs, world, force_owners(pairs))
 
 
-def describe_subject(of: Subject, controller: Controller) -> Json:
+def describe_subject(subject: Subject, controller: Controller) -> Json:
     """Meta data of a recording: names, limits, losses, rate and versions.
 
     Args:
-        of: description of the recorded system.
+        subject: description of the recorded system.
         controller: controller of the loop.
 
     Returns:
@@ -444,8 +466,8 @@ def describe_subject(of: Subject, controller: Controller) -> Json:
         "joint_names": chain.joint_names,
         "effort_limits": dict(zip(motors, limits, strict=True)),
         "joint_losses": losses,
-        "contact_names": [pair.name for pair in of.pairs],
-        "columns": of.owners.tolist(),
+        "contact_names": [pair.name for pair in subject.pairs],
+        "columns": subject.owners.tolist(),
         "control_rate_hz": 1.0 / controller.dt,
         "force_steps_s": [],
         "force_rise_s": controller.gains.force.rise,

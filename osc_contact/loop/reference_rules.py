@@ -159,7 +159,7 @@ def lifted(task: Task) -> Values:
         gaps = np.array([pair.gaps(pin.XYZQUATToSE3(X)) for X in task.poses[ticks[is_closed]]])
         if task.rests[i] and len(gaps):
             if task.active is not None:
-                first = _beginnings(is_closed)
+                first = _begin_of_stretches(is_closed)
                 touches_at_start = (first == 0) & is_closed[0]
                 gaps = np.where(touches_at_start[:, None], gaps, gaps - gaps[first])
             largest = np.abs(gaps).max(initial=0.0)
@@ -168,7 +168,7 @@ def lifted(task: Task) -> Values:
             yield largest, {"way": "into" if depth >= height else "off", "name": pair.name}
 
 
-def _beginnings(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _begin_of_stretches(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Index, among the set flags, of the first flag of the stretch that each set flag belongs to.
 
     Args:
@@ -291,7 +291,7 @@ def spacing(task: Task) -> Values:
 )
 def contradiction(task: Task) -> Values:
     """Deviation (m, rad) of the object from X_WD by a V_D that is another motion."""
-    return _leads(task, _ANOTHER)
+    return _deviations_by_rate(task, _ANOTHER)
 
 
 @doubt(
@@ -301,10 +301,10 @@ def contradiction(task: Task) -> Values:
 )
 def lag(task: Task) -> Values:
     """Lag (m, rad) of the object behind X_WD if V_D is zero."""
-    return _leads(task, _LEFT_OUT)
+    return _deviations_by_rate(task, _LEFT_OUT)
 
 
-def _leads(task: Task, relation: str) -> Values:
+def _deviations_by_rate(task: Task, relation: str) -> Values:
     """Deviations K_d/K_p |rate − V_D| (m, rad) of the parts of V_D with a relation to the rate.
 
     The motion law a_u = … + K_d (V_D − V) + K_p e balances a wrong V_D by this error e. The largest

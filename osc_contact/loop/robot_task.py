@@ -51,12 +51,12 @@ def task_of_robot(
     assert settings.posture is not None  # settings choose the neutral one
     owners = force_owners(pairs)
     _require_forces(references, len(owners))
-    measured = _reading(robot, controller, references[0])
+    measured = _first_measurement(robot, controller, references[0])
     q = np.asarray(measured.q, dtype=float)
     if chain.nq != len(q):
         raise InvalidInputError(f"the robot measures {len(q)} joints of {chain.nq}")
     state = chain.state(q)
-    looks = _looks(references)
+    looks = _checked_indices(references)
     active = _active_contacts([references[k] for k in looks], len(pairs))
     forces = np.array([references[k].alpha_d for k in looks])
     following = looks[looks < len(references) - 1]
@@ -155,7 +155,7 @@ def _require_forces(references: Sequence[Reference], r: int) -> None:
             )
 
 
-def _reading(robot: Measures, controller: Controller, first: Reference) -> Measurement:
+def _first_measurement(robot: Measures, controller: Controller, first: Reference) -> Measurement:
     """Measure the robot until a tick can be computed, up to `READINGS` times.
 
     Sensors that start late do not deliver a reading at once; each measurement is tried by a copy of
@@ -178,7 +178,7 @@ def _reading(robot: Measures, controller: Controller, first: Reference) -> Measu
     return measurement
 
 
-def _looks(references: Sequence[Reference]) -> Array:
+def _checked_indices(references: Sequence[Reference]) -> Array:
     """Indices (k,) of the checked references: evenly spaced, extreme, with new active contacts.
 
     Extreme are the references with the smallest and largest coordinates of the position and

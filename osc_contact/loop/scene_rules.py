@@ -26,7 +26,7 @@ def _scene_of(task: Task) -> Scene:
     return task.scene
 
 
-def _faces(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]:
+def _near_contact_points(task: Task) -> Iterator[tuple[ContactPair, Array, Array, float, str]]:
     """Yield the contact points that are near the tool in the pose at the start.
 
     Args:
@@ -122,7 +122,7 @@ def loose(task: Task) -> Values:
 )
 def place(task: Task) -> Values:
     """Distance of a face from the geometry of the scene (m)."""
-    for pair, point, _, distance, geom in _faces(task):
+    for pair, point, _, distance, geom in _near_contact_points(task):
         side = "before" if distance > 0.0 else "inside"
         words = {"name": pair.name, "point": rounded(point), "side": side, "geom": geom}
         yield abs(distance), words
@@ -144,10 +144,10 @@ def turn(task: Task) -> Values:
         Value that the rule compares with its limits, and the words of its sentence.
     """
     scene = _scene_of(task)
-    for pair, point, normal, distance, geom in _faces(task):
+    for pair, point, normal, distance, geom in _near_contact_points(task):
         if abs(distance) > PLACE_REFUSED:
             continue
-        scene_normal = _gradient(scene, point)
+        scene_normal = _distance_gradient(scene, point)
         plane_normal = getattr(pair, "normal", None)
         is_plane = plane_normal is not None and np.allclose(plane_normal, normal)
         # at edges and corners geometry recedes in many directions
@@ -157,7 +157,7 @@ def turn(task: Task) -> Values:
             yield angle, {"name": pair.name, **words}
 
 
-def _gradient(scene: Scene, point: Array) -> Array:
+def _distance_gradient(scene: Scene, point: Array) -> Array:
     """Unit vector (3,) along which the distance from a scene increases most, by differences.
 
     Args:
@@ -199,7 +199,7 @@ def tool(task: Task) -> Values:
     Yields:
         Value that the rule compares with its limits, and the words of its sentence.
     """
-    distances = [abs(distance) for _, _, _, distance, _ in _faces(task)]
+    distances = [abs(distance) for _, _, _, distance, _ in _near_contact_points(task)]
     if distances and max(distances) <= PLACE_DOUBTFUL:
         X = task.state.X_WO
         gap = min(np.min(pair.gaps(X)) for pair in task.pairs if pushes_only(pair))

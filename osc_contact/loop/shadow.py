@@ -82,7 +82,12 @@ class ShadowReport:
         return not self.findings
 
     def lines(self) -> Iterator[str]:
-        """Lines of the report, to be printed."""
+        """Yield the lines of the report, to be printed.
+
+        For each joint that was moved friction, offset (N m), missing inertia (kg m²) and the rms of
+        the torque that these leave unexplained (N m); then bias and scale κ of the wrist's wrench;
+        then the findings, because of which forces may not be commanded.
+        """
         for joint in self.joints:
             if not joint.moved:
                 yield f"{joint.name}: not moved"
@@ -152,17 +157,21 @@ class Shadow:
                 "move every joint by hand"
             )
         rows_at_rest = rows[: round(REST_S / self.dt) : EVERY]
-        bias = np.mean([self._outside(row[:n], row[3 * n :]) for row in rows_at_rest], axis=0)
+        bias = np.mean(
+            [self._unmodelled_wrench(row[:n], row[3 * n :]) for row in rows_at_rest], axis=0
+        )
         centres = range(HALF, len(rows) - HALF, EVERY)
-        samples = [self._sample(rows[k - HALF : k + HALF + 1]) for k in centres]
+        samples = [self._mean_sample(rows[k - HALF : k + HALF + 1]) for k in centres]
         v, acceleration, remainder, push = (np.array(x) for x in zip(*samples, strict=True))
-        kappa = self._scale(v, acceleration, remainder, push)
+        kappa = self._confirmed_share(v, acceleration, remainder, push)
         scale = 1.0 if np.isnan(kappa) else kappa
         torques = remainder - scale * push
-        joints = tuple(self._joint(j, v[:, j], acceleration[:, j], torques[:, j]) for j in range(n))
-        return ShadowReport(joints, bias, kappa, list(self._judge(joints, bias, kappa)))
+        joints = tuple(
+            self._fit_joint(j, v[:, j], acceleration[:, j], torques[:, j]) for j in range(n)
+        )
+        return ShadowReport(joints, bias, kappa, list(self._unsafe_errors(joints, bias, kappa)))
 
-    def _outside(self, q: Array, wrench: Array) -> Array:
+    def _unmodelled_wrench(self, q: Array, wrench: Array) -> Array:
         """Wrist reading less the modelled load (6,), at the object's origin in world axes (N, N m).
 
         Args:
@@ -175,7 +184,7 @@ class Shadow:
         assert sensor is not None
         return origin.actInv(sensor.act(pin.Force(wrench))).vector - state.bias_out
 
-    def _sample(self, rows: Array) -> tuple[Array, ...]:
+    def _mean_sample(self, rows: Array) -> tuple[Array, ...]:
         """Means over a few ticks: the motion of the joints, and torques beyond the model's.
 
         Args:
@@ -192,7 +201,9 @@ class Shadow:
         J = columns_of(pin.computeFrameJacobian(self.inboard, self.data, q, self.chain.sensors[0]))
         return v, acceleration, tau - modelled, J.T @ wrench
 
-    def _scale(self, v: Array, acceleration: Array, remainder: Array, push: Array) -> float:
+    def _confirmed_share(
+        self, v: Array, acceleration: Array, remainder: Array, push: Array
+    ) -> float:
         """Estimate by least squares the share κ of the measured wrench that the joints confirm.
 
         The parts of both torques that friction, offset and inertia of a joint explain are removed
@@ -209,7 +220,7 @@ class Shadow:
         numerator = 0.0
         denominator = 0.0
         for j, tau_max in enumerate(self.chain.tau_max):
-            regressors = _columns(v[:, j], acceleration[:, j])
+            regressors = _regressors(v[:, j], acceleration[:, j])
             signals = np.column_stack((remainder[:, j], push[:, j]))
             explained_torque = regressors @ np.linalg.lstsq(regressors, signals)[0]
             joint_remainder, joint_push = (signals - explained_torque).T / tau_max
@@ -219,7 +230,7 @@ class Shadow:
             return float("nan")
         return numerator / denominator
 
-    def _joint(self, j: int, v: Array, a: Array, torque: Array) -> JointFinding:
+    def _fit_joint(self, j: int, v: Array, a: Array, torque: Array) -> JointFinding:
         """Fit friction, offset and inertia of a joint to the torque beyond the model.
 
         Args:
@@ -228,14 +239,16 @@ class Shadow:
             torque: (k,) torque beyond the model's (N m, N).
         """
         has_moved = bool(np.abs(v).max() > FASTEST)
-        regressors = _columns(v, a)
+        regressors = _regressors(v, a)
         parameters = np.linalg.lstsq(regressors, torque)[0]
         rms = float(np.sqrt(np.mean((torque - regressors @ parameters) ** 2)))
         coulomb, viscous, offset, inertia = parameters.tolist()
         name = self.chain.joint_names[j]
         return JointFinding(name, has_moved, coulomb, viscous, offset, inertia, rms)
 
-    def _judge(self, joints: tuple[JointFinding, ...], bias: Array, kappa: float) -> Iterator[str]:
+    def _unsafe_errors(
+        self, joints: tuple[JointFinding, ...], bias: Array, kappa: float
+    ) -> Iterator[str]:
         """Yield a sentence on each error of model or sensor, because of which forces are unsafe.
 
         Args:
@@ -292,7 +305,7 @@ class Shadow:
             )
 
 
-def _columns(v: Array, a: Array) -> Array:
+def _regressors(v: Array, a: Array) -> Array:
     """Regressors (k, 4) of a joint's torque: dry and viscous friction, offset and inertia.
 
     The sign of the speed, for dry friction, is smoothed by tanh at speeds below `STILL`.

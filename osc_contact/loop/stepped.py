@@ -1,4 +1,12 @@
-"""Control loop that the caller steps once for each control period."""
+"""Control loop that the caller steps once for each control period.
+
+Attributes of `SteppedLoop` beside `controller`: `_recorder`, `_drawing`, `_plan` and `_scene`, its
+parts (a missing one is None, a drawing without a viewer draws nothing); `_stops`, calls of the
+robot's `stop`; `_checks_next`, True until the checks of the first call were made; `_plan_begun`,
+`_ended`, progress of plan and loop. `StopCalls` has `_stop`, the robot's function; `_stopped`,
+whether the controller was in SAFE_STOP in the last tick; and `_needs_brakes`, whether mechanical
+brakes have been asked for since.
+"""
 
 from __future__ import annotations
 
@@ -185,10 +193,10 @@ class SteppedLoop(Generic[Law]):
         self._drawing = Drawing(viewer, recorder)
         self.controller: Law = controller
         self._recorder = recorder
-        self._check = check
+        self._checks_next = check
         self._scene = scene
         self._plan = plan
-        self._begun = False
+        self._plan_begun = False
         self._stops = StopCalls(_ignore_stop if stop is None else stop, recorder)
         self._ended = False
 
@@ -213,9 +221,9 @@ class SteppedLoop(Generic[Law]):
                 "reset"
             )
         measurement, reference = self._input_of_tick(measurement, reference)
-        if self._check:
+        if self._checks_next:
             checked(_RestingRobot(measurement, self._scene), self.controller, [reference])
-            self._check = False
+            self._checks_next = False
         start = perf_counter()
         tau = self.controller.tick(measurement, reference)
         seconds = perf_counter() - start
@@ -248,9 +256,9 @@ class SteppedLoop(Generic[Law]):
         if plan is None or reference is not None:
             assert reference is not None
             return measurement, reference
-        if not self._begun:
+        if not self._plan_begun:
             plan.begin(self.controller, measurement, self._stops.log)
-            self._begun = True
+            self._plan_begun = True
         return plan.placed(measurement), plan.step()
 
     def end(self, reason: str = "") -> None:
@@ -290,7 +298,7 @@ class _RestingRobot(NamedTuple):
     """
 
     measurement: Measurement
-    look: Callable[[], Scene] | None
+    look_around: Callable[[], Scene] | None
 
     def measure(self) -> Measurement:
         """Return the reading of the robot at rest."""
@@ -298,4 +306,4 @@ class _RestingRobot(NamedTuple):
 
     def scene(self) -> Scene | None:
         """Return masses and shapes around the robot; None: unknown."""
-        return None if self.look is None else self.look()
+        return None if self.look_around is None else self.look_around()

@@ -108,8 +108,8 @@ class HeldRobot:
         robot: driver of the robot.
         chain: model of the robot.
         dt: control period (s).
-        now: last measurement.
-        rest: first measurement.
+        last: last measurement.
+        rest: first measurement, of the arm at rest.
     """
 
     def __init__(self, robot: Robot, chain: ClosedChain, dt: float) -> None:
@@ -130,7 +130,7 @@ class HeldRobot:
         self.data = chain.model.createData()
         self.names = chain.joint_names
         self.fresh = Freshness()
-        self.now = self.rest = self.read()
+        self.last = self.rest = self.read()
 
     def read(self) -> Measurement:
         """Read the next measurement.
@@ -150,7 +150,7 @@ class HeldRobot:
             require_stamps(measurement)
         except InvalidInputError as error:
             raise PlantError(f"measure(): {error}") from error
-        if self.fresh.look(measurement) & OUTDATED or self.fresh.repeated > MOST_REPEATED:
+        if self.fresh.compare(measurement) & OUTDATED or self.fresh.repeated > MOST_REPEATED:
             raise PlantError(
                 f"measure(): stamps ({measurement.stamps}) or sequence ({measurement.sequence}) do "
                 "not advance; give the time of each reading, by the clock of the robot"
@@ -160,7 +160,7 @@ class HeldRobot:
     def step(self, tau: Array) -> None:
         """Command torques (n,), cut off at the motors' limits, for a period, and read the robot."""
         self.robot.command(np.clip(tau, -self.chain.tau_max, self.chain.tau_max), self.dt)
-        self.now = self.read()
+        self.last = self.read()
 
     def weight(self, q: Array) -> Array:
         """Torques (n,) that balance the model's weight at q (n,)."""
@@ -173,7 +173,8 @@ class HeldRobot:
     def settle(self, ticks: int) -> None:
         """Brake the joints and return them slowly to the start, for some ticks.
 
-        The desired acceleration −20 v − 25 (q − q_start) returns them without overshoot.
+        The desired acceleration −20 v − 25 (q − q_start) returns them without overshoot: nearly
+        critical damping at a natural frequency of 5 rad/s, slow enough for any arm.
 
         Args:
             ticks: number of control periods.
@@ -182,8 +183,8 @@ class HeldRobot:
             PlantError: a joint moves away.
         """
         for _ in range(ticks):
-            q = self.now.q
-            v = self.now.v
+            q = self.last.q
+            v = self.last.v
             desired = -20.0 * v - 25.0 * (q - self.rest.q)
             self.step(self.weight(q) + self.mass(q) @ desired)
             distances = np.abs(q - self.rest.q)
@@ -229,7 +230,7 @@ class _Check(HeldRobot):
             PlantError: a position is beyond a limit.
         """
         try:
-            require_start(self.chain, self.now.q)
+            require_start(self.chain, self.last.q)
         except InvalidInputError as error:
             raise PlantError(f"{error}; or are joints in another order?") from error
 
@@ -242,12 +243,13 @@ class _Check(HeldRobot):
         Raises:
             PlantError: joints accelerate; the message names the likeliest cause.
         """
-        q = self.now.q
-        v = self.now.v
+        q = self.last.q
+        v = self.last.v
         for _ in range(HOLD):
-            self.step(self.weight(self.now.q))
-        accelerations = (self.now.v - v) / (HOLD * self.dt)
+            self.step(self.weight(self.last.q))
+        accelerations = (self.last.v - v) / (HOLD * self.dt)
         lift = np.linalg.solve(self.mass(q), self.weight(q))  # by the weight's torques alone
+        # the arm is held if it moves much less than it would fall, or by less than 0.2 rad/s²
         if np.abs(accelerations).max() < max(FALLING * np.abs(lift).max(), 0.2):
             return
         missing = "their weight seems to be missing: the robot does not add it, and command() must"
@@ -279,7 +281,7 @@ class _Check(HeldRobot):
         if None in chain.sensors:
             yield "wrenches are not checked: an arm of the model has no wrist sensor"
             return
-        state = chain.state(self.now.q)
+        state = chain.state(self.last.q)
         limit = SafetySettings().load_error
         error = self.outside() - state.bias_out
         why = judge_load(chain, limit, error, state.bias_out, stepped=True)
@@ -298,7 +300,7 @@ class _Check(HeldRobot):
         def read() -> Measurement:
             """Hold the arm for a period; return the measurement after it."""
             self.settle(1)
-            return self.now
+            return self.last
 
         return mean_outside(self.chain, read)
 
@@ -316,7 +318,7 @@ class _Check(HeldRobot):
         # larger and larger pulses until a joint moves; after each the arm comes to rest
         name = self.names[joint]
         for share in SHARES:
-            inertia = self.mass(self.now.q)[joint, joint]
+            inertia = self.mass(self.last.q)[joint, joint]
             torque = self.torque_of(joint, share)
             changes, displacement, summed_speeds = self.push(joint, torque)
             self.settle(2 * PULSE)
@@ -358,7 +360,7 @@ class _Check(HeldRobot):
             joint: index of the joint in `names`.
             share: largest torque over the motor's limit, one of `SHARES`.
         """
-        inertia = self.mass(self.now.q)[joint, joint]
+        inertia = self.mass(self.last.q)[joint, joint]
         largest = share * float(self.chain.tau_max[joint])
         torque = inertia * min(largest / inertia, SPEED / (PULSE * self.dt))
         return max(torque, largest) if share > SHARES[1] else torque
@@ -376,20 +378,20 @@ class _Check(HeldRobot):
             Mean change of speed of all joints (n,) along the pulse (rad/s, m/s); displacement of
             the joint by its positions; displacement by the sum of its speeds (rad, m).
         """
-        M = self.mass(self.now.q)
+        M = self.mass(self.last.q)
         tau = M[:, joint] * torque / M[joint, joint]  # the other joints do not accelerate
         changes = np.zeros(self.chain.nq)
         displacement = 0.0
         summed_speeds = 0.0
         for sign in (1.0, -1.0):
-            before = self.now
+            before = self.last
             for _ in range(PULSE):
-                self.step(self.weight(self.now.q) + sign * tau)
-                summed_speeds += sign * self.now.v[joint] * self.dt
-                if abs(self.now.v[joint]) > SPEED:
+                self.step(self.weight(self.last.q) + sign * tau)
+                summed_speeds += sign * self.last.v[joint] * self.dt
+                if abs(self.last.v[joint]) > SPEED:
                     break
-            changes += 0.5 * sign * (self.now.v - before.v)
-            displacement += sign * (self.now.q[joint] - before.q[joint])
+            changes += 0.5 * sign * (self.last.v - before.v)
+            displacement += sign * (self.last.q[joint] - before.q[joint])
         return (changes, displacement, summed_speeds)
 
     def stop(self) -> None:

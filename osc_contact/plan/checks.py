@@ -72,7 +72,7 @@ def require_plan(
         try:
             alpha_d, active = forces_of(stage.forces, names, owners)
             _require_contacts(stage, names)
-            N = _directions(controller, active, X)
+            N = _force_directions(controller, active, X)
         except OscContactError as error:
             raise InvalidInputError(f"stage {stage.name!r}: {error}") from error
         _require_forces(stage, alpha_d, min(stage.largest, largest), controller)
@@ -90,8 +90,10 @@ def require_states(stages: Sequence[Stage], recogniser: Recogniser | None) -> No
         InvalidInputError: such a state, a plan without recogniser, or an unknown pair.
     """
     for stage in stages:
-        ends = [one for one in (stage.until, stage.unless) if isinstance(one, End)]
-        needed = [one for one in ends if one.states is not None]
+        ends = [
+            condition for condition in (stage.until, stage.unless) if isinstance(condition, End)
+        ]
+        needed = [condition for condition in ends if condition.states is not None]
         if (needed or stage.may_touch) and recogniser is None:
             raise InvalidInputError(
                 f"stage {stage.name!r} depends on the contact state; give the plan a recogniser, "
@@ -99,7 +101,7 @@ def require_states(stages: Sequence[Stage], recogniser: Recogniser | None) -> No
             )
         if recogniser is None:
             continue
-        for name in (name for one in needed for name in one.states or ()):
+        for name in (name for condition in needed for name in condition.states or ()):
             if name not in recogniser.states.names:
                 raise InvalidInputError(
                     f"stage {stage.name!r}: there is no contact state {name!r}; "
@@ -138,7 +140,7 @@ def _require_contacts(stage: Stage, names: Sequence[str]) -> None:
             )
 
 
-def _directions(controller: Controller, active: Array, X: pin.SE3) -> Array:
+def _force_directions(controller: Controller, active: Array, X: pin.SE3) -> Array:
     """Independent directions of force (6, r) of the active contacts, at O in world axes.
 
     Args:
@@ -191,7 +193,7 @@ def _require_motion(stage: Stage, names: Sequence[str], N: Array, dt: float, X: 
     Raises:
         InvalidInputError: contacts take away more than the share `BLOCKED` of the motion.
     """
-    now = Sensed(
+    signals = Sensed(
         X=X,
         V=np.zeros(6),
         aim=X,
@@ -202,7 +204,7 @@ def _require_motion(stage: Stage, names: Sequence[str], N: Array, dt: float, X: 
         N=N,
     )
     try:
-        demand = stage.motion.begin(now)(now, dt)
+        demand = stage.motion.begin(signals)(signals, dt)
     except (InvalidInputError, LookupError):
         return  # its direction follows from stages before it, and is checked when the stage begins
     for kind, rows in (("velocity", slice(0, 3)), ("turn", slice(3, 6))):

@@ -45,11 +45,11 @@ class End:
 
     def __and__(self, other: End) -> End:
         """Condition that this one and another are met in the same tick."""
-        return _join(self, other, all, "and")
+        return _join_conditions(self, other, all, "and")
 
     def __or__(self, other: End) -> End:
         """Condition that this one or another is met."""
-        return _join(self, other, any, "or")
+        return _join_conditions(self, other, any, "or")
 
     def lasting(self, seconds: float) -> End:
         """Condition that this one is met for some time without interruption.
@@ -60,23 +60,23 @@ class End:
             seconds: least time (s).
         """
 
-        def begin(now: Sensed) -> Watch:
+        def begin(signals: Sensed) -> Watch:
             """Begin to watch this condition (`self`), with a time of zero.
 
             Args:
-                now: signals when the stage begins.
+                signals: signals when the stage begins.
 
             Returns:
                 Function of the signals of a tick and the period: whether it is met for `seconds`.
             """
-            watch = self.begin(now)
+            watch = self.begin(signals)
             met_for = 0.0
 
-            def met(now: Sensed, dt: float) -> bool:
+            def met(signals: Sensed, dt: float) -> bool:
                 """Add a period to the time if the condition is met, else begin again at zero.
 
                 Args:
-                    now: signals after the last tick.
+                    signals: signals after the last tick.
                     dt: control period (s).
 
                 Returns:
@@ -84,7 +84,7 @@ class End:
                     without interruption.
                 """
                 nonlocal met_for
-                met_for = met_for + dt if watch(now, dt) else 0.0
+                met_for = met_for + dt if watch(signals, dt) else 0.0
                 return met_for >= seconds
 
             return met
@@ -92,7 +92,9 @@ class End:
         return replace(self, begin=begin, words=f"{self.words} for {seconds:g} s")
 
 
-def _join(left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], word: str) -> End:
+def _join_conditions(
+    left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], word: str
+) -> End:
     """Join two conditions, both of which are evaluated in each tick.
 
     Args:
@@ -101,30 +103,30 @@ def _join(left: End, right: End, rule: Callable[[tuple[bool, bool]], bool], word
         word: "and" or "or", for verdicts.
     """
 
-    def begin(now: Sensed) -> Watch:
+    def begin(signals: Sensed) -> Watch:
         """Begin to watch both conditions, `left` and `right`.
 
         Args:
-            now: signals when the stage begins.
+            signals: signals when the stage begins.
 
         Returns:
             Function of the signals of a tick and the period: whether the joined condition is met.
         """
-        left_watch = left.begin(now)
-        right_watch = right.begin(now)
+        left_watch = left.begin(signals)
+        right_watch = right.begin(signals)
 
-        def met(now: Sensed, dt: float) -> bool:
+        def met(signals: Sensed, dt: float) -> bool:
             """Evaluate both conditions, because each may count time, and join the results.
 
             Args:
-                now: signals after the last tick.
+                signals: signals after the last tick.
                 dt: control period (s).
 
             Returns:
                 Whether both are met (`rule` is `all`), or one of them (`any`).
             """
-            left_met = left_watch(now, dt)
-            right_met = right_watch(now, dt)
+            left_met = left_watch(signals, dt)
+            right_met = right_watch(signals, dt)
             return rule((left_met, right_met))
 
         return met
@@ -144,9 +146,9 @@ def when(test: Callable[[Sensed], bool], words: str = "") -> End:
         words: words for verdicts; empty: the function's name.
     """
 
-    def begin(now: Sensed) -> Watch:
+    def begin(signals: Sensed) -> Watch:
         """Begin to watch; the function has no memory."""
-        return lambda now, dt: bool(test(now))
+        return lambda signals, dt: bool(test(signals))
 
     return End(begin, words or getattr(test, "__name__", "?"))
 
@@ -178,9 +180,9 @@ def made(*contacts: str, lasting: Time = MADE_FOR) -> End:
         lasting: time for which they must be closed without interruption (s).
     """
 
-    def all_closed(now: Sensed) -> bool:
+    def all_closed(signals: Sensed) -> bool:
         """Return whether all these contacts are closed in a tick."""
-        return all(now.phases[name] == Phase.CLOSED for name in contacts)
+        return all(signals.phases[name] == Phase.CLOSED for name in contacts)
 
     end = when(all_closed).lasting(lasting)
     return End(end.begin, f"{' and '.join(contacts)} made", contacts)
@@ -195,11 +197,11 @@ def lost(*contacts: str, lasting: Time = MADE_FOR) -> End:
             (s).
     """
 
-    def begin(now: Sensed) -> Watch:
+    def begin(signals: Sensed) -> Watch:
         """Begin to watch `contacts` (names), with times of zero for each of them.
 
         Args:
-            now: signals when the stage begins.
+            signals: signals when the stage begins.
 
         Returns:
             Function of the signals of a tick and the period: whether a contact is lost.
@@ -207,18 +209,18 @@ def lost(*contacts: str, lasting: Time = MADE_FOR) -> End:
         closed_for = dict.fromkeys(contacts, 0.0)
         lost_for = dict.fromkeys(contacts, 0.0)
 
-        def met(now: Sensed, dt: float) -> bool:
+        def met(signals: Sensed, dt: float) -> bool:
             """Update the times of each contact by a period, and compare the longest loss.
 
             The time of a loss (s), compared with `lasting`, grows until the contact has been closed
             for `MADE_FOR` (s) without interruption.
 
             Args:
-                now: signals after the last tick.
+                signals: signals after the last tick.
                 dt: control period (s).
             """
             for name in contacts:
-                is_closed = now.phases[name] == Phase.CLOSED
+                is_closed = signals.phases[name] == Phase.CLOSED
                 closed_for[name] = closed_for[name] + dt if is_closed else 0.0
                 lost_for[name] = 0.0 if closed_for[name] >= MADE_FOR else lost_for[name] + dt
             return max(lost_for.values()) >= lasting
@@ -236,9 +238,12 @@ def recognised(*states: str, probability: float = SURE) -> End:
         probability: least probability of these states together.
     """
 
-    def is_recognised(now: Sensed) -> bool:
+    def is_recognised(signals: Sensed) -> bool:
         """Return whether the states are probable enough in a tick."""
-        return now.recogniser is not None and now.recogniser.probability(*states) >= probability
+        return (
+            signals.recogniser is not None
+            and signals.recogniser.probability(*states) >= probability
+        )
 
     end = when(is_recognised, f"{' or '.join(states)} recognised")
     return replace(end, states=states)
@@ -249,7 +254,7 @@ def unexpected() -> End:
 
     It is meant for `unless`; the verdict on the stage names the state.
     """
-    return replace(when(lambda now: now.unexpected != "", "unexpected contact"), states=())
+    return replace(when(lambda signals: signals.unexpected != "", "unexpected contact"), states=())
 
 
 def moved(
@@ -272,13 +277,13 @@ def moved(
     p = as_array("moved: point", point, (3,))
     axis = None if direction is None else unit_vector("moved: direction", direction)
 
-    def has_moved(now: Sensed) -> bool:
+    def has_moved(signals: Sensed) -> bool:
         """Return whether the point has moved by the distance in a tick.
 
         Args:
-            now: signals after the last tick.
+            signals: signals after the last tick.
         """
-        displacement = now.X.act(p) - now.where_ended(since).act(p)
+        displacement = signals.X.act(p) - signals.where_ended(since).act(p)
         if axis is None:
             return float(np.linalg.norm(displacement)) >= distance
         return float(axis @ displacement) >= distance
@@ -295,10 +300,10 @@ def pressed(force: Force, on: str | Direction) -> End:
     """
     if isinstance(on, str):
         name = on
-        end = when(lambda now: now.forces[name] >= force, f"{force:g} N on {name}")
+        end = when(lambda signals: signals.forces[name] >= force, f"{force:g} N on {name}")
         return End(end.begin, end.words, (name,))
     axis = unit_vector("pressed: on", on)
-    return when(lambda now: float(axis @ now.wrench[:3]) >= force, f"{force:g} N")
+    return when(lambda signals: float(axis @ signals.wrench[:3]) >= force, f"{force:g} N")
 
 
 def at_rest(speed: Velocity = 1e-3, rate: AngularVelocity = 0.02) -> End:
@@ -309,14 +314,14 @@ def at_rest(speed: Velocity = 1e-3, rate: AngularVelocity = 0.02) -> End:
         rate: angular speed below which it rests (rad/s).
     """
 
-    def rests(now: Sensed) -> bool:
+    def rests(signals: Sensed) -> bool:
         """Return whether both speeds are below their limits in a tick.
 
         Args:
-            now: signals after the last tick.
+            signals: signals after the last tick.
         """
-        linear = float(np.linalg.norm(now.V[:3]))
-        angular = float(np.linalg.norm(now.V[3:]))
+        linear = float(np.linalg.norm(signals.V[:3]))
+        angular = float(np.linalg.norm(signals.V[3:]))
         return linear < speed and angular < rate
 
     return when(rests, "at rest")
@@ -324,9 +329,9 @@ def at_rest(speed: Velocity = 1e-3, rate: AngularVelocity = 0.02) -> End:
 
 def after(seconds: Time) -> End:
     """Condition that some time (s) has passed since the stage began, without pauses."""
-    return when(lambda now: now.t >= seconds, f"after {seconds:g} s")
+    return when(lambda signals: signals.t >= seconds, f"after {seconds:g} s")
 
 
 def finished() -> End:
     """Condition that the motion of the stage has reached its end."""
-    return when(lambda now: now.finished, "motion finished")
+    return when(lambda signals: signals.finished, "motion finished")

@@ -87,24 +87,24 @@ class Motion:
             other: motion that is added to this one.
         """
 
-        def begin(now: Sensed) -> Course:
+        def begin(signals: Sensed) -> Course:
             """Begin this motion (`self`) and the other one.
 
             Args:
-                now: signals when the stage begins.
+                signals: signals when the stage begins.
             """
-            own_course = self.begin(now)
-            other_course = other.begin(now)
+            own_course = self.begin(signals)
+            other_course = other.begin(signals)
 
-            def demand(now: Sensed, dt: float) -> Demand:
+            def demand(signals: Sensed, dt: float) -> Demand:
                 """Stack the demands of both motions in a tick.
 
                 Args:
-                    now: signals after the last tick.
+                    signals: signals after the last tick.
                     dt: control period (s).
                 """
-                first_demand = own_course(now, dt)
-                second_demand = other_course(now, dt)
+                first_demand = own_course(signals, dt)
+                second_demand = other_course(signals, dt)
                 return Demand(
                     np.vstack((first_demand.rows, second_demand.rows)),
                     np.concatenate((first_demand.values, second_demand.values)),
@@ -124,11 +124,11 @@ def dwell() -> Motion:
         dwell
     """
 
-    def demand(now: Sensed, dt: float) -> Demand:
+    def demand(signals: Sensed, dt: float) -> Demand:
         """Demand no component of the twist."""
         return Demand(np.zeros((0, 6)), np.zeros(0), finished=True)
 
-    return Motion(lambda now: demand, "dwell")
+    return Motion(lambda signals: demand, "dwell")
 
 
 def along(
@@ -153,11 +153,11 @@ def along(
         InvalidInputError: the direction is zero, or a number is not positive.
     """
     unit = unit_vector("along: direction", direction)
-    largest_speed = _positive("along: speed", speed)
-    length = _positive("along: distance", distance)
-    limit = None if yields is None else _positive("along: yields", yields)
+    largest_speed = _require_positive("along: speed", speed)
+    length = _require_positive("along: distance", distance)
+    limit = None if yields is None else _require_positive("along: yields", yields)
 
-    begin = _steady(_TRANSLATION, unit, axes, largest_speed, length, limit)
+    begin = _begin_steady_motion(_TRANSLATION, unit, axes, largest_speed, length, limit)
     return Motion(begin, f"along {_direction_text(unit)} at {1e3 * largest_speed:g} mm/s")
 
 
@@ -183,11 +183,11 @@ def about(
         InvalidInputError: the axis is zero, or a number is not positive.
     """
     unit = unit_vector("about: axis", axis)
-    largest_rate = _positive("about: rate", rate)
-    largest_angle = _positive("about: angle", angle)
-    limit = None if yields is None else _positive("about: yields", yields)
+    largest_rate = _require_positive("about: rate", rate)
+    largest_angle = _require_positive("about: angle", angle)
+    limit = None if yields is None else _require_positive("about: yields", yields)
 
-    begin = _steady(_ROTATION, unit, axes, largest_rate, largest_angle, limit)
+    begin = _begin_steady_motion(_ROTATION, unit, axes, largest_rate, largest_angle, limit)
     return Motion(begin, f"about {_direction_text(unit)} at {largest_rate:g} rad/s")
 
 
@@ -209,20 +209,20 @@ def turn_to(
         InvalidInputError: axis or direction is zero, or the rate is not positive.
     """
     object_axis = unit_vector("turn_to: axis", axis)
-    largest_rate = _positive("turn_to: rate", rate)
+    largest_rate = _require_positive("turn_to: rate", rate)
     if not callable(direction):
         unit_vector("turn_to: direction", direction)
 
-    def begin(now: Sensed) -> Course:
+    def begin(signals: Sensed) -> Course:
         """Begin the rotation to `target`, the direction in world axes at present.
 
         Args:
-            now: signals when the stage begins.
+            signals: signals when the stage begins.
         """
-        goal = direction(now) if callable(direction) else direction
+        goal = direction(signals) if callable(direction) else direction
         target = unit_vector("turn_to: direction", goal)
 
-        def demand(now: Sensed, dt: float) -> Demand:
+        def demand(signals: Sensed, dt: float) -> Demand:
             """Demand the angular velocity across the axis that turns it to `target`.
 
             `object_axis` (3,) is in the object's axes, `target` (3,) in world axes. The speed w is
@@ -230,13 +230,13 @@ def turn_to(
             is not prescribed.
 
             Args:
-                now: signals after the last tick.
+                signals: signals after the last tick.
                 dt: control period (s).
             """
-            a = now.aim.rotation @ object_axis
+            a = signals.aim.rotation @ object_axis
             rotation = _turn_between(a, target)
             angle = float(np.linalg.norm(rotation))
-            w = _ending(largest_rate, angle, ANGULAR_ACCELERATION, dt)
+            w = _speed_to_stop(largest_rate, angle, ANGULAR_ACCELERATION, dt)
             normal_axes = _null_space(a[None]).T  # two axes at right angles to a
             values = normal_axes @ rotation * (w / max(angle, 1e-12))
             return Demand(normal_axes @ _ANGULAR, values, angle < ARRIVED_ANGLE)
@@ -259,33 +259,33 @@ def to(
     Raises:
         InvalidInputError: a number is not positive.
     """
-    largest_speed = _positive("to: speed", speed)
-    largest_rate = _positive("to: rate", rate)
+    largest_speed = _require_positive("to: speed", speed)
+    largest_rate = _require_positive("to: rate", rate)
 
-    def begin(now: Sensed) -> Course:
+    def begin(signals: Sensed) -> Course:
         """Begin the motion to `goal`, the pose in the world that `pose` gives at present.
 
         Args:
-            now: signals when the stage begins.
+            signals: signals when the stage begins.
         """
-        goal = pose(now) if callable(pose) else pose
+        goal = pose(signals) if callable(pose) else pose
 
-        def demand(now: Sensed, dt: float) -> Demand:
+        def demand(signals: Sensed, dt: float) -> Demand:
             """Demand the whole twist (6,), which moves the object straight towards `goal`.
 
             Speeds are at most `largest_speed` (m/s) and `largest_rate` (rad/s), and lower towards
             the end.
 
             Args:
-                now: signals after the last tick.
+                signals: signals after the last tick.
                 dt: control period (s).
             """
-            offset = goal.translation - now.aim.translation
-            rotation = pin.log3(goal.rotation @ now.aim.rotation.T)
+            offset = goal.translation - signals.aim.translation
+            rotation = pin.log3(goal.rotation @ signals.aim.rotation.T)
             distance = float(np.linalg.norm(offset))
             angle = float(np.linalg.norm(rotation))
-            v = _ending(largest_speed, distance, LINEAR_ACCELERATION, dt)
-            w = _ending(largest_rate, angle, ANGULAR_ACCELERATION, dt)
+            v = _speed_to_stop(largest_speed, distance, LINEAR_ACCELERATION, dt)
+            w = _speed_to_stop(largest_rate, angle, ANGULAR_ACCELERATION, dt)
             linear = offset * (v / max(distance, 1e-12))
             angular = rotation * (w / max(angle, 1e-12))
             arrived = distance < ARRIVED and angle < ARRIVED_ANGLE
@@ -310,36 +310,36 @@ def through(points: Points, speed: Velocity, *, relative: bool = False) -> Motio
         InvalidInputError: points have another shape, or the speed is not positive.
     """
     positions = as_array("through: points", points, (None, 3))
-    largest_speed = _positive("through: speed", speed)
+    largest_speed = _require_positive("through: speed", speed)
 
-    def begin(now: Sensed) -> Course:
+    def begin(signals: Sensed) -> Course:
         """Begin the motion along `path`, the (k, 3) points in the world (m).
 
         Args:
-            now: signals when the stage begins.
+            signals: signals when the stage begins.
         """
-        path = positions + (now.aim.translation if relative else 0.0)
+        path = positions + (signals.aim.translation if relative else 0.0)
         k = 0  # index of the next point
 
-        def demand(now: Sensed, dt: float) -> Demand:
+        def demand(signals: Sensed, dt: float) -> Demand:
             """Demand the velocity of the origin towards point k of `path`, the next one.
 
             Distances (m) count across contact normals only. The speed, at most `largest_speed`
             (m/s), falls to zero at the last point only.
 
             Args:
-                now: signals after the last tick.
+                signals: signals after the last tick.
                 dt: control period (s).
             """
             nonlocal k
             while k < len(path):
-                tangents = _null_space(now.N[:3].T)  # directions across all contact forces
-                offset = tangents @ tangents.T @ (path[k] - now.aim.translation)
+                tangents = _null_space(signals.N[:3].T)  # directions across all contact forces
+                offset = tangents @ tangents.T @ (path[k] - signals.aim.translation)
                 distance = float(np.linalg.norm(offset))
                 if distance >= largest_speed * dt + ARRIVED:
                     is_last = k + 1 == len(path)
                     to_stop = distance if is_last else inf  # the motion stops only at the last one
-                    v = _ending(largest_speed, to_stop, LINEAR_ACCELERATION, dt)
+                    v = _speed_to_stop(largest_speed, to_stop, LINEAR_ACCELERATION, dt)
                     return Demand(_LINEAR, offset * (v / distance))
                 k += 1
             return Demand(_LINEAR, np.zeros(3), finished=True)
@@ -372,8 +372,10 @@ def raster(
     """
     line = unit_vector("raster: along", along)
     step = unit_vector("raster: across", across)
-    lines = 1 + round(_positive("raster: width", width) / _positive("raster: pitch", pitch))
-    far_end = _positive("raster: length", length)
+    lines = 1 + round(
+        _require_positive("raster: width", width) / _require_positive("raster: pitch", pitch)
+    )
+    far_end = _require_positive("raster: length", length)
     points = []
     for k in range(lines):
         forwards = k % 2 == 0
@@ -395,27 +397,27 @@ def spiral(axis: Direction, pitch: Length, speed: Velocity, radius: Length) -> M
         InvalidInputError: the axis is zero, or a number is not positive.
     """
     normal = unit_vector("spiral: axis", axis)
-    per_angle = _positive("spiral: pitch", pitch) / (2.0 * pi)
-    largest_speed = _positive("spiral: speed", speed)
-    end = _positive("spiral: radius", radius)
+    per_angle = _require_positive("spiral: pitch", pitch) / (2.0 * pi)
+    largest_speed = _require_positive("spiral: speed", speed)
+    end = _require_positive("spiral: radius", radius)
     rows = _null_space(normal[None]).T @ _LINEAR
 
-    def begin(now: Sensed) -> Course:
+    def begin(signals: Sensed) -> Course:
         """Begin at the centre of the spiral, whose radius is r = pitch/(2π) × angle (m).
 
         Args:
-            now: signals when the stage begins.
+            signals: signals when the stage begins.
         """
         angle = 0.0
 
-        def demand(now: Sensed, dt: float) -> Demand:
+        def demand(signals: Sensed, dt: float) -> Demand:
             """Demand the velocity along the spiral, in the two axes `rows` of its plane.
 
             Its radius is r = `per_angle` × angle, up to `end` (m). The angular speed w (rad/s)
             follows from `largest_speed` (m/s) and from the acceleration.
 
             Args:
-                now: signals after the last tick.
+                signals: signals after the last tick.
                 dt: control period (s).
             """
             nonlocal angle
@@ -460,9 +462,9 @@ def rock(
         InvalidInputError: zero axis, a number that is not positive, or a too large acceleration.
     """
     rock_axis = unit_vector("rock: axis", axis)
-    amplitude = _positive("rock: angle", angle)
-    frequency_Hz = _positive("rock: frequency", frequency)
-    n_cycles = _positive("rock: cycles", cycles)
+    amplitude = _require_positive("rock: angle", angle)
+    frequency_Hz = _require_positive("rock: frequency", frequency)
+    n_cycles = _require_positive("rock: cycles", cycles)
     # largest acceleration of the sine, which the plan's change of twist must be able to follow
     largest = amplitude * (2.0 * pi * frequency_Hz) ** 2
     if largest > CHANGES * ANGULAR_ACCELERATION:
@@ -471,27 +473,27 @@ def rock(
             f"{CHANGES * ANGULAR_ACCELERATION:g} rad/s²; lower angle or frequency"
         )
 
-    def begin(now: Sensed) -> Course:
+    def begin(signals: Sensed) -> Course:
         """Begin with an angle of zero, in the first cycle.
 
         Args:
-            now: signals when the stage begins.
+            signals: signals when the stage begins.
         """
         cycle = 0.0
         last_angle = 0.0
 
-        def demand(now: Sensed, dt: float) -> Demand:
+        def demand(signals: Sensed, dt: float) -> Demand:
             """Demand the angular velocity about `rock_axis`, given in the axes `axes`.
 
             The angle is a sine that rises in its first cycle, with `amplitude` (rad) and
             `frequency_Hz`, for `n_cycles` cycles.
 
             Args:
-                now: signals after the last tick.
+                signals: signals after the last tick.
                 dt: control period (s).
             """
             nonlocal cycle, last_angle
-            a = now.aim.rotation @ rock_axis if axes == "object" else rock_axis
+            a = signals.aim.rotation @ rock_axis if axes == "object" else rock_axis
             cycle = min(cycle + frequency_Hz * dt, n_cycles)
             new_angle = amplitude * min(cycle, 1.0) * sin(2.0 * pi * cycle)
             w = (new_angle - last_angle) / dt
@@ -589,7 +591,7 @@ def _turn_between(a: Array, b: Array) -> Array:
     return axis * (angle / size)
 
 
-class _Kind(NamedTuple):
+class _KindOfMotion(NamedTuple):
     """Kind of a motion, translation or rotation, with its limits.
 
     Attributes:
@@ -603,12 +605,17 @@ class _Kind(NamedTuple):
     arrived: float
 
 
-_TRANSLATION = _Kind(_LINEAR, LINEAR_ACCELERATION, ARRIVED)
-_ROTATION = _Kind(_ANGULAR, ANGULAR_ACCELERATION, ARRIVED_ANGLE)
+_TRANSLATION = _KindOfMotion(_LINEAR, LINEAR_ACCELERATION, ARRIVED)
+_ROTATION = _KindOfMotion(_ANGULAR, ANGULAR_ACCELERATION, ARRIVED_ANGLE)
 
 
-def _steady(
-    kind: _Kind, direction: Array, axes: Axes, speed: float, length: float, limit: float | None
+def _begin_steady_motion(
+    kind: _KindOfMotion,
+    direction: Array,
+    axes: Axes,
+    speed: float,
+    length: float,
+    limit: float | None,
 ) -> Callable[[Sensed], Course]:
     """Make the function `begin` of a motion along, or about, one direction.
 
@@ -621,15 +628,15 @@ def _steady(
         limit: force or couple against the motion at which it stops (N, N m); None: it never does.
     """
 
-    def begin(now: Sensed) -> Course:
+    def begin(signals: Sensed) -> Course:
         """Begin the motion with a covered length of zero (m, rad).
 
         Args:
-            now: signals when the stage begins.
+            signals: signals when the stage begins.
         """
         covered = 0.0
 
-        def demand(now: Sensed, dt: float) -> Demand:
+        def demand(signals: Sensed, dt: float) -> Demand:
             """Demand the speed along `direction`, lower towards the end and against a force.
 
             `direction` (3,) is in the axes `axes`; `kind.rows` are the rows of the velocity of O
@@ -638,15 +645,15 @@ def _steady(
             near `limit` (N, N m).
 
             Args:
-                now: signals after the last tick.
+                signals: signals after the last tick.
                 dt: control period (s).
             """
             nonlocal covered
-            axis = now.aim.rotation @ direction if axes == "object" else direction
+            axis = signals.aim.rotation @ direction if axes == "object" else direction
             row = axis @ kind.rows
-            covered += dt * float(row @ now.V_D)
-            rate = _ending(speed, length - covered, kind.deceleration, dt)
-            rate *= _yielding(limit, float(row @ now.wrench))
+            covered += dt * float(row @ signals.V_D)
+            rate = _speed_to_stop(speed, length - covered, kind.deceleration, dt)
+            rate *= _share_against_force(limit, float(row @ signals.wrench))
             return Demand(row[None], np.array([rate]), length - covered < kind.arrived)
 
         return demand
@@ -654,7 +661,7 @@ def _steady(
     return begin
 
 
-def _ending(speed: float, distance: float, deceleration: float, dt: float) -> float:
+def _speed_to_stop(speed: float, distance: float, deceleration: float, dt: float) -> float:
     """Largest speed from which the rest of a way ends at rest (m/s, rad/s).
 
     Args:
@@ -668,7 +675,7 @@ def _ending(speed: float, distance: float, deceleration: float, dt: float) -> fl
     return min(speed, sqrt(2.0 * deceleration * distance), distance / dt)
 
 
-def _yielding(limit: float | None, force: float) -> float:
+def _share_against_force(limit: float | None, force: float) -> float:
     """Share of the speed, between `BACK` and 1, for a force against the motion.
 
     Args:
@@ -678,7 +685,7 @@ def _yielding(limit: float | None, force: float) -> float:
     return 1.0 if limit is None else min(max(1.0 - force / limit, BACK), 1.0)
 
 
-def _positive(name: str, value: float) -> float:
+def _require_positive(name: str, value: float) -> float:
     """Return a number > 0 as a float.
 
     Args:

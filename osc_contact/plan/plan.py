@@ -1,4 +1,24 @@
-"""Plan: a sequence of stages that gives the reference of each tick, and follows what happens."""
+"""Plan: a sequence of stages that gives the reference of each tick, and follows what happens.
+
+State of a running `Plan`, beside its public attributes:
+
+* `_controller`, `_log`, `_senses`: controller, function for events, reader of the signals of a
+  tick;
+* `_names`, `_owners`: names of all contacts of the controller; (r,) index of the contact of each
+  column of N;
+* `_stage_index`, `_time`, `_ended_for`: index of the present stage in `stages`; time since the plan
+  began (s); time since it ended or paused (s);
+* `_aim`, `_V_D`: pose of the object and twist (6,) (m/s, rad/s) that the plan commands;
+* `_alpha_d`, `_active`: (r,) desired contact forces (N) and (contacts,) mask of active contacts;
+* `_places`: poses of touched bodies that stages have set, by name of the contact;
+* `_course`, `_until_watch`, `_unless_watch`: motion of the present stage, condition that ends it,
+  and condition by which it fails (None: none), as functions of the signals and the period;
+* `_verdict`: verdict on the present stage; `_failures`: number of failures of all stages;
+* `_force_errors`: sum of the squared force errors (N²) of `_ticks` ticks of the stage;
+* `_residual_sum`: (6,) sum of the residual wrenches (N, N m) of `_residual_ticks` ticks of the
+  stage, from whose mean the tare is set;
+* `_ticks_to_instant`: ticks until the recogniser is updated again.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +70,12 @@ class Outcome(Enum):
     ABORTED = "aborted"
 
 
-_OVER = (Outcome.DONE, Outcome.FAILED, Outcome.ABORTED)  #: states that a plan does not leave
+#: States that a plan does not leave.
+_FINAL_OUTCOMES = (
+    Outcome.DONE,
+    Outcome.FAILED,
+    Outcome.ABORTED,
+)
 
 
 class Plan:
@@ -120,11 +145,11 @@ class Plan:
         self.outcome = Outcome.NEW
         self.reason = ""
         self.verdicts: list[StageVerdict] = []
-        self._k = 0
+        self._stage_index = 0
         self._places: dict[str, pin.SE3] = {}
         self._failures = 0
         self._time = 0.0
-        self._over_for = 0.0
+        self._ended_for = 0.0
 
     # --- the loop's side ------------------------------------------------------------------------
 
@@ -160,12 +185,12 @@ class Plan:
         self._owners = force_owners(contacts)
         self._log = log
         self._senses = Senses(controller, X)
-        self._senses.now.recogniser = self.recogniser
+        self._senses.signals.recogniser = self.recogniser
         self._ticks_to_instant = 0
         self._aim = X
-        self._V = np.zeros(6)
+        self._V_D = np.zeros(6)
         self.outcome = Outcome.RUNNING
-        self._enter(self._k)
+        self._enter_stage(self._stage_index)
 
     def step(self) -> Reference:
         """Reference of the next tick, from the controller's results in the last tick.
@@ -174,20 +199,20 @@ class Plan:
         judged, and the next stage begins when one is met; a stop of the controller stops the plan.
         """
         dt = self._controller.dt
-        now = self._senses.read()
-        self._follow()
-        now.aim = self._aim
-        now.V_D = self._V
+        signals = self._senses.read()
+        self._move_aim_to_object()
+        signals.aim = self._aim
+        signals.V_D = self._V_D
         self._time += dt
         if self.recogniser is not None:
-            self._recognise(now, self.recogniser)
-        if self._controller.state is SafetyState.SAFE_STOP and self.outcome not in _OVER:
-            self._stop(self._controller.reason)
+            self._recognise_state(signals, self.recogniser)
+        if self._controller.state is SafetyState.SAFE_STOP and self.outcome not in _FINAL_OUTCOMES:
+            self._stop_plan(self._controller.reason)
         if self.outcome is Outcome.RUNNING:
-            self._judge(now)
+            self._judge_stage(signals)
         if self.outcome is not Outcome.RUNNING:
-            self._over_for += dt
-        return self._reference(now)
+            self._ended_for += dt
+        return self._next_reference(signals)
 
     def placed(self, measurement: Measurement) -> Measurement:
         """Measurement with the poses of touched bodies that the stages have placed.
@@ -211,8 +236,8 @@ class Plan:
     def ended(self) -> bool:
         """Whether there are no more references: the plan is over, or was stopped a second ago."""
         if self.outcome is Outcome.STOPPED:
-            return self._over_for > BRAKED
-        return self.outcome in _OVER
+            return self._ended_for > BRAKED
+        return self.outcome in _FINAL_OUTCOMES
 
     @property
     def contacts(self) -> tuple[str, ...]:
@@ -222,7 +247,7 @@ class Plan:
     @property
     def stage(self) -> Stage:
         """Stage that the plan is in, or was in when it ended."""
-        return self.stages[self._k]
+        return self.stages[self._stage_index]
 
     def as_dict(self) -> Json:
         """Outcome, reason, and the fields of each verdict under `stages`, as data for JSON."""
@@ -238,7 +263,7 @@ class Plan:
         """Stop the motion and the clock of the stage; its forces remain."""
         if self.outcome is Outcome.RUNNING:
             self.outcome = Outcome.PAUSED
-            self._note("plan", outcome=self.outcome.value, reason="")
+            self._log_event("plan", outcome=self.outcome.value, reason="")
 
     def resume(self) -> None:
         """Continue after a pause; after a stop, begin with a stage that may be entered again.
@@ -252,7 +277,7 @@ class Plan:
         """
         if self.outcome is Outcome.PAUSED:
             self.outcome = Outcome.RUNNING
-            self._note("plan", outcome=self.outcome.value, reason="")
+            self._log_event("plan", outcome=self.outcome.value, reason="")
             return
         if self.outcome is not Outcome.STOPPED:
             raise InvalidInputError(
@@ -263,7 +288,9 @@ class Plan:
                 f"the controller is stopped: {self.reason}; remove the cause and call "
                 "controller.reset() before plan.resume()"
             )
-        entered = [self._number(verdict.name) for verdict in self.verdicts]  # in order of time
+        entered = [
+            self._stage_number(verdict.name) for verdict in self.verdicts
+        ]  # in order of time
         candidates = [k for k in entered if self.stages[k].reentry]
         if not candidates:
             raise InvalidInputError(
@@ -272,8 +299,8 @@ class Plan:
             )
         self.outcome = Outcome.RUNNING
         self.reason = ""
-        self._over_for = 0.0
-        self._enter(candidates[-1])
+        self._ended_for = 0.0
+        self._enter_stage(candidates[-1])
 
     def abort(self, reason: str = "aborted by the user") -> None:
         """End the plan; the object is held where it is, without contacts.
@@ -281,13 +308,13 @@ class Plan:
         Args:
             reason: reason for reports.
         """
-        if self.outcome not in _OVER:
+        if self.outcome not in _FINAL_OUTCOMES:
             self._end_stage(reason, failed=True)
-            self._finish(Outcome.ABORTED, reason)
+            self._finish_plan(Outcome.ABORTED, reason)
 
     # --- within a tick --------------------------------------------------------------------------
 
-    def _enter(self, k: int) -> None:
+    def _enter_stage(self, k: int) -> None:
         """Begin stage k at the present pose of the object.
 
         Takes the stage's forces (N) and active contacts, places its touched bodies, begins its
@@ -297,114 +324,116 @@ class Plan:
         Args:
             k: index of the stage.
         """
-        self._k = k
+        self._stage_index = k
         stage = self.stages[k]
-        now = self._senses.now
-        now.t = 0.0
-        now.finished = False
-        now.unexpected = ""
-        now.start = now.X
-        now.aim = self._aim
+        signals = self._senses.signals
+        signals.t = 0.0
+        signals.finished = False
+        signals.unexpected = ""
+        signals.start = signals.X
+        signals.aim = self._aim
         self._alpha_d, self._active = forces_of(stage.forces, self._names, self._owners)
         for name, place in stage.places.items():
-            self._places[name] = pin.SE3(place(now) if callable(place) else place)
-        self._course: Course = stage.motion.begin(now)
+            self._places[name] = pin.SE3(place(signals) if callable(place) else place)
+        self._course: Course = stage.motion.begin(signals)
         until = stage.until
         assert isinstance(until, End)  # the stage made it one
-        self._watch: Watch = until.begin(now)
-        self._alarm: Watch | None = None
+        self._until_watch: Watch = until.begin(signals)
+        self._unless_watch: Watch | None = None
         if isinstance(stage.unless, End):
-            self._alarm = stage.unless.begin(now)
-        self._squares = 0.0  # sum of the squared force errors (N²) of `_ticks` ticks
+            self._unless_watch = stage.unless.begin(signals)
+        self._force_errors = 0.0
         self._ticks = 0
-        self._residual = np.zeros(6)  # sum of the residual wrenches of `_weighed` ticks
-        self._weighed = 0
+        self._residual_sum = np.zeros(6)
+        self._residual_ticks = 0
         self._verdict = StageVerdict(stage.name, self._time)
-        self._note("stage", name=stage.name, number=k)
+        self._log_event("stage", name=stage.name, number=k)
 
-    def _recognise(self, now: Sensed, recogniser: Recogniser) -> None:
+    def _recognise_state(self, signals: Sensed, recogniser: Recogniser) -> None:
         """Update the contact state once in its period, and note one that is unexpected.
 
         Args:
-            now: signals after the last tick; `unexpected` is updated.
+            signals: signals after the last tick; `unexpected` is updated.
             recogniser: the plan's.
         """
         if self._ticks_to_instant == 0:
-            recogniser.update(now.X, now.wrench)
+            recogniser.update(signals.X, signals.wrench)
             self._ticks_to_instant = max(1, round(recogniser.period / self._controller.dt))
             assumed = {*self.stage.forces, *self.stage.may_touch}
-            before = now.unexpected
-            now.unexpected = recogniser.unexpected(assumed)
-            if now.unexpected and not before:
+            before = signals.unexpected
+            signals.unexpected = recogniser.unexpected(assumed)
+            if signals.unexpected and not before:
                 verdict = self._verdict
-                verdict.unexpected = verdict.unexpected or now.unexpected
-                self._note("unexpected", state=now.unexpected, stage=self.stage.name)
+                verdict.unexpected = verdict.unexpected or signals.unexpected
+                self._log_event("unexpected", state=signals.unexpected, stage=self.stage.name)
         self._ticks_to_instant -= 1
 
-    def _follow(self) -> None:
+    def _move_aim_to_object(self) -> None:
         """Move the aim to the object in the directions that contacts do not permit.
 
-        The deviation of the aim from the object keeps its permitted part, of its angles as much as
-        possible, so that a released contact causes no jump.
+        Of the pose error from object to aim only the part remains that the contacts permit, of its
+        angles as much as possible: the rest would act as a jump when a contact is released. Nothing
+        moves before the first computed tick and in a held one, where the pose is not new.
         """
         if self._controller.records.memory.ticked and self._controller.status is not Status.HELD:
-            X = self._senses.now.X
-            e = permitted_displacement(self._senses.now.N, pose_error(self._aim, X))
+            X = self._senses.signals.X
+            e = permitted_displacement(self._senses.signals.N, pose_error(self._aim, X))
             self._aim = pin.SE3(pin.exp3(e[3:]) @ X.rotation, X.translation + e[:3])
 
-    def _judge(self, now: Sensed) -> None:
+    def _judge_stage(self, signals: Sensed) -> None:
         """Update the verdict by the last tick; end the stage if a condition is met.
 
         Args:
-            now: signals after the last tick.
+            signals: signals after the last tick.
         """
         stage = self.stage
         dt = self._controller.dt
-        now.t += dt
+        signals.t += dt
         verdict = self._verdict
-        force = float(np.linalg.norm(now.wrench[:3]))
+        force = float(np.linalg.norm(signals.wrench[:3]))
         verdict.peak = max(verdict.peak, force)
         self._ticks += 1
         if self._controller.records.memory.ticked:
-            self._squares += self._senses.force_error(self._alpha_d)
+            self._force_errors += self._senses.force_error(self._alpha_d)
         # the tare is the mean of the residual wrenches after motion of the stage's start has
         # decayed
-        if stage.tare and now.t > SETTLED:
-            self._residual += self._controller.residual_wrench()
-            self._weighed += 1
-        # exactly one of: failure by a large force, by `unless`, by the time; or the stage's end
+        if stage.tare and signals.t > SETTLED:
+            self._residual_sum += self._controller.residual_wrench()
+            self._residual_ticks += 1
+        # a large force is judged first, since it is dangerous; then the alarm of the stage, its
+        # end, and its time, so that a stage that ends in its last tick has not failed
         most = min(stage.largest, self.largest)
         until = stage.until
         assert isinstance(until, End)
-        is_alarm = self._alarm is not None and self._alarm(now, dt)
+        is_alarm = self._unless_watch is not None and self._unless_watch(signals, dt)
         if force > most:
-            self._fail(f"{force:.1f} N, more than {most:g} N")
+            self._fail_stage(f"{force:.1f} N, more than {most:g} N")
         elif is_alarm:
             assert isinstance(stage.unless, End)
-            self._fail(stage.unless.words)
-        elif self._watch(now, dt):
+            self._fail_stage(stage.unless.words)
+        elif self._until_watch(signals, dt):
             self._end_stage(until.words, failed=False)
-            self._leave(now)
-        elif now.t > stage.within:
-            self._fail(f"{stage.within:g} s without: {until.words}")
+            self._leave_stage(signals)
+        elif signals.t > stage.within:
+            self._fail_stage(f"{stage.within:g} s without: {until.words}")
 
-    def _leave(self, now: Sensed) -> None:
+    def _leave_stage(self, signals: Sensed) -> None:
         """Tare if the stage does so, store its last pose, and begin the next stage or finish.
 
         Args:
-            now: signals after the last tick of the stage.
+            signals: signals after the last tick of the stage.
         """
         stage = self.stage
-        if self._weighed:
-            self._controller.f_tare = self._residual / self._weighed
-        now.passed[stage.name] = now.X
-        following = self._k + 1 if stage.then is None else self._number(stage.then)
+        if self._residual_ticks:
+            self._controller.f_tare = self._residual_sum / self._residual_ticks
+        signals.passed[stage.name] = signals.X
+        following = self._stage_index + 1 if stage.then is None else self._stage_number(stage.then)
         if following == len(self.stages):
-            self._finish(Outcome.DONE, "")
+            self._finish_plan(Outcome.DONE, "")
         else:
-            self._enter(following)
+            self._enter_stage(following)
 
-    def _fail(self, why: str) -> None:
+    def _fail_stage(self, why: str) -> None:
         """Continue with the stage that follows a failure, or end the plan.
 
         Args:
@@ -414,14 +443,14 @@ class Plan:
         self._end_stage(why, failed=True)
         self._failures += 1
         if stage.fails is None:
-            self._finish(Outcome.FAILED, f"stage {stage.name!r}: {why}")
+            self._finish_plan(Outcome.FAILED, f"stage {stage.name!r}: {why}")
         elif self._failures >= self.tries:
             tries = f"{self._failures} tries" if self._failures > 1 else "1 try"
-            self._finish(Outcome.FAILED, f"stage {stage.name!r}: {why} ({tries})")
+            self._finish_plan(Outcome.FAILED, f"stage {stage.name!r}: {why} ({tries})")
         else:
-            self._enter(self._number(stage.fails))
+            self._enter_stage(self._stage_number(stage.fails))
 
-    def _stop(self, reason: str) -> None:
+    def _stop_plan(self, reason: str) -> None:
         """Stop the plan because the controller has stopped; further calls change nothing.
 
         Args:
@@ -429,7 +458,7 @@ class Plan:
         """
         if self.outcome is not Outcome.STOPPED:
             self._end_stage(reason, failed=True)
-            self._finish(Outcome.STOPPED, f"stage {self.stage.name!r}: {reason}")
+            self._finish_plan(Outcome.STOPPED, f"stage {self.stage.name!r}: {reason}")
 
     def _end_stage(self, why: str, *, failed: bool) -> None:
         """Complete the verdict on the present stage, and append it to `verdicts`.
@@ -440,12 +469,12 @@ class Plan:
         """
         verdict = self._verdict
         verdict.duration = self._time - verdict.begin
-        verdict.rms = sqrt(self._squares / max(self._ticks, 1))
+        verdict.rms = sqrt(self._force_errors / max(self._ticks, 1))
         verdict.ended_by = why
         verdict.failed = failed
         self.verdicts.append(verdict)
 
-    def _finish(self, outcome: Outcome, reason: str) -> None:
+    def _finish_plan(self, outcome: Outcome, reason: str) -> None:
         """End the plan, or stop it; only after its last stage the contact forces remain.
 
         Args:
@@ -454,16 +483,16 @@ class Plan:
         """
         self.outcome = outcome
         self.reason = reason
-        self._over_for = 0.0
+        self._ended_for = 0.0
         if outcome is not Outcome.DONE:
             self._alpha_d, self._active = forces_of({}, self._names, self._owners)
-        self._note("plan", outcome=outcome.value, reason=reason)
+        self._log_event("plan", outcome=outcome.value, reason=reason)
 
-    def _number(self, name: str) -> int:
+    def _stage_number(self, name: str) -> int:
         """Index of the stage of a name in `stages`."""
         return [stage.name for stage in self.stages].index(name)
 
-    def _reference(self, now: Sensed) -> Reference:
+    def _next_reference(self, signals: Sensed) -> Reference:
         """Reference of the next tick; the aim moves as far as contacts and accelerations permit.
 
         The twist V (6,) of the stage's motion that the contacts permit is approached with limited
@@ -471,26 +500,26 @@ class Plan:
         are stopped, the aim is the measured pose, at rest.
 
         Args:
-            now: signals after the last tick; `finished` is updated.
+            signals: signals after the last tick; `finished` is updated.
         """
         dt = self._controller.dt
         V = np.zeros(6)
         if self.outcome is Outcome.RUNNING:
-            demand = self._course(now, dt)
-            now.finished = demand.finished
-            V, _ = permitted_twist(now.N, demand)
-        last = self._V
-        self._V = _next_twist(last, V, dt)
-        A = (self._V - last) / dt
-        rotation = pin.exp3(self._V[3:] * dt) @ self._aim.rotation
-        self._aim = pin.SE3(rotation, self._aim.translation + self._V[:3] * dt)
+            demand = self._course(signals, dt)
+            signals.finished = demand.finished
+            V, _ = permitted_twist(signals.N, demand)
+        last = self._V_D
+        self._V_D = _next_twist(last, V, dt)
+        A = (self._V_D - last) / dt
+        rotation = pin.exp3(self._V_D[3:] * dt) @ self._aim.rotation
+        self._aim = pin.SE3(rotation, self._aim.translation + self._V_D[:3] * dt)
         if self.outcome is Outcome.STOPPED:  # the arms are braked
-            self._aim = now.X
-            self._V = np.zeros(6)
+            self._aim = signals.X
+            self._V_D = np.zeros(6)
             A = np.zeros(6)
-        return Reference(self._aim, self._V, A, alpha_d=self._alpha_d, active=self._active)
+        return Reference(self._aim, self._V_D, A, alpha_d=self._alpha_d, active=self._active)
 
-    def _note(self, event: str, **facts: Any) -> None:
+    def _log_event(self, event: str, **facts: Any) -> None:
         """Log an event of the plan with its facts, if `begin` was given a log."""
         if self._log is not None:
             self._log(event, **facts)

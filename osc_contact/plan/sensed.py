@@ -1,4 +1,9 @@
-"""Signals of a tick on which motions and conditions of a plan depend."""
+"""Signals of a tick on which motions and conditions of a plan depend.
+
+`Senses` has `_controller`, whose results are read; `_names` and `_owners`, names of its contacts,
+and (r,) index of the contact of each column of N; `_alpha`, (r,) low-passed forces of the columns
+(N); `_share`, part of the distance to a new value by which low-passed signals move in a tick.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +91,7 @@ class Senses:
         X: pose of the object where the plan begins.
 
     Attributes:
-        now: signals after the last call of `read`.
+        signals: signals after the last call of `read`.
     """
 
     def __init__(self, controller: Controller, X: pin.SE3) -> None:
@@ -101,7 +106,7 @@ class Senses:
         self._owners = force_owners(controller.settings.contacts)
         self._share = controller.dt / (SMOOTHING + controller.dt)
         self._alpha = np.zeros(len(self._owners))
-        self.now = Sensed(
+        self.signals = Sensed(
             X=X,
             V=np.zeros(6),
             aim=X,
@@ -121,13 +126,15 @@ class Senses:
         """
         controller = self._controller
         if not controller.records.memory.ticked:
-            return self.now
-        now = self.now
+            return self.signals
+        signals = self.signals
         result = controller.result()
         active = controller.active
-        now.X = pin.SE3(result.X_WO)
-        now.V = np.array(result.V_O)
-        now.wrench = now.wrench + self._share * (result.f_meas - result.bias_out - now.wrench)
+        signals.X = pin.SE3(result.X_WO)
+        signals.V = np.array(result.V_O)
+        signals.wrench = signals.wrench + self._share * (
+            result.f_meas - result.bias_out - signals.wrench
+        )
         # forces of the columns (N), zero where a contact is not active, and their sums by contact
         alpha = np.array(controller.records.memory.columns.alpha)
         alpha[~active[self._owners]] = 0.0
@@ -136,10 +143,10 @@ class Senses:
         sums = np.bincount(self._owners, self._alpha, len(self._names))
         phases = controller.phases()
         for k, name in enumerate(self._names):
-            now.forces[name] = float(sums[k])
-            now.phases[name] = Phase(int(phases[k]))
-        now.N = result.columns.N[controller.records.kept()].T.copy()
-        return now
+            signals.forces[name] = float(sums[k])
+            signals.phases[name] = Phase(int(phases[k]))
+        signals.N = result.columns.N[controller.records.kept()].T.copy()
+        return signals
 
     def force_error(self, alpha_d: Array) -> float:
         """Sum over the closed contacts of the squared errors of their forces (N²).

@@ -63,7 +63,7 @@ class Stage:
     may_touch: Sequence[str] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
-        """Make conditions of functions, and check the fields.
+        """Make conditions of functions in `until` and `unless`, and check the fields.
 
         Raises:
             InvalidInputError: a field has another type, or a limit is not positive.

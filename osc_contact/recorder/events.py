@@ -26,19 +26,19 @@ def events_beside(path: Path) -> Path:
 
 def to_line(event: Json) -> str:
     """Event as a line of JSON; NaN and infinities, which JSON lacks, become text."""
-    return json.dumps(_plain(event), ensure_ascii=False) + "\n"
+    return json.dumps(_without_nan(event), ensure_ascii=False) + "\n"
 
 
-def _plain(value: object) -> object:
+def _without_nan(value: object) -> object:
     """Convert JSON data so that it has text in place of NaN and infinities, at any depth.
 
     Args:
         value: value of any type.
     """
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _without_nan(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_without_nan(item) for item in value]
     if isinstance(value, float) and not abs(value) < float("inf"):
         return str(value)
     return value
@@ -81,6 +81,9 @@ class EventLog:
     ) -> None:
         """Append an event; errors of the file do not raise, see `error`.
 
+        Without a file `_descriptor` is −1, and the event is kept in `events` only. Beyond `MOST`
+        events only the kinds in `ALWAYS` and changes to SAFE_STOP are kept; others are counted.
+
         Args:
             t: time in the run (s).
             event: kind of the event.
@@ -94,9 +97,9 @@ class EventLog:
         entry = {"time": timestamp, "t": t, "event": event, **facts}
         self.events.append(entry)
         if self._descriptor >= 0 and self.error is None:
-            later(partial(self._write, to_line(entry).encode()))
+            later(partial(self._write_line, to_line(entry).encode()))
 
-    def _write(self, line: bytes) -> None:
+    def _write_line(self, line: bytes) -> None:
         """Write a line to the file; an error is stored in `error`, and ends the writing."""
         try:
             os.write(self._descriptor, line)

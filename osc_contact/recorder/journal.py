@@ -3,6 +3,11 @@
 The file is MCAP, an open container for logs of robots (mcap.dev): a header, then chunks, each with
 its own checksum. A chunk holds one message, some rows with their layout, so that it can be read
 without the others. A chunk is handed to the operating system as a whole, before the next begins.
+
+A `JournalFile` has `_descriptor`, number of the open file; `_complete_bytes`, size of the file up
+to the last complete chunk; `_bytes_before_end`, that before the end was written; `_ended`, whether
+the end has been written; `_row_count`, number of rows. A `Journal` has `_file`, the mapped bytes,
+and `_shown_name`, for messages.
 """
 
 from __future__ import annotations
@@ -29,15 +34,23 @@ from osc_contact.errors import RecordingError
 
 Array = npt.NDArray[Any]
 #: MCAP channels
-_ABOUT = 1
-_ROWS = 2
+_ABOUT_CHANNEL = 1
+_ROWS_CHANNEL = 2
 _CHANNELS = {
-    _ABOUT: Channel(_ABOUT, "about", "json", {}, 0),
-    _ROWS: Channel(_ROWS, "rows", "numpy", {}, 0),
+    _ABOUT_CHANNEL: Channel(_ABOUT_CHANNEL, "about", "json", {}, 0),
+    _ROWS_CHANNEL: Channel(_ROWS_CHANNEL, "rows", "numpy", {}, 0),
 }
-_MOST = 1 << 28  #: largest size of a record (bytes); a larger one is damaged
+_LARGEST_RECORD = 1 << 28  #: largest size of a record (bytes); a larger one is damaged
 #: errors of reading damaged records
-_DAMAGED = (McapError, ValueError, KeyError, TypeError, OverflowError, MemoryError, struct.error)
+_DAMAGE_ERRORS = (
+    McapError,
+    ValueError,
+    KeyError,
+    TypeError,
+    OverflowError,
+    MemoryError,
+    struct.error,
+)
 
 
 class JournalFile:
@@ -61,21 +74,22 @@ class JournalFile:
         """
         self.path = path
         self.error: RecordingError | None = None
-        self._whole = self._before_end = self._count = 0
+        self._complete_bytes = self._bytes_before_end = self._row_count = 0
         self._ended = False
         try:
             if path is None:
                 with tempfile.TemporaryFile(buffering=0) as file:
-                    self._number = os.dup(file.fileno())
+                    self._descriptor = os.dup(file.fileno())
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.unlink(missing_ok=True)  # the older file stays open for its readers
-                self._number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+                self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
         except OSError as error:
             raise RecordingError(f"cannot begin the recording {path}: {error}") from error
         text = json.dumps(dict(about), allow_nan=False).encode()
-        head = MCAP0_MAGIC + _bytes(Header("osc_contact", "osc_contact"))
-        self._write(head + 2 * _chunk(_ABOUT, 0, text))  # twice: nothing is read without it
+        head = MCAP0_MAGIC + _record_bytes(Header("osc_contact", "osc_contact"))
+        # twice: nothing is read without it
+        self._write(head + 2 * _chunk_bytes(_ABOUT_CHANNEL, 0, text))
 
     def append(self, first: int, rows: Array) -> None:
         """Write rows as a chunk; errors of the file do not raise, see `error`.
@@ -88,22 +102,26 @@ class JournalFile:
         """
         if self._ended:
             self._ended = False
-            self._whole = self._before_end
+            self._complete_bytes = self._bytes_before_end
         if self.error is None:
             layout = {"first": first, "rows": len(rows), "dtype": rows.dtype.descr}
-            self._write(_chunk(_ROWS, first, json.dumps(layout).encode() + b"\n" + rows.tobytes()))
-            self._count = first + len(rows)
+            self._write(
+                _chunk_bytes(
+                    _ROWS_CHANNEL, first, json.dumps(layout).encode() + b"\n" + rows.tobytes()
+                )
+            )
+            self._row_count = first + len(rows)
 
     def read(self) -> Journal:
         """Open the journal for reading; more rows may be appended meanwhile."""
-        return Journal(self._number)
+        return Journal(self._descriptor)
 
     def close(self) -> None:
         """Write the end of the file, which marks it as complete."""
         if self.error is None and not self._ended:
             self._ended = True
-            self._before_end = self._whole
-            self._write(_bytes(DataEnd(0)) + _bytes(Footer(0, 0, 0)) + MCAP0_MAGIC)
+            self._bytes_before_end = self._complete_bytes
+            self._write(_record_bytes(DataEnd(0)) + _record_bytes(Footer(0, 0, 0)) + MCAP0_MAGIC)
 
     def _write(self, data: bytes) -> None:
         """Append bytes to the file, all of them or none.
@@ -114,24 +132,25 @@ class JournalFile:
             data: bytes to append.
         """
         remainder = memoryview(data)
-        position = self._whole
+        position = self._complete_bytes
         try:
             while remainder:
-                count = os.pwrite(self._number, remainder, position)
+                count = os.pwrite(self._descriptor, remainder, position)
                 remainder = remainder[count:]
                 position = position + count
-            self._whole = position
+            self._complete_bytes = position
         except OSError as error:
             self.error = RecordingError(
-                f"recording stops after {self._count} ticks: {self.path or 'temporary file'}: "
+                f"recording stops after {self._row_count} ticks: {self.path or 'temporary file'}: "
                 f"{error.strerror or error}"
             )
-            os.ftruncate(self._number, self._whole)  # the part of a chunk that had room
+            # the part of the chunk that was written before the disk was full is cut off
+            os.ftruncate(self._descriptor, self._complete_bytes)
 
     def __del__(self) -> None:
         """Close the file."""
-        if hasattr(self, "_number"):
-            os.close(self._number)
+        if hasattr(self, "_descriptor"):
+            os.close(self._descriptor)
 
 
 class Journal:
@@ -152,7 +171,7 @@ class Journal:
             RecordingError: there is no such file, or its beginning cannot be read.
         """
         self.missing: list[str] = []
-        self._name = "the recording" if isinstance(source, int) else str(source)
+        self._shown_name = "the recording" if isinstance(source, int) else str(source)
         try:
             with open(source, "rb", closefd=isinstance(source, Path)) as file:
                 size = os.fstat(file.fileno()).st_size
@@ -162,9 +181,13 @@ class Journal:
                     self._file = mmap.mmap(-1, 1, access=mmap.ACCESS_READ)
         except OSError as error:
             raise RecordingError(f"no recording {source}: {error.strerror}") from error
-        about = next((data for channel, data in self._messages() if channel == _ABOUT), None)
+        about = next(
+            (data for channel, data in self._messages() if channel == _ABOUT_CHANNEL), None
+        )
         if about is None:
-            raise RecordingError(f"{self._name} is no recording, or is damaged where it begins")
+            raise RecordingError(
+                f"{self._shown_name} is no recording, or is damaged where it begins"
+            )
         self.about: dict[str, Any] = json.loads(about)
 
     def rows(self) -> Iterator[tuple[int, Array]]:
@@ -179,7 +202,7 @@ class Journal:
         self.missing = []
         following = 0  # number of the row that is expected next
         for channel, data in self._messages():
-            if channel != _ROWS:
+            if channel != _ROWS_CHANNEL:
                 continue
             text, _, numbers = data.partition(b"\n")
             try:
@@ -187,9 +210,9 @@ class Journal:
                 fields = [(name, code, *map(tuple, size)) for name, code, *size in layout["dtype"]]
                 first = int(layout["first"])
                 rows = np.frombuffer(numbers, np.dtype(fields))
-            except _DAMAGED as error:
+            except _DAMAGE_ERRORS as error:
                 raise RecordingError(
-                    f"{self._name} has rows of an unknown kind: {error}"
+                    f"{self._shown_name} has rows of an unknown kind: {error}"
                 ) from error
             if first > following:
                 self.missing.append(f"ticks {following} to {first - 1} are missing")
@@ -218,7 +241,7 @@ class Journal:
                 cast(IO[bytes], file),
                 skip_magic=position > 0,
                 emit_chunks=True,
-                record_size_limit=_MOST,
+                record_size_limit=_LARGEST_RECORD,
             ).records
             try:
                 for record in records:
@@ -232,24 +255,24 @@ class Journal:
                     file.madvise(mmap.MADV_DONTNEED)  # pages that were read need no memory
                 else:
                     return  # a footer was read
-            except _DAMAGED:
+            except _DAMAGE_ERRORS:
                 pass
             damage = position
             # beginning of the first chunk after the damage; −1 if there is none
-            position = max(file.find(_SIGN, position + 1 + _INSIDE) - _INSIDE, -1)
+            position = max(file.find(_ROWS_MARK, position + 1 + _MARK_OFFSET) - _MARK_OFFSET, -1)
         size = len(file) - damage
         words = f"; its last {size} bytes are no whole chunk" if size else ""
         self.missing.append(f"the run was cut short, the file has no end{words}")
 
 
-def _bytes(record: McapRecord) -> bytes:
+def _record_bytes(record: McapRecord) -> bytes:
     """Serialise an MCAP record, with its type and length in front."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
-def _chunk(channel: int, number: int, data: bytes) -> bytes:
+def _chunk_bytes(channel: int, number: int, data: bytes) -> bytes:
     """Bytes of a chunk with one message and its MCAP channel, readable without other chunks.
 
     Args:
@@ -257,9 +280,12 @@ def _chunk(channel: int, number: int, data: bytes) -> bytes:
         number: sequence number of the message, used as its time, too.
         data: content of the message.
     """
-    inside = _bytes(_CHANNELS[channel]) + _bytes(Message(channel, number, data, number, number))
-    return _bytes(Chunk("", inside, number, number, zlib.crc32(inside), len(inside)))
+    inside = _record_bytes(_CHANNELS[channel]) + _record_bytes(
+        Message(channel, number, data, number, number)
+    )
+    return _record_bytes(Chunk("", inside, number, number, zlib.crc32(inside), len(inside)))
 
 
-_SIGN = _bytes(_CHANNELS[_ROWS])  #: bytes that every chunk of rows contains
-_INSIDE = _chunk(_ROWS, 0, b"").index(_SIGN)  #: offset of those bytes in a chunk
+_ROWS_MARK = _record_bytes(_CHANNELS[_ROWS_CHANNEL])  #: bytes that every chunk of rows contains
+#: Offset of those bytes in a chunk.
+_MARK_OFFSET = _chunk_bytes(_ROWS_CHANNEL, 0, b"").index(_ROWS_MARK)

@@ -33,7 +33,7 @@ from osc_contact.recorder.events import events_beside, to_line
 
 Array = npt.NDArray[Any]
 IN_MEMORY = 32 << 20  #: bytes; recordings up to this size are kept in memory
-_ALIGNED = 64  #: bytes; offsets of columns in a file are multiples of it
+_ALIGNMENT = 64  #: bytes; offsets of columns in a file are multiples of it
 
 
 def is_mapped(column: Array) -> bool:
@@ -81,7 +81,7 @@ def gather(ticks: int, parts: Iterable[Mapping[str, Array]]) -> dict[str, Array]
                 for name, values in part.items():
                     row = values[0].nbytes
                     if name not in offsets:
-                        offsets[name] = -(-size // _ALIGNED) * _ALIGNED  # rounded up
+                        offsets[name] = -(-size // _ALIGNMENT) * _ALIGNMENT  # rounded up
                         size = offsets[name] + ticks * row
                     file.seek(offsets[name] + start * row)
                     file.write(values.tobytes())
@@ -107,7 +107,7 @@ _MOST_UNPACKED = 256 << 20  #: largest size of packed entries after unpacking (b
 _MOST_ENTRIES = 1000
 #: Errors of reading a damaged file, or one that is not a recording. zipfile raises RuntimeError for
 #: encryption, and NotImplementedError for unknown compression.
-_UNREADABLE = (
+_UNREADABLE_ERRORS = (
     OSError,
     ValueError,
     KeyError,
@@ -178,13 +178,13 @@ def read_archive(source: Path) -> tuple[str, dict[str, Array]]:
             for info in entries:
                 stays = large and info.compress_type == zipfile.ZIP_STORED
                 name = info.filename.removesuffix(".npy")
-                arrays[name] = _array(archive, info, file if stays else None)
+                arrays[name] = _verified_array(archive, info, file if stays else None)
         return (str(arrays.pop(TEXT)[()]), arrays)
     except zipfile.BadZipFile as error:
         name = str(error).partition("'")[2].rstrip("'")
         damage = f"the checksum of {name} is wrong" if "CRC" in str(error) else str(error)
         raise RecordingError(f"{source} is damaged or no recording: {damage}") from error
-    except _UNREADABLE as error:
+    except _UNREADABLE_ERRORS as error:
         raise RecordingError(
             f"{source} is not a recording, or is damaged: {type(error).__name__}: {error}"
         ) from error
@@ -229,7 +229,9 @@ def _require_size(source: Path, entries: list[zipfile.ZipInfo], size: int) -> No
         )
 
 
-def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes] | None) -> Array:
+def _verified_array(
+    archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes] | None
+) -> Array:
     """Read the array of an entry, or map it from the file, and verify its checksum.
 
     Args:
@@ -242,7 +244,7 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes] | No
         BadZipFile: the checksum is wrong.
     """
     with archive.open(info) as entry:
-        dtype, shape, start, order = _header(info, entry)
+        dtype, shape, start, order = _array_header(info, entry)
         if file is None or not shape or order == "F":
             return np.frombuffer(entry.read(), dtype).reshape(shape, order=order).copy()
         while entry.read(1 << 20):  # reading to the end verifies the checksum
@@ -253,7 +255,7 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo, file: IO[bytes] | No
     return np.ndarray(shape, dtype, content, info.header_offset + 30 + sum(names) + start)
 
 
-def _header(
+def _array_header(
     info: zipfile.ZipInfo, entry: IO[bytes]
 ) -> tuple[np.dtype[Any], tuple[int, ...], int, Literal["C", "F"]]:
     """Read the header of an array, and check that its numbers fill the entry.
@@ -283,10 +285,11 @@ def _header(
 _FORMAT = 1
 _RESERVED = frozenset({TEXT, "file", "allow_pickle"})
 #: channels and meta data that clocks measured: all that differs between two runs of the same seed
-_TIMES = ("tick_s",)
-_META_TIMES = ("wall_s", "cpu_s", "date")
-_PIECE = 1 << 14  #: ticks of a piece, see `Recording.pieces`
-_FROM_DISK = 1 << 11  #: ticks of a piece of a recording that stays on disk, to save memory
+_CLOCK_CHANNELS = ("tick_s",)
+_CLOCK_META = ("wall_s", "cpu_s", "date")
+_TICKS_OF_PIECE = 1 << 14  #: ticks of a piece, see `Recording.pieces`
+#: Ticks of a piece of a recording that stays on disk, to save memory.
+_TICKS_OF_DISK_PIECE = 1 << 11
 
 
 class Channels(UserDict[str, Array]):
@@ -420,7 +423,7 @@ class Recording:
             Arrays by name, with successive ticks as first axis.
         """
         on_disk = any(is_mapped(column) for column in self.channels.data.values())
-        size = _FROM_DISK if on_disk else _PIECE
+        size = _TICKS_OF_DISK_PIECE if on_disk else _TICKS_OF_PIECE
         for start in range(0, len(self), size):
             yield self.rows(start, start + size, *names)
 
@@ -469,14 +472,14 @@ class Recording:
         # and the events name the checksum of the recording to which they belong
         target = Path(path)
         columns = self.channels.data
-        times = {name: columns[name] for name in _TIMES if name in columns}
-        meta_times = {key: self.meta[key] for key in _META_TIMES if key in self.meta}
+        times = {name: columns[name] for name in _CLOCK_CHANNELS if name in columns}
+        meta_times = {key: self.meta[key] for key in _CLOCK_META if key in self.meta}
         meta = {key: value for key, value in self.meta.items() if key not in meta_times}
         values_by_name = {name: values for name, values in columns.items() if name not in times}
-        write_archive(target, _text(meta=meta, order=list(columns)), values_by_name)
+        write_archive(target, _json_text(meta=meta, order=list(columns)), values_by_name)
         times_file = _times_file(target)
         if times or meta_times:
-            write_archive(times_file, _text(meta=meta_times, of=checksum(target)), times)
+            write_archive(times_file, _json_text(meta=meta_times, of=checksum(target)), times)
         else:
             times_file.unlink(missing_ok=True)
         events = events_beside(target)
@@ -537,7 +540,7 @@ class Recording:
                 columns |= times
                 if isinstance(meta, dict):
                     meta_times = times_content["meta"].items()
-                    meta |= {key: value for key, value in meta_times if key in _META_TIMES}
+                    meta |= {key: value for key, value in meta_times if key in _CLOCK_META}
         names = [*(name for name in order if name in columns), *columns]
         recording = cls(meta, {name: columns[name] for name in names})
         recording.events = _read_events(source)
@@ -569,7 +572,7 @@ def _times_file(path: Path) -> Path:
     return path.with_name(f"{path.stem}.times.npz")
 
 
-def _text(**content: Json | list[str] | int) -> str:
+def _json_text(**content: Json | list[str] | int) -> str:
     """Write the text of a recording's file as JSON, with the version of the format.
 
     Args:
@@ -636,13 +639,15 @@ def write_csv(recording: Recording, file: IO[bytes]) -> None:
     """
     for number, piece in enumerate(recording.pieces()):
         if number == 0:
-            titles = [title for name, values in piece.items() for title in _titles(name, values)]
+            titles = [
+                title for name, values in piece.items() for title in _column_titles(name, values)
+            ]
             file.write(",".join(titles).encode() + b"\n")
         flat = [x.reshape(len(x), -1).astype(float) for x in piece.values()]
         np.savetxt(file, np.hstack(flat), fmt="%.17g", delimiter=",")
 
 
-def _titles(name: str, values: Array) -> Iterator[str]:
+def _column_titles(name: str, values: Array) -> Iterator[str]:
     """Yield a title for each number of a channel in a tick: its name and indices, as in N.0.1.
 
     Args:
@@ -673,7 +678,7 @@ def write_mcap(recording: Recording, file: IO[bytes]) -> None:
     for piece in recording.pieces():
         # one message for each tick; without a channel of times the number of the tick is its time
         for t, *values in zip(piece.get("t", count(number)), *piece.values(), strict=False):
-            message = dict(zip(piece, map(_finite, values), strict=True))
+            message = dict(zip(piece, map(_none_for_nan, values), strict=True))
             nanoseconds = round(float(t) * 1e9)
             data = json.dumps(message).encode()
             writer.add_message(channel, nanoseconds, data, nanoseconds, number)
@@ -681,7 +686,7 @@ def write_mcap(recording: Recording, file: IO[bytes]) -> None:
     writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _finite(value: npt.ArrayLike) -> object:
+def _none_for_nan(value: npt.ArrayLike) -> object:
     """Number, or nested lists of numbers, with None for NaN and infinities, which JSON lacks.
 
     Args:

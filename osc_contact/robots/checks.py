@@ -172,10 +172,10 @@ joined by fixed joints taken together) must not be negative. Then the mass matri
 definite, though no body need have such moments.
 """
 
-_TENSOR = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")  # row by row
-_SLACK = 1e-6
+_TENSOR_ELEMENTS = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")  # row by row
+_RELATIVE_SLACK = 1e-6
 """Tolerance of a link's moments, relative to its largest one: files have rounded numbers."""
-_DUST = 1e-12
+_ABSOLUTE_SLACK = 1e-12
 """Tolerance of a link's moments, relative to the largest one of the robot."""
 
 
@@ -190,7 +190,7 @@ def require_level(inertias: str) -> None:
         raise InvalidInputError(f"inertias={inertias!r}; there is: {', '.join(levels)}")
 
 
-def _principal(tensors: Sequence[Array] | Sequence[Sequence[float]]) -> tuple[Array, Array]:
+def _principal_moments(tensors: Sequence[Array] | Sequence[Sequence[float]]) -> tuple[Array, Array]:
     """Compute principal moments (k, 3), ascending, and tolerances (k,) of k inertias (kg m²).
 
     Args:
@@ -198,7 +198,7 @@ def _principal(tensors: Sequence[Array] | Sequence[Sequence[float]]) -> tuple[Ar
     """
     moments = np.linalg.eigvalsh(np.array(tensors).reshape(-1, 3, 3))
     sizes = np.abs(moments).max(axis=1, initial=0.0)
-    return (moments, _SLACK * sizes + _DUST * sizes.max(initial=0.0))
+    return (moments, _RELATIVE_SLACK * sizes + _ABSOLUTE_SLACK * sizes.max(initial=0.0))
 
 
 def check_inertias(document: Document, inertias: Inertias) -> None:
@@ -216,10 +216,11 @@ def check_inertias(document: Document, inertias: Inertias) -> None:
     if inertias == "positive":
         return
     # principal moments of all bodies at once; `slack` is the rounding error of those of a body
-    tensors = [[body.moments[key] for key in _TENSOR] for body in bodies]
-    for body, moments, slack in zip(bodies, *_principal(tensors), strict=True):
+    tensors = [[body.moments[key] for key in _TENSOR_ELEMENTS] for body in bodies]
+    for body, moments, slack in zip(bodies, *_principal_moments(tensors), strict=True):
         moments_text = f"principal moments {_moments_text(moments)} kg m²"
-        # of a real body no moment exceeds the sum of the other two; moments are in ascending order
+        # of a real body no moment exceeds the sum of the other two, as each is a sum of the squared
+        # distances along two axes; moments are in ascending order
         excess = moments[2] - moments[0] - moments[1]
         if body.mass < 0:
             continue
@@ -251,7 +252,7 @@ def check_moving_bodies(document: Document, model: pin.Model) -> None:
         model: Pinocchio model of it.
     """
     bodies = list(model.inertias)[1:]
-    rows = _principal([body.inertia for body in bodies])
+    rows = _principal_moments([body.inertia for body in bodies])
     for name, body, moments, slack in zip(joint_names(model), bodies, *rows, strict=True):
         if body.mass < 0 or moments[0] < -slack:
             reason = (
@@ -315,11 +316,11 @@ def check_mesh_files(
         Findings on unusable files, and findings on missing files.
     """
     meshes = {mesh.get("filename"): mesh for mesh in document.root.iter("mesh")}
-    roots = _roots(document.file, package_dirs)
+    roots = _mesh_folders(document.file, package_dirs)
     unusable = []
     missing = []
     for mesh in meshes.values():
-        places = _places(mesh, roots)
+        places = _possible_files(mesh, roots)
         file = next((path for path in places if path.is_file()), None)
         if file is None:
             reason = f"the mesh is not there; looked for {', '.join(map(str, places))}"
@@ -336,7 +337,7 @@ def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
         file: the file.
         roots: folders of the robot.
     """
-    if not _inside(file, roots, os.path.realpath):
+    if not _is_in_folders(file, roots, os.path.realpath):
         return (f"leads to {file.resolve()}, outside of the robot's folders", "copy the file")
     size = file.stat().st_size
     if size > MAX_MESH_BYTES:
@@ -346,7 +347,9 @@ def _file_problem(file: Path, roots: Sequence[Path]) -> tuple[str, str] | None:
         return None
     for address in _TEXTURE.findall(file.read_bytes()):
         texture = unquote(address.decode("utf-8", "replace"))
-        if _SCHEME.match(texture) or not _inside(file.parent / texture, roots, os.path.realpath):
+        if _SCHEME.match(texture) or not _is_in_folders(
+            file.parent / texture, roots, os.path.realpath
+        ):
             cure = "keep textures beside the mesh, or convert it to STL or OBJ"
             return (f"{file.name} takes a texture from {texture!r}", cure)
     return None
@@ -361,7 +364,7 @@ def _check_shape(shape: Element, package_dirs: Sequence[Path]) -> None:
     """
     if shape.tag == "mesh":
         shape.vector("scale", (1.0, 1.0, 1.0))
-        if problem := _address_problem(shape, _roots(shape.file, package_dirs)):
+        if problem := _address_problem(shape, _mesh_folders(shape.file, package_dirs)):
             shape.note("mesh", *problem, "filename")
         return
     if shape.tag == "box":
@@ -396,12 +399,14 @@ def _address_problem(mesh: Element, roots: Sequence[Path]) -> tuple[str, str] | 
         return (reason, f"convert it to {', '.join(MESH_TYPES)}")
     if scheme and scheme[0] not in ("package:", "file:"):
         return (f"the address has the scheme {scheme[0]!r}: only local files are read", cure)
-    if not all(_inside(place, roots, os.path.normpath) for place in _places(mesh, roots)):
+    if not all(
+        _is_in_folders(place, roots, os.path.normpath) for place in _possible_files(mesh, roots)
+    ):
         return ("the mesh lies outside of the robot's folders", cure)
     return None
 
 
-def _places(mesh: Element, roots: Sequence[Path]) -> list[Path]:
+def _possible_files(mesh: Element, roots: Sequence[Path]) -> list[Path]:
     """Possible files of a mesh: one in each folder for a package:// address, else a single file.
 
     Args:
@@ -415,12 +420,12 @@ def _places(mesh: Element, roots: Sequence[Path]) -> list[Path]:
     return [mesh.file.absolute().parent / address.removeprefix("file://")]
 
 
-def _roots(urdf: Path, package_dirs: Sequence[Path]) -> list[Path]:
+def _mesh_folders(urdf: Path, package_dirs: Sequence[Path]) -> list[Path]:
     """Folders in which meshes may be: `package_dirs` and the folder of the file `urdf`."""
     return [folder.absolute() for folder in (*package_dirs, urdf.parent)]
 
 
-def _inside(file: Path, roots: Sequence[Path], resolved: Callable[[Path], str]) -> bool:
+def _is_in_folders(file: Path, roots: Sequence[Path], resolved: Callable[[Path], str]) -> bool:
     """Return whether a file is in one of the robot's folders.
 
     Args:

@@ -23,7 +23,7 @@ MAX_DEPTH = 64  #: deepest nesting of elements
 MAX_ELEMENTS = 100_000  #: largest number of elements of a file
 MAX_LINKS = 512
 """Largest number of links, and of joints; Pinocchio's reader crashes at a few thousand."""
-_HUGE = 1e9
+_LARGEST_NUMBER = 1e9
 """Largest length, mass, moment or angle of a robot, in any customary unit."""
 _DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _ENCODING = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""")
@@ -156,8 +156,8 @@ class Element:
         while owner.tag not in ("link", "joint") and owner.parent is not None:
             owner = owner.parent
         name = owner.get("name")
-        owner_name = f"{owner.tag} {_shorten(name)}" if name else ""
-        value = f" {key}={_shorten(self.get(key))}" if key in self.attributes else ""
+        owner_name = f"{owner.tag} {_quoted(name)}" if name else ""
+        value = f" {key}={_quoted(self.get(key))}" if key in self.attributes else ""
         own_label = f"<{self.tag}{value}>"
         if owner is not self:
             return f"{owner_name} {own_label}".lstrip()
@@ -210,7 +210,7 @@ class Element:
         parts = text.split()
         if len(parts) != 3:
             reason = f"{key} has {len(parts)} numbers, 3 are expected"
-            self.note("number", reason, _hint(text) or f'write {key}="x y z"', key)
+            self.note("number", reason, _advice_on(text) or f'write {key}="x y z"', key)
             return _ZERO
         return tuple(self.value(key, part) for part in parts)
 
@@ -224,9 +224,9 @@ class Element:
         value = float(text) if _DECIMAL.fullmatch(text) else math.nan
         if not math.isfinite(value):
             reason = f"{key} = {text[:40]!r} is not a finite number"
-            cure = _hint(text) or "write a decimal number such as 0.25"
-        elif abs(value) > _HUGE and self.tag != "limit":
-            reason = f"{key} = {value:g} is beyond ±{_HUGE:g}"
+            cure = _advice_on(text) or "write a decimal number such as 0.25"
+        elif abs(value) > _LARGEST_NUMBER and self.tag != "limit":
+            reason = f"{key} = {value:g} is beyond ±{_LARGEST_NUMBER:g}"
             cure = "lengths are in m, masses in kg, angles in rad"
         else:
             return value
@@ -241,7 +241,7 @@ class Element:
         return {"xyz": origin.vector("xyz", _ZERO), "rpy": origin.vector("rpy", _ZERO)}
 
 
-def _hint(text: str) -> str:
+def _advice_on(text: str) -> str:
     """Advice on a text that is not a number: macros left over, or decimal commas; "" for others."""
     if "${" in text:
         return "expand the macros first (xacro in.xacro > out.urdf)"
@@ -421,13 +421,13 @@ def _check_text(file: Path, data: bytes) -> None:
         stop("NUL byte: this is not text, or UTF-16", at)
     declared = _ENCODING.match(data.removeprefix(b"\xef\xbb\xbf"))
     if declared and declared[1].lower() not in _KNOWN_ENCODINGS:
-        stop(f"declares the encoding {_shorten(declared[1].decode('ascii', 'replace'))}", 0)
+        stop(f"declares the encoding {_quoted(declared[1].decode('ascii', 'replace'))}", 0)
     try:
         data.decode()
     except UnicodeDecodeError as error:
         stop(f"byte 0x{data[error.start]:02x} is not UTF-8", error.start)
 
 
-def _shorten(text: str) -> str:
+def _quoted(text: str) -> str:
     """Text in quotes, cut off after 60 characters, for messages."""
     return repr(text if len(text) <= 60 else f"{text[:60]}…")

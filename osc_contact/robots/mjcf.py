@@ -187,7 +187,7 @@ def placed(X: pin.SE3) -> dict[str, Array]:
     return {"pos": X.translation, "quat": np.roll(xyzw, 1)}
 
 
-def _displacement(kind: int, place: Array, displacement: Array) -> pin.SE3:
+def _joint_displacement(kind: int, place: Array, displacement: Array) -> pin.SE3:
     """Displacement of a body by its joint, as a pose in the frame of the body.
 
     Args:
@@ -347,14 +347,19 @@ def _add_joint(mj: MjModel, model: pin.Model, j: int, body: _Place) -> _Place:
     make = pin.JointModelPrismaticUnaligned if kind == _SLIDE else pin.JointModelRevoluteUnaligned
     axis = np.array(joint.axis)
     anchor = pin.SE3(np.eye(3), np.array(joint.pos))
-    X = body.X * _displacement(kind, anchor.translation, -joint.qpos0[0] * axis) * anchor
+    X = body.X * _joint_displacement(kind, anchor.translation, -joint.qpos0[0] * axis) * anchor
     number = model.addJoint(body.joint, make(axis), X, name)
     frame = model.addJointFrame(number, body.frame)
     v = model.joints[number].idx_v
     model.armature[v] = joint.armature[0]
     model.damping[v] = joint.damping[0]
     lower, upper = joint.range if joint.limited[0] else (-np.inf, np.inf)
-    limits = {"lower": lower, "upper": upper, "effort": _effort(mj, j), "velocity": _UNLIMITED}
+    limits = {
+        "lower": lower,
+        "upper": upper,
+        "effort": _largest_effort(mj, j),
+        "velocity": _UNLIMITED,
+    }
     _set_limits(model, v, limits | {"dryFriction": joint.frictionloss[0]})
     return _Place(number, anchor.inverse(), frame)
 
@@ -377,7 +382,7 @@ def _set_limits(model: pin.Model, v: int, limits: Mapping[str, float]) -> None:
         getattr(model, f"lower{quantity}")[v] = -value
 
 
-def _effort(mj: MjModel, joint: int) -> float:
+def _largest_effort(mj: MjModel, joint: int) -> float:
     """Largest torque (N m, N) that a joint and its actuators permit; `_UNLIMITED` without a limit.
 
     Args:
@@ -387,6 +392,7 @@ def _effort(mj: MjModel, joint: int) -> float:
     joint_limit = _UNLIMITED
     if mj.jnt_actfrclimited[joint]:
         joint_limit = _symmetric_limit(mj.jnt_actfrcrange[joint])
+    # a motor is limited by its force and, without a servo (bias type 0), by its control signal
     sum_of_motors = 0.0
     for a in motors_of(mj, joint):
         force = _UNLIMITED
@@ -489,7 +495,7 @@ def weld_joints(spec: MjSpec, locked: Mapping[str, float]) -> None:
                 f"{body.joints[0].name!r}, which is not: give each its own body"
             )
         displacement = (locked[joint.name] - joint.ref) * np.array(joint.axis)
-        X_moved = _displacement(int(joint.type), np.array(joint.pos), displacement)
+        X_moved = _joint_displacement(int(joint.type), np.array(joint.pos), displacement)
         X = placed(pose(body.pos, body.quat) * X_moved)
         body.pos = X["pos"]
         body.quat = X["quat"]

@@ -14,7 +14,7 @@ from osc_contact.spatial import Array, norm
 
 SAMPLES = 20  #: random configurations at which a mass matrix is checked
 _NO_RANGE = {"lower": 0.0, "upper": 0.0}  # set afterwards: URDF has no infinite limits
-_ENDLESS = 1e9
+_NO_END_STOP = 1e9
 """Larger position limits (m, rad) mean that there is no end stop; Pinocchio writes 1.8e308."""
 _DIAGONAL_FLOOR = 1e-13
 """Least diagonal of a regular mass matrix over (moved mass · its extent²). Like the eigenvalue
@@ -35,7 +35,7 @@ def build_model(document: Document) -> pin.Model:
         ModelError: Pinocchio refuses the document.
     """
     try:
-        model = pin.buildModelFromXML(_text(document))
+        model = pin.buildModelFromXML(_urdf_text(document))
     except (ValueError, RuntimeError) as error:
         refuse_file(
             "tree", document.file, f"Pinocchio refuses the file: {error}", "details are on stderr"
@@ -52,10 +52,14 @@ def build_model(document: Document) -> pin.Model:
     return model
 
 
-def _text(document: Document) -> str:
+def _urdf_text(document: Document) -> str:
     """Write the text of a URDF with the links and joints of a document, without shapes.
 
-    Numbers are written with all digits, names are quoted.
+    Numbers are written with all digits, names are quoted. `add` appends an element with its
+    attributes.
+
+    Args:
+        document: checked document of the robot.
     """
     robot = ElementTree.Element("robot", name=document.name)
 
@@ -144,12 +148,12 @@ def check_mass_matrix(model: pin.Model, document: Document | None = None) -> Non
     if model.nv == 0:
         return
     data = model.createData()
-    extent = _extents(model)
+    extent = _mass_distances(model)
     for q in (pin.neutral(model), *random_configurations(model, SAMPLES)):
         M = np.array(pin.crba(model, data, q))
         mass = np.array([inertia.mass for inertia in list(data.Ycrb)[1:]])
         floor = _DIAGONAL_FLOOR * mass * np.where(sliding(model), 1.0, extent**2)
-        weak = _massless(M, floor)
+        weak = _moves_no_mass(M, floor)
         if not weak.any():
             continue
         names = [name for name, is_weak in zip(joint_names(model), weak, strict=True) if is_weak]
@@ -163,7 +167,7 @@ def check_mass_matrix(model: pin.Model, document: Document | None = None) -> Non
         refuse([document.joints[names[0]].element.finding("mass matrix", reason, cure)])
 
 
-def _extents(model: pin.Model) -> Array:
+def _mass_distances(model: pin.Model) -> Array:
     """Upper bounds (n,) of the distance of the mass that each joint moves from its axis (m).
 
     The bound is the sum of the link lengths beyond the joint and the largest distance of a centre
@@ -178,7 +182,7 @@ def _extents(model: pin.Model) -> Array:
     return np.array([length[tree[1:]].sum() + lever[tree].max() for tree in subtrees])
 
 
-def _massless(M: Array, floor: Array) -> Array:
+def _moves_no_mass(M: Array, floor: Array) -> Array:
     """Flag the joints (n,) that can move, alone or together, without moving mass.
 
     Args:
@@ -211,8 +215,8 @@ def random_configurations(model: pin.Model, count: int, seed: int = 0) -> Iterat
     """
     random = np.random.default_rng(seed)
     low, high = position_limits(model)
-    open_below = ~(low > -_ENDLESS)
-    open_above = ~(high < _ENDLESS)
+    open_below = ~(low > -_NO_END_STOP)
+    open_above = ~(high < _NO_END_STOP)
     low[open_below] = np.where(open_above, -np.pi, high - 2 * np.pi)[open_below]
     high[open_above] = low[open_above] + 2 * np.pi
     for _ in range(count):

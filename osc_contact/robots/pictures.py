@@ -48,13 +48,13 @@ def mjcf_geometry(path: Path | str, tip: str | None) -> tuple[pin.Model, pin.Geo
     return read_picture(scene_picture(mj, data, model, q, joints, bodies_of(mj, tip)))
 
 
-def _colour(mj: MjModel, g: int) -> Array:
+def _geom_colour(mj: MjModel, g: int) -> Array:
     """Colour r, g, b, a (4,) of a geom, given by its number: its material's or else its own."""
     material = mj.geom_matid[g]
     return np.array(mj.mat_rgba[material] if material >= 0 else mj.geom_rgba[g], dtype=float)
 
 
-def _solid(kind: int, size: Iterable[float]) -> coal.CollisionGeometry | None:
+def _solid_of_geom(kind: int, size: Iterable[float]) -> coal.CollisionGeometry | None:
     """Make the shape of a geom that is not a mesh; None for types that are not drawn.
 
     Args:
@@ -107,19 +107,19 @@ def scene_picture(
     for g in range(mj.ngeom):
         body = mj.geom_bodyid[g]
         joint = owner[body]
-        rgba = _colour(mj, g)
+        rgba = _geom_colour(mj, g)
         is_arm = body in only if only else joint > 0
         is_hidden = is_arm and body in bodies_with_visuals and collides[g]
         is_left_out = is_hidden or not rgba[3] or (only and not is_arm)
-        shape = None if is_left_out else _describe(mj, g)
+        shape = None if is_left_out else _geom_data(mj, g)
         if shape is not None:
             X = pin.SE3(np.array(data.geom_xmat[g]).reshape(3, 3), np.array(data.geom_xpos[g]))
-            place = _place(pin_data.oMi[joint].actInv(X))
-            shapes.append({"joint": joint, "place": place, "rgba": _round(rgba)} | shape)
-    return {"joints": [_joint(model, j) for j in range(1, model.njoints)], "shapes": shapes}
+            place = _pose_numbers(pin_data.oMi[joint].actInv(X))
+            shapes.append({"joint": joint, "place": place, "rgba": _rounded(rgba)} | shape)
+    return {"joints": [_joint_data(model, j) for j in range(1, model.njoints)], "shapes": shapes}
 
 
-def _joint(model: pin.Model, j: int) -> Json:
+def _joint_data(model: pin.Model, j: int) -> Json:
     """Describe name, parent, placement and axis of a joint as JSON data.
 
     Args:
@@ -131,13 +131,13 @@ def _joint(model: pin.Model, j: int) -> Json:
     return {
         "name": model.names[j].split("/")[-1],
         "parent": int(model.parents[j]),
-        "place": _place(model.jointPlacements[j]),
-        "axis": _round(linear if is_slide else angular),
+        "place": _pose_numbers(model.jointPlacements[j]),
+        "axis": _rounded(linear if is_slide else angular),
         "slides": is_slide,
     }
 
 
-def _describe(mj: MjModel, g: int) -> Json | None:
+def _geom_data(mj: MjModel, g: int) -> Json | None:
     """Describe type and size, or corners and faces, of a geom as JSON data; None: it is not drawn.
 
     Args:
@@ -145,27 +145,27 @@ def _describe(mj: MjModel, g: int) -> Json | None:
         g: number of the geom.
     """
     kind = int(mj.geom_type[g])
-    size = _round(mj.geom_size[g])
+    size = _rounded(mj.geom_size[g])
     if kind != _MESH:
-        return {"kind": kind, "size": size} if _solid(kind, size) else None
+        return {"kind": kind, "size": size} if _solid_of_geom(kind, size) else None
     mesh = mj.mesh(mj.geom_dataid[g])
     v = mesh.vertadr[0]
     f = mesh.faceadr[0]
     corners = mj.mesh_vert[v : v + mesh.vertnum[0]]
     faces = mj.mesh_face[f : f + mesh.facenum[0]]
     if max(len(corners), len(faces)) > MOST_CORNERS:
-        return {"kind": _BOX, "size": _round(np.abs(corners).max(axis=0))}
-    return {"kind": _MESH, "corners": _pack(corners, "<f4"), "faces": _pack(faces, "<i4")}
+        return {"kind": _BOX, "size": _rounded(np.abs(corners).max(axis=0))}
+    return {"kind": _MESH, "corners": _packed(corners, "<f4"), "faces": _packed(faces, "<i4")}
 
 
-def _pack(rows: ArrayLike, kind: str) -> str:
-    """Compress numbers (k, 3) of the NumPy type `kind` to text, see `_unpack`."""
+def _packed(rows: ArrayLike, kind: str) -> str:
+    """Compress numbers (k, 3) of the NumPy type `kind` to text, see `_unpacked`."""
     raw = np.array(rows, dtype=kind).tobytes()
     return base64.b64encode(zlib.compress(raw, 9)).decode()
 
 
-def _unpack(text: str, kind: str) -> Array:
-    """Decompress numbers (k, 3) from a text by `_pack`.
+def _unpacked(text: str, kind: str) -> Array:
+    """Decompress numbers (k, 3) from a text by `_packed`.
 
     At most `MOST_CORNERS` rows are decompressed, so that a damaged text cannot fill the memory.
 
@@ -180,14 +180,14 @@ def _unpack(text: str, kind: str) -> Array:
     return np.frombuffer(raw, dtype=kind).reshape(-1, 3)
 
 
-def _round(numbers: Iterable[float]) -> list[float]:
+def _rounded(numbers: Iterable[float]) -> list[float]:
     """Numbers rounded to seven decimals, which keeps recordings small."""
     return [round(float(x), 7) for x in numbers]
 
 
-def _place(X: pin.SE3) -> list[float]:
+def _pose_numbers(X: pin.SE3) -> list[float]:
     """List position (m) and quaternion x, y, z, w of a pose, seven numbers."""
-    return _round(pin.SE3ToXYZQUAT(X))
+    return _rounded(pin.SE3ToXYZQUAT(X))
 
 
 def read_picture(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
@@ -219,7 +219,9 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
             joint_model = pin.JointModelPrismaticUnaligned(axis)
         else:
             joint_model = pin.JointModelRevoluteUnaligned(axis)
-        model.addJoint(int(joint["parent"]), joint_model, _pose(joint["place"]), str(joint["name"]))
+        model.addJoint(
+            int(joint["parent"]), joint_model, _pose_of_numbers(joint["place"]), str(joint["name"])
+        )
     # shapes of the joints' bodies; joint 0 is the world
     for i, shape in enumerate(picture["shapes"]):
         joint = int(shape["joint"])
@@ -227,10 +229,12 @@ def _read(picture: Mapping[str, Any]) -> tuple[pin.Model, pin.GeometryModel]:
             raise IndexError(f"shape {i} is on joint {joint} of {model.njoints - 1}")
         kind = int(shape["kind"])
         if kind == _MESH:
-            solid = _mesh_of(_unpack(shape["corners"], "<f4"), _unpack(shape["faces"], "<i4"))
+            solid = _mesh_of(_unpacked(shape["corners"], "<f4"), _unpacked(shape["faces"], "<i4"))
         else:
-            solid = _solid(kind, shape["size"])
-        shape_object = pin.GeometryObject(f"shape{i}", joint, _pose(shape["place"]), solid)
+            solid = _solid_of_geom(kind, shape["size"])
+        shape_object = pin.GeometryObject(
+            f"shape{i}", joint, _pose_of_numbers(shape["place"]), solid
+        )
         shape_object.meshColor = np.array(shape["rgba"], dtype=float)
         shape_object.overrideMaterial = True
         geometry.addGeometryObject(shape_object)
@@ -257,7 +261,7 @@ def _mesh_of(corners: Array, faces: Array) -> coal.BVHModelOBBRSS:
     return mesh
 
 
-def _pose(place: Sequence[float]) -> pin.SE3:
+def _pose_of_numbers(place: Sequence[float]) -> pin.SE3:
     """Convert seven numbers to a pose.
 
     Args:

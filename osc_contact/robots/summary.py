@@ -292,14 +292,14 @@ def summarise(model: pin.Model, tip: str | None = None) -> RobotSummary:
         links=sum(frame.type == pin.FrameType.BODY for frame in model.frames),
         mass=sum(masses),
         moving_mass=sum(masses[1:]),
-        joints=_joints(model, losses),
+        joints=_joint_summaries(model, losses),
         losses=loss_words(losses) if losses else "",
-        tips=tuple(_tip(model, frame) for frame in frames[:_SHOWN_TIPS]),
+        tips=tuple(_tip_summary(model, frame) for frame in frames[:_SHOWN_TIPS]),
         more_tips=len(frames[_SHOWN_TIPS:]),
     )
 
 
-def _joints(model: pin.Model, losses: Sequence[JointLosses]) -> tuple[JointSummary, ...]:
+def _joint_summaries(model: pin.Model, losses: Sequence[JointLosses]) -> tuple[JointSummary, ...]:
     """Describe all joints of a model: kind, limits, moved mass (kg), friction, damping, rotor.
 
     Args:
@@ -312,6 +312,7 @@ def _joints(model: pin.Model, losses: Sequence[JointLosses]) -> tuple[JointSumma
     lower, upper = position_limits(model)
     summaries = []
     for j, values in enumerate(losses):
+        # Pinocchio does not keep the type: a joint without limits was continuous
         if values["slides"]:
             kind = "prismatic"
         elif lower[j] == -np.inf and upper[j] == np.inf:
@@ -324,8 +325,8 @@ def _joints(model: pin.Model, losses: Sequence[JointLosses]) -> tuple[JointSumma
                 kind=kind,
                 lower=float(lower[j]),
                 upper=float(upper[j]),
-                effort=_limit(model.upperEffortLimit[j]),
-                velocity=_limit(model.upperVelocityLimit[j]),
+                effort=_limit_or_inf(model.upperEffortLimit[j]),
+                velocity=_limit_or_inf(model.upperVelocityLimit[j]),
                 moved_mass=data.Ycrb[j + 1].mass,
                 friction=values["friction"],
                 damping=values["damping"],
@@ -335,7 +336,7 @@ def _joints(model: pin.Model, losses: Sequence[JointLosses]) -> tuple[JointSumma
     return tuple(summaries)
 
 
-def _tip(model: pin.Model, frame: int) -> TipSummary:
+def _tip_summary(model: pin.Model, frame: int) -> TipSummary:
     """Describe apparent inertia and mobility at a frame over random postures, see `TipSummary`.
 
     Args:
@@ -365,10 +366,10 @@ def _tip(model: pin.Model, frame: int) -> TipSummary:
         mobility.append(np.linalg.svd(L.T @ A, compute_uv=False)[:joints])
     extremes = np.column_stack((np.min(mobility, axis=0), np.max(mobility, axis=0)))
     sigma = tuple(map(tuple, extremes.tolist())) if is_solid else ()
-    return TipSummary(tip.name, joints, _inverse(linear), _inverse(angular), sigma)
+    return TipSummary(tip.name, joints, _inverse_range(linear), _inverse_range(angular), sigma)
 
 
-def _inverse(eigenvalues: list[Array]) -> tuple[float, float]:
+def _inverse_range(eigenvalues: list[Array]) -> tuple[float, float]:
     """Compute the smallest and the largest 1/λ of eigenvalues λ ≥ 0 of all postures.
 
     Args:
@@ -381,7 +382,7 @@ def _inverse(eigenvalues: list[Array]) -> tuple[float, float]:
     return (float(inverse.min()), float(inverse.max()))
 
 
-def _limit(value: float) -> float:
+def _limit_or_inf(value: float) -> float:
     """Limit of a joint; inf for numbers from `NO_LIMIT` on, which mean that there is no limit."""
     return float(value) if value < NO_LIMIT else float("inf")
 
@@ -408,7 +409,11 @@ class RobotReport:
         return not self.findings
 
     def lines(self) -> list[str]:
-        """Lines of text with the result, for the terminal."""
+        """Lines of text with the result, for the terminal.
+
+        They are the findings of a file that was refused (`summary` is None); else numbers of
+        joints and links, masses (kg), losses of the joints, and what was left out.
+        """
         if self.summary is None:
             count = f"{len(self.findings)} finding{'s' if len(self.findings) > 1 else ''}"
             return [*map(str, self.findings), f"{self.file}: refused, {count}"]

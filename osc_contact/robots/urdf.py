@@ -164,16 +164,16 @@ def read_document(file: Path, data: bytes) -> Document:
     _check_words(root)
     for element in root.findall("link"):
         inertial = element.find("inertial")
-        inertia = None if inertial is None else _inertial(inertial)
-        _add(document.links, Link(element.get("name"), inertia, element))
+        inertia = None if inertial is None else _read_inertial(inertial)
+        _add_element(document.links, Link(element.get("name"), inertia, element))
     if not document.links:
         root.note("tree", "the robot has no link")
     for element in root.findall("joint"):
-        _add(document.joints, _joint(element))
+        _add_element(document.joints, _read_joint(element))
     for element in root.findall("transmission"):
         joints = element.findall("joint")
         if len(joints) == len(element.findall("actuator")) == 1:
-            document.rotors[joints[0].get("name")] = _rotor(element)
+            document.rotors[joints[0].get("name")] = _read_rotor(element)
     return document
 
 
@@ -201,7 +201,7 @@ def _check_words(element: Element) -> None:
             _check_words(child)
 
 
-def _rotor(transmission: Element) -> tuple[float, float]:
+def _read_rotor(transmission: Element) -> tuple[float, float]:
     """Read rotor inertia (kg m²) and gear ratio of a transmission with one joint and one motor.
 
     Without them the inertia is 0 and the ratio 1; errors are noted.
@@ -216,7 +216,7 @@ def _rotor(transmission: Element) -> tuple[float, float]:
     return (values["rotorInertia"], values["mechanicalReduction"])
 
 
-def _add(parts: dict[str, Part], part: Part) -> None:
+def _add_element(parts: dict[str, Part], part: Part) -> None:
     """Add a link or joint to those of the document; note a name that is not unique or not usable.
 
     Args:
@@ -239,7 +239,7 @@ def _add(parts: dict[str, Part], part: Part) -> None:
         element.note("name", "the name 'universe' means the world in Pinocchio", "rename it")
 
 
-def _inertial(element: Element) -> Inertial:
+def _read_inertial(element: Element) -> Inertial:
     """Read an <inertial>; errors are noted as findings, and numbers that are missing are 0.
 
     Args:
@@ -258,7 +258,7 @@ def _inertial(element: Element) -> Inertial:
     )
 
 
-def _joint(element: Element) -> Joint:
+def _read_joint(element: Element) -> Joint:
     """Read a <joint>; errors are noted as findings, and the joint is read as far as possible.
 
     Args:
@@ -274,9 +274,9 @@ def _joint(element: Element) -> Joint:
     for word in ("parent", "child"):
         if element.find(word) is None:
             element.note("tree", f"a joint without <{word}>", f'add <{word} link="…"/>')
-    losses = _losses(element)
+    losses = _read_losses(element)
     mimic = element.find("mimic")
-    if mimic is not None:  # notes numbers that are wrong
+    if mimic is not None:  # read for its findings only: a joint that follows is locked or refused
         mimic.number("multiplier", 1.0)
         mimic.number("offset", 0.0)
     return Joint(
@@ -285,15 +285,15 @@ def _joint(element: Element) -> Joint:
         parent=element.part("parent").get("link"),
         child=element.part("child").get("link"),
         origin=element.origin(),
-        axis=_axis(element, kind),
-        limits={} if kind == "fixed" else _limits(element),
+        axis=_read_axis(element, kind),
+        limits={} if kind == "fixed" else _read_limits(element),
         losses=losses,
         mimic=None if mimic is None else mimic.get("joint"),
         element=element,
     )
 
 
-def _losses(element: Element) -> dict[str, float]:
+def _read_losses(element: Element) -> dict[str, float]:
     """Read damping (N m s/rad, N s/m) and friction (N m, N) of a <joint>; negative ones are noted.
 
     Both are 0 without <dynamics>.
@@ -311,7 +311,7 @@ def _losses(element: Element) -> dict[str, float]:
     return losses
 
 
-def _limits(element: Element) -> dict[str, float]:
+def _read_limits(element: Element) -> dict[str, float]:
     """Read the numbers that the <limit> of a <joint> has (rad, N m, rad/s; m, N, m/s).
 
     Args:
@@ -325,7 +325,7 @@ def _limits(element: Element) -> dict[str, float]:
     return limits
 
 
-def _axis(element: Element, kind: str) -> Vector:
+def _read_axis(element: Element, kind: str) -> Vector:
     """Read the unit axis of a <joint>; an axis of another length is noted and normalised.
 
     Without <axis> it is (1, 0, 0), as URDF defines.

@@ -67,7 +67,7 @@ def calibrate_wrist(
         raise InvalidInputError(f"noise = {noise}; give finite numbers > 0")
     weight = 1.0 / deviation
     g = np.array([0.0, 0.0, -9.81])
-    rows = np.vstack([weight[:, None] * _regressor(-np.asarray(R).T @ g) for R in rotations])
+    rows = np.vstack([weight[:, None] * _load_regressor(-np.asarray(R).T @ g) for R in rotations])
     scale = np.linalg.norm(rows, axis=0)
     scale[scale == 0.0] = 1.0
     _, s, Vh = np.linalg.svd(rows / scale, full_matrices=False)
@@ -88,7 +88,7 @@ def calibrate_wrist(
     return WristLoad(mass, com, theta[4:], float(error[0]), com_error)
 
 
-def _regressor(u: Array) -> Array:
+def _load_regressor(u: Array) -> Array:
     """Regressor Y(u) (6, 10) of a load at rest: reading = Y θ, θ = [m, m c, b_f, b_τ].
 
     Args:

@@ -36,21 +36,24 @@ class DeadEncoders:
         """
         pairs = zip(np.atleast_1d(noise), np.atleast_1d(resolution), strict=True)
         self.most = np.array([_unlikely_repetitions(*pair) for pair in pairs])
-        self._last = np.full(len(self.most), np.nan)
-        self._repeated = np.zeros(len(self.most))
+        self._last_reading = np.full(len(self.most), np.nan)
+        self._repetitions = np.zeros(len(self.most))
 
     def update(self, measured: Array, fresh: bool = True) -> NDArray[np.bool_]:
         """Return which encoders (k,) are dead after a new reading.
+
+        Compares it with `_last_reading` (k,) and counts equal ones in succession in `_repetitions`
+        (k,); a number above `most` is dead.
 
         Args:
             measured: (k,) positions (rad, m).
             fresh: False if it is an old reading, which is no evidence (slower sensor, lost sample).
         """
         if fresh:
-            is_same = measured == self._last
-            self._repeated = np.where(is_same, self._repeated + 1.0, 0.0)
-            self._last = np.array(measured, dtype=float)
-        return self._repeated > self.most
+            is_same = measured == self._last_reading
+            self._repetitions = np.where(is_same, self._repetitions + 1.0, 0.0)
+            self._last_reading = np.array(measured, dtype=float)
+        return self._repetitions > self.most
 
 
 def _unlikely_repetitions(noise: float, resolution: float) -> float:

@@ -1,4 +1,11 @@
-"""Noise of readings, measured by their third differences: sensors noisier than expected."""
+"""Noise of readings, measured by their third differences: sensors noisier than expected.
+
+A `ReadingNoise` has, for k sensors (rad, m): `_readings`, (4, k) last readings; `_last_thirds`,
+magnitudes of their last third differences; `_mean_third`, (k,) low-passed mean of these, which
+moves by `_low_pass_share` of the distance to a new value; `_cap`, largest value in the mean as a
+multiple of the mean; `_largest_expected`, (k,) noise from which on a sensor is noisier than
+expected; `_was_loud`, (k,) whether it was so before.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +15,27 @@ import numpy as np
 
 from osc_contact.spatial import Array
 
-_THIRD = sqrt(2.0 / pi * 20.0)  #: mean magnitude of third differences of unit normal noise
+#: Mean magnitude of third differences of unit normal noise.
+_THIRD_OF_UNIT_NOISE = sqrt(2.0 / pi * 20.0)
 #: s, time constant of their mean, or longer where readings come at less than 280 Hz: so long that
-#: `_ONCE` leaves differences of `_LEAST_CAP` at least
-_AVERAGED = 0.05
+#: `_MOST_OF_ONE_READING` leaves differences of `_LEAST_CAP` at least
+_MEAN_TIME = 0.05
 #: Multiple of the expected noise above which a sensor is noisier than expected. Resolution alone,
 #: expected as a uniform distribution, comes to 2 if readings alternate between two steps.
-_LOUD = 5.0
+_LOUD_RATIO = 5.0
 #: Largest part of the mean that comes from one wrong reading, which is in four third differences,
 #: or from one jump, which is in three: a multiple of the mean at which a sensor is noisier than
 #: expected. The expected noise comes to 1/5 of that, so that no single reading suffices beside it.
-_ONCE = 0.8
+_MOST_OF_ONE_READING = 0.8
 #: Bounds of the largest third difference in the mean, as a multiple of that of the largest expected
 #: noise or of the mean so far. Noise far beyond it is found after 5 to 11 readings.
 _LEAST_CAP, _MOST_CAP = 3.0, 10.0
-_LATEST = 5  #: third differences whose mean is the first measure of a noise that has begun
+_FIRST_MEASURE_LENGTH = (
+    5  #: third differences whose mean is the first measure of a noise that has begun
+)
 #: rad, m, noise below which nothing is noisier than expected: an acceleration that changes by
 #: 1,000 rad/s² in one sample of 1 ms, and back within the mean, comes to 0.02 mrad
-_LEAST = 2e-4
+_LEAST_LOUD_NOISE = 2e-4
 
 
 class ReadingNoise:
@@ -50,22 +60,24 @@ class ReadingNoise:
         """
         self.expected = np.array(expected, dtype=float)
         self.is_loud = self.begins = False
-        self._loud = np.zeros(len(self.expected), dtype=bool)
-        self._share = min(sample / (_AVERAGED + sample), _ONCE / (4.0 * _LEAST_CAP))
-        self._cap = min(_ONCE / (4.0 * self._share), _MOST_CAP)
-        self._largest_expected = np.maximum(_LOUD * self.expected, _LEAST)
-        self._mean = _THIRD * self.expected
+        self._was_loud = np.zeros(len(self.expected), dtype=bool)
+        self._low_pass_share = min(
+            sample / (_MEAN_TIME + sample), _MOST_OF_ONE_READING / (4.0 * _LEAST_CAP)
+        )
+        self._cap = min(_MOST_OF_ONE_READING / (4.0 * self._low_pass_share), _MOST_CAP)
+        self._largest_expected = np.maximum(_LOUD_RATIO * self.expected, _LEAST_LOUD_NOISE)
+        self._mean_third = _THIRD_OF_UNIT_NOISE * self.expected
         self._readings = np.full((4, len(self.expected)), np.nan)
-        self._latest = np.zeros((_LATEST, len(self.expected)))
+        self._last_thirds = np.zeros((_FIRST_MEASURE_LENGTH, len(self.expected)))
 
     def update(self, measured: Array) -> Array:
         """Return the noise (k,) of the sensors after a new reading, a standard deviation (rad, m).
 
         It is the measured one where this is far beyond the expected one, else the expected one.
         Measured is the mean magnitude of the readings' third differences x_k − 3x_{k−1} + 3x_{k−2}
-        − x_{k−3}, low-passed and divided by that of unit normal noise, `_THIRD`. Motion hardly
-        changes third differences.
-        When this begins, the mean still contains quiet readings: then it is that of the last ones.
+        − x_{k−3}, low-passed and divided by that of unit normal noise, `_THIRD_OF_UNIT_NOISE`.
+        Motion hardly changes third differences. When this begins, the mean still contains quiet
+        readings: then it is that of the last ones.
 
         Args:
             measured: (k,) new readings (rad, m). Readings that are not finite are no evidence.
@@ -75,16 +87,20 @@ class ReadingNoise:
         readings[-1] = measured
         third = np.abs(readings[3] - readings[0] - 3.0 * (readings[2] - readings[1]))
         is_new = np.isfinite(third)
-        self._latest = np.where(is_new, np.vstack([self._latest[1:], third]), self._latest)
-        most = self._cap * np.maximum(_THIRD * self._largest_expected, self._mean)
-        change = self._share * (np.minimum(third, most) - self._mean)
-        self._mean += np.where(is_new, change, 0.0)
-        loud = self._mean > _THIRD * self._largest_expected
-        begins = loud & ~self._loud
+        self._last_thirds = np.where(
+            is_new, np.vstack([self._last_thirds[1:], third]), self._last_thirds
+        )
+        most = self._cap * np.maximum(
+            _THIRD_OF_UNIT_NOISE * self._largest_expected, self._mean_third
+        )
+        change = self._low_pass_share * (np.minimum(third, most) - self._mean_third)
+        self._mean_third += np.where(is_new, change, 0.0)
+        loud = self._mean_third > _THIRD_OF_UNIT_NOISE * self._largest_expected
+        begins = loud & ~self._was_loud
         self.begins = bool(begins.any())
         if self.begins:
-            latest = np.maximum(self._mean, self._latest.mean(axis=0))
-            self._mean = np.where(begins, latest, self._mean)
-        self._loud = loud
+            latest = np.maximum(self._mean_third, self._last_thirds.mean(axis=0))
+            self._mean_third = np.where(begins, latest, self._mean_third)
+        self._was_loud = loud
         self.is_loud = bool(loud.any())
-        return np.where(loud, self._mean / _THIRD, self.expected)
+        return np.where(loud, self._mean_third / _THIRD_OF_UNIT_NOISE, self.expected)

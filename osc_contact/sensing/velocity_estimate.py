@@ -22,6 +22,12 @@ be its derivatives by c, which a drives through the same filter. Then innovation
 variance σ_n²/(1 − α) plus x_c times the error of c, from which c is estimated as a random walk, and
 x̂, v̂ are corrected by x_c, v_c times the change of c (B. Friedland, Treatment of bias in recursive
 filtering, IEEE Trans. Automatic Control 14, 1969).
+
+Attributes of `VelocityEstimate` beside the public ones: `_gains`, (3, k) gains of position,
+velocity (1/s) and unknown acceleration (1/s²); `_design`, function by which they were designed
+(None: they were given); `_learns_share`, whether the share c is estimated; `_share_variance`, (k,)
+its variance; `_share_derivatives`, (3, k) derivatives of x, v and the unknown acceleration by c;
+`_replayable`, the last updates, each with the states before it and its arguments.
 """
 
 from __future__ import annotations
@@ -37,15 +43,14 @@ import numpy as np
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
 
-_DOUBT = 0.5  #: standard deviation of the share c at the start, which is also the largest one
-_CHANGES = (
-    1.0  #: time in which c may change by `_DOUBT`, for example if a joint begins to stick (s)
-)
-_MOST = 1.5  #: largest share c, of a joint whose links or rotors are modelled too heavy
-_REVISED = (
-    0.02  #: s of readings that are estimated again when their noise is found to be another one
-)
-_EQUAL_NOISE = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
+#: Standard deviation of the share c at the start, which is also the largest one.
+_SHARE_DEVIATION = 0.5
+#: Time in which c may change by `_SHARE_DEVIATION` (s), for example if a joint begins to stick.
+_SHARE_CHANGE_TIME = 1.0
+_LARGEST_SHARE = 1.5  #: largest share c, of a joint whose links or rotors are modelled too heavy
+#: Time of the last readings that are estimated again when their noise is found to be another (s).
+_REPLAYED_TIME = 0.02
+_BANDWIDTH_RATIO = (8.0**-0.5 / 1.75) ** (1.0 / 3.0)  #: w/ω_e, see `VelocityEstimate.learning`
 
 
 #: Function that returns the gains α, β, γ (k,) for the noise (k,) of the readings.
@@ -130,17 +135,16 @@ class VelocityEstimate:
         self.v = np.zeros(len(self.alpha))
         self.unknown = np.zeros(len(self.alpha))
         self.share = np.ones(len(self.alpha))
-        #: (k,) variance of the share
-        self._variance = np.full(len(self.alpha), _DOUBT**2)
-        #: (3, k) derivatives of x, v and unknown by the share
-        self._by_share = np.zeros((3, len(self.alpha)))
+        #: (k,) variance of the share, and (3, k) derivatives of x, v and unknown by it
+        self._share_variance = np.full(len(self.alpha), _SHARE_DEVIATION**2)
+        self._share_derivatives = np.zeros((3, len(self.alpha)))
         self._gains = self._scaled_gains()
         self._design: Design | None = None
         #: states before each of the last updates, and the arguments of these
-        self._past: deque[tuple[tuple[Any, ...], tuple[Any, ...]]] = deque(
-            maxlen=max(round(_REVISED / self.dt), 1)
+        self._replayable: deque[tuple[tuple[Any, ...], tuple[Any, ...]]] = deque(
+            maxlen=max(round(_REPLAYED_TIME / self.dt), 1)
         )
-        self._learns = bool(np.isfinite(self.scatter).all())
+        self._learns_share = bool(np.isfinite(self.scatter).all())
 
     @classmethod
     def optimal(
@@ -166,7 +170,7 @@ class VelocityEstimate:
                 "both be > 0; without noise take the resolution of the sensor"
             )
         design = partial(_optimal_gains, acceleration=acceleration, period=sample or dt)
-        return cls._designed(design, noise, dt, sample)
+        return cls._with_design(design, noise, dt, sample)
 
     @classmethod
     def learning(
@@ -191,10 +195,12 @@ class VelocityEstimate:
         cls.optimal(noise, acceleration, dt, sample)  # raises for numbers that are not > 0
         period = max(sample, dt)
         design = partial(_learning_gains, acceleration=np.asarray(acceleration), period=period)
-        return cls._designed(design, np.atleast_1d(noise), dt, period)
+        return cls._with_design(design, np.atleast_1d(noise), dt, period)
 
     @classmethod
-    def _designed(cls, design: Design, noise: Array, dt: float, sample: float) -> VelocityEstimate:
+    def _with_design(
+        cls, design: Design, noise: Array, dt: float, sample: float
+    ) -> VelocityEstimate:
         """Make an estimate with the gains of a design for the noise of the readings.
 
         Args:
@@ -204,7 +210,7 @@ class VelocityEstimate:
             sample: period of the readings (s); 0: dt.
         """
         alpha, beta, gamma = design(noise)
-        estimate = cls(alpha, beta, dt, sample, gamma, _scatter(noise, alpha))
+        estimate = cls(alpha, beta, dt, sample, gamma, _rms_of_innovations(noise, alpha))
         estimate._design = design
         return estimate
 
@@ -217,7 +223,7 @@ class VelocityEstimate:
 
         Args:
             noise: (k,) rms noise of the readings (m, rad).
-            revises: whether readings of the last `_REVISED` are estimated again.
+            revises: whether readings of the last `_REPLAYED_TIME` are estimated again.
 
         Raises:
             InvalidInputError: the estimate was made from gains.
@@ -228,22 +234,31 @@ class VelocityEstimate:
                 "by VelocityEstimate.optimal or .learning"
             )
         self.alpha, self.beta, self.gamma = self._design(noise)
-        self.scatter = _scatter(noise, self.alpha)
+        self.scatter = _rms_of_innovations(noise, self.alpha)
         self._gains = self._scaled_gains()
-        if revises and self._past:
-            past = list(self._past)
-            self._past.clear()
-            self._continue_from(past[0][0])
+        if revises and self._replayable:
+            past = list(self._replayable)
+            self._replayable.clear()
+            self._restore(past[0][0])
             for _, arguments in past:
                 self.update(*arguments)
 
-    def _state(self) -> tuple[Any, ...]:
+    def _snapshot(self) -> tuple[Any, ...]:
         """Everything that an update changes."""
-        return (self.x, self.v, self.unknown, self.share, self._variance, self._by_share)
+        return (
+            self.x,
+            self.v,
+            self.unknown,
+            self.share,
+            self._share_variance,
+            self._share_derivatives,
+        )
 
-    def _continue_from(self, state: tuple[Any, ...]) -> None:
-        """Return to a state of `_state`."""
-        self.x, self.v, self.unknown, self.share, self._variance, self._by_share = state
+    def _restore(self, state: tuple[Any, ...]) -> None:
+        """Return to a state of `_snapshot`."""
+        self.x, self.v, self.unknown, self.share, self._share_variance, self._share_derivatives = (
+            state
+        )
 
     def _scaled_gains(self) -> Array:
         """Gains (3, k) of position, velocity (1/s) and unknown acceleration (1/s²)."""
@@ -295,16 +310,16 @@ class VelocityEstimate:
             self.x = np.array(measured, dtype=float)
             return (self.x, self.v)
         if self._design is not None:
-            self._past.append((self._state(), (measured, acceleration, fresh)))
+            self._replayable.append((self._snapshot(), (measured, acceleration, fresh)))
         # prediction by the known share of the acceleration and the unknown one
         total = self.share * acceleration + self.unknown
         self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * total
         self.v = self.v + self.dt * total
         # the same of the derivatives by the share
-        if self._learns:
-            x_c, v_c, unknown_c = self._by_share
+        if self._learns_share:
+            x_c, v_c, unknown_c = self._share_derivatives
             total = acceleration + unknown_c
-            self._by_share = np.array(
+            self._share_derivatives = np.array(
                 (
                     x_c + self.dt * v_c + 0.5 * self.dt**2 * total,
                     v_c + self.dt * total,
@@ -314,12 +329,12 @@ class VelocityEstimate:
         # correction by a new reading
         if fresh:
             innovation = np.where(np.isfinite(measured), measured - self.x, 0.0)
-            self._correct(self._gains * innovation)
-            if self._learns:
+            self._correct_states(self._gains * innovation)
+            if self._learns_share:
                 self._learn_share(innovation)
         return (self.x, self.v)
 
-    def _correct(self, change: Array) -> None:
+    def _correct_states(self, change: Array) -> None:
         """Add the rows of `change` (3, k) to x, v and the unknown acceleration."""
         self.x = self.x + change[0]
         self.v = self.v + change[1]
@@ -328,22 +343,22 @@ class VelocityEstimate:
     def _learn_share(self, innovation: Array) -> None:
         """Update the share c, and with it the estimate, by Friedland's filter.
 
-        c (k,) is the share of the commanded acceleration that a channel really has. `_by_share` (3,
-        k) are the derivatives of position, velocity and unknown acceleration by c. A scalar Kalman
-        filter for each channel, with the innovation x_c c of the readings, gives the change of c,
-        by which the estimate is corrected along these derivatives.
+        c (k,) is the share of the commanded acceleration that a channel really has.
+        `_share_derivatives` (3, k) are the derivatives of position, velocity and unknown
+        acceleration by c. A scalar Kalman filter for each channel, with the innovation x_c c of the
+        readings, gives the change of c, by which the estimate is corrected along these derivatives.
 
         Args:
             innovation: (k,) reading minus prediction (m, rad).
         """
-        x_c = self._by_share[0]
-        self._by_share = self._by_share - self._gains * x_c
-        predicted = self._variance + _DOUBT**2 * self.sample / _CHANGES
-        variance = np.minimum(predicted, _DOUBT**2)
+        x_c = self._share_derivatives[0]
+        self._share_derivatives = self._share_derivatives - self._gains * x_c
+        predicted = self._share_variance + _SHARE_DEVIATION**2 * self.sample / _SHARE_CHANGE_TIME
+        variance = np.minimum(predicted, _SHARE_DEVIATION**2)
         gain = variance * x_c / (self.scatter**2 + variance * x_c**2)
-        self._variance = variance * (1.0 - gain * x_c)
-        share = np.clip(self.share + gain * innovation, 0.0, _MOST)
-        self._correct(self._by_share * (share - self.share))
+        self._share_variance = variance * (1.0 - gain * x_c)
+        share = np.clip(self.share + gain * innovation, 0.0, _LARGEST_SHARE)
+        self._correct_states(self._share_derivatives * (share - self.share))
         self.share = share
 
 
@@ -369,13 +384,13 @@ def _learning_gains(noise: Array, acceleration: Array, period: float) -> tuple[A
         acceleration: (k,) rms of the unknown acceleration (m/s², rad/s²).
         period: of the readings (s).
     """
-    pole = np.exp(-_EQUAL_NOISE * np.sqrt(np.divide(acceleration, noise)) * period)
+    pole = np.exp(-_BANDWIDTH_RATIO * np.sqrt(np.divide(acceleration, noise)) * period)
     pole = np.atleast_1d(pole)
     decay = 1.0 - pole
     return 1.0 - pole**3, 1.5 * decay**2 * (1.0 + pole), decay**3
 
 
-def _scatter(noise: Array, alpha: Array) -> Array:
+def _rms_of_innovations(noise: Array, alpha: Array) -> Array:
     """Compute the rms (k,) of innovations by noise, σ_n/√(1 − α) (m, rad).
 
     Args:

@@ -6,6 +6,12 @@ and bases. For contact, only motion relative to the robots matters. The encoders
 object and arms at the time of the picture; a Kalman filter estimates the constant displacement
 between both, which is applied to the bodies. Errors of camera and bases cancel.
 """
+# A `VisionFusion` has `_known`, function of the joint positions that returns poses of object and
+# tips; `_delay`, time from a picture to its arrival (s); `_markers`, poses of the markers in the
+# bodies (None: the bodies' frames); `_channels`, function that makes an estimate of six channels;
+# `_bodies`, estimates of the bodies, empty before the first picture; `_stamp`, time of the last
+# picture (s).
+# A `History` has `_samples`, times (s) and values (n,), the oldest first.
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -21,7 +27,7 @@ from osc_contact.interface import Seen, Touched
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.spatial import Array, carry_twist, pose_error, skew
 
-_ITERATIONS = 4  #: iterations of an update, which is nonlinear in large rotations
+_UPDATE_ITERATIONS = 4  #: iterations of an update, which is nonlinear in large rotations
 
 
 class History:
@@ -108,7 +114,9 @@ class Registration:
         prior = np.linalg.inv(self.P + elapsed * np.diag(np.repeat(self.drift, 3)) ** 2)
         weights = np.repeat((self.position, self.orientation), 3) ** -2.0
         start = self.X
-        for _ in range(_ITERATIONS):  # information form, which is regular with exact poses, too
+        for _ in range(
+            _UPDATE_ITERATIONS
+        ):  # information form, which is regular with exact poses, too
             # prior: X_WC as before the picture
             information = prior.copy()
             correction = pose_error(self.X * start.inverse(), SE3.Identity())

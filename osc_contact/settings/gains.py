@@ -48,7 +48,7 @@ class _GainsOfOneLoop(OrderedSpec):
         return data
 
     @model_validator(mode="after")
-    def _complete(self) -> Self:
+    def _derive_missing(self) -> Self:
         """Derive the values that are not given; refuse design values together with gains.
 
         `serving` names the design values, such as bandwidth and damping ratio, `numbers` the gains
@@ -63,11 +63,11 @@ class _GainsOfOneLoop(OrderedSpec):
                 f"or {', '.join(self.numbers)}; to replace them with --set, set the group: "
                 f"--set '{self.example}'"
             )
-        self.__dict__.update(self._values(not gains, values) | values)
+        self.__dict__.update(self._derive_gains(not gains, values) | values)
         return self
 
     @abstractmethod
-    def _values(self, serves_every_mass: bool, values: dict[str, float]) -> dict[str, float]:
+    def _derive_gains(self, serves_every_mass: bool, values: dict[str, float]) -> dict[str, float]:
         """Derive gains from design values, or design values from gains.
 
         Args:
@@ -128,7 +128,7 @@ class MotionGains(_GainsOfOneLoop):
             )
         return self
 
-    def _values(self, serves_every_mass: bool, values: dict[str, float]) -> dict[str, float]:
+    def _derive_gains(self, serves_every_mass: bool, values: dict[str, float]) -> dict[str, float]:
         """Derive K_p, K_d, K_i from frequency, damping ratio and integral time, or the reverse.
 
         Args:
@@ -209,7 +209,7 @@ class ForceGains(_GainsOfOneLoop):
         """Integral gain (1/s) of such contacts: K_i, at most a twelfth of their brake."""
         return min(self.integral, self.hold_brake / _HELD) if self.brake > 0.0 else self.integral
 
-    def _values(self, serves_every_mass: bool, values: dict[str, float]) -> dict[str, float]:
+    def _derive_gains(self, serves_every_mass: bool, values: dict[str, float]) -> dict[str, float]:
         """Derive K_i and κ from bandwidth and damping ratio, or the reverse.
 
         Args:

@@ -351,25 +351,25 @@ class Dimension:
         return core_schema.no_info_before_validator_function(self.parse, number)
 
 
-def _units(sizes: str) -> dict[str, Decimal]:
+def _parse_units(sizes: str) -> dict[str, Decimal]:
     """Parse the sizes of units in SI from text such as "m=1 mm=1e-3"."""
     pairs = (item.split("=") for item in sizes.split())
     return {unit: Decimal(size) for unit, size in pairs}
 
 
-_LENGTH = Dimension("a length", _units("m=1 mm=1e-3 cm=1e-2 µm=1e-6 μm=1e-6 um=1e-6"))
-_ANGLE = Dimension("an angle", _units("rad=1 mrad=1e-3") | {"deg": Decimal(math.pi) / 180})
-_TIME = Dimension("a time", _units("s=1 ms=1e-3 µs=1e-6 μs=1e-6 us=1e-6 min=60"))
-_FREQUENCY = Dimension("a frequency", _units("Hz=1 kHz=1e3"))
-_FORCE = Dimension("a force", _units("N=1 mN=1e-3 kN=1e3"))
-_TORQUE = Dimension("a torque", _units("Nm=1 mNm=1e-3"))
-_MASS = Dimension("a mass", _units("kg=1 g=1e-3"))
+_LENGTH = Dimension("a length", _parse_units("m=1 mm=1e-3 cm=1e-2 µm=1e-6 μm=1e-6 um=1e-6"))
+_ANGLE = Dimension("an angle", _parse_units("rad=1 mrad=1e-3") | {"deg": Decimal(math.pi) / 180})
+_TIME = Dimension("a time", _parse_units("s=1 ms=1e-3 µs=1e-6 μs=1e-6 us=1e-6 min=60"))
+_FREQUENCY = Dimension("a frequency", _parse_units("Hz=1 kHz=1e3"))
+_FORCE = Dimension("a force", _parse_units("N=1 mN=1e-3 kN=1e3"))
+_TORQUE = Dimension("a torque", _parse_units("Nm=1 mNm=1e-3"))
+_MASS = Dimension("a mass", _parse_units("kg=1 g=1e-3"))
 _NUMBER = Dimension("a plain number", {})
 _JOINT_FORCE = Dimension("a joint force (torque or force)", _TORQUE.units | _FORCE.units)
 _JOINT_VALUE = Dimension("a joint value (length or angle)", _LENGTH.units | _ANGLE.units)
 
 
-def _rates(quantity: Dimension) -> tuple[Dimension, Dimension, Dimension]:
+def _rate_dimensions(quantity: Dimension) -> tuple[Dimension, Dimension, Dimension]:
     """Dimensions of the first three time derivatives of a quantity.
 
     Units are for example mm/s, mm/s² (also mm/s^2 and mm/s2) and mm/s³.
@@ -386,7 +386,7 @@ def _rates(quantity: Dimension) -> tuple[Dimension, Dimension, Dimension]:
     return rate(""), rate("²", "^2", "2"), rate("³", "^3", "3")
 
 
-_LENGTH_RATES, _ANGLE_RATES, _FORCE_RATES = map(_rates, (_LENGTH, _ANGLE, _FORCE))
+_LENGTH_RATES, _ANGLE_RATES, _FORCE_RATES = map(_rate_dimensions, (_LENGTH, _ANGLE, _FORCE))
 _DIMENSIONS = (
     _LENGTH,
     _ANGLE,
@@ -446,7 +446,7 @@ def may_be_infinite(field: FieldInfo) -> bool:
     return any(getattr(mark, "open", False) for mark in marks)
 
 
-def _three(expected: str) -> BeforeValidator:
+def _require_three(expected: str) -> BeforeValidator:
     """Make a validator that refuses values other than sequences of three items.
 
     Args:
@@ -479,11 +479,11 @@ def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]
     return (value[0] / norm, value[1] / norm, value[2] / norm)
 
 
-Vec3 = Annotated[tuple[Length, Length, Length], _three("three lengths [x, y, z]")]
-ForceVec3 = Annotated[tuple[Force, Force, Force], _three("three forces [x, y, z]")]
-AngleVec3 = Annotated[tuple[Angle, Angle, Angle], _three("three angles [roll, pitch, yaw]")]
+Vec3 = Annotated[tuple[Length, Length, Length], _require_three("three lengths [x, y, z]")]
+ForceVec3 = Annotated[tuple[Force, Force, Force], _require_three("three forces [x, y, z]")]
+AngleVec3 = Annotated[tuple[Angle, Angle, Angle], _require_three("three angles [roll, pitch, yaw]")]
 UnitVec3 = Annotated[
     tuple[Number, Number, Number],
-    _three("a direction of three numbers [x, y, z]"),
+    _require_three("a direction of three numbers [x, y, z]"),
     AfterValidator(unit_vector),
 ]

@@ -278,7 +278,7 @@ class Detected:
 
 # --- Removal of repeated contacts -----------------------------------------------------------------
 
-_BURIED = 1e-6
+_LEAST_DEPTH = 1e-6
 """Largest distance outside another shape of its body of a point that counts as inside (m)."""
 
 
@@ -364,12 +364,15 @@ def _is_inside_shape(contact: Detected, shape: CollisionShape, X_WO: SE3) -> boo
     # the touching point is one radius from the centre of a rounded feature, against the normal
     surface = X_WO.act(contact.object_point) - contact.object_feature.radius * contact.normal
     point = SE3(np.eye(3), surface)
-    return nearest(coal.Sphere(0.0), point, shape.shape, X_WO * shape.placement).distance <= _BURIED
+    return (
+        nearest(coal.Sphere(0.0), point, shape.shape, X_WO * shape.placement).distance
+        <= _LEAST_DEPTH
+    )
 
 
 # --- Detection ------------------------------------------------------------------------------------
 
-_EXACT = 1e-9
+_EXACT_ANGLE = 1e-9
 """Largest difference of the distance along the normal of a plane face from the distance (m)."""
 
 
@@ -458,7 +461,7 @@ def _contact_of_shapes(
     return Detected(
         object_shape=a.name,
         environment_shape=e.name,
-        kind=_kind(feature_a, feature_e),
+        kind=_pair_type(feature_a, feature_e),
         r=min(len(patch), 3),
         # points of a rounded feature are centres; its surface is one radius farther along n
         points=_lift_points(feature_e, patch, n) + feature_e.radius * n,
@@ -487,12 +490,12 @@ def _contact_direction(a: Solid, e: Solid, closest: Nearest) -> Array:
     """
     direction = best_direction(a, e)
     has_round_surface = a.radius + e.radius > 0.0
-    if has_round_surface and separation(a, e, direction) < closest.distance - _EXACT:
+    if has_round_surface and separation(a, e, direction) < closest.distance - _EXACT_ANGLE:
         direction = best_direction(a, e, closest.normal)
     return direction
 
 
-def _kind(a: Feature, e: Feature) -> str:
+def _pair_type(a: Feature, e: Feature) -> str:
     """Conventional name of a contact, such as "sphere on plane" for a sphere on a face.
 
     Args:
@@ -576,16 +579,20 @@ class TrackedContact:
         Raises:
             ContactError: no contact has been detected so far.
         """
-        pairs = self._touching(X_WO, X_WE)
+        pairs = self._displaced_pairs(X_WO, X_WE)
         parts = [pair.contact(X_WO, V_O, X_WE, V_E) for pair in pairs]
         return parts[0] if len(parts) == 1 else Contact.stack(parts)
 
     def gaps(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """Gaps (r,) of the detected pairs (m, rad), for the poses of object and body."""
-        return np.concatenate([pair.gaps(X_WO, X_WE) for pair in self._touching(X_WO, X_WE)])
+        return np.concatenate([pair.gaps(X_WO, X_WE) for pair in self._displaced_pairs(X_WO, X_WE)])
 
-    def _touching(self, X_WO: SE3, X_WE: SE3 | None) -> tuple[ContactPair, ...]:
+    def _displaced_pairs(self, X_WO: SE3, X_WE: SE3 | None) -> tuple[ContactPair, ...]:
         """Pairs of the last detection, which is repeated after a relative displacement.
+
+        `_X_EO` is the pose of the object in the other body at the last detection, `_shapes` the
+        collision shapes of object and body. Detection takes milliseconds, so small displacements
+        (`TRAVEL_M`, `TURN_RAD`) do not repeat it.
 
         Args:
             X_WO: pose of the object in the world.

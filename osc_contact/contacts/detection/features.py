@@ -97,7 +97,9 @@ class CollisionShape:
                 f"{self.name}: swept-sphere radius {swept:g} m; set it to 0 and use a capsule or "
                 "sphere for rounded parts"
             )
-        object.__setattr__(self, "solid", _solid(self.name, self.shape).moved(self.placement))
+        object.__setattr__(
+            self, "solid", _solid_of_shape(self.name, self.shape).moved(self.placement)
+        )
 
 
 def collision_shapes(path: Path | str) -> list[CollisionShape]:
@@ -154,12 +156,12 @@ def _read(file: Path, text: bytes) -> tuple[CollisionShape, ...]:
         name = name_in_file if name_in_file and names.count(name_in_file) == 1 else item.name
         shape = item.geometry
         if isinstance(shape, coal.BVHModelBase):
-            shape = _convex(f"{file}: {name}", shape)
+            shape = _convex_shape(f"{file}: {name}", shape)
         shapes.append(CollisionShape(name, shape, SE3(item.placement)))
     return tuple(shapes)
 
 
-def _solid(name: str, shape: coal.ShapeBase) -> Solid:
+def _solid_of_shape(name: str, shape: coal.ShapeBase) -> Solid:
     """Corners, faces and edges of a coal shape in its own frame.
 
     Args:
@@ -209,16 +211,16 @@ def _faces_and_edges(corners: Array, triangles: Array) -> tuple[Array, Array]:
     edges /= np.linalg.norm(edges, axis=1)[:, None]
     first = np.argmax(np.abs(edges) > 1e-9, axis=1)
     edges *= np.sign(edges[np.arange(len(edges)), first])[:, None]
-    return (_distinct(normals), _distinct(edges))
+    return (_distinct_directions(normals), _distinct_directions(edges))
 
 
-def _distinct(directions: Array) -> Array:
+def _distinct_directions(directions: Array) -> Array:
     """Unit vectors (m, 3) without repetitions, in their order."""
     _, index = np.unique(np.round(directions, 9) + 0.0, axis=0, return_index=True)
     return directions[np.sort(index)]
 
 
-def _convex(name: str, mesh: coal.BVHModelBase) -> coal.Convex:
+def _convex_shape(name: str, mesh: coal.BVHModelBase) -> coal.Convex:
     """Convex shape of a mesh that is convex already; this coal has no hull algorithm.
 
     Args:
@@ -391,7 +393,7 @@ def foremost(solid: Solid, d: Array, margin: float, angle: float) -> Feature:
     distance = np.linalg.norm(solid.corners - solid.corners[top], axis=1)
     active = np.flatnonzero(drop <= np.minimum(margin, angle * distance) + 1e-12)
     points = solid.corners[active]
-    if len(points) > 2 and not _collinear(points):
+    if len(points) > 2 and not _are_collinear(points):
         normal = solid.normals[(solid.normals @ d).argmax()]
         if norm(cross(normal, d)) <= angle:
             return Feature("face", 2, _round_trip(points, normal), 0.0, normal)
@@ -434,7 +436,7 @@ def _cylinder_feature(solid: Solid, axis: Array, d: Array, margin: float, angle:
     return Feature("rim", 0, low[None, :], centre=end, axis=axis)
 
 
-def _collinear(points: Array) -> bool:
+def _are_collinear(points: Array) -> bool:
     """Return whether points (k, 3) are on a line."""
     spread = np.linalg.svd(points - points[0], compute_uv=False)
     return bool(spread[1] <= 1e-9 * spread[0])
@@ -474,9 +476,9 @@ def shared_patch(
     elif a.dimension == e.dimension == 1:
         points = _of_lines(flat_a, flat_e, angle)
     elif e.dimension == 2:
-        points = _clip(flat_a, flat_e)
+        points = _clipped_polygon(flat_a, flat_e)
     else:
-        points = _clip(flat_e, flat_a[::-1])  # its normal is −n
+        points = _clipped_polygon(flat_e, flat_a[::-1])  # its normal is −n
     if len(points) == 0:
         points = (axes @ witness)[None]
     return _shrink_patch(points, width) @ axes
@@ -500,7 +502,7 @@ def _of_lines(a: Array, e: Array, angle: float) -> Array:
     return a[0] + np.outer((where.min(), where.max()), along_a)
 
 
-def _clip(subject: Array, window: Array) -> Array:
+def _clipped_polygon(subject: Array, window: Array) -> Array:
     """Part (n, 2) of a convex polygon or segment inside a convex polygon (Sutherland-Hodgman).
 
     Args:
@@ -551,7 +553,7 @@ def _shrink_patch(points: Array, width: float) -> Array:
 # edges (the environment's faces have priority among equal bounds), and the solver's normal only if
 # there are round shapes.
 
-_TIE = 1e-9
+_EQUAL_EXTENT = 1e-9
 """Largest difference of bounds that count as equal (m)."""
 
 
@@ -581,7 +583,7 @@ def best_direction(a: Solid, e: Solid, guess: Array | None = None) -> Array:
     if len(directions) == 0:
         directions = np.eye(3)[2:]
     distances = separation(a, e, directions)
-    return directions[(distances >= distances.max() - _TIE).argmax()]
+    return directions[(distances >= distances.max() - _EQUAL_EXTENT).argmax()]
 
 
 def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:
@@ -603,12 +605,12 @@ def exact_normal(a: Feature, e: Feature, n: Array, angle: float) -> Array:
     elif a.axis is not None or e.axis is not None:
         return n  # that of the solver
     else:
-        normal = _nearest(a, e) - _nearest(e, a)
+        normal = _nearest_point(a, e) - _nearest_point(e, a)
     normal = normal / norm(normal)
     return normal if normal @ n > 0.0 else -normal
 
 
-def _nearest(a: Feature, e: Feature) -> Array:
+def _nearest_point(a: Feature, e: Feature) -> Array:
     """Point (3,) of feature a that is nearest to feature e, if one of the two is a point (m).
 
     Args:

@@ -1,4 +1,7 @@
-"""Pairs defined by functions of the user: of gaps alone, or of all quantities of a pair."""
+"""Pairs defined by functions of the user: of gaps alone, or of all quantities of a pair.
+
+`CompiledPair._rows` has the parameters of the pair's functions as SHAPE rows, 16 numbers a row.
+"""
 
 from __future__ import annotations
 
@@ -80,18 +83,18 @@ class GapFunctions(PackagedPair):
         X_EA = b.X_E.actInv(b.X_A)
         to_E = np.kron(np.eye(2), b.X_E.rotation.T)
         units = np.repeat([self.length, 1.0], 3)
-        slopes = [self._differences(X_EA, xi)[0] for xi in np.diag(units)]
+        slopes = [self._gap_derivatives(X_EA, xi)[0] for xi in np.diag(units)]
         N = -to_E.T @ (np.array(slopes) / units[:, None])  # at O
         V_rel = b.V_rel
         xi = to_E @ V_rel
         speed = norm(xi / units)  # rate along the motion in units of `step` (1/s)
-        bend = self._differences(X_EA, xi / speed)[1] * speed**2 if speed else 0.0
+        bend = self._gap_derivatives(X_EA, xi / speed)[1] * speed**2 if speed else 0.0
         return Contact(N, cross_twist(b.V_E, V_rel) @ N + bend, name=self.name)
 
     def _gaps(self, X_EA: SE3) -> Array:
         return as_array(f"{self.name}.gap(X_EA)", self.gap(X_EA), (None,))
 
-    def _differences(self, X_EA: SE3, xi: Array) -> tuple[Array, Array]:
+    def _gap_derivatives(self, X_EA: SE3, xi: Array) -> tuple[Array, Array]:
         """First and second derivatives (r,) of the gaps along a motion of constant twist.
 
         Args:
@@ -166,25 +169,28 @@ class CompiledPair(PackagedPair):
             InvalidInputError: numba cannot compile the function.
         """
         try:
-            address = _entry(self.function, self.forces, np.size(self.parameters))[0]
+            address = _compile_entry(self.function, self.forces, np.size(self.parameters))[0]
         except Exception as error:  # numba raises errors of many kinds: of syntax, names, types
             raise InvalidInputError(f"{self.name}: numba cannot compile it: {error}") from error
         return PairRow(FUNCTION, tuple(self._rows), len(self._rows) - self.forces, address)
 
     def _contact(self, b: Bodies) -> Contact:
-        results = self._evaluate(b)
+        results = self._evaluated_columns(b)
         if not np.isfinite(results[:, :7]).all():
             raise ContactError(f"{self.name}: N or n_γ is not finite")
         return Contact(results[:, :6].T, results[:, 6], name=self.name)
 
     def _gaps(self, X_EA: SE3) -> Array:
-        return self._evaluate(Bodies.at_O(X_EA))[:, 7]
+        return self._evaluated_columns(Bodies.at_O(X_EA))[:, 7]
 
     def points_of_contact(self, X_WO: SE3, X_WE: SE3 | None = None) -> Array:
         """Points of application (3, r) of the magnitudes of a pair that pushes, world (m)."""
-        return X_WO.translation[:, None] + self._evaluate(Bodies.at_O(X_WO, X_WE=X_WE))[:, 8:].T
+        return (
+            X_WO.translation[:, None]
+            + self._evaluated_columns(Bodies.at_O(X_WO, X_WE=X_WE))[:, 8:].T
+        )
 
-    def _evaluate(self, b: Bodies) -> Array:
+    def _evaluated_columns(self, b: Bodies) -> Array:
         """Column of N (6), n_γ, gap and point from O (3) of each magnitude, (r, 11).
 
         Args:
@@ -198,7 +204,7 @@ class CompiledPair(PackagedPair):
 
 
 @cache
-def _entry(function: Callable[..., None], forces: int, count: int) -> tuple[int, object]:
+def _compile_entry(function: Callable[..., None], forces: int, count: int) -> tuple[int, object]:
     """Make a C function of a pair's function; return its address and the object that keeps it.
 
     The law calls the C function by its address, with the addresses of arrays (see `evaluate`). The

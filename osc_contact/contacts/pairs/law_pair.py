@@ -2,6 +2,10 @@
 
 The tick runs compiled functions. `LawPair` runs the same source as Python, on floats for one
 instant or on arrays for many instants.
+
+A `LawPair` keeps its geometry as `_row`, the PairRow from which MODEL is packed (kind, parameters),
+and as `_numbers`, the same in the form that the law's functions index: stand-ins of a PAIR row and
+of its SHAPE rows.
 """
 
 from __future__ import annotations
@@ -31,7 +35,7 @@ _point = as_python(law.point_of_contact)
 _Elements = dict[tuple[int, int], Any]
 _IDENTITY = {(i, j): float(i == j) for i in range(3) for j in range(4)}
 #: Methods whose results follow from the row; a subclass that overrides one has no row.
-_GIVEN_BY_ROW = ("contact", "points_of_contact")
+_METHODS_OF_ROW = ("contact", "points_of_contact")
 
 
 class PairRow(NamedTuple):
@@ -62,8 +66,15 @@ def shape(*parts: Array | float) -> Array:
 def law_row(pair: ContactPair) -> PairRow | None:
     """Description of a pair for the compiled law.
 
+    A subclass of a packaged pair may override a method, such as `contact`; then the row of its base
+    class would describe another pair, so Python evaluates it. Classes before the one that declares
+    `row`, in the order of method resolution, are searched for such methods (`_METHODS_OF_ROW`).
+
+    Args:
+        pair: any contact pair.
+
     Returns:
-        None if the pair has none, or if its class overrides a method that the row describes.
+        The row; None if the pair has none, or if its class overrides such a method.
     """
     row = getattr(pair, "row", None)
     if row is None:
@@ -71,7 +82,7 @@ def law_row(pair: ContactPair) -> PairRow | None:
     classes = type(pair).__mro__
     declared_by = next(kind for kind in classes if "row" in vars(kind))
     newer = classes[: classes.index(declared_by)]
-    is_overridden = any(name in vars(kind) for kind in newer for name in _GIVEN_BY_ROW)
+    is_overridden = any(name in vars(kind) for kind in newer for name in _METHODS_OF_ROW)
     return None if is_overridden else row()
 
 
@@ -88,7 +99,7 @@ class LawPair(PackagedPair):
     _row: PairRow
     _numbers: tuple[Any, Shapes]
 
-    def _hold(
+    def _store_geometry(
         self, surface_point: Array, kind: int, shapes: tuple[Array, ...], freedoms: int = 0
     ) -> None:
         """Store the geometry of a pair during its construction.
@@ -117,9 +128,9 @@ class LawPair(PackagedPair):
         Args:
             b: poses and twists of object and environment at one instant.
         """
-        A = _elements(b.X_A)
-        E = _elements(b.X_E)
-        columns = self._columns(A, E, b.V_A, b.V_E)
+        A = _pose_elements(b.X_A)
+        E = _pose_elements(b.X_E)
+        columns = self._evaluate_columns(A, E, b.V_A, b.V_E)
         N = np.array([column.N for column in columns]).reshape(-1, 6).T
         n_gamma = np.array([column.n_gamma for column in columns])
         T = None
@@ -138,9 +149,9 @@ class LawPair(PackagedPair):
         Returns:
             (3, r) points in world coordinates (m).
         """
-        A = _elements(X_WO)
-        E = _IDENTITY if X_WE is None else _elements(X_WE)
-        shapes_and_columns = zip(self._numbers[1], self._columns(A, E), strict=False)
+        A = _pose_elements(X_WO)
+        E = _IDENTITY if X_WE is None else _pose_elements(X_WE)
+        shapes_and_columns = zip(self._numbers[1], self._evaluate_columns(A, E), strict=False)
         points = [
             _point(self._row.kind, shape.row, A, E, column.N)
             for shape, column in shapes_and_columns
@@ -159,14 +170,14 @@ class LawPair(PackagedPair):
         """
         A = _elements_over(X_WO)
         E = _IDENTITY if X_WE is None else _elements_over(X_WE)
-        columns = self._columns(A, E)
+        columns = self._evaluate_columns(A, E)
         N = np.empty((6, len(columns), X_WO.p.shape[-1]))
         for j, column in enumerate(columns):
             for i in range(6):
                 N[i, j] = column.N[i]
         return N
 
-    def _columns(
+    def _evaluate_columns(
         self, A: _Elements, E: _Elements, V_O: Array = AT_REST, V_E: Array = AT_REST
     ) -> list[Any]:
         """Evaluate the pair by the functions of the law.
@@ -227,7 +238,7 @@ def normals_over(pair: ContactPair, X_WO: Poses, X_WE: Poses | None = None) -> A
     return np.stack(parts, axis=-1)
 
 
-def _elements(X: SE3) -> _Elements:
+def _pose_elements(X: SE3) -> _Elements:
     """Elements of a pose as a dictionary of floats, in the form that the law's functions index.
 
     The law reads elements as X[i, j]. Run as Python it is much faster with a dictionary of floats

@@ -1,4 +1,10 @@
-"""Pairs made of points of the object, each held on a plane of the environment."""
+"""Pairs made of points of the object, each held on a plane of the environment.
+
+Each pair states its geometry in `_make`, which is called at the end of its construction, by
+`_hold_points`: points (3, r) of the object, the normals (3, r) into the planes, a point of all
+planes, and the radius of the surface about each point. `ends` are the two ends of a segment,
+`triad(n)` (3, 3) has perpendicular unit vectors as columns, the last one along n.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +70,7 @@ class PointsOnPlanes(LawPair):
             shape(point, direction, height)
             for point, direction, height in zip(points.T, directions.T, heights, strict=True)
         ]
-        self._hold(on_plane, POINTS, tuple(shapes))
+        self._store_geometry(on_plane, POINTS, tuple(shapes))
 
     @property
     def into(self) -> Array:
@@ -73,6 +79,9 @@ class PointsOnPlanes(LawPair):
 
     def _gaps(self, X_EA: SE3) -> Array:
         """Signed distances (r,) minus ρ (m), negative in an overlap.
+
+        `_points` (3, r) are the points of the object in its frame, `_into` (3, r) the normals into
+        the faces and `_reach` (r,) the heights of the faces along them less ρ, in the body's frame.
 
         Args:
             X_EA: pose of the object in the frame of the environment's body.

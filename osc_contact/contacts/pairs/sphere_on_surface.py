@@ -67,10 +67,13 @@ class SphereOnSurface(LawPair):
         )
         shapes = self.surface.rows(self.centre, self.radius, seat)
         store(self, X_ES=seat)
-        self._hold(self.surface_point, SURFACE, shapes, len(shapes) - 1)
+        self._store_geometry(self.surface_point, SURFACE, shapes, len(shapes) - 1)
 
     def nearest(self, points: Array) -> tuple[Array, Array, Array]:
         """Signed distances (k,) (m), feet (3, k) on the surface and outward normals (3, k) there.
+
+        They are computed in the surface's frame by the law's function, from the SHAPE rows in
+        `_numbers`.
 
         Args:
             points: (3, k) points in the environment frame (m).

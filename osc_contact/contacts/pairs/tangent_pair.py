@@ -1,4 +1,14 @@
-"""Pairs defined by the permitted motions T, with explicit N, NᵀT = 0, and n_γ = NᵀṪβ."""
+"""Pairs defined by the permitted motions T, with explicit N, NᵀT = 0, and n_γ = NᵀṪβ.
+
+A is the object, E the touched body, each with its frame. Each pair states its geometry in `_make`,
+which is called at the end of its construction, by `_hold_tangents`: a point of A that is held in
+some directions of E (forces), directions of A that are held at right angles to directions of E
+(couples), and the motions that remain free. `shape` makes of each column or motion a row of numbers
+for the law, whose kind is FORCE, COUPLE or THREAD (columns), TURN, SLIDE or SCREW (motions).
+`triad(d)` (3, 3) has three perpendicular unit vectors as columns, the last one along d;
+`held_axis(axis, seat)` are the directions that keep an axis of A parallel to a direction of E, its
+seat.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +27,7 @@ from osc_contact.errors import InvalidInputError
 from osc_contact.law.records import COUPLE, FORCE, SCREW, SLIDE, TANGENTS, THREAD, TURN
 from osc_contact.spatial import Array
 
-_NONE = np.zeros((3, 0))
+_NO_VECTORS = np.zeros((3, 0))
 
 
 class TangentPair(PointsOnPlanes):
@@ -40,7 +50,7 @@ class TangentPair(PointsOnPlanes):
         point: Array,
         directions: Array,
         on_plane: Array,
-        right_angles: tuple[Array, Array] = (_NONE, _NONE),
+        right_angles: tuple[Array, Array] = (_NO_VECTORS, _NO_VECTORS),
         freedoms: tuple[Array, ...] = (),
         threads: tuple[Array, ...] = (),
     ) -> None:
@@ -69,10 +79,17 @@ class TangentPair(PointsOnPlanes):
         forces = (shape(point, n, FORCE) for n in directions.T)
         couples = (shape(a, u, COUPLE) for a, u in zip(arms.T, marks.T, strict=True))
         shapes = (*forces, *couples, *threads, *freedoms)
-        self._hold(on_plane, TANGENTS, shapes, len(freedoms))
+        self._store_geometry(on_plane, TANGENTS, shapes, len(freedoms))
 
     def _gaps(self, X_EA: SE3) -> Array:
-        """Signed errors (r,): of the points (m), of the directions (rad, to first order)."""
+        """Signed errors (r,): of the points (m), of the directions (rad, to first order).
+
+        A direction of the object (`_arms`, (3, k) in its frame) must stay at right angles to one of
+        the body (`_marks`, (3, k)); their product is the error.
+
+        Args:
+            X_EA: pose of the object in the frame of the environment's body.
+        """
         angles = -((X_EA.rotation @ self._arms) * self._marks).sum(axis=0)
         return np.concatenate((super()._gaps(X_EA), angles))
 
@@ -293,6 +310,10 @@ class Screw(TangentPair):
 
     def _gaps(self, X_EA: SE3) -> Array:
         """Signed errors (5,) (m, rad), the last one within ±π |pitch|.
+
+        The last one is the travel along the axis less that of the thread at the angle of the
+        object. `_seat` (3, 3) has two axes across the screw's axis and this axis, as columns. The
+        angle is known up to whole turns, so the error is too.
 
         Args:
             X_EA: pose of the object in the frame of the environment's body.

@@ -1,4 +1,9 @@
-"""Pairs with a face of the object on a vertex of the environment, and with two crossed edges."""
+"""Pairs with a face of the object on a vertex of the environment, and with two crossed edges.
+
+Each pair states its geometry in `_make`, which is called at the end of its construction: a row of
+numbers by `shape`, which is stored with its kind by `_store_geometry` and read by the law's
+function for this kind.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +57,7 @@ class FaceOnVertex(LawPair):
     def _make(self) -> None:
         """Make the pair's row of the law."""
         row = shape(self.normal, self.body_vertex, self.radius)
-        self._hold(self.body_vertex, FACE_ON_VERTEX, (row,))
+        self._store_geometry(self.body_vertex, FACE_ON_VERTEX, (row,))
         store(self, surface_radius=self.radius)
 
     def _gaps(self, X_EA: SE3) -> Array:
@@ -118,7 +123,7 @@ class EdgeOnEdge(LawPair):
             )
         side = (0.0, out) if np.ndim(out) else (out, np.zeros(3))
         lines = (self.point, self.direction, self.edge_point, self.edge_direction)
-        self._hold(self.edge_point, EDGES, (shape(*lines, *side),))
+        self._store_geometry(self.edge_point, EDGES, (shape(*lines, *side),))
 
     def _gaps(self, X_EA: SE3) -> Array:
         """Distance (1,) between the two edges (m), negative when they have passed each other."""

@@ -90,15 +90,15 @@ def inspect_rig(rig: Rig) -> Inspection:
             f"joints of '{arm.name}': {loss_words(joint_losses(arm.model))}"
             for arm in rig.chain.arms
         ),
-        *_friction(rig),
-        *(_stages(rig) if rig.scenario.plan is None else _plan_stages(rig)),
+        *_friction_sentences(rig),
+        *(_stage_sentences(rig) if rig.scenario.plan is None else _plan_stages(rig)),
         *_contact_lines(rig),
         *(f"{one.sentence} (v √(k m))." for one in landings(rig)),
-        *_skew(rig),
-        *_normals(rig),
+        *_line_distances(rig),
+        *_normal_sentences(rig),
         *undistinguished(rig),
         *(f"free motion {i + 1}: {_twist_words(t)}" for i, t in enumerate(free.T)),
-        *_redundancy(len(rig.chain.arms), internal, arm_motions),
+        *_redundancy_sentences(len(rig.chain.arms), internal, arm_motions),
         f"conditioning of the contact forces: {conditioning:.3g} (1 = independent of each other)",
     )
     return Inspection(
@@ -113,7 +113,7 @@ def inspect_rig(rig: Rig) -> Inspection:
     )
 
 
-def _stages(rig: Rig) -> Iterator[str]:
+def _stage_sentences(rig: Rig) -> Iterator[str]:
     """Sentences on the sets of contacts that are named active, one after the other.
 
     Args:
@@ -178,7 +178,7 @@ def _failure_words(stage: Stage) -> str:
     return words + ("" if stage.largest == np.inf else f", or above {stage.largest:g} N")
 
 
-def _friction(rig: Rig) -> Iterator[str]:
+def _friction_sentences(rig: Rig) -> Iterator[str]:
     """Sentences on modelled friction and rotors that limit accuracy or stability of control.
 
     Args:
@@ -193,7 +193,7 @@ def _friction(rig: Rig) -> Iterator[str]:
             yield f"joints of '{arm.name}': {words}"
 
 
-def _normals(rig: Rig) -> Iterator[str]:
+def _normal_sentences(rig: Rig) -> Iterator[str]:
     """Sentences on contact normals that the motion does not reveal, and the resulting errors.
 
     Args:
@@ -220,7 +220,7 @@ def _free_motions(state: ChainState, contact: Contact) -> Array:
     return echelon(state.S @ Vh[contact.r :].T)
 
 
-def _redundancy(arms: int, internal: int, arm_motions: int) -> Iterator[str]:
+def _redundancy_sentences(arms: int, internal: int, arm_motions: int) -> Iterator[str]:
     """Sentences on internal forces and null-space motions.
 
     Args:
@@ -252,33 +252,34 @@ def _contact_lines(rig: Rig) -> Iterator[str]:
             kind = (
                 "the face"
                 if isinstance(pair, VertexOnFace)
-                else f"the {_words(pair).split()[-1]} of '{_body(rig, i)}'"
+                else f"the {_pair_words(pair).split()[-1]} of '{_touched_body(rig, i)}'"
             )
             yield (
-                f"contact '{pair.name}': force along {_vector(directions[0])} into {kind}, "
-                f"through {_vector(points[0])} m."
+                f"contact '{pair.name}': force along {_vector_text(directions[0])} into {kind}, "
+                f"through {_vector_text(points[0])} m."
             )
             continue
         sign = "pushing only" if pushes_only(pair) else "of either sign"
         yield (
-            f"contact '{pair.name}' ({_words(pair)} of '{_body(rig, i)}'): {len(points)} forces at "
-            f"once, {sign}; any force and couple it transmits is made of them:"
+            f"contact '{pair.name}' ({_pair_words(pair)} of '{_touched_body(rig, i)}'): "
+            f"{len(points)} forces at once, {sign}; any force and couple it transmits is made of "
+            "them:"
         )
         for k, (p, d) in enumerate(zip(points, directions, strict=True)):
-            yield f"  {pair.name}.{k + 1} along {_vector(d)} through {_vector(p)} m"
+            yield f"  {pair.name}.{k + 1} along {_vector_text(d)} through {_vector_text(p)} m"
 
 
-def _words(pair: ContactPair) -> str:
+def _pair_words(pair: ContactPair) -> str:
     """FaceOnFace → face on face."""
     return re.sub(r"(?<!^)(?=[A-Z])", " ", type(pair).__name__).lower()
 
 
-def _body(rig: Rig, contact: int) -> str:
+def _touched_body(rig: Rig, contact: int) -> str:
     """Name of the body that a contact touches, by the index of the contact."""
     return rig.bodies[rig.on[contact]].name
 
 
-def _skew(rig: Rig) -> Iterator[str]:
+def _line_distances(rig: Rig) -> Iterator[str]:
     """Describe distance and angle of the lines of force of all pairs of contacts with one line.
 
     Args:
@@ -314,12 +315,13 @@ def _twist_words(twist: Array) -> str:
     """
     v, w = np.split(twist, 2)
     if norm(w) < 1e-9 * max(norm(v), 1.0):
-        return f"translation along {_vector(v / norm(v))}"
+        return f"translation along {_vector_text(v / norm(v))}"
     turn = w / norm(w)
     speed = v / norm(w)
     pitch = turn @ speed
     point = np.cross(turn, speed)
-    words = f"turning about {_vector(turn)} through {_vector(point)} m from the object's origin"
+    axis = f"{_vector_text(turn)} through {_vector_text(point)} m"
+    words = f"turning about {axis} from the object's origin"
     return words + (f", advancing {1e3 * pitch:.1f} mm/rad" if abs(pitch) > 5e-5 else "")
 
 
@@ -327,11 +329,11 @@ def _wrench_words(wrench: Array) -> str:
     """Words for a wrench (6,) up to its size: a direction of force, or of a couple, or both."""
     force, couple = np.split(wrench, 2)
     if norm(force) < 1e-6 * norm(couple):
-        return f"couple about {_vector(couple / norm(couple))}"
+        return f"couple about {_vector_text(couple / norm(couple))}"
     size = norm(force)
-    return f"force along {_vector(force / size)} with couple {_vector(couple / size)} m"
+    return f"force along {_vector_text(force / size)} with couple {_vector_text(couple / size)} m"
 
 
-def _vector(x: Array) -> str:
+def _vector_text(x: Array) -> str:
     """Write a vector with three decimals, without −0."""
     return f"[{', '.join(f'{value:.3f}' for value in np.round(x, 3) + 0.0)}]"

@@ -56,6 +56,9 @@ _logger = logging.getLogger("osc_contact.preflight")
 def task_of_rig(rig: Rig) -> Task:
     """Make the task of a scenario: references, and the true chain and contacts of its plant.
 
+    The rules of `osc_contact/loop/` compare these before a run. References are those of 2000
+    instants, which takes less time than those of all ticks.
+
     Args:
         rig: rig of the scenario.
     """
@@ -78,7 +81,7 @@ def task_of_rig(rig: Rig) -> Task:
         poses=plan.X_WD,
         forces=plan.commands,
         active=plan.active,
-        trial=partial(_trial, rig),
+        trial=partial(_trial_controller, rig),
         squeezes=np.full(len(times), abs(plan.squeeze_d)),
         commanded=plan.V_D,
         every=lambda period: rig.references.each(int(scenario.duration / period), period),
@@ -90,7 +93,7 @@ def task_of_rig(rig: Rig) -> Task:
     )
 
 
-def _trial(rig: Rig) -> tuple[Controller, Measurement]:
+def _trial_controller(rig: Rig) -> tuple[Controller, Measurement]:
     """Controller of a scenario with its contacts engaged, and a measurement at rest in contact.
 
     Args:
@@ -427,7 +430,7 @@ class _Solid:
         return min(nearest(shape, X, ball, X_ball).distance for shape, X in self.shapes)
 
 
-def _solids(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
+def _placed_contacts(rig: Rig) -> Iterator[tuple[int, ContactPair, dict[str, _Solid]]]:
     """Yield the contacts that have a place, with the solids that they are between.
 
     Args:
@@ -462,7 +465,7 @@ def beside(rig: Rig) -> Values:
     """
     if rig.scenario.plant.exact:
         return
-    for _, pair, solids in _solids(rig):
+    for _, pair, solids in _placed_contacts(rig):
         points, _ = feet(pair, rig.state.X_WO)
         for solid in solids.values():
             for point in points if solid.shapes else ():
@@ -489,7 +492,7 @@ def inverted(rig: Rig) -> Values:
     Yields:
         Value that the rule compares with its limits, and the words of its sentence.
     """
-    for i, pair, solids in _solids(rig):
+    for i, pair, solids in _placed_contacts(rig):
         if not pushes_only(pair):
             continue
         points, directions = feet(pair, rig.state.X_WO)
@@ -527,7 +530,7 @@ def inside(rig: Rig) -> Values:
     """
     if rig.scenario.plant.exact or any(normals.findings(rig)) or any(inverted.findings(rig)):
         return
-    touched = {solids["body"].name: solids for _, _, solids in _solids(rig)}
+    touched = {solids["body"].name: solids for _, _, solids in _placed_contacts(rig)}
     for name, solids in touched.items():
         object_shapes = solids["object"].shapes
         for shape, X in solids["body"].shapes if object_shapes else ():

@@ -129,7 +129,8 @@ def run(
     task = load_task(scenario, set_, plant, duration)
     folder = out_dir or Path("out") / task.file_stem
     require_report(task)
-    code = 0
+    code = 0  # exit code: 130 after an interruption, 1 if the task failed or there are doubts
+    # a second process loads matplotlib during the run, where there is a core for it
     figure_process = FigureProcess() if available_cores() > 1 else nullcontext()
     with sole_user(folder), figure_process as figures:
         try:
@@ -210,6 +211,7 @@ def view(
     folder: FolderOption = None,
 ) -> None:
     """Look at a scenario or a recording: page with a time slider (default), PNG, GIF, MP4, live."""
+    # bodies and marks to draw (`content`): of a recording, a task that is run first, or a scenario
     film = gif or mp4
     _require_writable(live, html, png, gif, mp4, time)
     recording = scenario = None
@@ -229,7 +231,7 @@ def view(
     if live:
         show_live(content, scenario, recording, seed, hold)
         return
-    if scenario is not None:
+    if scenario is not None:  # everything but a live view needs the whole run
         recording = run_with_progress(scenario, seed, None)
     assert recording is not None
     if png:
@@ -408,19 +410,19 @@ def programs() -> Iterator[tuple[str, str, str]]:
     A title is that of the page and of the section, such as "Two arms: The chain in Python".
     """
     for page in PAGES:
-        text = _page(page).read_text(encoding="utf-8")
+        text = _page_file(page).read_text(encoding="utf-8")
         for program in PROGRAM.finditer(text):
             title, *sections = HEADING.findall(PROGRAM.sub("", text[: program.start()]))
             if page == "README.md":
                 yield ("first_program", "First program", program[1])
             elif sections:
-                name = _slug(f"{Path(page).stem} {sections[-1]}")
+                name = _file_name_of(f"{Path(page).stem} {sections[-1]}")
                 yield (name, f"{title}: {sections[-1]}", program[1])
             else:
                 yield (Path(page).stem, title, program[1])
 
 
-def _page(name: str) -> Path:
+def _page_file(name: str) -> Path:
     """File of a page, inside the installed package or in the checkout.
 
     Args:
@@ -431,7 +433,7 @@ def _page(name: str) -> Path:
     return next((place for place in places if place.is_file()), places[0])
 
 
-def _slug(heading: str) -> str:
+def _file_name_of(heading: str) -> str:
     """Heading as a file name: its words in ASCII letters, joined by "_"."""
     plain = unicodedata.normalize("NFKD", heading).encode("ascii", "ignore")
     return "_".join(re.findall(r"[a-z0-9]+", plain.decode().lower()))

@@ -45,7 +45,7 @@ def check(
     )
     say(*report.lines())
     results = report.as_dict()
-    if report.sound and not is_mjcf(path):
+    if report.sound and not is_mjcf(path):  # yourdfpy reads URDFs only
         differences = second_reading.differences(
             path, limits=by_hand, inertias=inertias, package_dirs=places
         )
@@ -82,7 +82,7 @@ def pose(
     Without --posture the joints are as the robot or scenario declares them. The pose is in world
     axes (m, rad); the posture has one number for each joint (m, rad).
     """
-    chain, q, X = _start(what, tip, set_)
+    chain, q, X = _chain_at_start(what, tip, set_)
     if posture is not None:
         q = poses.numbers("posture", posture)
         if q.shape != (chain.nq,):
@@ -113,7 +113,7 @@ def pose(
         raise Exit(1)
 
 
-def _start(
+def _chain_at_start(
     name: str, tip: str | None, changes: list[str] | None
 ) -> tuple[ClosedChain, np.ndarray, pin.SE3 | None]:
     """Chain of a scenario or a robot, its posture (n,) and the pose of a scenario's object.

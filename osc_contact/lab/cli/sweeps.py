@@ -128,7 +128,7 @@ def tune(
             scenario,
             vary or (),
             objective=objective,
-            limits=_limits(limit or []),
+            limits=_parse_limits(limit or []),
             trials=trials,
             over=over or (),
             samples=samples,
@@ -139,6 +139,7 @@ def tune(
             scheduler=scheduler,
             progress=progress,
         )
+    # without a better trial there is nothing to paste: exit code 1
     show_tuned(tuned, objective)
     if json_file:
         write_json(asdict(tuned) | {"better": tuned.better}, json_file)
@@ -146,7 +147,7 @@ def tune(
         raise Exit(1)
 
 
-def _limits(texts: list[str]) -> dict[str, float]:
+def _parse_limits(texts: list[str]) -> dict[str, float]:
     """Largest value by column, read from texts COLUMN=NUMBER.
 
     Raises:

@@ -1,6 +1,13 @@
 """A second, independent judge: Drake, with its own dynamics, contacts and closed loops.
 
 Nothing of the toolkit's dynamics is used here: the URDFs are read by Drake's own parser.
+
+Attributes of `DrakePlant` beside the public ones: `_simulator` and its `_root_context`, the state
+of the whole diagram; `_torque_port`, input of motor torques; `_reaction_port`, output of the
+wrenches in all joints; `_q` and `_v`, (n,) indices of the chain's joints in Drake's state; `_tau`,
+(n_a,) torques applied last (N m, N); `_step`, Drake's step (s), and `_steps`, steps since the last
+reset. `DrakeTruth` has `_plant`, the plant that it records; `_contact_port`, output of the
+contacts; and `_rows`, the recorded rows.
 """
 
 from __future__ import annotations
@@ -81,11 +88,11 @@ class DrakePlant:
         # indices of the chain's joints in Drake's state vectors
         self._q = np.array([joint.position_start() for joint in self.scene.joints])
         self._v = np.array([joint.velocity_start() for joint in self.scene.joints])
-        self._torques = plant.get_actuation_input_port()
-        self._reactions = plant.get_reaction_forces_output_port()
+        self._torque_port = plant.get_actuation_input_port()
+        self._reaction_port = plant.get_reaction_forces_output_port()
         self._simulator = analysis.Simulator(self.scene.diagram)
-        self._root = self._simulator.get_mutable_context()
-        self.context: Any = plant.GetMyMutableContextFromRoot(self._root)
+        self._root_context = self._simulator.get_mutable_context()
+        self.context: Any = plant.GetMyMutableContextFromRoot(self._root_context)
         self._tau = np.zeros(chain.n_a)
         self._steps = 0
         self.time = 0.0
@@ -94,12 +101,12 @@ class DrakePlant:
         """Start at rest at joint positions q (n,) at which loops are closed and contacts touch."""
         q = as_array("q", q, (self.chain.nq,))
         plant = self.scene.plant
-        self.scene.diagram.SetDefaultContext(self._root)
+        self.scene.diagram.SetDefaultContext(self._root_context)
         positions = plant.GetPositions(self.context)
         positions[self._q] = q
         plant.SetPositions(self.context, positions)
         plant.SetVelocities(self.context, np.zeros(plant.num_velocities()))
-        self._root.SetTime(0.0)
+        self._root_context.SetTime(0.0)
         self._steps = 0
         self.time = 0.0
         self.hold(np.zeros(self.chain.n_a))
@@ -108,13 +115,13 @@ class DrakePlant:
     def hold(self, tau: Array) -> None:
         """Apply torques tau (n_a,) from now on without letting time pass (N m, N)."""
         self._tau = as_array("tau", tau, (self.chain.n_a,))
-        self._torques.FixValue(self.context, self._tau)
+        self._torque_port.FixValue(self.context, self._tau)
 
     def measure(self) -> Measurement:
         """Read encoders, and the wrist wrenches under the torques applied last."""
         plant = self.scene.plant
         wrenches = np.zeros((len(self.chain.arms), 6))
-        reactions = self._reactions.Eval(self.context)
+        reactions = self._reaction_port.Eval(self.context)
         for i, cut in enumerate(self.scene.cuts):
             if cut is not None:
                 wrenches[i, :3] = reactions[cut].translational()
@@ -143,7 +150,7 @@ class DrakePlant:
         except RuntimeError as error:
             raise PlantError(f"Drake fails at t = {self.time:.4f} s: {error}") from error
         largest = np.abs(self.scene.plant.GetVelocities(self.context)).max()
-        if not largest < 1e3:
+        if not largest < 1e3:  # m/s, rad/s, far above all speeds of a task; true for NaN, too
             raise PlantError(
                 f"Drake diverged at t = {self.time:.4f} s; largest speed {largest:.3g}. Lower the "
                 "gains or the plant step."
@@ -176,7 +183,7 @@ class DrakeTruth(NotedWrenches):
         inertia = plant.chain.reference_inertia(pin.SE3.Identity())
         super().__init__(plant.contacts, plant.faces, inertia)
         self._plant = plant
-        self._results = plant.scene.plant.get_contact_results_output_port()
+        self._contact_port = plant.scene.plant.get_contact_results_output_port()
         self._rows: list[Array] = []
 
     def note(self) -> None:
@@ -191,7 +198,7 @@ class DrakeTruth(NotedWrenches):
         V = scene.held.EvalSpatialVelocityInWorld(context)
         wrenches = np.zeros((len(self._plant.faces.rails), 6))
         touched = np.zeros(len(wrenches))
-        for body, point, normal, force, moment in self._touches():
+        for body, point, normal, force, moment in self._present_contacts():
             f = normal * (normal @ force)
             # friction of a flat area has its moment along the normal
             m = moment - normal * (normal @ moment)
@@ -201,29 +208,31 @@ class DrakeTruth(NotedWrenches):
         parts = (R, X.translation(), V.translational(), V.rotational(), wrenches, touched)
         self._rows.append(np.concatenate(parts, axis=None))
 
-    def _touches(self) -> list[tuple[int, Array, Array, Array, Array]]:
+    def _present_contacts(self) -> list[tuple[int, Array, Array, Array, Array]]:
         """Contacts of the present step: body, point, normal, force and moment on the body.
 
         Points (m), unit normals, forces (N) and moments at the point (N m) are in world axes.
         """
-        results = self._results.Eval(self._plant.context)
+        results = self._contact_port.Eval(self._plant.context)
         found = []
         for i in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(i)
             pair = info.point_pair()
-            body, sign = self._side(pair.id_B, pair.id_A)  # the force is given on the second body
+            # Drake gives the force on the second body of a pair of points
+            body, sign = self._body_and_sign(pair.id_B, pair.id_A)
             force = sign * info.contact_force()
             found.append((body, info.contact_point(), pair.nhat_BA_W, force, np.zeros(3)))
         for i in range(results.num_hydroelastic_contacts()):
             info = results.hydroelastic_contact_info(i)
             area = info.contact_surface()
-            body, sign = self._side(area.id_M(), area.id_N())  # it is given on the first body
+            # and that of a flat area on its first body
+            body, sign = self._body_and_sign(area.id_M(), area.id_N())
             force = sign * info.F_Ac_W().translational()
             moment = sign * info.F_Ac_W().rotational()
             found.append((body, area.centroid(), area.face_normal(0), force, moment))
         return found
 
-    def _side(self, on: Any, other: Any) -> tuple[int, float]:
+    def _body_and_sign(self, on: Any, other: Any) -> tuple[int, float]:
         """Index of the environment's body in a contact, and the sign of the force on it.
 
         Args:

@@ -101,7 +101,7 @@ def scene(
         arm, joint = name.split("/", 1)
         index = [one.name for one in chain.arms].index(arm)
         joints.append(plant.GetJointByName(joint, models[index]))
-    _drive(plant, chain, joints)
+    _add_motors(plant, chain, joints)
     held = _add_body(plant, "object", _object_text(chain, object_urdf))
     tips = [plant.GetBodyByName(a.tip, m) for a, m in zip(chain.arms, models, strict=True)]
     _hold_object(plant, chain, tips, held)
@@ -109,22 +109,22 @@ def scene(
     _set_material(plant, geometry, held, options, is_soft=bool(has_areas), is_held=True)
     for i, (file, placement) in enumerate(bodies):
         face = _add_body(plant, f"face{i}", ElementTree.parse(file).getroot())
-        plant.WeldFrames(plant.world_frame(), face.body_frame(), _transform(placement))
+        plant.WeldFrames(plant.world_frame(), face.body_frame(), _drake_transform(placement))
         _set_material(plant, geometry, face, options, is_soft=i in has_areas, is_held=False)
         faces |= {shape.get_value(): i for shape in plant.GetCollisionGeometriesForBody(face)}
     plant.Finalize()
-    cuts = [_cut(plant, a, m) for a, m in zip(chain.arms, models, strict=True)]
+    cuts = [_wrist_reaction(plant, a, m) for a, m in zip(chain.arms, models, strict=True)]
     return DrakeScene(builder.Build(), plant, tuple(joints), held, tuple(tips), faces, tuple(cuts))
 
 
-def _transform(X: pin.SE3) -> Any:
+def _drake_transform(X: pin.SE3) -> Any:
     """Convert a pose to Drake's "RigidTransform"."""
     from pydrake.math import RigidTransform, RotationMatrix
 
     return RigidTransform(RotationMatrix.ProjectToRotationMatrix(X.rotation), X.translation)
 
 
-def _add(plant: Any, text: Element, name: str) -> Any:
+def _add_model(plant: Any, text: Element, name: str) -> Any:
     """Add a model from a URDF, and return Drake's index of it.
 
     Args:
@@ -172,6 +172,8 @@ def _add_arm(plant: Any, arm: Arm, file: Path) -> Any:
             f"arm '{arm.name}': the drake plant reads URDFs, and {file.name} is MJCF; use "
             "plant.type mujoco"
         )
+    # Drake gets shapes only of bodies that touch, and losses of joints and drives by `_add_motors`;
+    # it refuses or misreads some of the other elements
     text = ElementTree.parse(file).getroot()
     unused = ("visual", "collision", "dynamics", "mimic", "safety_controller", "calibration")
     for element in text.iter():
@@ -187,15 +189,20 @@ def _add_arm(plant: Any, arm: Arm, file: Path) -> Any:
                 element.set(key, "world_of_arm")
     for joint in text.findall("joint"):
         if joint.get("name") in arm.locked:
-            _fix(joint, arm.locked[joint.get("name", "")])
+            _fix_joint(joint, arm.locked[joint.get("name", "")])
     root = _root_link(text)
-    model = _add(plant, text, arm.name)
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(root, model), _transform(arm.base))
+    model = _add_model(plant, text, arm.name)
+    plant.WeldFrames(
+        plant.world_frame(), plant.GetFrameByName(root, model), _drake_transform(arm.base)
+    )
     return model
 
 
-def _fix(joint: Element, position: float) -> None:
+def _fix_joint(joint: Element, position: float) -> None:
     """Replace a joint of a URDF by a fixed one at a position.
+
+    The pose X of the fixed joint is the origin of the joint, followed by a translation along its
+    axis (sliding) or a rotation about it. Axis and limits are removed, as fixed joints have none.
 
     Args:
         joint: element, changed.
@@ -203,7 +210,13 @@ def _fix(joint: Element, position: float) -> None:
     """
 
     def vector(tag: str, key: str, default: str) -> Array:
-        """Read three numbers of a child of the joint."""
+        """Read three numbers of the first child `tag` of the joint: its attribute `key`.
+
+        Args:
+            tag: name of the child element.
+            key: name of the attribute.
+            default: text of the numbers if child or attribute is missing.
+        """
         child = joint.find(tag)
         return np.array((default if child is None else child.get(key, default)).split(), float)
 
@@ -221,16 +234,19 @@ def _fix(joint: Element, position: float) -> None:
         for child in joint.findall(tag):
             joint.remove(child)
     ElementTree.SubElement(
-        joint, "origin", xyz=_words(X.translation), rpy=_words(pin.rpy.matrixToRpy(X.rotation))
+        joint,
+        "origin",
+        xyz=_exact_text(X.translation),
+        rpy=_exact_text(pin.rpy.matrixToRpy(X.rotation)),
     )
 
 
-def _words(numbers: Sequence[float] | Array) -> str:
+def _exact_text(numbers: Sequence[float] | Array) -> str:
     """Numbers as words of a URDF, without loss."""
     return " ".join(repr(float(x)) for x in numbers)
 
 
-def _drive(plant: Any, chain: ClosedChain, joints: Sequence[Any]) -> None:
+def _add_motors(plant: Any, chain: ClosedChain, joints: Sequence[Any]) -> None:
     """Add the motors, in the order of the chain's torques, and damping of the joints.
 
     Args:
@@ -264,7 +280,7 @@ def _drive(plant: Any, chain: ClosedChain, joints: Sequence[Any]) -> None:
         motor.set_default_gear_ratio(1.0)
 
 
-def _cut(plant: Any, arm: Arm, model: Any) -> int | None:
+def _wrist_reaction(plant: Any, arm: Arm, model: Any) -> int | None:
     """Place of an arm's wrist in Drake's list of reactions; None: the arm has no sensor.
 
     Args:
@@ -313,11 +329,14 @@ def _add_body(plant: Any, name: str, text: Element) -> Any:
         for child in link.findall("visual"):
             link.remove(child)
     link_name = _root_link(text)
-    return plant.GetBodyByName(link_name, _add(plant, text, name))
+    return plant.GetBodyByName(link_name, _add_model(plant, text, name))
 
 
 def _object_text(chain: ClosedChain, file: Path) -> Element:
     """Root of the object's URDF, with the mass and inertia of the chain's object.
+
+    The model of the object may have another mass than its file, such as a hidden one. The six
+    moments are those of a symmetric matrix, ixx to izz, about the centre of mass.
 
     Args:
         chain: model of arms and object.
@@ -330,11 +349,11 @@ def _object_text(chain: ClosedChain, file: Path) -> Element:
         for child in link.findall("inertial"):
             link.remove(child)
         inertial = ElementTree.SubElement(link, "inertial")
-        ElementTree.SubElement(inertial, "origin", xyz=_words(inertia.lever), rpy="0 0 0")
-        ElementTree.SubElement(inertial, "mass", value=_words([inertia.mass]))
+        ElementTree.SubElement(inertial, "origin", xyz=_exact_text(inertia.lever), rpy="0 0 0")
+        ElementTree.SubElement(inertial, "mass", value=_exact_text([inertia.mass]))
         axes = "xyz"
         moments = {
-            f"i{axes[i]}{axes[j]}": _words([inertia.inertia[i, j]])
+            f"i{axes[i]}{axes[j]}": _exact_text([inertia.inertia[i, j]])
             for i in range(3)
             for j in range(i, 3)
         }
@@ -360,11 +379,11 @@ def _hold_object(plant: Any, chain: ClosedChain, tips: Sequence[Any], held: Any)
             "plant.type mujoco"
         )
     for i, (arm, grasp, tip) in enumerate(zip(chain.arms, chain.grasps, tips, strict=True)):
-        X_TO = _transform(grasp.X_TO)
+        X_TO = _drake_transform(grasp.X_TO)
         if i == chain.leader:
             plant.WeldFrames(tip.body_frame(), held.body_frame(), X_TO)
         elif grasp.is_rigid:
-            plant.AddWeldConstraint(tip, X_TO, held, _transform(pin.SE3.Identity()))
+            plant.AddWeldConstraint(tip, X_TO, held, _drake_transform(pin.SE3.Identity()))
         else:
             for point in _tie_points(arm.name, grasp):
                 plant.AddBallConstraint(tip, point, held, grasp.X_TO.actInv(point))

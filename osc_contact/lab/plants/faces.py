@@ -89,9 +89,9 @@ class Faces:
         self.free = tuple(np.array(free, dtype=int).reshape(-1, 2).T)
         self.s, self.rates, self.second = np.zeros((3, len(self.rails), 2))
         self._driven = list(self.driven)
-        self._forget()
+        self._reset_driven()
 
-    def _forget(self) -> None:
+    def _reset_driven(self) -> None:
         """Reset the stored motion of driven bodies: time, and (3, driven, 2) position and rates."""
         self._commanded: tuple[float, Array] = nan, np.zeros((3, len(self._driven), 2))
 
@@ -99,13 +99,15 @@ class Faces:
         """Put all bodies in their initial pose, driven ones at the beginning of their motion."""
         for state in (self.s, self.rates, self.second):
             state[:] = 0.0
-        self._forget()
+        self._reset_driven()
         self.drive(0.0)
 
     def drive(self, t: float) -> None:
         """Set the state of the driven bodies at time t (s).
 
-        The motions are evaluated once for each time, also if this is called repeatedly.
+        The motions are evaluated once for each time, also if this is called repeatedly:
+        `_commanded` has the last time and (3, driven, 2) displacements (m, rad), rates and
+        accelerations along and about the rails; `_driven` the indices of the bodies.
         """
         if not self.driven:
             return
@@ -180,9 +182,9 @@ class Faces:
         if not self.moving:
             return None
         s, rates, second = np.array((self.s, self.rates, self.second))
-        return TouchedLater.of(partial(self._readings, s, rates, second))
+        return TouchedLater.of(partial(self._body_motions, s, rates, second))
 
-    def _readings(self, s: Array, rates: Array, second: Array) -> Touched:
+    def _body_motions(self, s: Array, rates: Array, second: Array) -> Touched:
         """Poses, twists and known accelerations of the bodies of all contacts.
 
         Only driven bodies have known accelerations; those of others are zero.

@@ -113,7 +113,7 @@ class JointDrives:
     friction: Array | None = None
 
 
-_IMPEDANCE = 0.9999  #: largest impedance that MuJoCo permits
+_LARGEST_IMPEDANCE = 0.9999  #: largest impedance that MuJoCo permits
 
 
 def set_dry_friction(joint: MjsJoint, friction: float, step: float) -> None:
@@ -130,7 +130,13 @@ def set_dry_friction(joint: MjsJoint, friction: float, step: float) -> None:
     """
     joint.frictionloss = friction
     joint.solref_friction = [2 * step, 1.0]
-    joint.solimp_friction = [_IMPEDANCE, _IMPEDANCE, 1.0, 0.5, 1.0]  # the width does not matter
+    joint.solimp_friction = [
+        _LARGEST_IMPEDANCE,
+        _LARGEST_IMPEDANCE,
+        1.0,
+        0.5,
+        1.0,
+    ]  # the width does not matter
 
 
 def add_drives(spec: MjSpec, names: Sequence[str], drives: JointDrives) -> None:

@@ -1,6 +1,21 @@
 """The judging plant: MuJoCo with unilateral contacts, built from the same URDFs as the model.
 
 Nothing of the toolkit's dynamics is used here: the URDFs are read by MuJoCo's own parser.
+
+Attributes of `MujocoPlant` beside the public ones:
+
+* `_mj`: module `mujoco`; `_qpos`, `_qvel`, `_sensordata`, `_ctrl`, `_warnings`: MuJoCo's arrays in
+  `data`; `_option`: its options; `_step`: its step (s);
+* `_flags`, `_flags_without_sensors`: its disable flags, as they are and without sensors;
+* `_q`, `_v`: (n,) indices of the arms' joints in qpos and qvel, in the order of the chain;
+* `_springs`, `_spring_v`: (n_a,) indices of the springs of flexible joints in qpos and qvel; empty
+  if the joints are stiff;
+* `_posed_bodies`: indices of the bodies of the object and of the tips;
+* `_sensed_arms`, `_wrench_indices`: arms with a wrist sensor, and (sensors, 6) indices of their
+  wrenches in the sensor data;
+* `_face_v`: (k,) indices in qvel of the joints of moving bodies, as `face_q` in qpos;
+* `_driven_guides`, `_driven_q`, `_driven_v`: parts of `guided`, `face_q` and `_face_v` for bodies
+  with a prescribed motion.
 """
 
 from __future__ import annotations
@@ -126,17 +141,21 @@ class MujocoPlant:
         except (ValueError, mujoco.FatalError) as error:
             raise PlantError(f"MuJoCo refuses the scene: {error}") from error
         self._connect(model, chain, contacts, faces)
-        self._q, self._v = self._places(chain.joint_names)
+        self._q, self._v = self._find_coordinates(chain.joint_names)
         if self.drives.flexible is not None:
-            self._springs, self._spring_v = self._places([f"{name}/{SPRING}" for name in driven])
+            self._springs, self._spring_v = self._find_coordinates(
+                [f"{name}/{SPRING}" for name in driven]
+            )
         self.object_body = model.body("object/root").id
         tips = [model.body(f"{arm.name}/{arm.tip}").id for arm in chain.arms]
-        self._seen = [self.object_body, *tips]
+        self._posed_bodies = [self.object_body, *tips]
         self.body_of = np.full(model.ngeom, OBJECT)
         for i in range(len(bodies)):
             self.body_of[geoms_beyond(model, model.body(f"face{i}/root").id)] = i
         self._find_guides(faces)
-        if faces.driven:  # the drive's mass must not set the scale of the solver's accuracy
+        # MuJoCo scales the solver's tolerance by the mean inertia; the very large mass that stands
+        # for a drive would make it coarse, so that the scale is set to 1 kg
+        if faces.driven:
             model.stat.meaninertia = 1.0
         self._find_wrist_sensors(chain)
 
@@ -146,9 +165,9 @@ class MujocoPlant:
         Args:
             chain: the true arms.
         """
-        self._sensed = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
-        first = [self.model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed]
-        self._readings = np.add.outer(np.array(first, dtype=int), np.arange(6))
+        self._sensed_arms = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
+        first = [self.model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed_arms]
+        self._wrench_indices = np.add.outer(np.array(first, dtype=int), np.arange(6))
 
     def _find_guides(self, faces: Faces) -> None:
         """Find the coordinates of the joints that guide bodies of the environment.
@@ -158,9 +177,9 @@ class MujocoPlant:
         """
         self.guided = guided_joints(faces.rails)
         guides = [f"face{i}/{GUIDES[k]}" for i, k in zip(*self.guided, strict=True)]
-        self.face_q, self._face_v = self._places(guides)
+        self.face_q, self._face_v = self._find_coordinates(guides)
         by_drive = np.isin(self.guided[0], list(faces.driven))
-        self._driven = tuple(x[by_drive] for x in self.guided)
+        self._driven_guides = tuple(x[by_drive] for x in self.guided)
         self._driven_q = self.face_q[by_drive]
         self._driven_v = self._face_v[by_drive]
 
@@ -191,10 +210,10 @@ class MujocoPlant:
         self._option = model.opt
         self._step = model.opt.timestep
         self._flags = model.opt.disableflags
-        self._blind = self._flags | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        self._flags_without_sensors = self._flags | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self.time = 0.0
 
-    def _places(self, joints: Sequence[str]) -> tuple[Array, Array]:
+    def _find_coordinates(self, joints: Sequence[str]) -> tuple[Array, Array]:
         """Indices of joints in qpos and in qvel.
 
         Args:
@@ -208,14 +227,14 @@ class MujocoPlant:
         q = as_array("q", q, (self.chain.nq,))
         self._mj.mj_resetData(self.model, self.data)
         self._qpos[self._q] = q
-        self._turn_object(q)
+        self._set_grasp_joint(q)
         self.time = 0.0
         self.faces.reset()
         self.data.qfrc_applied[self._face_v] = [self.faces.rails[i].preload for i in self.guided[0]]
-        self._drive(0.0)
+        self._set_driven_faces(0.0)
         self._mj.mj_forward(self.model, self.data)
 
-    def _turn_object(self, q: Array) -> None:
+    def _set_grasp_joint(self, q: Array) -> None:
         """Set the joint of the first grasp, if it has one, so that the others hold the object, too.
 
         Args:
@@ -272,15 +291,15 @@ class MujocoPlant:
         Returns:
             q, v (…, n) and wrenches (…, arms, 6), zero where an arm has no sensor.
         """
-        measured = sensed.take(self._readings, axis=-1)
+        measured = sensed.take(self._wrench_indices, axis=-1)
         wrenches = measured
-        if len(self._sensed) < len(self.chain.arms):
+        if len(self._sensed_arms) < len(self.chain.arms):
             wrenches = np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
-            wrenches[..., self._sensed, :] = measured
-        q = self._joints(qpos, self._q, self._springs)
-        return q, self._joints(qvel, self._v, self._spring_v), wrenches
+            wrenches[..., self._sensed_arms, :] = measured
+        q = self._link_values(qpos, self._q, self._springs)
+        return q, self._link_values(qvel, self._v, self._spring_v), wrenches
 
-    def _joints(self, x: Array, joints: Array, springs: Array) -> Array:
+    def _link_values(self, x: Array, joints: Array, springs: Array) -> Array:
         """Positions or velocities (…, n) of the links: those of the motors plus the springs'.
 
         Args:
@@ -311,13 +330,13 @@ class MujocoPlant:
             faces.rates[self.guided] = self._qvel[self._face_v]
         return Measurement(q, v, wrenches, faces.touched(), self._joint_torques())
 
-    def _drive(self, t: float) -> None:
+    def _set_driven_faces(self, t: float) -> None:
         """Set the state of driven faces at time t (s), and the force that accelerates them."""
         faces = self.faces
         faces.drive(t)
-        self._qpos[self._driven_q] = faces.s[self._driven]
-        self._qvel[self._driven_v] = faces.rates[self._driven]
-        self.data.qfrc_applied[self._driven_v] = DRIVE_MASS * faces.second[self._driven]
+        self._qpos[self._driven_q] = faces.s[self._driven_guides]
+        self._qvel[self._driven_v] = faces.rates[self._driven_guides]
+        self.data.qfrc_applied[self._driven_v] = DRIVE_MASS * faces.second[self._driven_guides]
 
     def truth(self) -> Truth:
         """True state at the beginning of the last step, the instant of the wrist readings."""
@@ -327,9 +346,9 @@ class MujocoPlant:
 
     def poses(self) -> Array:
         """True poses (1 + arms, 4, 4) of object and tips at the beginning of the last step."""
-        X = np.tile(np.eye(4), (len(self._seen), 1, 1))
-        X[:, :3, :3] = self.data.xmat[self._seen].reshape(-1, 3, 3)
-        X[:, :3, 3] = self.data.xpos[self._seen]
+        X = np.tile(np.eye(4), (len(self._posed_bodies), 1, 1))
+        X[:, :3, :3] = self.data.xmat[self._posed_bodies].reshape(-1, 3, 3)
+        X[:, :3, 3] = self.data.xpos[self._posed_bodies]
         X @= self.place.homogeneous
         return X
 
@@ -339,6 +358,9 @@ class MujocoPlant:
 
     def command(self, tau: Array, duration: float) -> None:
         """Hold torques for a control period.
+
+        Moving faces are set before each step. Without them all steps but the last are made in one
+        call, without sensors.
 
         Args:
             tau: (n_a,) motor torques (N m, N).
@@ -352,20 +374,21 @@ class MujocoPlant:
         if self.pushes:
             self.data.xfrc_applied[:] = 0.0
             for push in self.pushes:
-                self._push(push, push.at(self.time))
+                self._apply_push(push, push.at(self.time))
         steps = self.steps_in(duration)
         if self.faces.driven:
             for k in range(steps):
-                self._drive(self.time + k * self._step)
+                self._set_driven_faces(self.time + k * self._step)
                 self._mj.mj_step(self.model, self.data)
         else:
             if steps > 1:  # readings in between are not used
-                self._option.disableflags = self._blind
+                self._option.disableflags = self._flags_without_sensors
                 self._mj.mj_step(self.model, self.data, steps - 1)
                 self._option.disableflags = self._flags
             self._mj.mj_step(self.model, self.data)
         self.time += steps * self._step
-        if any(self._warnings.tolist()):  # of accelerations that are not finite, too
+        # MuJoCo counts its warnings by kind, such as accelerations that are not finite
+        if any(self._warnings.tolist()):
             warnings = [self._mj.mjtWarning(i).name for i in np.flatnonzero(self._warnings)]
             raise PlantError(
                 f"MuJoCo diverged at t = {self.time:.4f} s ({', '.join(warnings)}); largest speed "
@@ -384,7 +407,7 @@ class MujocoPlant:
         """Number of MuJoCo's steps in a control period (s)."""
         return round(period / self._step) or 1
 
-    def _push(self, push: Push, force: Array) -> None:
+    def _apply_push(self, push: Push, force: Array) -> None:
         """Apply a disturbance at the wrist sensor of an arm.
 
         Args:

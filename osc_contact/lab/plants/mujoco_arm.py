@@ -1,4 +1,11 @@
-"""One arm of a MuJoCo simulation that the caller, or an environment of others, steps."""
+"""One arm of a MuJoCo simulation that the caller, or an environment of others, steps.
+
+Attributes of `MujocoArm` beside the public ones: `_mj`, the module `mujoco`; `_q` and `_v`, (n,)
+indices of the arm's joints in qpos and qvel; `_inputs`, writer of motor torques; `_tau`, (n_a,)
+torques applied last (N m, N); `_body`, index of the body of the wrist sensor, or of the tip without
+one; `_site`, index of the sensor's site (None: the sensor is a body); `_wrench_rows`, (6,) indices
+of the wrench in the sensor data (None: it is computed, in the copy `_scratch` of the state).
+"""
 
 from __future__ import annotations
 
@@ -6,7 +13,8 @@ import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -28,6 +36,9 @@ from osc_contact.lab.plants.mujoco_io import (
 from osc_contact.lab.plants.own_mujoco import MujocoScene, require_whole_steps
 from osc_contact.robots.mjcf import joint_name
 from osc_contact.spatial import Array, as_array
+
+if TYPE_CHECKING:
+    from mujoco import MjData, MjModel
 
 _log = logging.getLogger(__name__)
 
@@ -81,8 +92,8 @@ class MujocoArm:
 
     def __init__(
         self,
-        model: Any,
-        data: Any,
+        model: MjModel,
+        data: MjData,
         *,
         tip: str,
         tip_offset: pin.SE3 | None = None,
@@ -105,10 +116,10 @@ class MujocoArm:
             import mujoco
         except ImportError as error:
             raise PlantError(missing(error)) from error
-        self._mj: Any = mujoco
+        self._mj: ModuleType = mujoco
         self.model = model
         self.data = data
-        self._body, _ = self._frame("tip", tip)
+        self._body, _ = self._find_frame("tip", tip)
         _stop_gravity_compensation(model, self._body)
         if wrist_sensor is not None:
             self._find_sensor(wrist_sensor)
@@ -147,7 +158,7 @@ class MujocoArm:
         self.apply(weight[chain.actuated])
         self._mj.mj_forward(self.model, self.data)
 
-    def _frame(self, argument: str, name: str) -> tuple[int, int | None]:
+    def _find_frame(self, argument: str, name: str) -> tuple[int, int | None]:
         """Find a body, or a site and its body, by name.
 
         Args:
@@ -175,15 +186,15 @@ class MujocoArm:
         Args:
             name: name of the site or body of the sensor.
         """
-        self._body, site = self._frame("wrist_sensor", name)
-        self._rows: Array | None = None
+        self._body, site = self._find_frame("wrist_sensor", name)
+        self._wrench_rows: Array | None = None
         self._site = site
         if site is not None:
             try:
-                self._rows = sensor_rows(self.model, name)
+                self._wrench_rows = sensor_rows(self.model, name)
             except PlantError:
                 _log.info("site %r has no force and torque sensor; its wrench is computed", name)
-        if self._rows is None:
+        if self._wrench_rows is None:
             self._scratch = self._mj.MjData(self.model)
 
     def measure(self) -> Measurement:
@@ -191,7 +202,7 @@ class MujocoArm:
         data = self.data
         wrench = np.zeros((1, 6))
         if self.chain.arms[0].wrist_sensor is not None:
-            rows = self._rows
+            rows = self._wrench_rows
             wrench[0] = self._internal_wrench() if rows is None else data.sensordata[rows]
         return Measurement(data.qpos[self._q], data.qvel[self._v], wrench, None, self._tau.copy())
 
@@ -262,7 +273,7 @@ class MujocoArm:
         next_tick = -np.inf
         failure: Exception | None = None
 
-        def control(model: Any, data: Any) -> None:
+        def control(model: MjModel, data: MjData) -> None:
             """Apply the law once for each control period; MuJoCo calls this in each of its steps.
 
             Args:
@@ -300,7 +311,7 @@ class MujocoArm:
         )
 
 
-def _stop_gravity_compensation(model: Any, body: int) -> None:
+def _stop_gravity_compensation(model: MjModel, body: int) -> None:
     """Switch MuJoCo's compensation of gravity off for all bodies of an arm's tree.
 
     Args:

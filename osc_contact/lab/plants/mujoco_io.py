@@ -58,8 +58,8 @@ class TorqueInputs:
         """Write torques of the joints into MuJoCo's data.
 
         A joint that one plain motor drives (`_driven`) gets a control signal, the torque over that
-        of a unit signal (`_per_torque`); the torques of the others are applied to the joints
-        directly.
+        of a unit signal (`_per_torque`), at the motor's index (`_motors`); the torques of the
+        others are applied to the joints directly, at their indices in qvel (`_direct`).
 
         Args:
             data: `mujoco.MjData`, changed.

@@ -80,7 +80,7 @@ def scene(
     spec.option.disableflags = int(disabled)
     for arm, file in zip(chain.arms, arm_urdfs, strict=True):
         frame = spec.worldbody.add_frame(**placed(arm.base))
-        spec.attach(_arm(arm, file), prefix=f"{arm.name}/", frame=frame)
+        spec.attach(_arm_specification(arm, file), prefix=f"{arm.name}/", frame=frame)
         for kind in ("force", "torque") if arm.wrist_sensor is not None else ():
             spec.add_sensor(
                 name=f"{arm.name}/{kind}",
@@ -139,7 +139,7 @@ def _place_bodies(
         spec.attach(part, prefix=f"face{i}/", frame=frame)
 
 
-def _arm(arm: Arm, file: Path) -> MjSpec:
+def _arm_specification(arm: Arm, file: Path) -> MjSpec:
     """Make the specification of an arm: locked joints welded, a site at its wrist sensor.
 
     Shapes and losses are left out; losses are set from the chain.
@@ -227,7 +227,7 @@ def _hold_object(spec: MjSpec, chain: ClosedChain, urdf: Path) -> None:
     spec.attach(part, prefix="object/", frame=tips[0].add_frame(**placed(first.X_TO)))
     further = zip(chain.arms[1:], tips[1:], chain.grasps[1:], strict=True)
     for arm, tip, grasp in further:
-        _tie(spec, arm.name, tip, grasp)
+        _tie_object(spec, arm.name, tip, grasp)
 
 
 def _add_grasp_joint(root: Any, grasp: Grasp) -> None:
@@ -247,7 +247,7 @@ def _add_grasp_joint(root: Any, grasp: Grasp) -> None:
     )
 
 
-def _tie(spec: MjSpec, arm: str, tip: Any, grasp: Grasp) -> None:
+def _tie_object(spec: MjSpec, arm: str, tip: Any, grasp: Grasp) -> None:
     """Tie the object to the tip of a further arm by equality constraints.
 
     Args:
@@ -295,7 +295,7 @@ def _tie_points(grasp: Grasp) -> list[Array]:
     return [TIE_SPAN * axis, -TIE_SPAN * axis]
 
 
-_IMPEDANCE = 0.03  #: MuJoCo's d of contacts with friction, at `width`
+_CONTACT_IMPEDANCE = 0.03  #: MuJoCo's d of contacts with friction, at `width`
 _FRICTION_IMPEDANCE = 0.9  #: MuJoCo's d of the friction constraint
 #: Damping of slip (1/s): friction is fully developed at a slip of μ f/(9 m · 1000/s), and changes
 #: its sign 1 ms before the slip does.
@@ -318,7 +318,7 @@ def _add_friction(spec: MjSpec, options: PlantSpec) -> None:
     """
     time, ratio = options.solref
     low, high, width = options.solimp
-    largest_impedance = _IMPEDANCE
+    largest_impedance = _CONTACT_IMPEDANCE
 
     def root(d: float) -> float:
         """Relative natural frequency d/√(1 − d) of a contact's spring for the impedance d."""

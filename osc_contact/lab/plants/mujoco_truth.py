@@ -1,4 +1,11 @@
-"""True state of object and contacts in MuJoCo: raw numbers of each tick, evaluated afterwards."""
+"""True state of object and contacts in MuJoCo: raw numbers of each tick, evaluated afterwards.
+
+A `MujocoTruth` has `_plant`, which is recorded; `_object_views`, views of MuJoCo's position,
+rotation, velocity and centre of mass of the object; `_contact_view`, view of MuJoCo's contacts as
+words, whose records have the type `_contact_layout`, made for `_contact_count` contacts; and of
+each recorded instant `_states` (object and rails), `_contact_records` (bytes of the contacts) and
+`_forces` (of all constraints; N, N m).
+"""
 
 from __future__ import annotations
 
@@ -21,7 +28,7 @@ if TYPE_CHECKING:
 OBJECT = -1  #: in `Noted.body_of`: a geom of the object
 OTHER = -2  #: neither of the object nor of the environment
 
-_NONE = np.zeros((0, 1))  #: in place of the words of contacts where there are none
+_NO_CONTACTS = np.zeros((0, 1))  #: in place of the words of contacts where there are none
 
 
 class Noted(Protocol):
@@ -68,16 +75,16 @@ class MujocoTruth(NotedWrenches):
         data = plant.data
         body = plant.object_body
         root = plant.model.body_rootid[body]
-        self._parts = (
+        self._object_views = (
             data.xpos[body],
             data.xmat[body],
             data.cvel[body],
             data.subtree_com[root],
         )
         self._contact_count = -1  # in the last call of `note`
-        self._layout: np.dtype[np.void] = np.dtype([])  #: of a contact's record
+        self._contact_layout: np.dtype[np.void] = np.dtype([])  #: of a contact's record
         self._states: list[Array] = []
-        self._contact_records: list[Array] = []  #: see `_contact_words`, of each instant
+        self._contact_records: list[Array] = []  #: see `_view_contacts`, of each instant
         self._forces: list[Array] = []  #: constraint forces of each instant (N, N m)
 
     def note(self) -> None:
@@ -88,16 +95,18 @@ class MujocoTruth(NotedWrenches):
         copied as bytes.
         """
         data = self._plant.data
-        self._states.append(np.concatenate((*self._parts, data.qpos.take(self._plant.face_q))))
+        self._states.append(
+            np.concatenate((*self._object_views, data.qpos.take(self._plant.face_q)))
+        )
         if data.ncon != self._contact_count:
             # a view of the contacts stays valid: they are at the start of MuJoCo's arena in all
             # steps
             self._contact_count = data.ncon
             if self._contact_count:
-                self._layout, self._words = _contact_words(data.contact)
+                self._contact_layout, self._contact_view = _view_contacts(data.contact)
             else:
-                self._words = _NONE
-        self._contact_records.append(self._words.copy())
+                self._contact_view = _NO_CONTACTS
+        self._contact_records.append(self._contact_view.copy())
         self._forces.append(data.efc_force.copy())
 
     def noted(self, start: int = 0) -> Array:
@@ -121,10 +130,10 @@ class MujocoTruth(NotedWrenches):
         R = np.einsum("ijk,jl->ilk", R, place.rotation)
         omega = velocity[:3]
         v = velocity[3:] + cross(omega, p - centre)
-        parts = (R.reshape(9, -1), p, v, omega, positions, *self._wrenches(p, start))
+        parts = (R.reshape(9, -1), p, v, omega, positions, *self._wrenches_on_bodies(p, start))
         return np.concatenate(parts).T
 
-    def _wrenches(self, O: Array, start: int) -> tuple[Array, Array]:  # noqa: E741
+    def _wrenches_on_bodies(self, O: Array, start: int) -> tuple[Array, Array]:  # noqa: E741
         """Wrenches that the object exerts on the bodies of the environment.
 
         Args:
@@ -143,7 +152,7 @@ class MujocoTruth(NotedWrenches):
         if not any(counts):
             return wrenches.transpose(0, 2, 1).reshape(-1, k), touched
         records = np.concatenate([words for words in self._contact_records[start:] if len(words)])
-        contacts = records.view(self._layout)[:, 0]
+        contacts = records.view(self._contact_layout)[:, 0]
         between = self._plant.body_of[contacts["geom"]]
         chosen = (between.min(axis=1) == OBJECT) & (between.max(axis=1) >= 0)
         contacts = contacts[chosen]
@@ -169,7 +178,7 @@ class MujocoTruth(NotedWrenches):
         self._forces.clear()
 
 
-def _contact_words(contact: _MjContactList) -> tuple[np.dtype[np.void], Array]:
+def _view_contacts(contact: _MjContactList) -> tuple[np.dtype[np.void], Array]:
     """Layout of MuJoCo's records of contacts, and a view of all of them.
 
     The copy of this view is one block of memory, which is faster than copies of its fields.

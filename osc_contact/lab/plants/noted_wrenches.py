@@ -1,4 +1,10 @@
-"""True contact forces of plants with compliant contacts, from the wrenches at their points."""
+"""True contact forces of plants with compliant contacts, from the wrenches at their points.
+
+`NotedWrenches` has `_contacts`, contact pairs; `_faces`, bodies of the environment;
+`_guided_joints`, for each joint of moving bodies the index of the body and 0 for travel, 1 for an
+angle; `_metric_root`, (6, 6) matrix W with Φ = WᵀW, the inverse inertia of the object in its own
+frame.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +22,7 @@ from osc_contact.spatial import Array, Poses
 
 #: Least share of the total force on a body with which a contact counts as closed. Contacts that do
 #: not touch get 1e-17 … 1e-7 by rounding and by the positions of the points, others 1e-3 and more.
-_PRESSES = 1e-5
+_LEAST_SHARE = 1e-5
 
 
 def guided_joints(rails: Sequence[Rail]) -> tuple[Array, Array]:
@@ -47,8 +53,8 @@ class NotedWrenches:
         """
         self._contacts = contacts
         self._faces = faces
-        self._guided = guided_joints(faces.rails)
-        self._root = np.linalg.cholesky(np.linalg.inv(inertia)).T  #: Φ = rootᵀ root
+        self._guided_joints = guided_joints(faces.rails)
+        self._metric_root = np.linalg.cholesky(np.linalg.inv(inertia)).T  #: Φ = rootᵀ root
 
     def truths(self, rows: Array) -> Truths:
         """True states and contact forces at k instants.
@@ -63,20 +69,22 @@ class NotedWrenches:
         faces = self._faces
         k = len(rows)
         bodies = len(faces.rails)
-        sizes = [9, 3, 6, len(self._guided[0]), 6 * bodies]
+        sizes = [9, 3, 6, len(self._guided_joints[0]), 6 * bodies]
         R, p, V_O, positions, wrenches, touched = np.split(rows.T.copy(), np.cumsum(sizes))
         X_WO = Poses(R.reshape(3, 3, k), p)
         X_WE: tuple[Poses | None, ...] = (None,) * len(faces.on)
         if len(positions):
             s = np.zeros((bodies, 2, k))
-            s[self._guided] = positions
+            s[self._guided_joints] = positions
             poses = [rail.over(*path) for rail, path in zip(faces.rails, s, strict=True)]
             X_WE = tuple(poses[body] for body in faces.on)
         N = tuple(normals_over(pair, X_WO, X) for pair, X in zip(self._contacts, X_WE, strict=True))
-        alpha, closed = self._shares(X_WO, N, wrenches.reshape(bodies, 6, k), touched > 0.0)
+        alpha, closed = self._distribute_wrenches(
+            X_WO, N, wrenches.reshape(bodies, 6, k), touched > 0.0
+        )
         return Truths(alpha, closed, X_WO, V_O.T.copy(), X_WE, N)
 
-    def _shares(
+    def _distribute_wrenches(
         self, X_WO: Poses, N: Sequence[Array], wrenches: Array, touched: Array
     ) -> tuple[Array, Array]:
         """Distribute the wrench on each body over the contacts that touch it.
@@ -108,13 +116,13 @@ class NotedWrenches:
             F = np.concatenate([*lines, wrenches[body][:, None]], axis=1)[:, :, ticks]
             X = Poses(X_WO.R[:, :, ticks], X_WO.p[:, ticks])
             F = np.concatenate((X.rotate_back(F[:3]), X.rotate_back(F[3:])))  # object axes
-            F = np.moveaxis(np.tensordot(self._root, F, 1), 2, 0)  # (ticks, 6, columns + 1)
+            F = np.moveaxis(np.tensordot(self._metric_root, F, 1), 2, 0)  # (ticks, 6, columns + 1)
             columns = F[..., :-1]
             shares = np.linalg.solve(columns.mT @ columns, columns.mT @ F[..., -1:])[..., 0]
             sizes = np.linalg.norm(F, axis=1)
             places = np.ix_(ticks, np.isin(owner, contacts))
             alpha[places] = shares
-            presses[places] = shares * sizes[:, :-1] > _PRESSES * sizes[:, -1:]
+            presses[places] = shares * sizes[:, :-1] > _LEAST_SHARE * sizes[:, -1:]
         closed = np.empty((len(alpha), len(N)), dtype=bool)
         for i, (body, pair) in enumerate(zip(on, self._contacts, strict=True)):
             closed[:, i] = touched[body]

@@ -1,4 +1,12 @@
-"""The user's MuJoCo scene as robot and judge: arm, tool and sensor are found by name."""
+"""The user's MuJoCo scene as robot and judge: arm, tool and sensor are found by name.
+
+Attributes of `MujocoScene`: `_model` and a copy `_data` of the state; `_others`, indices of the
+geoms that the tool can touch; `_probe` and `_probe_data`, copies of model and state in which the
+geom with the index `_point` is a small sphere; `_step`, MuJoCo's step (s). `MujocoRobot` adds to
+the attributes of `MujocoPlant`: `_keyframe`, index of the keyframe at which the scene begins (None:
+the initial state of the file); `_locked`, positions of locked joints by their indices in qpos;
+`_inputs`, writer of motor torques; `_tau`, (n_a,) the torques written last (N m, N).
+"""
 
 from __future__ import annotations
 
@@ -262,7 +270,7 @@ class MujocoRobot(MujocoPlant):
         """Find joints, motors, sensor and geoms of the arm in a compiled model.
 
         Args:
-            mj: model of the scene, changed.
+            mj: model of the scene; actuators other than plain motors are switched off in it.
             chain: model of the arm.
             contacts: contact pairs.
 
@@ -288,13 +296,13 @@ class MujocoRobot(MujocoPlant):
             site = mj.site(arm.tip)
             self.object_body = int(site.bodyid[0])
             self.place = pose(site.pos, site.quat)
-        self._seen = [self.object_body] * 2
-        self._sensed = []
-        self._readings = np.zeros((0, 6), dtype=int)
+        self._posed_bodies = [self.object_body] * 2
+        self._sensed_arms = []
+        self._wrench_indices = np.zeros((0, 6), dtype=int)
         tool = self.object_body
         if arm.wrist_sensor is not None:
-            self._sensed = [0]
-            self._readings = sensor_rows(mj, arm.wrist_sensor)[None]
+            self._sensed_arms = [0]
+            self._wrench_indices = sensor_rows(mj, arm.wrist_sensor)[None]
             tool = int(mj.site(arm.wrist_sensor).bodyid[0])
         # the tool, other moving links of the arm, and all other geoms as one body
         self.body_of = np.where(moving_geoms(mj, tool), OTHER, 0)

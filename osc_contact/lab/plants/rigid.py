@@ -1,9 +1,17 @@
-"""The exact plant: joint-space dynamics, bilateral rigid contacts, loops by multipliers."""
+"""The exact plant: joint-space dynamics, bilateral rigid contacts, loops by multipliers.
+
+Attributes of `RigidPlant`: `q` and `v`, (n,) joint positions and velocities (rad, m; rad/s, m/s);
+`model` and `data`, Pinocchio's, with the object in the last link of the arm that leads it; `_X` and
+`_V`, pose of the object and its twist (6,) at O if no arm leads it; `_tau`, (n_a,) torques applied
+last (N m, N); `_tip_frames`, frames of the tips; `_wrist_cuts`, sections at the wrist sensors
+(None: no sensor); `_friction_speed`, (n,) speeds at which dry friction is developed;
+`_cached_equations` and `_cached_solution`, (key, result) of the state computed last (None: none
+yet).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -35,8 +43,10 @@ from osc_contact.spatial import (
     cross_twist,
 )
 
-_SLIP = 1e-3  #: speed at which dry friction of a turning joint is developed (rad/s)
-_SLIDE = 1e-4  #: speed at which dry friction of a sliding joint is developed (m/s)
+_TURNING_FRICTION_SPEED = (
+    1e-3  #: speed at which dry friction of a turning joint is developed (rad/s)
+)
+_SLIDING_FRICTION_SPEED = 1e-4  #: speed at which dry friction of a sliding joint is developed (m/s)
 
 
 # --- Section of an arm at a wrist sensor, and the wrench there ------------------------------------
@@ -201,15 +211,17 @@ class RigidPlant:
         self.dt = step
         self.time = 0.0
         self.model = chain.model.copy()
-        self._tips = [self.model.frames[tip] for tip in chain.tips]
+        self._tip_frames = [self.model.frames[tip] for tip in chain.tips]
         if chain.leader is not None:  # the object rides on its last joint
-            tip = self._tips[chain.leader]
+            tip = self._tip_frames[chain.leader]
             X = tip.placement * chain.grasps[chain.leader].X_TO
             self.model.appendBodyToJoint(tip.parentJoint, chain.payload.inertia, X)
-        self._sensors = [
+        self._wrist_cuts = [
             None if sensor is None else wrist_cut(chain.model, sensor) for sensor in chain.sensors
         ]
-        self._slip = np.where(sliding(self.model), _SLIDE, _SLIP)
+        self._friction_speed = np.where(
+            sliding(self.model), _SLIDING_FRICTION_SPEED, _TURNING_FRICTION_SPEED
+        )
         self.data = self.model.createData()
         self.q = np.zeros(chain.nq)
         self.v = np.zeros(chain.nq)
@@ -218,15 +230,15 @@ class RigidPlant:
         self._V = np.zeros(6)
         self._tau = np.zeros(chain.n_a)
         #: equations, and their solution, with the state that they belong to
-        self._cached_equations: tuple[bytes, Any] = (b"", None)
-        self._cached_solution: tuple[bytes, Any] = (b"", None)
+        self._cached_equations: tuple[bytes, Equations] | None = None
+        self._cached_solution: tuple[bytes, tuple[Solution, tuple[pin.SE3, Array]]] | None = None
 
     def reset(self, q: Array) -> None:
         """Start at rest at joint positions next to q (n,) at which loops and contacts close."""
         self.time = 0.0
         self.faces.reset()
         q = as_array("q", q, (self.chain.nq,))
-        self._project(q, object_pose(self.chain, q), np.zeros(self.chain.nq), np.zeros(6))
+        self._project_state(q, object_pose(self.chain, q), np.zeros(self.chain.nq), np.zeros(6))
         self._tau = np.zeros(self.chain.n_a)
 
     def hold(self, tau: Array) -> None:
@@ -235,12 +247,12 @@ class RigidPlant:
 
     def measure(self) -> Measurement:
         """Read encoders, and the wrist wrenches under the torques applied last."""
-        wrenches = self._now()[0].wrenches.copy()
+        wrenches = self._present_solution()[0].wrenches.copy()
         return Measurement(self.q.copy(), self.v.copy(), wrenches, self.faces.touched())
 
     def truth(self) -> Truth:
         """True state, with contact forces under the torques applied last; contacts stay closed."""
-        solution, (X, V) = self._now()
+        solution, (X, V) = self._present_solution()
         closed = np.ones(len(self.contacts), dtype=bool)
         return Truth(solution.alpha, closed, X, V, tuple(self.faces.poses()))
 
@@ -248,15 +260,15 @@ class RigidPlant:
         """New, empty record of the truth."""
         return Watched(self, self.contacts)
 
-    def _now(self) -> tuple[Solution, tuple[pin.SE3, Array]]:
+    def _present_solution(self) -> tuple[Solution, tuple[pin.SE3, Array]]:
         """Solution under the torques applied last; pose and twist (6,) of the object.
 
         `measure` and `truth` of one instant share them.
         """
-        key = self._state() + self._tau.tobytes()
-        if self._cached_solution[0] != key:
-            solution = self._solve(self._tau, with_wrenches=True)
-            equations = self._equations()
+        key = self._state_key() + self._tau.tobytes()
+        if self._cached_solution is None or self._cached_solution[0] != key:
+            solution = self._solve_motion(self._tau, with_wrenches=True)
+            equations = self._present_equations()
             self._cached_solution = (key, (solution, (equations.X, equations.V)))
         return self._cached_solution[1]
 
@@ -264,7 +276,7 @@ class RigidPlant:
         """True poses (1 + arms, 4, 4) of the object and of the tips."""
         pin.computeAllTerms(self.model, self.data, self.q, self.v)
         tips = self.chain.tip_poses(self.data)
-        return np.array([X.homogeneous for X in (self._object()[0], *tips)])
+        return np.array([X.homogeneous for X in (self._object_state()[0], *tips)])
 
     def command(self, tau: Array, duration: float) -> None:
         """Integrate with the trapezoidal rule in positions, then project onto the constraints.
@@ -279,7 +291,7 @@ class RigidPlant:
         require_duration(duration)
         self.hold(tau)
         for _ in range(max(1, round(duration / self.dt))):
-            solution = self._solve(self._tau, ahead=self.dt)
+            solution = self._solve_motion(self._tau, ahead=self.dt)
             v = self.v + solution.qdd * self.dt
             q = self.q + 0.5 * (self.v + v) * self.dt
             if not (np.isfinite(q).all() and np.abs(v).max() < 1e3):
@@ -294,7 +306,7 @@ class RigidPlant:
             a[:3] += cross(self._V[3:], self._V[:3])  # from spatial to classical
             V = self._V + a * self.dt
             X = moved(self._X, 0.5 * (self._V + V) * self.dt)
-            self._project(q, X, v, V)
+            self._project_state(q, X, v, V)
 
     def stop(self, reason: str = "") -> None:
         """Accept a stop; a simulation needs no action."""
@@ -309,12 +321,14 @@ class RigidPlant:
             Joint accelerations (n,); spatial acceleration (6,) of the object at O, world axes;
             contact forces α (r,) (N).
         """
-        solution = self._solve(as_array("tau", tau, (self.chain.n_a,)))
+        solution = self._solve_motion(as_array("tau", tau, (self.chain.n_a,)))
         return solution.qdd, solution.a_O, solution.alpha
 
     # --- dynamics --------------------------------------------------------------------------------
 
-    def _solve(self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0) -> Solution:
+    def _solve_motion(
+        self, tau: Array, with_wrenches: bool = False, ahead: float = 0.0
+    ) -> Solution:
         """Solve the equations of joints and free bodies, with the multipliers of all constraints.
 
             M x = force + Aᵀλ,   A x = right
@@ -335,7 +349,7 @@ class RigidPlant:
         """
         chain = self.chain
         n = chain.nq
-        equations = self._equations()
+        equations = self._present_equations()
         force = equations.force.copy()
         force[chain.actuated] += tau
         M = equations.M.copy()
@@ -352,25 +366,25 @@ class RigidPlant:
         sdd[self.faces.free] = x[size:]
         *loop_multipliers, alpha = np.split(lam, equations.ends[1:])
         qdd = x[:n]
-        wrenches = np.zeros((len(self._tips), 6))
+        wrenches = np.zeros((len(self._tip_frames), 6))
         if with_wrenches:
             loops = [
                 basis @ values
                 for basis, values in zip(equations.passed, loop_multipliers, strict=True)
             ]
-            wrenches = self._wrist(qdd, loops, equations.N @ alpha, equations)
+            wrenches = self._wrist_readings(qdd, loops, equations.N @ alpha, equations)
         return Solution(qdd, sdd, equations.first @ x[:size] + equations.gamma_O, alpha, wrenches)
 
-    def _state(self) -> bytes:
+    def _state_key(self) -> bytes:
         """Bytes of all numbers that the equations depend on, as the key of a cache."""
         faces = self.faces
         free = (self._V, self._X.homogeneous, faces.s, faces.rates, faces.second)
         return np.concatenate((self.q, self.v, *free), axis=None).tobytes()
 
-    def _equations(self) -> Equations:
+    def _present_equations(self) -> Equations:
         """Equations in the present state, which `measure`, `truth` and `command` share."""
-        state = self._state()
-        if self._cached_equations[0] != state:
+        state = self._state_key()
+        if self._cached_equations is None or self._cached_equations[0] != state:
             self._cached_equations = (state, self._make_equations())
         return self._cached_equations[1]
 
@@ -419,7 +433,7 @@ class RigidPlant:
         faces = self.faces
         pin.computeAllTerms(model, self.data, self.q, self.v)
         pin.forwardKinematics(model, self.data, self.q, self.v, 0.0 * self.v)
-        X, V = self._object()
+        X, V = self._object_state()
         O = X.translation  # noqa: E741
         parts = faces.parts(self.contacts, X, V)
         N, n_gamma = stacked(parts)
@@ -434,8 +448,8 @@ class RigidPlant:
         right_sides.append(N.T @ gamma_O - n_gamma - face_drift)
         # smooth friction of the joints, dry · tanh(v/v_slip), and its slope for the implicit step
         dry = np.array(model.upperDryFrictionLimit)
-        share = np.tanh(self.v / self._slip)
-        slope = model.damping + dry / self._slip * (1.0 - share**2)
+        share = np.tanh(self.v / self._friction_speed)
+        slope = model.damping + dry / self._friction_speed * (1.0 - share**2)
         force = -self.data.nle - (model.damping * self.v + dry * share)
         # without a leader the object's motion has coordinates of its own, as have bodies on rails
         M = np.array(self.data.M)
@@ -465,10 +479,12 @@ class RigidPlant:
             passed=normals,
             first=first,
             gamma_O=gamma_O,
-            joints=[self.data.oMi[tip.parentJoint].copy() for tip in self._tips],
+            joints=[self.data.oMi[tip.parentJoint].copy() for tip in self._tip_frames],
         )
 
-    def _wrist(self, qdd: Array, loops: list[Array], f_c: Array, equations: Equations) -> Array:
+    def _wrist_readings(
+        self, qdd: Array, loops: list[Array], f_c: Array, equations: Equations
+    ) -> Array:
         """Wrist readings (arms, 6) in the sensors' axes, by the Newton–Euler algorithm (N, N m).
 
         Args:
@@ -482,18 +498,18 @@ class RigidPlant:
         if leader is not None:  # the object is part of its last link and needs no wrench
             loops.insert(leader, f_c - sum(loops, np.zeros(6)))
         external = [pin.Force.Zero() for _ in range(self.model.njoints)]
-        for tip, wrench, X in zip(self._tips, loops, equations.joints, strict=True):
+        for tip, wrench, X in zip(self._tip_frames, loops, equations.joints, strict=True):
             at_origin = pin.Force(carry_wrench(-wrench, equations.X.translation, np.zeros(3)))
             external[tip.parentJoint] = X.actInv(at_origin)
         pin.rnea(self.model, self.data, self.q, self.v, qdd, external)
         return np.array(
             [
                 np.zeros(6) if sensor is None else sensor.reading(self.data)
-                for sensor in self._sensors
+                for sensor in self._wrist_cuts
             ]
         )
 
-    def _object(self) -> tuple[pin.SE3, Array]:
+    def _object_state(self) -> tuple[pin.SE3, Array]:
         """Pose of the object and its twist (6,) at O, world axes."""
         leader = self.chain.leader
         if leader is None:
@@ -518,7 +534,7 @@ class RigidPlant:
         a = pin.getFrameAcceleration(self.model, self.data, self.chain.tips[i], pin.WORLD).vector
         return carry_twist(a, np.zeros(3), X.translation)
 
-    def _project(self, q: Array, X: pin.SE3, v: Array, V: Array) -> None:
+    def _project_state(self, q: Array, X: pin.SE3, v: Array, V: Array) -> None:
         """Project positions, then velocities, onto the constraints, and store them.
 
         Args:

@@ -2,6 +2,12 @@
 
 `SensedPlant` is a plant around another plant: it replaces ideal readings by those of sensors with
 errors. All random numbers follow from one seed.
+
+A sensor keeps `_queue`, its samples (time in s, reading) that have not been replaced yet, the
+oldest first, and `_next_sample`, the number of the next one. A `SensedPlant` has
+`_sensors_by_name`, sensors by the name of their stamp; `_ideal_measurement`, function that measures
+the plant once per instant; and `_robot_poses`, number of poses of object and arms, which precede
+those of touched bodies.
 """
 
 from collections import deque
@@ -20,7 +26,7 @@ from osc_contact.spatial import Array
 
 Reading = dict[str, Any]  #: parts of a `Measurement` by their names
 
-_ON_TIME = 1e-9  #: rounding errors of sums of steps (s)
+_TIME_ROUNDING = 1e-9  #: rounding errors of sums of steps (s)
 #: Part of a `Measurement` that a sensor reads, by the name of the sensor's stamp; not for vision.
 _READ = {"encoders": "q", "joint_torques": "joint_torques", "wrists": "wrenches"}
 
@@ -48,13 +54,16 @@ class Sensor:
         clock: rate, delay and losses.
         sample: function that makes a reading with errors from an ideal value.
         rng: random generator for lost samples.
+        _queue: samples (time in s, reading), the oldest first: the one that was read last, then
+            those that have not arrived yet.
+        _next_sample: number n of the sample that is taken next, due at n / rate.
     """
 
     clock: Clock
     sample: Callable[[Array], Reading]
     rng: np.random.Generator
-    _samples: deque[tuple[float, Reading]] = field(init=False)
-    _count: int = field(init=False)
+    _queue: deque[tuple[float, Reading]] = field(init=False)
+    _next_sample: int = field(init=False)
 
     def begin(self, t: float, value: Array) -> None:
         """Delete all samples, and take the first one, which arrives at once and is never lost.
@@ -63,8 +72,8 @@ class Sensor:
             t: time (s).
             value: ideal value at this time.
         """
-        self._samples = deque([(t, self.sample(value))])
-        self._count = round(t * self.clock.rate) + 1
+        self._queue = deque([(t, self.sample(value))])
+        self._next_sample = round(t * self.clock.rate) + 1
 
     def observe(self, t: float, value: Callable[[], Array]) -> None:
         """Take a sample if one is due.
@@ -74,11 +83,11 @@ class Sensor:
             value: function that returns the ideal value, called if a sample is taken.
         """
         # sample number n is due at n / rate; all that became due since the last call count as one
-        if t < self._count / self.clock.rate - _ON_TIME:
+        if t < self._next_sample / self.clock.rate - _TIME_ROUNDING:
             return
-        self._count = int((t + _ON_TIME) * self.clock.rate) + 1
+        self._next_sample = int((t + _TIME_ROUNDING) * self.clock.rate) + 1
         if self.rng.random() >= self.clock.dropout:
-            self._samples.append((t, self.sample(value())))
+            self._queue.append((t, self.sample(value())))
 
     def read(self, t: float) -> tuple[float, Reading]:
         """Latest sample that has arrived.
@@ -89,9 +98,9 @@ class Sensor:
         Returns:
             Time at which the sample was taken (s), and reading.
         """
-        while len(self._samples) > 1 and self._samples[1][0] + self.clock.delay <= t + _ON_TIME:
-            self._samples.popleft()
-        return self._samples[0]
+        while len(self._queue) > 1 and self._queue[1][0] + self.clock.delay <= t + _TIME_ROUNDING:
+            self._queue.popleft()
+        return self._queue[0]
 
 
 @dataclass(frozen=True)
@@ -133,17 +142,17 @@ class SensedPlant:
         self.plant = plant
         self.sensors = sensors
         self.seed = seed
-        self._begin()
+        self._make_sensors()
 
     def reset(self, q: Array) -> None:
         """Start plant and sensors again at joint positions q (n,), with the same random errors."""
         self.plant.reset(q)
-        self._begin()
+        self._make_sensors()
 
     def hold(self, tau: Array) -> None:
         """Apply torques tau (n_a,) without letting time pass; the sensors begin again."""
         self.plant.hold(tau)
-        self._begin()
+        self._make_sensors()
 
     def command(self, tau: Array, duration: float) -> None:
         """Hold torques for a period; sensors that are due take a sample at its end.
@@ -153,9 +162,9 @@ class SensedPlant:
             duration: period (s).
         """
         self.plant.command(tau, duration)
-        self._begin_instant()
-        for name, sensor in self._sensor.items():
-            sensor.observe(self.time, partial(self._value, name))
+        self._update_time()
+        for name, sensor in self._sensors_by_name.items():
+            sensor.observe(self.time, partial(self._ideal_value, name))
 
     def stop(self, reason: str = "") -> None:
         """Accept a stop; a simulation needs no action."""
@@ -176,41 +185,43 @@ class SensedPlant:
         """Measurement of the samples that have arrived, with their times."""
         stamps = dict.fromkeys((*_READ, "vision"), self.time)
         readings: Reading = {}
-        for name, sensor in self._sensor.items():
+        for name, sensor in self._sensors_by_name.items():
             stamps[name], reading = sensor.read(self.time)
             readings |= reading
-        return replace(self._ideal(), stamps=Stamps(**stamps), **readings)
+        return replace(self._ideal_measurement(), stamps=Stamps(**stamps), **readings)
 
-    def _begin_instant(self) -> None:
+    def _update_time(self) -> None:
         """Update the time; the plant is measured once, when the first reading is used."""
         self.time = self.plant.time
-        self._ideal = cache(self.plant.measure)
+        self._ideal_measurement = cache(self.plant.measure)
 
-    def _begin(self) -> None:
+    def _make_sensors(self) -> None:
         """Make the sensors with their random errors, and take their first samples.
 
         Encoders, joint torque sensors, wrists and camera have random numbers of their own, so that
         leaving one out does not change the errors of the others.
         """
-        self._begin_instant()
-        self._robots = len(self.plant.poses())  # object and arms come before the bodies
-        self._sensor: dict[str, Sensor] = {}
+        self._update_time()
+        self._robot_poses = len(self.plant.poses())  # object and arms come before the bodies
+        self._sensors_by_name: dict[str, Sensor] = {}
         streams = np.random.default_rng([self.seed, 1]).spawn(4)
         for name, rng in zip((*_READ, "vision"), streams, strict=True):
             spec = getattr(self.sensors, name)
-            value = None if spec is None else self._value(name)
+            value = None if spec is None else self._ideal_value(name)
             if value is None:
                 continue
             if name == "vision":
                 clock = spec
-                corrupt = _pictures(spec, len(value), rng)
+                corrupt = _vision_errors(spec, len(value), rng)
             else:
                 clock, errors = spec
-                corrupt = _noisy(errors, value.shape, rng)
-            self._sensor[name] = Sensor(clock, partial(self._sample, name, corrupt), rng)
-            self._sensor[name].begin(self.time, value)
+                corrupt = _reading_errors(errors, value.shape, rng)
+            self._sensors_by_name[name] = Sensor(
+                clock, partial(self._make_reading, name, corrupt), rng
+            )
+            self._sensors_by_name[name].begin(self.time, value)
 
-    def _value(self, name: str) -> Any:
+    def _ideal_value(self, name: str) -> Any:
         """Ideal value that a sensor samples, without errors.
 
         Args:
@@ -225,21 +236,21 @@ class SensedPlant:
             None if the plant measures no joint torques or no wrenches; it then has no such sensor.
         """
         if name != "vision":
-            return getattr(self._ideal(), _READ[name])
+            return getattr(self._ideal_measurement(), _READ[name])
         poses = self.plant.poses()
-        touched = self._ideal().touched
+        touched = self._ideal_measurement().touched
         if touched is None:
             return poses
         markers = np.eye(4) if self.sensors.markers is None else self.sensors.markers
         return np.concatenate((poses, touched.X_WE @ markers))
 
-    def _sample(self, name: str, corrupt: Callable[[Array], Array], value: Array) -> Reading:
+    def _make_reading(self, name: str, corrupt: Callable[[Array], Array], value: Array) -> Reading:
         """Make the reading of a sensor.
 
         Args:
             name: name of the sensor's stamp: "encoders", "joint_torques", "wrists" or "vision".
             corrupt: function that adds errors to a value.
-            value: ideal value, of the shape that `_value` states for this name.
+            value: ideal value, of the shape that `_ideal_value` states for this name.
 
         Returns:
             Fields of a `Measurement` by their names. Encoders measure no velocities: v is NaN.
@@ -262,8 +273,8 @@ class SensedPlant:
             Field `seen` with the poses of object and tips; with touched bodies also `touched`, with
             their poses, twists of NaN (vision does not measure them) and zero accelerations.
         """
-        reading: Reading = {"seen": Seen(poses[0], poses[1 : self._robots])}
-        bodies = poses[self._robots :]
+        reading: Reading = {"seen": Seen(poses[0], poses[1 : self._robot_poses])}
+        bodies = poses[self._robot_poses :]
         if len(bodies):
             if self.sensors.markers is not None:
                 bodies = bodies @ np.linalg.inv(self.sensors.markers)
@@ -272,7 +283,7 @@ class SensedPlant:
         return reading
 
 
-def _noisy(
+def _reading_errors(
     errors: SensorErrors | Errors[float], shape: tuple[int, ...], rng: np.random.Generator
 ) -> Callable[[Array], Array]:
     """Make the function that adds the errors of a sensor to a value; the bias is drawn once.
@@ -294,7 +305,9 @@ def _noisy(
     return corrupt
 
 
-def _pictures(vision: VisionSpec, n: int, rng: np.random.Generator) -> Callable[[Array], Array]:
+def _vision_errors(
+    vision: VisionSpec, n: int, rng: np.random.Generator
+) -> Callable[[Array], Array]:
     """Make the function that adds the errors of vision to n poses.
 
     All poses are displaced together by the error of the camera's frame, and each by its own bias
@@ -305,8 +318,8 @@ def _pictures(vision: VisionSpec, n: int, rng: np.random.Generator) -> Callable[
         n: number of poses.
         rng: random generator of biases and noise.
     """
-    add_position_errors = _noisy(vision.position, (n, 3), rng)
-    add_rotation_errors = _noisy(vision.orientation, (n, 3), rng)
+    add_position_errors = _reading_errors(vision.position, (n, 3), rng)
+    add_rotation_errors = _reading_errors(vision.orientation, (n, 3), rng)
     offset = vision.frame_position * rng.uniform(-1.0, 1.0, 3)
     R_CW = pin.exp3(vision.frame_orientation * rng.uniform(-1.0, 1.0, 3))
 

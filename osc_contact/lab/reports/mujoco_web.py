@@ -33,7 +33,7 @@ def mujoco_files(archive: Path | None = None) -> dict[str, bytes]:
     Raises:
         OscContactError: there is none, or its content is another one.
     """
-    content = _brought() if archive is None else _read(archive)
+    content = _package_from_cache() if archive is None else _read(archive)
     with TemporaryDirectory() as folder:
         path = Path(folder) / ARCHIVE
         path.write_bytes(content)
@@ -63,7 +63,7 @@ def _read(archive: Path) -> bytes:
     return content
 
 
-def _brought() -> bytes:
+def _package_from_cache() -> bytes:
     """Return the npm package of MuJoCo from the user's cache; npm downloads it the first time.
 
     Raises:

@@ -34,16 +34,16 @@ def packed_files(contents: Mapping[str, str | bytes]) -> str:
     Raises:
         OscContactError: a module contains a statement that no classic script may contain.
     """
-    script = "\n".join(_classic(name, _text(contents[name])) for name in _SCRIPTS)
+    script = "\n".join(_as_classic_script(name, _as_text(contents[name])) for name in _SCRIPTS)
     inside = {name: content for name, content in contents.items() if name not in _SCRIPTS}
     packed = {
-        name: base64.b64encode(zlib.compress(_bytes(content), 9)).decode("ascii")
+        name: base64.b64encode(zlib.compress(_as_bytes(content), 9)).decode("ascii")
         for name, content in (*inside.items(), ("worker.js", script))
     }
     return f"<script>\n{filled('web_one_file.js', {'packed': json.dumps(packed)})}</script>"
 
 
-def _classic(name: str, module: str) -> str:
+def _as_classic_script(name: str, module: str) -> str:
     """Convert a JavaScript module to a classic script, without imports and exports.
 
     Args:
@@ -60,18 +60,23 @@ def _classic(name: str, module: str) -> str:
     return module
 
 
-def _text(content: str | bytes) -> str:
+def _as_text(content: str | bytes) -> str:
     """Convert the content of a file to text."""
     return content if isinstance(content, str) else content.decode("utf-8")
 
 
-def _bytes(content: str | bytes) -> bytes:
+def _as_bytes(content: str | bytes) -> bytes:
     """Convert the content of a file to bytes."""
     return content.encode("utf-8") if isinstance(content, str) else content
 
 
 def licences() -> str:
-    """Licences of MuJoCo, meshcat with its parts, DAQP and wasi-libc."""
+    """Licences of all software in the page: MuJoCo, meshcat with its parts, DAQP and wasi-libc.
+
+    Those of meshcat and DAQP are read from their packages. MuJoCo's package has none, so the text
+    of the Apache License is packaged here, as is that of wasi-libc. Each text has a title between
+    lines of "=".
+    """
     own_licence = distribution("osc-contact").metadata["License-Expression"]
     viewer = files("meshcat") / "viewer"
     sources = files("osc_contact.control") / "c_files" / "daqp-0.11.0.tar.xz"

@@ -32,8 +32,12 @@ MOST_PROJECTED = 0.1  #: of the total power; a larger share is explained
 def verdict_table(verdict: Json) -> Table:
     """Make the table of a run's metrics for the terminal.
 
+    Rows are, in this order: forces; first contacts and steps; free motion and power; friction of
+    the joints; normals; times of the tick; stages of a plan; statuses and motors at their limits.
+    A quantity that was not measured (None) has no row.
+
     Args:
-        verdict: content of metrics.json.
+        verdict: content of metrics.json, see `metrics` for its keys and units.
     """
     title = (
         f"{verdict['scenario']} on {verdict['plant']}, {verdict['duration_s']:g} s, "
@@ -43,16 +47,16 @@ def verdict_table(verdict: Json) -> Table:
     for name, force in verdict["force"].items():
         table.add_row(
             f"force {name}",
-            f"rms {_percent(force['rms_error_rel'])}, peak {_percent(force['peak_error_rel'])} "
-            f"of {force['mean_command_N'] or 0.0:.2f} N; sensed within "
-            f"{_percent(force['sensing_rms_rel'])}; closed "
-            f"{100 * verdict['contact_fraction'][_owner(name)]:.2f} %",
+            f"rms {_percent_text(force['rms_error_rel'])}, peak "
+            f"{_percent_text(force['peak_error_rel'])} of {force['mean_command_N'] or 0.0:.2f} N; "
+            f"sensed within {_percent_text(force['sensing_rms_rel'])}; closed "
+            f"{100 * verdict['contact_fraction'][_contact_of_force(name)]:.2f} %",
         )
     # landings, and overshoots of the answers to steps of the force
     for contact, first in verdict["first_contact_s"].items():
         words = "never" if first is None else _closing_line(first, contact, verdict["steps"])
         table.add_row(f"first contact {contact}", words)
-    for row in _steps(verdict["steps"]):
+    for row in _step_rows(verdict["steps"]):
         table.add_row(*row)
     motion = verdict["motion"]
     power = verdict["power"]
@@ -66,7 +70,7 @@ def verdict_table(verdict: Json) -> Table:
         table.add_row(
             "power",
             f"total {power['total_rms_W']:.4g} W, projected {power['projected_rms_W']:.3g} W"
-            + _share(power["ratio"]),
+            + _power_words(power["ratio"]),
         )
     # friction of the joints, as modelled and as learned
     for arm, words in losses_by_arm(verdict["joint_losses"]):
@@ -132,12 +136,14 @@ def _closing_line(t: float, contact: str, steps: Sequence[Json]) -> str:
         steps: `steps` of the metrics.
     """
     first_steps = [
-        s for s in steps if s["what"] == "first contact" and _owner(s["force"]) == contact
+        s
+        for s in steps
+        if s["what"] == "first contact" and _contact_of_force(s["force"]) == contact
     ]
-    return f"at {t:.3f} s" + "".join(f"; {_over(s)}" for s in first_steps)
+    return f"at {t:.3f} s" + "".join(f"; {_overshoot_words(s)}" for s in first_steps)
 
 
-def _steps(steps: Sequence[Json], limit: int = 3) -> Iterator[tuple[str, str]]:
+def _step_rows(steps: Sequence[Json], limit: int = 3) -> Iterator[tuple[str, str]]:
     """Make a row for each step of a force: its time, its size (N) and its overshoot.
 
     Args:
@@ -159,10 +165,10 @@ def _steps(steps: Sequence[Json], limit: int = 3) -> Iterator[tuple[str, str]]:
             steps_of_name = [max(steps_of_name, key=lambda s: s["overshoot_rel"])]
         for s in steps_of_name:
             change = f"at {s['t_s']:.3f} s from {s['from_N']:.3g} N to {s['to_N']:.3g} N"
-            yield label, f"{change}; {_over(s)}"
+            yield label, f"{change}; {_overshoot_words(s)}"
 
 
-def _share(ratio: float | None) -> str:
+def _power_words(ratio: float | None) -> str:
     """Words for the ratio of projected to total power, with its cause where it is large.
 
     Args:
@@ -171,24 +177,24 @@ def _share(ratio: float | None) -> str:
     if ratio is None:
         return ""
     if ratio <= MOST_PROJECTED:
-        return f", ratio {_percent(ratio)}"
+        return f", ratio {_percent_text(ratio)}"
     return (
-        f"; the projected part (ratio {_percent(ratio)}) is power into the contacts: "
+        f"; the projected part (ratio {_percent_text(ratio)}) is power into the contacts: "
         "they yielded, or the object hardly moved along them"
     )
 
 
-def _over(step: Json) -> str:
+def _overshoot_words(step: Json) -> str:
     """Words for the overshoot of a force step."""
     if not step["overshoot_N"]:
         return "no overshoot"
     return (
         f"reaches {step['peak_N']:.3g} N of {step['commanded_N']:.3g} N, "
-        f"overshoot {_percent(step['overshoot_rel'])}"
+        f"overshoot {_percent_text(step['overshoot_rel'])}"
     )
 
 
-def _owner(force: str) -> str:
+def _contact_of_force(force: str) -> str:
     """Name of the contact of a force, such as pad of pad.1."""
     return force.partition(".")[0]
 
@@ -200,7 +206,7 @@ def basis_tables(inspection: Inspection) -> Iterator[Table]:
         inspection: inspection of a scenario.
     """
     where = "(at the object's origin, world axes)"
-    yield _basis(
+    yield _basis_table(
         f"N: forces the contacts transmit {where}",
         inspection.N,
         inspection.contacts,
@@ -208,7 +214,7 @@ def basis_tables(inspection: Inspection) -> Iterator[Table]:
     )
     names = [f"t{i + 1}" for i in range(inspection.T.shape[1])]
     largest = np.abs(inspection.T).max(axis=0, initial=1e-300)
-    yield _basis(
+    yield _basis_table(
         f"T: motions they permit {where}",
         inspection.T / largest,
         names,
@@ -246,7 +252,7 @@ def robot_tables(robot: RobotSummary) -> Iterator[Table]:
         joints.add_row(
             joint.name,
             joint.kind,
-            f"{_range(joint.lower, joint.upper)} {angle}",
+            f"{_range_text(joint.lower, joint.upper)} {angle}",
             f"{joint.effort:g} {effort}",
             f"{joint.velocity:g} {speed}",
             f"{joint.moved_mass:.4g}",
@@ -263,19 +269,19 @@ def robot_tables(robot: RobotSummary) -> Iterator[Table]:
         title="reachable at the tips",
     )
     for tip in robot.tips:
-        sigma = ", ".join(_range(low, high, 2) for low, high in tip.mobility)
+        sigma = ", ".join(_range_text(low, high, 2) for low, high in tip.mobility)
         tips.add_row(
             tip.tip,
             str(tip.joints),
-            _range(*tip.mass, 3),
-            _range(*tip.inertia, 3),
+            _range_text(*tip.mass, 3),
+            _range_text(*tip.inertia, 3),
             sigma or "the tip's body is no solid",
         )
     if robot.tips:
         yield tips
 
 
-def _range(low: float, high: float, digits: int = 4) -> str:
+def _range_text(low: float, high: float, digits: int = 4) -> str:
     """Write a range of two numbers; an infinite end becomes ∞.
 
     Args:
@@ -286,7 +292,7 @@ def _range(low: float, high: float, digits: int = 4) -> str:
     return " … ".join(words)
 
 
-def _basis(title: str, basis: Array, names: Sequence[str], labels: Sequence[str]) -> Table:
+def _basis_table(title: str, basis: Array, names: Sequence[str], labels: Sequence[str]) -> Table:
     """Make the table of a basis of motions or forces.
 
     Args:
@@ -302,7 +308,7 @@ def _basis(title: str, basis: Array, names: Sequence[str], labels: Sequence[str]
     return table
 
 
-def _percent(ratio: float | None) -> str:
+def _percent_text(ratio: float | None) -> str:
     """Write a ratio in percent; None, an unknown ratio, becomes a dash."""
     return "–" if ratio is None else f"{100 * ratio:.3g} %"
 

@@ -26,7 +26,7 @@ from osc_contact.lab.visual.run_figures import DRAWN
 from osc_contact.lab.visual.scene import Scene, write_scene
 from osc_contact.recorder import Recording
 
-_LARGEST = 1e9  #: m, rad, N, W, largest plausible number in a recording
+_LARGEST_PLAUSIBLE = 1e9  #: m, rad, N, W, largest plausible number in a recording
 
 
 def content_of(what: Rig | MujocoRobot | Content) -> Content:
@@ -146,8 +146,10 @@ def require_drawable(recording: Recording, content: Content, source: str) -> Non
                 f"{source}: channel {name!r} has shape {values.shape[1:]} at a tick; runs of "
                 f"{content.title} have {shape}"
             )
-        if np.abs(values).max(initial=0.0, where=~np.isnan(values)) > _LARGEST:
-            raise RecordingError(f"{source}: channel {name!r} holds numbers above {_LARGEST:g}")
+        if np.abs(values).max(initial=0.0, where=~np.isnan(values)) > _LARGEST_PLAUSIBLE:
+            raise RecordingError(
+                f"{source}: channel {name!r} holds numbers above {_LARGEST_PLAUSIBLE:g}"
+            )
     # the slider of the page needs increasing times
     t = np.asarray(recording["t"], dtype=float)
     if not (np.isfinite(t).all() and (np.diff(t) > 0.0).all()):
@@ -155,7 +157,16 @@ def require_drawable(recording: Recording, content: Content, source: str) -> Non
 
 
 def _content_of_rig(rig: Rig) -> Content:
-    """Parts of the scene of a rig: arms, object, bodies of the environment."""
+    """Parts of the scene of a rig: arms, object, bodies of the environment.
+
+    A `Visual` has a name, a URDF with the folders of its meshes, and its pose in the world (None:
+    that of the channel `pose`). An arm also has its part of the joint positions q, the positions of
+    locked joints and its tip; a body has the index of a contact, whose channel `face_pose` moves
+    it.
+
+    Args:
+        rig: rig of a scenario.
+    """
     scenario = rig.scenario
     source = scenario.folder
     arms = [
@@ -257,7 +268,7 @@ def picture(recording: Recording, rig: Rig | Content, path: Path, time: float | 
         raise InvalidInputError(
             f"time {moment:g} s is not in the recording, which spans {t[0]:g} to {t[-1]:g} s"
         )
-    with _page(recording, rig) as page:
+    with _temporary_page(recording, rig) as page:
         return write_png(page, path, moment)
 
 
@@ -276,12 +287,12 @@ def moving_picture(
         ViewerError: there is no browser to render it.
     """
     t = recording["t"]
-    with _page(recording, rig) as page:
+    with _temporary_page(recording, rig) as page:
         return write(page, path, float(t[0]), float(t[-1]))
 
 
 @contextmanager
-def _page(recording: Recording, rig: Rig | Content) -> Iterator[Path]:
+def _temporary_page(recording: Recording, rig: Rig | Content) -> Iterator[Path]:
     """Context with the scene of a recording as a page in a temporary folder.
 
     Args:

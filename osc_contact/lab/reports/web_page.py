@@ -3,6 +3,12 @@
 The plant is MuJoCo's official WebAssembly build, the law is law.wasm, the picture is the scene of
 the live view. References are sampled into a table that the page plays. Features of a scenario that
 Python computes in every step are refused.
+
+Attributes of `_Drawn`: `_rig`, `_plant`, rig of the scenario and its plant at the start;
+`_compares`, whether a selection law is shown, too; `_force_descriptions`, descriptions of the
+forces; `_scene`, the picture, and `_page_commands`, the commands that draw it in a page;
+`_node_states`, state at the start of each node that may move, by its path; `_nodes`, descriptions
+of those that move with a body; `_cameras`, views.
 """
 
 from __future__ import annotations
@@ -58,8 +64,8 @@ SAMPLES = 100.0  #: rate of the samples of curves (1/s)
 WINDOW = 10.0  #: duration that curves show (s)
 Selection = dict[str, Any]  #: entries point_m, force_axes, couple_axes of a selection law
 TICKS = 60_000  #: largest number of rows of the table of references
-_DIGITS = 2**27  #: largest number of a column of the table, in the column's unit
-_POWERS = ("power_total", "power_projected")  #: channels that a page does not compute
+_LARGEST_WHOLE_NUMBER = 2**27  #: largest number of a column of the table, in the column's unit
+_POWER_CHANNELS = ("power_total", "power_projected")  #: channels that a page does not compute
 
 
 class Hindrance(NamedTuple):
@@ -86,7 +92,7 @@ def _plant_without(key: str, value: Any) -> Callable[[Scenario], Json]:
         key: key of `plant`.
         value: value that leaves the feature out.
     """
-    return lambda s: {"plant": {**dict(s.plant), key: value}}
+    return lambda scenario: {"plant": {**dict(scenario.plant), key: value}}
 
 
 def _has_moving_bodies(scenario: Scenario) -> bool:
@@ -132,21 +138,21 @@ def playable(scenario: Scenario, without: Collection[str] = ()) -> Scenario:
     Raises:
         InvalidInputError: an unknown name, or a further feature that a page cannot have.
     """
-    optional = [one.name for one in HINDRANCES if one.left_out is not None]
+    optional = [feature.name for feature in HINDRANCES if feature.left_out is not None]
     if unknown := sorted(set(without) - set(optional)):
         raise InvalidInputError(
             f"--without {','.join(unknown)} names nothing that can be left out: give some of "
             f"{', '.join(optional)}"
         )
-    for one in HINDRANCES:
-        if one.found(scenario) and one.name in without and one.left_out is not None:
-            scenario = scenario.replaced(**one.left_out(scenario))
-    present = [one for one in HINDRANCES if one.found(scenario)]
+    for feature in HINDRANCES:
+        if feature.found(scenario) and feature.name in without and feature.left_out is not None:
+            scenario = scenario.replaced(**feature.left_out(scenario))
+    present = [feature for feature in HINDRANCES if feature.found(scenario)]
     if present:
-        cure = ",".join(one.name for one in present if one.left_out is not None)
+        cure = ",".join(feature.name for feature in present if feature.left_out is not None)
         raise InvalidInputError(
-            f"{scenario.name} has {', '.join(one.words for one in present)}, which Python computes "
-            "step by step and a page cannot"
+            f"{scenario.name} has {', '.join(feature.words for feature in present)}, which Python "
+            "computes step by step and a page cannot"
             + (f"; --without {cure} leaves that out" if cure else "")
         )
     return scenario
@@ -182,12 +188,12 @@ def write_web_page(
     require_ready(rig)
     controller = rig.controller()
     # the page steps a plant with coarser steps, but controls with the scenario's own controller
-    plant = _rough(scenario).plant()
+    plant = _rig_with_friction(scenario).plant()
     assert isinstance(plant, MujocoPlant) and plant.spec is not None
     selection = None if select is None else select(rig)
     drawing = _Drawn(rig, plant, selection is not None)
-    columns, table = folded(_references(rig))
-    task = _task(rig, plant, columns) | {"nodes": drawing.bodies, "selection": selection}
+    columns, table = folded(_reference_rows(rig))
+    task = _worker_data(rig, plant, columns) | {"nodes": drawing.bodies, "selection": selection}
     contents: dict[str, str | bytes] = {
         "task.json": json.dumps(task, allow_nan=False),
         "worker.mjs": asset("web_worker.mjs"),
@@ -215,7 +221,7 @@ def write_web_page(
     return {name: (folder / name).stat().st_size for name in contents}
 
 
-def _rough(scenario: Scenario) -> Rig:
+def _rig_with_friction(scenario: Scenario) -> Rig:
     """Make a rig with friction between object and faces, whose coefficient the page can set."""
     if scenario.plant.friction > 0.0:
         return build_rig(scenario)
@@ -225,7 +231,7 @@ def _rough(scenario: Scenario) -> Rig:
 # --- Data of the worker ------------------------------------------------------------------------
 
 
-def _references(rig: Rig) -> Array:
+def _reference_rows(rig: Rig) -> Array:
     """References of all ticks (ticks, 28 + forces).
 
     Each row has X_WD (4×4 by rows), V_D, A_D and the desired forces.
@@ -265,7 +271,7 @@ def folded(table: Array) -> tuple[Json, bytes]:
     changing = [k for k in range(table.shape[1]) if np.ptp(table[:, k]) > 0.0]
     columns, parts = [], []
     for k in changing:
-        unit = float(np.abs(table[:, k]).max()) / _DIGITS
+        unit = float(np.abs(table[:, k]).max()) / _LARGEST_WHOLE_NUMBER
         integers = np.rint(table[:, k] / unit).astype(np.int64)
         for _ in range(3):
             integers = np.diff(integers, prepend=0)
@@ -275,7 +281,7 @@ def folded(table: Array) -> tuple[Json, bytes]:
     return about, b"".join(parts)
 
 
-def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
+def _worker_data(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
     """Data for the page's worker beyond the other files, for JSON.
 
     They are the control period (s) and its steps, the start (MuJoCo's positions), places of the
@@ -328,12 +334,14 @@ def _task(rig: Rig, plant: MujocoPlant, references: Json) -> Json:
             "torques": len(chain.actuated),
             "forces": len(rig.owners),
         },
-        "forces": [{"name": force["name"], "wall": force["wall"]} for force in _forces(rig)],
-        "walls": _walls(rig, plant),
+        "forces": [
+            {"name": force["name"], "wall": force["wall"]} for force in _force_descriptions(rig)
+        ],
+        "walls": _wall_descriptions(rig, plant),
     }
 
 
-def _forces(rig: Rig) -> list[Json]:
+def _force_descriptions(rig: Rig) -> list[Json]:
     """Description of each force for the page's controls and plots.
 
     It has the name, the first and the largest command of the slider, its step and unit, and the
@@ -345,7 +353,7 @@ def _forces(rig: Rig) -> list[Json]:
     """
     owners, touched_bodies = rig.owners.tolist(), rig.on
     commands = rig.references.overview[1].alpha_d
-    couples = _couples(rig)
+    couples = _are_couples(rig)
     forces = []
     for column, (name, owner) in enumerate(zip(rig.force_names, owners, strict=True)):
         wall = touched_bodies[owner]
@@ -365,12 +373,12 @@ def _forces(rig: Rig) -> list[Json]:
     return forces
 
 
-def _couples(rig: Rig) -> list[bool]:
+def _are_couples(rig: Rig) -> list[bool]:
     """Flag of each column of N: True for a couple, which has no force."""
     return [bool(norm(column[:3]) < 1e-9) for column in rig.contact.N.T]
 
 
-def _walls(rig: Rig, plant: MujocoPlant) -> list[Json]:
+def _wall_descriptions(rig: Rig, plant: MujocoPlant) -> list[Json]:
     """Description of each body of the environment: name, a touched point, and axes of its motion.
 
     The axes are the outward normal and a horizontal axis along the face; all are in the world.
@@ -425,27 +433,31 @@ class _Drawn:
         first = samples_at(
             run(rig.scenario, duration=2.0 / rig.scenario.control.rate).channels, slice(1)
         )
-        self._forces = _forces(rig)
+        self._force_descriptions = _force_descriptions(rig)
         # true forces are known only if a wall of the plant measures them
-        unknown = () if any(force["wall"] >= 0 for force in self._forces) else ("alpha_true",)
+        unknown = (
+            () if any(force["wall"] >= 0 for force in self._force_descriptions) else ("alpha_true",)
+        )
         channels = {
-            name: value for name, value in first.items() if name not in (*_POWERS, *unknown)
+            name: value for name, value in first.items() if name not in (*_POWER_CHANNELS, *unknown)
         }
         self._scene = Scene(content_of(rig), channels)
-        self._sink = CommandSink()
-        top = self._sink.visualizer()
+        self._page_commands = CommandSink()
+        top = self._page_commands.visualizer()
         self._scene.draw(top)
-        self._frames = self._scene.states(channels)
-        changes(top, {}, self._frames)
+        self._node_states = self._scene.states(channels)
+        changes(top, {}, self._node_states)
         # axes of twists are drawn, but hidden until the user shows them
-        for path in self._frames:
+        for path in self._node_states:
             if path.startswith("twists/") and path.count("/") == 1:
                 top[path].set_property("visible", False)
         self._cameras = self._scene.look(top, channels)
-        self._nodes = [self._node(path) for path in self._frames if self._body(path)]
+        self._nodes = [
+            self._describe_node(path) for path in self._node_states if self._body_of_node(path)
+        ]
         self.bodies = [{"body": node["body"]} for node in self._nodes]
 
-    def _body(self, path: str) -> str:
+    def _body_of_node(self, path: str) -> str:
         """Name of the body of MuJoCo that a node moves with; empty for a node at rest.
 
         Nodes that move are bodies/NAME/base of the object and of each body, which MuJoCo names
@@ -466,12 +478,12 @@ class _Drawn:
                 return str(model.body(int(model.joint(joint).bodyid[0])).name)
         return ""
 
-    def _node(self, path: str) -> Json:
+    def _describe_node(self, path: str) -> Json:
         """Description of a moving node: path, body, and pose in the body's frame (4×4 by rows)."""
-        name = self._body(path)
+        name = self._body_of_node(path)
         body = self._plant.data.body(name)
         X_WB = pin.SE3(body.xmat.reshape(3, 3).copy(), body.xpos.copy())
-        poses = self._frames[path].poses
+        poses = self._node_states[path].poses
         assert poses is not None
         X_WN = pin.XYZQUATToSE3(poses[0])
         return {
@@ -481,21 +493,21 @@ class _Drawn:
             "offset": X_WB.actInv(X_WN).homogeneous.ravel().tolist(),
         }
 
-    def _marks(self) -> list[Json]:
+    def _describe_forces(self) -> list[Json]:
         """Descriptions of all forces for the page's script, each with the place of its arrows.
 
         Returns:
-            For each force the keys of its description in `_forces`; path of its node in the scene;
-            point of its foot in the object's frame (m); rotation of its arrows at the start in the
-            world (4×4 by rows); names of its arrows; unit (m per N or N m).
+            For each force the keys of its description in `_force_descriptions`; path of its node in
+            the scene; point of its foot in the object's frame (m); rotation of its arrows at the
+            start in the world (4×4 by rows); names of its arrows; unit (m per N or N m).
         """
         place = next(node for node in self._nodes if node["object"])  # node of the object
         marks = []
-        for force, about in zip(self._scene.forces, self._forces, strict=True):
-            poses = self._frames[force.path].poses
+        for force, about in zip(self._scene.forces, self._force_descriptions, strict=True):
+            poses = self._node_states[force.path].poses
             assert poses is not None
             X_WN = pin.XYZQUATToSE3(poses[0])
-            base = self._frames[place["path"]].poses
+            base = self._node_states[place["path"]].poses
             assert base is not None
             rotation = pin.SE3(X_WN.rotation, np.zeros(3)).homogeneous
             marks.append(
@@ -529,8 +541,8 @@ class _Drawn:
         plan = rig.references.overview[1]
         task = {
             "nodes": self._nodes,
-            "forces": self._marks(),
-            "walls": _walls(rig, self._plant),
+            "forces": self._describe_forces(),
+            "walls": _wall_descriptions(rig, self._plant),
             "lines": [
                 {"key": keys.get(line["key"], line["key"]), "index": line["index"]}
                 for line in self._scene.lines
@@ -568,7 +580,7 @@ class _Drawn:
             policy=POLICY,
         )
         title = rig.scenario.name.replace("_", " ")
-        return page_text(self._sink, title, config, around)
+        return page_text(self._page_commands, title, config, around)
 
     def _add_errors(self) -> None:
         """Add a plot of the errors of the forces, with dotted lines for the selection law."""

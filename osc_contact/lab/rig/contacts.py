@@ -195,6 +195,11 @@ def _body_poses(scenario: Scenario) -> dict[str, pin.SE3]:
 def environment_bodies(scenario: Scenario) -> tuple[EnvironmentBody, ...]:
     """Make the bodies of a scenario: first the faces of single contacts, then `environment`.
 
+    A face's frame has its origin in the given point and the normal as z axis (`triad`).
+
+    Args:
+        scenario: scenario with contacts and, perhaps, bodies of the environment.
+
     Raises:
         ModelError: a URDF is not found.
     """

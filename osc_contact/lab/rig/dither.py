@@ -23,7 +23,7 @@ from osc_contact.settings.control import Dither
 from osc_contact.settings.quantities import Length
 from osc_contact.spatial import Array, norm
 
-_WHOLE = np.array([[1.0], [0.0], [0.0]])  #: the constant 1 with its derivatives, (3, 1)
+_CONSTANT_ONE = np.array([[1.0], [0.0], [0.0]])  #: the constant 1 with its derivatives, (3, 1)
 SHOWN_TO = np.deg2rad(0.5)  #: error of normals after a dither with all errors of a workcell (rad)
 
 
@@ -41,7 +41,7 @@ def slides(dither: Dither, start: float, t: Array) -> Array:
     sine = Sine[Length](
         amplitude=dither.amplitude, frequency=dither.frequency, start=start, ramp=quarter
     )
-    return product(sine.at(t), _WHOLE - rise(t, start + 3.0 * quarter, quarter))
+    return product(sine.at(t), _CONSTANT_ONE - rise(t, start + 3.0 * quarter, quarter))
 
 
 def opposed(pairs: Sequence[ContactPair], state: ChainState) -> tuple[Array, Array, Array] | None:

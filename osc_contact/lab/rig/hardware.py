@@ -1,4 +1,18 @@
-"""Drives and sensors of a rig, made from a scenario, and the robot between plant and controller."""
+"""Drives and sensors of a rig, made from a scenario, and the robot between plant and controller.
+
+A `TorqueLoopRobot` keeps `_torque_stamp`, time at which the joint torques were sampled last (s). An
+`ObservedRobot` has, beside its public attributes:
+
+* `_estimate`: estimator of joint velocities; None: the encoders are ideal;
+* `_acceleration`, `_measured_forces`: (n,) accelerations of the joints that the last command causes
+  (rad/s², m/s²), and whether they include those by measured contact forces;
+* `_encoder_stamp`, `_delay`: time at which encoders were sampled last, and their delay (s);
+* `_last_plausible`, `_implausible_ticks`, `_largest_change`: (n,) last plausible readings (rad, m),
+  number of implausible ones since, largest plausible change in a period (rad, m);
+* `_noise_measure`, `_largest_noise`, `_dead_encoders`: measure of the encoders' noise, (n,) largest
+  noise for which gains are designed (rad, m), detector of dead encoders;
+* `_ticks`: number of measurements.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -29,7 +43,7 @@ from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.sensing.vision_fusion import Registration, VisionFusion
 from osc_contact.spatial import Array
 
-_NOISE = 0.02  #: jump of an encoder's reading that counts as plausible without motion (rad, m)
+_QUIET_JUMP = 0.02  #: jump of an encoder's reading that counts as plausible without motion (rad, m)
 
 
 #: Function that reads one error (noise, bias or resolution) from the description of a quantity.
@@ -141,15 +155,15 @@ def sensors(spec: SensorsSpec, chain: ClosedChain, markers: Array) -> Sensors:
         return np.repeat([error(wrist.force), error(wrist.torque)], 3)
 
     return Sensors(
-        encoders=_sensor(spec.encoder, partial(_joint_errors, chain)),
-        joint_torques=_sensor(spec.joint_torque, joint_torque_errors),
-        wrists=_sensor(spec.wrist, wrist_errors),
+        encoders=_clock_and_errors(spec.encoder, partial(_joint_errors, chain)),
+        joint_torques=_clock_and_errors(spec.joint_torque, joint_torque_errors),
+        wrists=_clock_and_errors(spec.wrist, wrist_errors),
         vision=spec.vision,
         markers=markers,
     )
 
 
-def _sensor(
+def _clock_and_errors(
     spec: Clock | None, sizes: Callable[[Any, ReadsError], Array]
 ) -> tuple[Clock, SensorErrors] | None:
     """Clock and errors of one kind of sensor; None: the sensor is ideal.
@@ -271,7 +285,7 @@ class TorqueLoopRobot:
         self.loop = loop
         self.measure = plant.measure
         self.stop = plant.stop
-        self._sampled = -1.0
+        self._torque_stamp = -1.0
 
     def command(self, tau: Array, duration: float) -> None:
         """Run the loop for one period of the controller.
@@ -286,8 +300,8 @@ class TorqueLoopRobot:
             stamps = measurement.stamps
             assert torques is not None  # the MuJoCo plant has them
             sampled = self.plant.time if stamps is None else stamps.joint_torques
-            motor_torques = self.loop.command(tau, torques, fresh=sampled > self._sampled)
-            self._sampled = sampled
+            motor_torques = self.loop.command(tau, torques, fresh=sampled > self._torque_stamp)
+            self._torque_stamp = sampled
             self.plant.command(motor_torques, self.loop.dt)
 
 
@@ -331,12 +345,12 @@ class ObservedRobot:
         #: accelerations of the joints that the last command causes (rad/s², m/s²)
         self._acceleration = np.zeros(chain.nq)
         self.dt = 1.0 / scenario.control.rate
-        self._sampled = -1.0  #: time at which encoders were sampled last (s)
+        self._encoder_stamp = -1.0  #: time at which encoders were sampled last (s)
         self._ticks = 0
         spec = scenario.sensors
         estimate = scenario.control.estimate
         self._measured_forces = measured_forces
-        self._joints: VelocityEstimate | None = None
+        self._estimate: VelocityEstimate | None = None
         if spec.encoder is not None:
             limit = chain.model.velocityLimit
             limit = np.where(limit > 0.0, limit, np.inf)
@@ -344,17 +358,17 @@ class ObservedRobot:
             #: largest plausible change of a reading in a period (rad, m)
             self._largest_change = scenario.control.safety.plausible_speed * limit * period
             self._delay = spec.encoder.delay
-            self._accepted = np.full(chain.nq, np.nan)
-            self._missed = np.zeros(chain.nq)
-            self._joints, error = joint_estimate(scenario, chain, measured_forces)
+            self._last_plausible = np.full(chain.nq, np.nan)
+            self._implausible_ticks = np.zeros(chain.nq)
+            self._estimate, error = joint_estimate(scenario, chain, measured_forces)
             #: largest noise whose estimate is as fast as the hold of a stopped arm: √(σ_a/σ_n) = ω
             unknown = encoder_errors(scenario, chain)[1]
             rate = scenario.control.safety.hold_rate
-            self._most_expected = np.maximum(unknown / rate**2, error)
-            self._noise = ReadingNoise(error, 1.0 / spec.encoder.rate)
+            self._largest_noise = np.maximum(unknown / rate**2, error)
+            self._noise_measure = ReadingNoise(error, 1.0 / spec.encoder.rate)
             noise = _joint_errors(chain, spec.encoder, attrgetter("noise"))
             resolution = _joint_errors(chain, spec.encoder, attrgetter("resolution"))
-            self._dead = DeadEncoders(noise, resolution)
+            self._dead_encoders = DeadEncoders(noise, resolution)
         self.vision: VisionFusion | None = None
         if (camera := spec.vision) is not None:
             self.vision = VisionFusion(
@@ -375,10 +389,10 @@ class ObservedRobot:
         Args:
             q: (n,) readings of the encoders (rad, m).
         """
-        largest_change = _NOISE + self._largest_change * (1.0 + self._missed)
-        implausible = ~np.isfinite(q) | (np.abs(q - self._accepted) > largest_change)
-        self._missed = np.where(implausible, self._missed + 1.0, 0.0)
-        self._accepted = np.where(implausible, self._accepted, q)
+        largest_change = _QUIET_JUMP + self._largest_change * (1.0 + self._implausible_ticks)
+        implausible = ~np.isfinite(q) | (np.abs(q - self._last_plausible) > largest_change)
+        self._implausible_ticks = np.where(implausible, self._implausible_ticks + 1.0, 0.0)
+        self._last_plausible = np.where(implausible, self._last_plausible, q)
         return implausible
 
     def measure(self) -> Measurement:
@@ -394,19 +408,19 @@ class ObservedRobot:
         stamps = measurement.stamps
         if stamps is None:
             return measurement
-        if self._joints is not None:
+        if self._estimate is not None:
             implausible = self._implausible(measurement.q)
-            if implausible.any() and self._joints.x is None:  # the estimate has not begun
+            if implausible.any() and self._estimate.x is None:  # the estimate has not begun
                 return measurement
-            fresh = stamps.encoders > self._sampled
+            fresh = stamps.encoders > self._encoder_stamp
             q = np.where(implausible, np.nan, measurement.q)
-            dead = self._dead.update(measurement.q, fresh)
+            dead = self._dead_encoders.update(measurement.q, fresh)
             if fresh:
-                self._expect_noise(self._joints, q)
-            q, v = self._joints.update(np.where(dead, np.nan, q), self._acceleration, fresh)
+                self._expect_noise(self._estimate, q)
+            q, v = self._estimate.update(np.where(dead, np.nan, q), self._acceleration, fresh)
             q = np.where(implausible | dead, np.nan, q + self._delay * v)
             v = np.where(dead, np.nan, v)  # only predicted
-            noisy = self._noise.is_loud
+            noisy = self._noise_measure.is_loud
             measurement = replace(measurement, q=q, v=v, estimated=True, noisy=noisy)
         if self.vision is not None and measurement.touched is not None:
             touched = self.vision.update(
@@ -418,7 +432,7 @@ class ObservedRobot:
             )
             measurement = replace(measurement, touched=touched)
         self._ticks += 1
-        self._sampled = stamps.encoders
+        self._encoder_stamp = stamps.encoders
         return measurement
 
     def _expect_noise(self, estimate: VelocityEstimate, q: Array) -> None:
@@ -431,11 +445,11 @@ class ObservedRobot:
             estimate: of the joints.
             q: (n,) new readings (rad, m); NaN: implausible.
         """
-        was_loud = self._noise.is_loud
-        noise = self._noise.update(q)
-        if was_loud or self._noise.is_loud:
+        was_loud = self._noise_measure.is_loud
+        noise = self._noise_measure.update(q)
+        if was_loud or self._noise_measure.is_loud:
             estimate.expect_noise(
-                np.minimum(noise, self._most_expected), revises=self._noise.begins
+                np.minimum(noise, self._largest_noise), revises=self._noise_measure.begins
             )
 
     def command(self, tau: Array, duration: float) -> None:
@@ -445,7 +459,7 @@ class ObservedRobot:
             tau: (n_a,) motor torques (N m, N).
             duration: control period (s).
         """
-        if self._joints is not None:
+        if self._estimate is not None:
             if self._measured_forces:
                 self._acceleration = expected_acceleration(self.controller)
             else:

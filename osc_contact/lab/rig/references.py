@@ -1,4 +1,9 @@
-"""References of a run at any time, from the signals of a scenario."""
+"""References of a run at any time, from the signals of a scenario.
+
+A `SurfaceMotion` has `_pair`, the contact of the ball with the surface; `_X`, the pose of the
+object at the start; `_ball` and `_normal`, (3,) centre of the ball (m) and normal of the surface at
+the start, in the world.
+"""
 
 from __future__ import annotations
 
@@ -86,11 +91,11 @@ def require_known_times(scenario: Scenario, use: str) -> None:
         )
 
 
-_WHOLE = np.array([[1.0], [0.0], [0.0]])  #: the constant 1 with its derivatives, (3, 1)
-_AT_ONCE = 1000  #: number of references that are computed together
+_CONSTANT_ONE = np.array([[1.0], [0.0], [0.0]])  #: the constant 1 with its derivatives, (3, 1)
+_CHUNK_OF_REFERENCES = 1000  #: number of references that are computed together
 _COMPARED = 100_000  #: number of ticks whose forces are compared together
 #: Time in which the motion rises to that of the signals after a tare, over the approach's time.
-_BEGINNING = 3.0
+_RISE_OVER_APPROACH = 3.0
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,7 @@ class References:
         Raises:
             ScenarioError: `common_tangent` is not unique, or a move names no contact on a surface.
         """
-        ways = tuple(_way(move, pairs, X_start) for move in scenario.motion)
+        ways = tuple(_way_of_move(move, pairs, X_start) for move in scenario.motion)
         showing = np.zeros(6) if showing is None else showing
         return cls(scenario, X_start, ways, standoff, showing)
 
@@ -163,8 +168,10 @@ class References:
             ticks: number of references.
             period: time between them (s).
         """
-        for start in range(0, ticks, _AT_ONCE):
-            yield from self.over(np.arange(start, min(start + _AT_ONCE, ticks)) * period)
+        for start in range(0, ticks, _CHUNK_OF_REFERENCES):
+            yield from self.over(
+                np.arange(start, min(start + _CHUNK_OF_REFERENCES, ticks)) * period
+            )
 
     def forces(self, t: Array) -> Array:
         """Desired force magnitudes (r, k) at times t (k,) (s), in N."""
@@ -283,12 +290,12 @@ class References:
         """
         tare = self.scenario.tare
         dither = self.scenario.control.dither
-        share = _WHOLE  # share of the motion that has begun
+        share = _CONSTANT_ONE  # share of the motion that has begun
         twists = []  # displacements (6,) with their signals (3, k)
         if tare is not None:
-            share = np.array(rise(t, self.engage_at, _BEGINNING * tare.approach))
+            share = np.array(rise(t, self.engage_at, _RISE_OVER_APPROACH * tare.approach))
             nearness = np.array(rise(t, tare.duration, tare.approach))
-            twists.append((self.standoff, _WHOLE - nearness))
+            twists.append((self.standoff, _CONSTANT_ONE - nearness))
         if dither is not None:
             twists.append((self.showing, slides(dither, self.engage_at, t)))
         origin, turn = self._on_surface(t, share)
@@ -302,7 +309,7 @@ class References:
             else:
                 turn = turn.then(direction, s)
                 if move.through is not None:
-                    origin = _swung(origin, direction, np.array(move.through), s)
+                    origin = _carried_by_rotation(origin, direction, np.array(move.through), s)
         for twist, s in twists:
             displacement += twist[:3, None] * s[:, None]
             turn = turn.then(twist[3:], s)
@@ -337,7 +344,9 @@ class References:
         return at_rest, _Turn.start(len(t))
 
 
-def _way(move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3) -> Array | SurfaceMotion:
+def _way_of_move(
+    move: MotionSpec, pairs: Sequence[ContactPair], X_start: pin.SE3
+) -> Array | SurfaceMotion:
     """Direction (3,) of a move, or the surface that it follows.
 
     Args:
@@ -452,7 +461,7 @@ class _Turn:
         return _Turn(rotated(E, self.R), rate + omega, omega_dot)
 
 
-def _swung(place: Array, axis: Array, through: Array, s: Array) -> Array:
+def _carried_by_rotation(place: Array, axis: Array, through: Array, s: Array) -> Array:
     """Motion of a point that is carried by a rotation about an axis fixed in the world.
 
     Args:
@@ -481,10 +490,11 @@ def _swung(place: Array, axis: Array, through: Array, s: Array) -> Array:
 
 
 # Fourth-order central differences at the steps −2 … 2.
-_STEPS = np.arange(-2.0, 3.0)
-_FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0  #: weights of the first derivative
-_SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0  #: weights of the second derivative
-_STEP = 2e-3  #: length of a step (s)
+_DIFFERENCE_PLACES = np.arange(-2.0, 3.0)
+_FIRST_WEIGHTS = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0  #: weights of the first derivative
+#: Weights of the second derivative.
+_SECOND_WEIGHTS = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0
+_DIFFERENCE_STEP = 2e-3  #: length of a step (s)
 
 
 class SurfaceMotion:
@@ -538,16 +548,16 @@ class SurfaceMotion:
             from the start.
         """
         k = u.shape[2]
-        step = _STEP * _STEPS[:, None, None]
+        step = _DIFFERENCE_STEP * _DIFFERENCE_PLACES[:, None, None]
         path = u[0] + step * u[1] + 0.5 * step * step * u[2]  # (5, 2, k)
         displacement = np.einsum("ij,sjk->isk", self.axes, path).reshape(3, -1)
         _, foot, normals = self._pair.nearest(self._ball[:, None] + displacement)
-        R = _shortest(self._normal, normals)
+        R = _shortest_rotations(self._normal, normals)
         lever = self._ball - self._X.translation
         origin = foot + self._pair.radius * normals - np.einsum("ijk,j->ik", R, lever)
         place = _derivatives(origin.reshape(3, 5, k))
         turn, R_dot, R_ddot = _derivatives(R.reshape(3, 3, 5, k))
-        return place, _Turn(turn, _odd(R_dot, turn), _odd(R_ddot, turn))
+        return place, _Turn(turn, _axial_of_rate(R_dot, turn), _axial_of_rate(R_ddot, turn))
 
 
 def surface_references(
@@ -593,17 +603,17 @@ def _derivatives(x: Array) -> Array:
 
     Args:
         x: (…, 5, k) values at five times around each of k times t: t − 2δ, t − δ, t, t + δ and t +
-            2δ, with δ = `_STEP` (s).
+            2δ, with δ = `_DIFFERENCE_STEP` (s).
 
     Returns:
         (3, …, k): x, ẋ, ẍ.
     """
-    first = np.einsum("s,...sk->...k", _FIRST, x) / _STEP
-    second = np.einsum("s,...sk->...k", _SECOND, x) / _STEP**2
+    first = np.einsum("s,...sk->...k", _FIRST_WEIGHTS, x) / _DIFFERENCE_STEP
+    second = np.einsum("s,...sk->...k", _SECOND_WEIGHTS, x) / _DIFFERENCE_STEP**2
     return np.array([x[..., 2, :], first, second])
 
 
-def _odd(rate: Array, R: Array) -> Array:
+def _axial_of_rate(rate: Array, R: Array) -> Array:
     """Vector (3, k) of the skew-symmetric part of Ṙ Rᵀ, which is ω, or of R̈ Rᵀ, which is ω̇.
 
     Args:
@@ -613,7 +623,7 @@ def _odd(rate: Array, R: Array) -> Array:
     return 0.5 * axial(np.einsum("ijk,ljk->ilk", rate, R))
 
 
-def _shortest(start: Array, n: Array) -> Array:
+def _shortest_rotations(start: Array, n: Array) -> Array:
     """Matrices (3, 3, k) of the shortest rotations from a unit vector to others.
 
     R = c 1 + [a]× + a aᵀ/(1 + c) with a = start × n and c = startᵀn.

@@ -129,11 +129,11 @@ def touching(chain: ClosedChain, pairs: Sequence[ContactPair], q: Array, X_WO: p
                 "posture"
             )
     except (ModelError, ScenarioError) as error:
-        raise type(error)(f"{error}{_away(pairs, X_WO)}") from error
+        raise type(error)(f"{error}{_furthest_contact(pairs, X_WO)}") from error
     return q_contact
 
 
-def _away(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
+def _furthest_contact(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
     """Sentence on the contact that is furthest from its face at a pose; empty if it is near.
 
     Args:
@@ -195,7 +195,7 @@ class Rig:
                 `verdict`.
             chains: function that makes the chains, see `build_rig`.
         """
-        return replace(self, scenario=scenario, model=_model(scenario, self.chain, chains))
+        return replace(self, scenario=scenario, model=_modelled_chain(scenario, self.chain, chains))
 
     def plant(self, seed: int = 0) -> Plant:
         """Make the plant of the scenario with its sensors, at the start of the run.
@@ -459,7 +459,7 @@ def _noted_by_rigid(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTr
 
 
 @register_plant("rigid", exact=True, truths=_noted_by_rigid)
-def _rigid(rig: Rig, seed: int) -> Plant:
+def _rigid_plant(rig: Rig, seed: int) -> Plant:
     """Make the rigid plant of a rig, which uses no random numbers."""
     return RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step, rails(rig.bodies), rig.on)
 
@@ -475,13 +475,13 @@ def _noted_wrenches(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTr
     """
     bodies = environment_bodies(scenario)
     faces = Faces(rails(bodies), touched_bodies(bodies, len(pairs)), len(pairs))
-    true_object = held_object(scenario, _true(scenario.model_error))
+    true_object = held_object(scenario, _error_of_true_chain(scenario.model_error))
     inertia = true_object.terms(pin.SE3.Identity(), np.zeros(6), np.zeros(3)).Lambda
     return NotedWrenches(pairs, faces, inertia)
 
 
 @register_plant("mujoco", truths=_noted_wrenches)
-def _mujoco(rig: Rig, seed: int) -> Plant:
+def _mujoco_plant(rig: Rig, seed: int) -> Plant:
     """Make the MuJoCo plant of a rig; the seed determines the errors of its motors."""
     scenario = rig.scenario
     return MujocoPlant(
@@ -498,7 +498,7 @@ def _mujoco(rig: Rig, seed: int) -> Plant:
 
 
 @register_plant("drake", truths=_noted_wrenches)
-def _drake(rig: Rig, seed: int) -> Plant:
+def _drake_plant(rig: Rig, seed: int) -> Plant:
     """Make the Drake plant of a rig, which uses no random numbers.
 
     Args:
@@ -540,8 +540,8 @@ def build_rig(scenario: str | Path | Scenario, chains: MakesChain | None = None)
     scenario = as_scenario(scenario)
     make = chains or build_chain
     # the true arms, and the model of them that the controller has
-    chain = make(scenario, _true(scenario.model_error))
-    model = _model(scenario, chain, make)
+    chain = make(scenario, _error_of_true_chain(scenario.model_error))
+    model = _modelled_chain(scenario, chain, make)
     pairs = build_pairs(scenario)
     posture = posture_of(scenario, chain)
     X_given = given_pose(scenario, chain, posture)
@@ -567,12 +567,12 @@ def build_rig(scenario: str | Path | Scenario, chains: MakesChain | None = None)
     )
 
 
-def _true(error: ModelErrorSpec) -> ModelErrorSpec:
+def _error_of_true_chain(error: ModelErrorSpec) -> ModelErrorSpec:
     """Model error of the true chain, which has only the hidden mass."""
     return ModelErrorSpec(hidden_mass=error.hidden_mass)
 
 
-def _model(scenario: Scenario, chain: ClosedChain, make: MakesChain) -> ClosedChain:
+def _modelled_chain(scenario: Scenario, chain: ClosedChain, make: MakesChain) -> ClosedChain:
     """Controller's model of arms and object, which is the true chain without model errors.
 
     Args:
@@ -583,7 +583,7 @@ def _model(scenario: Scenario, chain: ClosedChain, make: MakesChain) -> ClosedCh
     error = scenario.model_error
     keys = ("arm_mass", "object_mass", "joint_friction", "armature")
     modelled = ModelErrorSpec(**{key: getattr(error, key) for key in keys})
-    return chain if modelled == _true(error) else make(scenario, modelled)
+    return chain if modelled == _error_of_true_chain(error) else make(scenario, modelled)
 
 
 def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> ClosedChain:
@@ -616,7 +616,7 @@ def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> Clos
     for arm in arms:
         arm.model.armature = error.armature * arm.model.armature
         arm.model.rotorInertia = error.armature * arm.model.rotorInertia
-    grasps = [_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
+    grasps = [_make_grasp(scenario.grasps[arm.name]) for arm in scenario.arms]
     return ClosedChain(arms, grasps, held_object(scenario, error))
 
 
@@ -646,7 +646,7 @@ def _per_joint(numbers: Sequence[float] | None) -> float | Sequence[float] | Non
     return numbers[0] if numbers is not None and len(numbers) == 1 else numbers
 
 
-def _grasp(spec: GraspSpec) -> Grasp:
+def _make_grasp(spec: GraspSpec) -> Grasp:
     """Make a grasp of the type and pose in a scenario, with its axis if the type has one."""
     axis = () if spec.axis is None else (spec.axis,)
     return GRASPS[spec.type].make(pose_of(spec), *axis)

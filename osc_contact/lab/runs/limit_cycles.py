@@ -28,14 +28,20 @@ from osc_contact.spatial import Array
 
 WINDOW_S = 4.0  #: duration of a window (s)
 _SHORTEST_S = 1.0  #: least duration of judged time that is searched (s)
-_PERIODS = 6  #: least number of periods in a window
-_BAND = 0.2  #: half width of the band about a frequency, over that frequency
-_DOMINANT = 0.5  #: least share of the band in the power that is not correlated with the command
-_FALL = 0.3  #: largest relative fall of the envelope over a window
-_SCATTER = 0.35  #: largest standard deviation of the envelope's logarithm about a straight line
+_LEAST_PERIODS = 6  #: least number of periods in a window
+_BAND_HALF_WIDTH = 0.2  #: half width of the band about a frequency, over that frequency
+_LEAST_POWER_SHARE = (
+    0.5  #: least share of the band in the power that is not correlated with the command
+)
+_MOST_FALL = 0.3  #: largest relative fall of the envelope over a window
+_MOST_SCATTER = (
+    0.35  #: largest standard deviation of the envelope's logarithm about a straight line
+)
 _LINE = 0.05  #: least amplitude of a line of a command, over the command's largest line
-_SLOW = 1e-3  #: least speed along a contact that counts as motion (m/s)
-_ALONG = 3.0  #: least ratio of the speeds along and into a contact for a motion along it
+_LEAST_SPEED = 1e-3  #: least speed along a contact that counts as motion (m/s)
+_LEAST_SPEED_RATIO = (
+    3.0  #: least ratio of the speeds along and into a contact for a motion along it
+)
 _ARM = 0.1  #: lever by which angular velocities are converted to speeds (m)
 
 
@@ -83,14 +89,14 @@ def find_cycle(
     power = np.abs(np.fft.rfft(oscillation * np.hanning(n))) ** 2
     bins = np.arange(len(power))
     is_free = ~_command_bins(n, dt, commands, driven_Hz, along, across)
-    is_free &= (bins >= _PERIODS) & (bins <= n // 4)
+    is_free &= (bins >= _LEAST_PERIODS) & (bins <= n // 4)
     if not is_free.any() or not power[is_free].any():
         return None
     peak = int(np.argmax(np.where(is_free, power, 0.0)))
-    half_width = max(_BAND * peak, 3.0)
+    half_width = max(_BAND_HALF_WIDTH * peak, 3.0)
     bands = [np.abs(bins - harmonic * peak) <= half_width for harmonic in (1, 2, 3)]
     in_bands = np.any(bands, axis=0)
-    if power[is_free & in_bands].sum() < _DOMINANT * power[is_free].sum():
+    if power[is_free & in_bands].sum() < _LEAST_POWER_SHARE * power[is_free].sum():
         return None
     positive = np.where(bands[0] & is_free, 2.0 * np.fft.rfft(oscillation), 0.0)
     analytic_signal = np.fft.ifft(positive, n)  # its magnitude is the envelope
@@ -100,7 +106,7 @@ def find_cycle(
     logarithm = np.log(envelope)
     x = np.linspace(-0.5, 0.5, len(envelope))
     slope, _ = np.polyfit(x, logarithm, 1)
-    if slope < np.log(1.0 - _FALL) or np.std(logarithm - slope * x) > _SCATTER:
+    if slope < np.log(1.0 - _MOST_FALL) or np.std(logarithm - slope * x) > _MOST_SCATTER:
         return None
     return float(np.median(envelope)), peak / (n * dt)
 
@@ -129,7 +135,7 @@ def _command_bins(
     if tangent_speeds is not None and normal_speed is not None:
         inward = _spectrum(normal_speed)
         for speed in tangent_speeds.T:
-            lines |= _lines(speed, _SLOW) & (_spectrum(speed) > _ALONG * inward)
+            lines |= _lines(speed, _LEAST_SPEED) & (_spectrum(speed) > _LEAST_SPEED_RATIO * inward)
     for frequency in driven_Hz:
         centre = round(frequency * n * dt)
         lines[max(centre - 2, 0) : centre + 3] = True

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -93,31 +94,14 @@ def run(
         meta=_describe(rig, seed, doubts),
     )
     robot = rig.robot(plant_of_run, controller)
-    taring = controller if scenario.tare is None else Taring(rig, controller)
-    if scenario.plan is not None:
-        plan = scenario.plan.made()
-        with _recorded_to_the_end(recorder, ticks, controller.dt):
-            run_loop(
-                robot,
-                controller,
-                plan,
-                recorder=recorder,
-                viewer=viewer,
-                progress=_aborting(plan, scenario.duration, progress),
-                check=False,
-            )
-        return recorder.recording({"plan": plan.as_dict()})
-    references = rig.references.each(ticks, controller.dt)
+    run_to_end = partial(run_loop, robot, recorder=recorder, viewer=viewer, check=False)
     with _recorded_to_the_end(recorder, ticks, controller.dt):
-        run_loop(
-            robot,
-            taring,
-            references,
-            recorder=recorder,
-            viewer=viewer,
-            progress=progress,
-            check=False,
-        )
+        if scenario.plan is not None:  # its stages tare by themselves
+            plan = scenario.plan.made()
+            run_to_end(controller, plan, progress=_aborting(plan, scenario.duration, progress))
+            return recorder.recording({"plan": plan.as_dict()})
+        taring = controller if scenario.tare is None else Taring(rig, controller)
+        run_to_end(taring, rig.references.each(ticks, controller.dt), progress=progress)
     return recorder.recording()
 
 

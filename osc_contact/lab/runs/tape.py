@@ -1,4 +1,8 @@
-"""A controller for programs without Python, with a recording of ticks to replay there."""
+"""A controller for programs without Python, with a recording of ticks to replay there.
+
+A `Tape` has `_controller`, which is recorded; `_controller_tick`, its own function `tick`;
+`_memory_after`, bytes of MEMORY after the last tick; `_encoded_ticks`, bytes of each tick.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -40,10 +44,10 @@ class Tape:
     def __init__(self, controller: Controller) -> None:
         """Replace `tick` of a controller by a function that also records inputs and torques."""
         self.count = 0
-        self._ticks: list[bytes] = []
+        self._encoded_ticks: list[bytes] = []
         self._controller = controller
-        self._tick: Callable[[Measurement, Reference], Array] = controller.tick
-        self._memory = controller.records.memory_bytes.copy()
+        self._controller_tick: Callable[[Measurement, Reference], Array] = controller.tick
+        self._memory_after = controller.records.memory_bytes.copy()
         controller.__dict__["tick"] = self.tick
 
     def tick(self, measurement: Measurement, reference: Reference) -> Array:
@@ -60,14 +64,14 @@ class Tape:
         memory = controller.records.memory_bytes
         before = self.count
         first = memory.copy()
-        changed = not np.array_equal(first, self._memory)
-        tau = self._tick(measurement, reference)
+        changed = not np.array_equal(first, self._memory_after)
+        tau = self._controller_tick(measurement, reference)
         if self.count == before:  # else the controller called this function again, and it noted
-            self._note(measurement, reference, first if changed else None, tau)
-        self._memory = memory.copy()
+            self._append_tick(measurement, reference, first if changed else None, tau)
+        self._memory_after = memory.copy()
         return tau
 
-    def _note(
+    def _append_tick(
         self, measurement: Measurement, reference: Reference, memory: Bytes | None, tau: Array
     ) -> None:
         """Append a tick: flags, changed memory, then inputs and torques as 64-bit numbers.
@@ -116,13 +120,13 @@ class Tape:
             tau,
         ]
         parts += [np.ascontiguousarray(x, dtype=float) for x in numbers]
-        self._ticks.append(b"".join(part.tobytes() for part in parts))
+        self._encoded_ticks.append(b"".join(part.tobytes() for part in parts))
         self.count += 1
 
     def content(self) -> bytes:
         """Bytes of the file that replay.c reads."""
-        head = np.array([self.count, len(self._memory)], np.int64)
-        return b"".join((MAGIC, head.tobytes(), *self._ticks))
+        head = np.array([self.count, len(self._memory_after)], np.int64)
+        return b"".join((MAGIC, head.tobytes(), *self._encoded_ticks))
 
 
 def build(rig: Rig, folder: Path, ticks: int = 10_000, seed: int = 0) -> Tape:

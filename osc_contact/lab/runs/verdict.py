@@ -18,7 +18,7 @@ from osc_contact.spatial import Array
 _LEAST_COMMAND_N = 1.0  #: least command that a force is divided by (N)
 STEP_WINDOW_S = 0.5  #: longest time after a step in which its overshoot is searched (s)
 #: Channels that are read.
-_READ = (
+_CHANNELS_READ = (
     "t",
     "alpha_cmd",
     "alpha_true",
@@ -33,7 +33,7 @@ _READ = (
     "tau",
 )
 #: Names of the values of channel `status`.
-_STATUS = tuple(status.name.lower() for status in Status)
+_STATUS_NAMES = tuple(status.name.lower() for status in Status)
 
 
 @dataclass(frozen=True)
@@ -241,8 +241,8 @@ def metrics(recording: Recording) -> Json:
             f"a run of {len(recording)} ticks ends before t = {SETTLE_S:g} s, from where it is "
             "judged; run it longer"
         )
-    verdict = _numbers(recording, sums)
-    return verdict | {"task": judge_task(_facts(recording, sums, verdict), limits)}
+    verdict = _entries(recording, sums)
+    return verdict | {"task": judge_task(_facts_of_subjects(recording, sums, verdict), limits)}
 
 
 class _Sums:
@@ -281,7 +281,8 @@ class _Sums:
         self.opened = np.zeros(contacts, int)
         self.judged = np.zeros(contacts, int)
         self.longest = np.zeros(contacts, int)
-        self._open_ticks = np.zeros(contacts, int)  # of the present loss of each contact
+        # (contacts,) number of ticks for which each contact has been lost without interruption
+        self._ticks_lost = np.zeros(contacts, int)
         self.command = Series()  # (N)
         self.error = Series()  # true minus desired force (N)
         self.sensing = Series()  # measured minus true force (N)
@@ -295,15 +296,15 @@ class _Sums:
         limits = list(meta.get("effort_limits", {}).values())
         self._effort = np.nan_to_num(np.array(limits, dtype=float), nan=np.inf)
         self.at_limit = np.zeros(len(limits), dtype=int)
-        self.status = np.zeros(len(_STATUS), dtype=int)
+        self.status = np.zeros(len(_STATUS_NAMES), dtype=int)
         self.count = 0
         judged_forces = [np.zeros((0, len(self.ticks.columns)), dtype=bool)]
-        for piece in recording.pieces(*(name for name in _READ if name in recording)):
+        for piece in recording.pieces(*(name for name in _CHANNELS_READ if name in recording)):
             settled, force_flags, quiet = self.ticks.add(piece)
             judged_forces.append(self._add_forces(piece, force_flags))
             self._add_motion(piece, quiet)
             self._add_losses(piece, settled)
-            self.status += np.bincount(piece["status"], minlength=len(_STATUS))
+            self.status += np.bincount(piece["status"], minlength=len(_STATUS_NAMES))
             tau = np.abs(piece["tau"][:, : len(self._effort)])
             self.at_limit += (tau >= self._effort * (1.0 - 1e-9)).sum(axis=0)
         self.cycles = worst_cycles(recording, np.concatenate(judged_forces), least_cycle)
@@ -347,6 +348,9 @@ class _Sums:
     def _add_losses(self, piece: Mapping[str, Array], settled: Flags) -> None:
         """Include the ticks of a piece in which contacts are open though they should be closed.
 
+        A contact is lost where it is open but CLOSED for the controller. `_ticks_lost` (contacts,)
+        counts its ticks without interruption, also from the piece before.
+
         Args:
             piece: channels of k ticks.
             settled: (k, contacts) judged ticks of each contact.
@@ -356,14 +360,14 @@ class _Sums:
         self.opened += is_open.sum(axis=0)
         is_lost = is_open & (piece["contact_phase"] == CLOSED)
         if not is_lost.any():
-            self._open_ticks[:] = 0
+            self._ticks_lost[:] = 0
             return
         for row in is_lost:
-            self._open_ticks = (self._open_ticks + 1) * row  # zero where the contact is not lost
-            np.maximum(self.longest, self._open_ticks, out=self.longest)
+            self._ticks_lost = (self._ticks_lost + 1) * row  # zero where the contact is not lost
+            np.maximum(self.longest, self._ticks_lost, out=self.longest)
 
 
-def _numbers(recording: Recording, sums: _Sums) -> Json:
+def _entries(recording: Recording, sums: _Sums) -> Json:
     """Entries of metrics.json, except the verdict on the task.
 
     Args:
@@ -389,7 +393,7 @@ def _numbers(recording: Recording, sums: _Sums) -> Json:
         "duration_s": sums.duration,
         "ticks": len(recording),
         "real_time_factor": _ratio(sums.duration, meta.get("wall_s")),
-        "force": _forces(recording.magnitude_names, sums),
+        "force": _force_metrics(recording.magnitude_names, sums),
         "motion": {"rms_error_m": position, "rms_error_rad": orientation},
         "contact_fraction": dict(zip(contacts, sums.closed.mean(), strict=False)),
         "first_contact_s": dict(zip(contacts, sums.ticks.landed, strict=True)),
@@ -400,9 +404,9 @@ def _numbers(recording: Recording, sums: _Sums) -> Json:
             "projected_rms_W": projected,
             "ratio": _ratio(projected, total),
         },
-        "tick_us": _tick(recording),
+        "tick_us": _tick_percentiles(recording),
         "loop": meta.get("loop"),
-        "status": dict(zip(_STATUS, sums.status.tolist(), strict=True)),
+        "status": dict(zip(_STATUS_NAMES, sums.status.tolist(), strict=True)),
         "at_limit": sorted(at_limit, key=lambda entry: -entry[1]),
         "joint_losses": losses,
         "learned_friction": _learned_losses(losses, meta),
@@ -437,7 +441,7 @@ def _learned_losses(losses: Sequence[Json], meta: Json) -> list[Json]:
     ]
 
 
-def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | None]]:
+def _force_metrics(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | None]]:
     """Metrics of each contact force, by its name.
 
     They are errors of the true force (N, and relative to the mean command), the ratio of the true
@@ -478,7 +482,7 @@ def _forces(names: Sequence[str], sums: _Sums) -> dict[str, dict[str, float | No
     return by_name
 
 
-def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[Json]]:
+def _facts_of_subjects(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[Json]]:
     """Values that `RULES` compare or name, for each subject.
 
     Args:
@@ -523,7 +527,7 @@ def _facts(recording: Recording, sums: _Sums, verdict: Json) -> dict[str, list[J
     return {"run": [run], "contact": contacts, "force": forces, "doubt": doubts}
 
 
-def _tick(recording: Recording) -> dict[str, float | None]:
+def _tick_percentiles(recording: Recording) -> dict[str, float | None]:
     """Percentiles and maximum of the tick's computing time (µs); None if it was not recorded.
 
     Args:
@@ -573,13 +577,13 @@ def step_answers(recording: Recording, ticks: JudgedTicks) -> list[Json]:
         changes += [(k, column, False) for k in steps if k > begin]
     answers = []
     for k, column, is_first_contact in sorted(changes):
-        answer = _answer(recording, rate, steps, k, column, is_first_contact)
+        answer = _step_answer(recording, rate, steps, k, column, is_first_contact)
         if answer is not None:
             answers.append(answer)
     return answers
 
 
-def _answer(
+def _step_answer(
     recording: Recording, rate: float, steps: Sequence[int], k: int, column: int, first: bool
 ) -> Json | None:
     """Step response of one force after tick k; None without a commanded step.
@@ -612,7 +616,9 @@ def _answer(
         goal = command[after[0]]
     else:
         before_last, start, goal = command[before - 2 : before + 1]
-        drift = start - before_last  # change of a signal that does not step
+        # a command that varies smoothly has changed as much in the tick before; a step is a change
+        # beyond that of more than 1 % of the largest command that follows
+        drift = start - before_last
         if not abs(goal - start - drift) > 0.01 * np.abs(command[after]).max():
             return None
     if goal == start:

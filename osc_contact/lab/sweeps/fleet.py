@@ -1,4 +1,10 @@
-"""Plants and controllers that advance together, as rows of two batches."""
+"""Plants and controllers that advance together, as rows of two batches.
+
+A `Fleet` has `_plants`, batch of MuJoCo, and `_models`, model of each row; `_plant`, plant of the
+first row, which knows the places of joints and sensors; arrays of all rows in the batch:
+`_sensed_arrays` (positions, velocities, sensor data), `_ctrl` (motor torques), `_xpos` and `_xmat`
+(positions and rotations of bodies); `_steps_per_tick`, MuJoCo's steps in a control period.
+"""
 
 from __future__ import annotations
 
@@ -101,12 +107,12 @@ class Fleet:
         self.rows = len(starts)
         self.dt = first.controller.dt
         self._plant = first.plant
-        self._steps = first.plant.steps_in(self.dt)
+        self._steps_per_tick = first.plant.steps_in(self.dt)
         self.control = BatchController([row_start.controller for row_start in starts], threads)
         self._models = [row_start.plant.model for row_start in starts]
         self._plants: Any = Batch(first.plant.model, self.rows, nthread=threads)
         names = ("qpos", "qvel", "sensordata", "ctrl", "xpos", "xmat")
-        *self._sensed, self._ctrl, self._xpos, self._xmat = map(self._plants.bind, names)
+        *self._sensed_arrays, self._ctrl, self._xpos, self._xmat = map(self._plants.bind, names)
         self.begin(dict(enumerate(starts)))
 
     def begin(self, starts: dict[int, Start]) -> None:
@@ -126,7 +132,7 @@ class Fleet:
 
     def measure(self) -> tuple[Array, Array, Array]:
         """Readings of all rows, see `MujocoPlant.measure`: q, v (B, n), wrenches (B, arms, 6)."""
-        return self._plant.readings(*self._sensed)
+        return self._plant.readings(*self._sensed_arrays)
 
     def tick(
         self,
@@ -157,7 +163,7 @@ class Fleet:
             active=active,
         )
         self._ctrl[:] = tau
-        self._plants.step(nstep=self._steps)
+        self._plants.step(nstep=self._steps_per_tick)
         return tau
 
     def objects(self) -> tuple[Array, Array]:

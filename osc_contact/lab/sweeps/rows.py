@@ -49,7 +49,7 @@ _LEFT_OUT = {
 Row = Json  #: row of the table: values by the name of their column
 
 #: Largest number of chains, and of robots, in a cache. Runs with their own masses never hit it.
-_KEPT = 8
+_CACHE_SIZE = 8
 Made = TypeVar("Made")  #: type of the entries of a cache
 
 
@@ -90,6 +90,9 @@ class RigBuilder(threading.local):
 
     def rig(self, scenario: Scenario) -> Rig:
         """Make the rig of a scenario from equal parts that were built before.
+
+        A scenario that differs from one in the cache in its model error only gets that rig, with
+        another model of the arms; `_chain` makes models, with a cache of their own.
 
         Args:
             scenario: scenario without laws and pairs written in Python.
@@ -159,7 +162,7 @@ def _get_or_make(store: dict[str, Made], key: str, make: Callable[[], Made]) -> 
     """
     value = store.pop(key) if key in store else make()
     store[key] = value  # becomes the last one
-    if len(store) > _KEPT:
+    if len(store) > _CACHE_SIZE:
         del store[next(iter(store))]
     return value
 

@@ -28,8 +28,8 @@ from osc_contact.spatial import Array, norm
 
 # --- Distributions ------------------------------------------------------------------------------
 
-_CALL = re.compile(r"\s*([a-z]+)\s*\((.*)\)\s*")
-_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+_CALL_PATTERN = re.compile(r"\s*([a-z]+)\s*\((.*)\)\s*")
+_NUMBER_PATTERN = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 
 Cell = str | int | float  #: value of a column of the table
 #: Value of a distribution: text of an override, and values of the table's columns by suffix.
@@ -68,7 +68,7 @@ def parse_distribution(text: str) -> Distribution:
     Raises:
         InvalidInputError: an unknown word, or unsuitable numbers.
     """
-    match = _CALL.fullmatch(text)
+    match = _CALL_PATTERN.fullmatch(text)
     if match is None or match[1] not in WORDS:
         raise InvalidInputError(
             f"{text!r} is no distribution; write one of {', '.join(WORDS)} with its values, such "
@@ -119,7 +119,7 @@ def _quantities(parts: Sequence[str], count: int) -> tuple[list[float], str]:
     values = []
     units = set()
     for part in parts:
-        match = _NUMBER.fullmatch(part)
+        match = _NUMBER_PATTERN.fullmatch(part)
         if match is None:
             raise ValueError(f"{part!r} is no number with or without a unit")
         values.append(float(match[1]))
@@ -249,7 +249,7 @@ def _times(value: Any, factor: float) -> str:
     """
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_times(item, factor) for item in value) + "]"
-    match = None if isinstance(value, bool) else _NUMBER.fullmatch(str(value))
+    match = None if isinstance(value, bool) else _NUMBER_PATTERN.fullmatch(str(value))
     if match is None:
         raise InvalidInputError(f"factor(…) multiplies a number; the scenario has {value!r}")
     return f"{float(match[1]) * factor!r} {match[2]}".strip()
@@ -485,7 +485,8 @@ class SweepStudy:
             u: (dims,) coordinates between 0 and 1, of all keys in order.
 
         Returns:
-            Overrides of the scenario by path, and values of the table by column.
+            Overrides of the scenario by path, and values of the table by column. Distributions that
+            are relative to the scenario's own value get it from `_own_values`.
         """
         overrides = {}
         columns: dict[str, Cell] = {}
@@ -526,7 +527,8 @@ class SweepStudy:
     def _point(self, number: int) -> Array:
         """Compute the point (dims,) of a run, coordinates between 0 and 1 of all varied keys.
 
-        On a grid the index of the run is divided into one index for each coordinate, spaced from
+        On a grid the index of the run is divided into one index for each coordinate (of `_levels`
+        values), spaced from
         end to end or, for distributions without ends, in the middles of equal intervals. Each
         sample of the design "saltelli" gives the points A, B, and A with one key of B. Other
         designs take the points of a sequence.

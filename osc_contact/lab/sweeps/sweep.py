@@ -145,7 +145,7 @@ def make_table(rows: Iterable[Row], study: SweepStudy) -> pyarrow.Table:
 
 ROWS = "rows.jsonl"  #: file of a sweep's folder
 TABLE = "table.parquet"  #: file of a sweep's folder
-_CHUNK = 4  #: runs of a job
+_ROWS_OF_JOB = 4  #: runs of a job
 
 Progress = Callable[[int, int], None]
 
@@ -255,7 +255,9 @@ def run_rows(
         finished = {} if rows is None else rows.done
         remaining = [number for number in range(study.rows) if number not in finished]
         completed = study.rows - len(remaining)
-        jobs = [(study, remaining[i : i + _CHUNK]) for i in range(0, len(remaining), _CHUNK)]
+        jobs = [
+            (study, remaining[i : i + _ROWS_OF_JOB]) for i in range(0, len(remaining), _ROWS_OF_JOB)
+        ]
         crew = stack.enter_context(workers_of(workers, scheduler, len(jobs)))
         for _, row in make_all(crew, jobs, make):
             finished[row["row"]] = row

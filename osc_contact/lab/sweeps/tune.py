@@ -1,4 +1,9 @@
-"""Tuning of keys of a scenario by Optuna, under limits, compared with the shipped values."""
+"""Tuning of keys of a scenario by Optuna, under limits, compared with the shipped values.
+
+A `_Judge` has `_objective`, quantity to be minimal; `_limits`, largest value by column;
+`_force_columns`, columns with relative rms errors of forces; `_shipped_means`, means of "force" and
+"motion" over the rows with the shipped values.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +36,9 @@ GAINS = (
     "gains.force.bandwidth=factor(0.25, 4)",
     "gains.force.damping_ratio=factor(0.25, 4)",
 )
-_LIMITED = {"overshoot_rel": 0.05, "status.saturated": 0.0}
+_LIMITED_BY_DEFAULT = {"overshoot_rel": 0.05, "status.saturated": 0.0}
 """Columns that are limited by default, and the lowest limit of each."""
-_SLACK = 1.05  #: default limits over the shipped values
+_LIMIT_SLACK = 1.05  #: default limits over the shipped values
 _WORST = 1e3  #: error of a run that was refused or diverged, larger than that of any other run
 
 
@@ -278,11 +283,11 @@ class _Judge:
         """
         self._objective = objective
         self._limits: Mapping[str, float] = limits or {}
-        self._forces = [
+        self._force_columns = [
             name for name in shipped[0] if re.fullmatch(r"force\..*\.rms_.*error_rel", name)
         ]
-        self._shipped = {name: self._mean(shipped, name) for name in ("force", "motion")}
-        if objective not in (*self._shipped, "both", *shipped[0]):
+        self._shipped_means = {name: self._mean(shipped, name) for name in ("force", "motion")}
+        if objective not in (*self._shipped_means, "both", *shipped[0]):
             columns = [name for name, value in shipped[0].items() if isinstance(value, float)]
             raise InvalidInputError(
                 f"objective {objective!r}: give force, motion, both, or a column: {columns}"
@@ -293,7 +298,8 @@ class _Judge:
         if not self._limits:
             values = self.worst(shipped)
             self._limits = {
-                name: max(floor, _SLACK * values[name]) for name, floor in _LIMITED.items()
+                name: max(floor, _LIMIT_SLACK * values[name])
+                for name, floor in _LIMITED_BY_DEFAULT.items()
             }
 
     def _mean(self, rows: Sequence[Row], name: str) -> float:
@@ -315,11 +321,11 @@ class _Judge:
         if row.get("motion.rms_error_m") is None:
             return _WORST
         if name == "force":
-            return max((row[column] or 0.0 for column in self._forces), default=0.0)
+            return max((row[column] or 0.0 for column in self._force_columns), default=0.0)
         if name == "both":
             ratios = [
                 self._quantity(row, part) / shipped
-                for part, shipped in self._shipped.items()
+                for part, shipped in self._shipped_means.items()
                 if shipped > 0.0
             ]
             return float(np.mean(ratios))
@@ -349,6 +355,6 @@ class _Judge:
         largest = {
             name: max(self._quantity(row, name) for row in rows) for name in ("force", "motion")
         }
-        for name in (*_LIMITED, *self._limits):
+        for name in (*_LIMITED_BY_DEFAULT, *self._limits):
             largest[name] = max(float(row.get(name) or 0.0) for row in rows)
         return largest

@@ -1,6 +1,16 @@
 """Gymnasium vector environment whose actions are pose increments and contact forces.
 
 Episodes are samples of a study: they begin at the start of a scenario with different values.
+
+Attributes of `ContactVectorEnv` beside the public ones; B rows, r contact forces (`_r`):
+
+* `_make_episode`, `_n_episodes`: function that returns an episode by its number, and their number;
+* `_episodes`, `_step`, `_ended`: episode of each row; (B,) its steps so far; (B,) whether it has
+  ended;
+* `_target`, `_forces`: (B, 4, 4) set points, and (B, r) contact forces (N) of the last action;
+* `_last_steps`: (B,) number of the last step of each row's episode;
+* `_ticks_per_action`: control periods of an action; `_reward`: function of the rewards;
+* `_most_error`: distance (m) and angle (rad) from the reference at which an episode has failed.
 """
 
 from __future__ import annotations
@@ -201,13 +211,17 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             "halton" if vary else "random",
             overrides=overrides,
         )
-        self._episode = episode_maker(study, 1.0 / rate)
-        self._count = episodes if vary else 1
+        self._make_episode = episode_maker(study, 1.0 / rate)
+        self._n_episodes = episodes if vary else 1
         # the first episode stands for all: they have the same structure and control period
-        first = self._episode(0)
+        first = self._make_episode(0)
         control_rate = 1.0 / first.start.controller.dt
-        self._ticks = round(control_rate / rate)
-        if num_envs < 1 or self._ticks < 1 or abs(self._ticks * rate - control_rate) > 1e-6 * rate:
+        self._ticks_per_action = round(control_rate / rate)
+        if (
+            num_envs < 1
+            or self._ticks_per_action < 1
+            or abs(self._ticks_per_action * rate - control_rate) > 1e-6 * rate
+        ):
             raise InvalidInputError(
                 f"{num_envs} environments, actions at {rate:g} Hz, control at {control_rate:g} Hz: "
                 "give one environment at least, and a rate that divides that of control"
@@ -216,19 +230,19 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
         self._reward = reward
         verdict = first.start.rig.scenario.verdict
-        self._away = (verdict.distance, verdict.angle)
+        self._most_error = (verdict.distance, verdict.angle)
         self._r = first.forces.shape[1]
         self.move = np.repeat(_default_increments(first.places) if move is None else move, 3)
         largest = 2.0 * float(np.abs(first.forces).max(initial=0.0))
         self.most_force = largest if most_force is None else most_force
         require_below_ceilings(first.start.rig.scenario.control.safety, self.most_force, self._r)
-        self._now = [first] * num_envs
+        self._episodes = [first] * num_envs
         count = available_cores() if threads is None else threads
         self.fleet = Fleet([first.start] * num_envs, min(count, num_envs))
         self._step = np.zeros(num_envs, dtype=int)
         self._target = np.tile(first.places[0], (num_envs, 1, 1))
         self._forces = np.zeros((num_envs, self._r))
-        self._over = np.zeros(num_envs, dtype=bool)
+        self._ended = np.zeros(num_envs, dtype=bool)
         self.names = self._name_numbers(first)
         self._make_spaces()
 
@@ -267,12 +281,20 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode in all rows; see gymnasium."""
+        """Begin a random episode in all B rows, as gymnasium's `VectorEnv.reset` does.
+
+        Args:
+            seed: seed of the choice of episodes; None: the sequence continues.
+            options: not used.
+
+        Returns:
+            Observations (B, numbers), and `infos` with the numbers of the episodes.
+        """
         super().reset(seed=seed)
-        self._begin(range(self.num_envs))
+        self._begin_episodes(range(self.num_envs))
         return (self._observe(), self._infos())
 
-    def _begin(self, rows: Sequence[int]) -> None:
+    def _begin_episodes(self, rows: Sequence[int]) -> None:
         """Begin a random episode in some rows: its start, set point and forces.
 
         Args:
@@ -280,14 +302,14 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         """
         if not rows:
             return
-        numbers = self.np_random.integers(self._count, size=len(rows))
+        numbers = self.np_random.integers(self._n_episodes, size=len(rows))
         for row, number in zip(rows, numbers.tolist(), strict=True):
-            self._now[row] = episode = self._episode(number)
+            self._episodes[row] = episode = self._make_episode(number)
             self._target[row] = episode.places[0]
             self._forces[row] = episode.forces[0]
-        self.fleet.begin({row: self._now[row].start for row in rows})
+        self.fleet.begin({row: self._episodes[row].start for row in rows})
         self._step[rows] = 0
-        self._over[rows] = False
+        self._ended[rows] = False
 
     def step(self, actions: ArrayLike) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """Advance all B rows by an action (B, 6 + r), as gymnasium prescribes.
@@ -309,17 +331,17 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             raise InvalidInputError(
                 f"actions: expected {(self.num_envs, 6 + self._r)}, got {clipped.shape}"
             )
-        begins = self._over.copy()  # rows in which the action is ignored and an episode begins
+        begins = self._ended.copy()  # rows in which the action is ignored and an episode begins
         continues = ~begins
         tau = self._advance(clipped, continues)
-        self._begin(np.flatnonzero(begins).tolist())
+        self._begin_episodes(np.flatnonzero(begins).tolist())
         self._step[continues] += 1
         sensed = self._sense(clipped, tau)
         rewards = np.where(continues, self._reward(sensed), 0.0)
-        is_away = np.linalg.norm(sensed.error.reshape(-1, 2, 3), axis=2) > self._away
+        is_away = np.linalg.norm(sensed.error.reshape(-1, 2, 3), axis=2) > self._most_error
         terminated = continues & (sensed.diverged | is_away.any(axis=1))
         truncated = continues & ~terminated & (self._step >= self._last_steps)
-        self._over = terminated | truncated
+        self._ended = terminated | truncated
         return (self._observe(), rewards, terminated, truncated, self._infos())
 
     def _advance(self, actions: Array, continues: Array) -> Array:
@@ -330,7 +352,9 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             continues: (B,) flags of rows whose episode has not ended; the others keep their set
                 points.
         """
-        ticks = self._ticks
+        # set points and forces move linearly from the last action's to those of this one; rows
+        # whose episode has ended keep theirs
+        ticks = self._ticks_per_action
         increment = np.where(continues[:, None], actions[:, :6] * self.move, 0.0)
         forces = 0.5 * (actions[:, 6:] + 1.0) * self.most_force
         forces = np.where(continues[:, None], forces, self._forces)
@@ -338,9 +362,9 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         X = moved(self._target, share * increment)
         V = increment / (ticks * self.fleet.dt)
         alpha = self._forces + share * (forces - self._forces)
-        squeeze = np.array([episode.squeeze for episode in self._now])
+        squeeze = np.array([episode.squeeze for episode in self._episodes])
         active = self._active_set()
-        for k in range(ticks):
+        for k in range(ticks):  # the velocity is constant, so the desired acceleration is zero
             tau = self.fleet.tick(X[k], V, np.zeros_like(V), alpha[k], squeeze, active)
         self._target = X[-1].copy()
         self._forces = forces
@@ -370,7 +394,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             ahead: number of actions from the present step to the time of the desired values.
         """
         steps = np.minimum(self._step + ahead, self._last_steps)
-        pairs = list(zip(self._now, steps, strict=True))
+        pairs = list(zip(self._episodes, steps, strict=True))
         places = np.array([episode.places[k] for episode, k in pairs])
         forces = np.array([episode.forces[k] for episode, k in pairs])
         return (places, forces)
@@ -380,7 +404,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         steps = np.minimum(self._step, self._last_steps)
         sets = [
             episode.active[k]
-            for episode, k in zip(self._now, steps, strict=True)
+            for episode, k in zip(self._episodes, steps, strict=True)
             if episode.active is not None
         ]
         return np.array(sets) if sets else None
@@ -388,7 +412,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
     @property
     def _last_steps(self) -> Array:
         """Number (B,) of the last step of each row's episode."""
-        return np.array([len(episode.places) - 1 for episode in self._now])
+        return np.array([len(episode.places) - 1 for episode in self._episodes])
 
     def _observe(self) -> Array:
         """Compute the observations (B, numbers) of all B rows, with 0 for NaN.
@@ -401,7 +425,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
         q, v, wrenches = self.fleet.measure()
         control = self.fleet.control
         places, forces = self._desired_values(1)
-        first = np.array([episode.places[0] for episode in self._now])
+        first = np.array([episode.places[0] for episode in self._episodes])
         parts = (
             q,
             v,
@@ -417,7 +441,7 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _infos(self) -> dict[str, Any]:
         """Numbers of the episodes, in the form of gymnasium."""
-        samples = np.array([episode.number for episode in self._now])
+        samples = np.array([episode.number for episode in self._episodes])
         return {"sample": samples, "_sample": np.ones(self.num_envs, dtype=bool)}
 
 

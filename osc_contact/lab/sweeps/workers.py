@@ -1,4 +1,7 @@
-"""Workers of a sweep: processes of this machine, or the workers of a dask cluster."""
+"""Workers of a sweep: processes of this machine, or the workers of a dask cluster.
+
+`Workers._executor` has the processes or the client of a cluster that run jobs.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ from osc_contact.law import compiled
 if TYPE_CHECKING:
     import distributed
 
-_AHEAD = 2  #: jobs that are submitted for each worker
+_JOBS_PER_WORKER = 2  #: jobs that are submitted for each worker
 
 Job = tuple[SweepStudy, Sequence[int]]  #: a study, and the numbers of the rows to make
 MakesRows = Callable[[SweepStudy, Sequence[int]], list[Row]]
@@ -181,7 +184,7 @@ def _hand_out(
     try:
         while True:
             # number of jobs that may be submitted now; workers may join or leave at any time
-            free_places = max(0, workers.count() * _AHEAD - len(jobs_by_future))
+            free_places = max(0, workers.count() * _JOBS_PER_WORKER - len(jobs_by_future))
             for job in islice(job_iterator, free_places):
                 jobs_by_future[workers.submit(make, *job)] = job
             if not jobs_by_future:

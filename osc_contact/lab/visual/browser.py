@@ -2,6 +2,10 @@
 
 `python -m osc_contact.lab.visual.browser` prints the path of the browser, or how to install one. It
 needs no packages, so that a browser can be installed at the same time as the packages.
+
+Attributes of the browser: `folder`, its profile; `process`; `commands` and `answers`, descriptors
+of the pipes to and from it; `number`, of the last request; `received`, bytes after the last whole
+message; `session`, identifier of the page in requests; `errors`, messages of errors in the page.
 """
 
 from __future__ import annotations
@@ -108,7 +112,7 @@ class Browser:
         program = find_browser()
         self.folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         self.number = 0
-        self.rest = b""
+        self.received = b""
         self.session: dict[str, str] = {}
         self.errors: list[str] = []
         width, height = size
@@ -188,16 +192,17 @@ class Browser:
         Raises:
             OSError: no message within ANSWER_S, or the browser has ended.
         """
-        while b"\0" not in self.rest:
+        while b"\0" not in self.received:
             if not select.select([self.answers], [], [], ANSWER_S)[0]:
                 raise TimeoutError(f"nothing within {ANSWER_S:g} s")
             part = os.read(self.answers, 1 << 16)
             if not part:
                 raise BrokenPipeError("it has ended")
-            self.rest += part
-        text, self.rest = self.rest.split(b"\0", 1)
+            self.received += part
+        text, self.received = self.received.split(b"\0", 1)
         answer = json.loads(text)
         params = answer.get("params", {})
+        # of messages that answer no request only errors of the page are kept
         if answer.get("method") == "Runtime.exceptionThrown":
             self.errors.append(str(params["exceptionDetails"]))
         if answer.get("method") == "Log.entryAdded" and params["entry"]["level"] == "error":

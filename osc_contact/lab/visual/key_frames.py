@@ -29,7 +29,8 @@ class Animation:
         """Append the key frames of a property, without those between equal values.
 
         The last frame always has a key, as tracks of different length would be repeated at
-        different times.
+        different times. The packed track is appended to `_clips` of the path; a property that does
+        not change has none.
 
         Args:
             path: path of the node that moves.
@@ -49,7 +50,10 @@ class Animation:
         self._clips.setdefault(path, []).append(packed_map(track))
 
     def message(self) -> bytes:
-        """Packed command that repeats the animation."""
+        """Packed command (msgpack) that starts the animation and repeats it for ever.
+
+        It has a clip for each path of a node, with the key frames of `_clips`.
+        """
         return packed_map(
             {
                 "type": packed("set_animation"),

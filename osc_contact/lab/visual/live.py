@@ -4,6 +4,12 @@ The other process draws and serves. The control loop makes one call that copies 
 into a socket to that process without waiting: a tick is dropped if the socket is full, so a slow,
 stopped or ended viewer costs the loop microseconds. As the viewer is another process, it does not
 compete for the interpreter lock.
+
+Attributes of `Viewer` beside the public ones: `_process`, the viewer's process; `_link`, socket to
+it; `_period`, least time between two pictures (s); `_next_send`, time by `monotonic` before which
+no tick is sent (s); `_stalled_since`, time since which the process has taken no tick (s; inf: it
+takes them); `_end_reason`, error by which the process says that it ends; `browsers`, number of
+browsers last reported.
 """
 
 from __future__ import annotations
@@ -47,7 +53,7 @@ CHANNELS: dict[str, tuple[int | str, ...]] = {
 START_S = 30.0  #: time to wait for the viewer's process to start (s)
 STALLED_S = 1.0  #: time without a tick taken after which a warning is logged (s)
 RETRY_S = 0.25  #: interval between attempts to send a tick from then on (s)
-ROOM = 1 << 15  #: buffer of the socket (bytes)
+SOCKET_BYTES = 1 << 15  #: buffer of the socket (bytes)
 
 
 class Viewer:
@@ -88,9 +94,9 @@ class Viewer:
             raise InvalidInputError(f"rate = {rate}; give 1 to 60 pictures per second")
         self.error: ViewerError | None = None
         self.browsers = 0
-        self._reason = ""
+        self._end_reason = ""
         self._period = 1.0 / rate
-        self._due = 0.0
+        self._next_send = 0.0
         self._stalled_since = float("inf")
         self.stalled = False
         # the scene is sent through the process's standard input, ticks later through the link
@@ -101,7 +107,7 @@ class Viewer:
             try:
                 with self._process.stdin as scene:  # type: ignore[union-attr]
                     pickle.dump(about, scene)
-                self.url = self._answer()
+                self.url = self._await_address()
             except (OSError, ValueError, KeyError) as error:
                 self.close()
                 complaints.seek(0)
@@ -109,10 +115,10 @@ class Viewer:
                 raise ViewerError(
                     f"the live view does not start: {lines[-1] if lines else error}"
                 ) from error
-        self._link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, ROOM)
+        self._link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
         self._link.setblocking(False)
 
-    def _answer(self) -> str:
+    def _await_address(self) -> str:
         """Address of the page, which the other process sends when it has started.
 
         Raises:
@@ -129,18 +135,18 @@ class Viewer:
         At most `rate` ticks per second are sent; other calls return immediately.
         """
         time_s = monotonic()
-        if time_s < self._due or self.error is not None:
+        if time_s < self._next_send or self.error is not None:
             return
-        self._due = time_s + self._period
+        self._next_send = time_s + self._period
         try:
             sample = {name: np.array(tick[name], dtype=float) for name in CHANNELS if name in tick}
             self._link.send(pickle.dumps(sample))
             self._note_taken_tick()
         except BlockingIOError:
-            self._wait(time_s)
+            self._note_refused_tick(time_s)
         except OSError:
             self._read_news()
-            why = f": {self._reason}" if self._reason else ""
+            why = f": {self._end_reason}" if self._end_reason else ""
             self._fail(f"its process has ended (exit code {self._process.poll()}){why}")
         except (TypeError, ValueError) as error:
             self._fail(f"a tick does not hold numbers: {error!r}")
@@ -152,7 +158,7 @@ class Viewer:
             self.stalled = False
             LOG.info("the live view continues")
 
-    def _wait(self, time_s: float) -> None:
+    def _note_refused_tick(self, time_s: float) -> None:
         """Note that the other process has taken no tick: log that once, and try less often.
 
         Args:
@@ -161,7 +167,7 @@ class Viewer:
         self._stalled_since = min(self._stalled_since, time_s)
         if time_s - self._stalled_since <= STALLED_S:
             return
-        self._due = time_s + RETRY_S
+        self._next_send = time_s + RETRY_S
         if not self.stalled:
             self.stalled = True
             LOG.warning(
@@ -186,7 +192,7 @@ class Viewer:
             while news := self._link.recv(4096):
                 message = json.loads(news)
                 self.browsers = int(message.get("browsers", self.browsers))
-                self._reason = str(message.get("error", self._reason))
+                self._end_reason = str(message.get("error", self._end_reason))
 
     def close(self) -> None:
         """End the process and free its port; may be called again."""
