@@ -174,7 +174,7 @@ class Run:
         self.robot = rig.robot(self.plant, self.controller)
         self._sensors = None
         if isinstance(self.robot, ObservedRobot):
-            self._sensors = self.robot.robot = _FaultySensors(self.robot.robot)
+            self._sensors = self.robot.robot = FaultySensors(self.robot.robot)
         untared = rig.scenario.tare is None
         self.tick = (self.controller if untared else Taring(rig, self.controller)).tick
         self.dt = self.controller.dt
@@ -336,7 +336,7 @@ class Run:
             wrong.append(f"moved by {verdict.travel:.2f} rad (m) since the stop")
 
 
-class _FaultySensors:
+class FaultySensors:
     """A robot whose readings a fault changes before velocities are estimated from them.
 
     Attributes:

@@ -27,7 +27,7 @@ import osc_contact as osc
 from benchmarks.assembly import row_of, summary
 from osc_contact.lab.tasks import two_pin_plan
 from osc_contact.lab.tasks.insertion import BELIEVED
-from osc_contact.lab.tasks.pegs import Inserted, controller_for
+from osc_contact.lab.tasks.pegs import Inserted, controller_for, resting
 from osc_contact.lab.tasks.two_pin_plan import LEFT_RIM, RIGHT_POINT
 from osc_contact.lab.tasks.two_pins import HALF, WIDTH, TwoPins
 from osc_contact.plan.plan import Plan
@@ -141,7 +141,7 @@ def _replaced(stage: osc.Stage, rival: Rival) -> osc.Stage:
         return stage
     if set(stage.forces) != {LEFT_RIM, RIGHT_POINT}:
         raise osc.InvalidInputError(f"stage {stage.name!r} has other contacts: {stage.forces}")
-    until = two_pin_plan.resting() if stage.name == "left rim" else two_pin_plan.sunk("right")
+    until = resting() if stage.name == "left rim" else two_pin_plan.sunk("right")
     return replace(stage, forces={SELECTION: rival.forces}, until=until)
 
 

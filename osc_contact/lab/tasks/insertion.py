@@ -219,6 +219,7 @@ class TaskRobot:
     Attributes:
         chain: true arms and object.
         plant: MuJoCo, without errors of sensors.
+        sensed: the same with errors of encoders and wrists, without speeds.
         largest_sum: largest norm of the sum of contact forces so far (N).
         largest_single: largest force of a single contact so far (N).
     """
@@ -259,14 +260,14 @@ class TaskRobot:
             encoders=(clock, SensorErrors(resolution=resolution)),
             wrists=(clock, SensorErrors(noise=noise)),
         )
-        self._sensed = SensedPlant(self.plant, sensors, task.seed)
+        self.sensed = SensedPlant(self.plant, sensors, task.seed)
 
         # start at rest: motors carry the weight before the first tick
         self.q_start = reach(chain, scene.posture, start)
-        self._sensed.reset(self.q_start)
+        self.sensed.reset(self.q_start)
         model = chain.model
         weight = pin.computeGeneralizedGravity(model, model.createData(), self.q_start)
-        self._sensed.hold(weight[chain.actuated])
+        self.sensed.hold(weight[chain.actuated])
 
         # rms error of a quantised reading is its step / √12
         error = np.full(chain.nq, resolution / np.sqrt(12.0))
@@ -277,7 +278,7 @@ class TaskRobot:
 
     def measure(self) -> Measurement:
         """Read encoders and wrists; velocities are estimated."""
-        measurement = self._sensed.measure()
+        measurement = self.sensed.measure()
         q, v = self._velocities.update(measurement.q)
         return replace(measurement, q=np.array(q), v=np.array(v), estimated=True)
 
@@ -288,7 +289,7 @@ class TaskRobot:
             tau: (n_a,) motor torques (N m, N).
             duration: period (s).
         """
-        self._sensed.command(tau, duration)
+        self.sensed.command(tau, duration)
         forces = self.contact_forces()
         self.largest_sum = max(self.largest_sum, float(np.linalg.norm(forces.sum(axis=0))))
         single = np.linalg.norm(forces, axis=1).max(initial=0.0)

@@ -23,7 +23,7 @@ from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.lab.tasks.insertion import Insertion, InsertionRobot, TaskRobot
 from osc_contact.loop.loop import run_loop
 from osc_contact.plan.ends import End, after, at_rest, finished, lost, made, moved, pressed, when
-from osc_contact.plan.motions import along, to, turn_to
+from osc_contact.plan.motions import Motion, along, to, turn_to
 from osc_contact.plan.plan import Outcome, Plan
 from osc_contact.plan.sensed import Sensed
 from osc_contact.plan.stage import Stage
@@ -364,8 +364,8 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
         push = dict.fromkeys(way.edges, 3.5)
         edges = [Stage("two points", push, until=after(0.4), within=2.0, fails="back")]
     corner_forces = {**dict.fromkeys(way.sides, 4.0), "tip on face": 4.0}
-    is_pressed = made(*way.sides, lasting=0.3) | (at_rest(*RESTING).lasting(0.3) & after(0.8))
-    is_seated = when(lambda now: _depth(now, peg, into) > hole.depth - 4e-3, "at the bottom")
+    is_pressed = made(*way.sides, lasting=0.3) | resting()
+    is_at_bottom = deeper_than(peg, hole, hole.depth - 4e-3, "at the bottom")
     return [
         *edges,
         Stage(
@@ -382,13 +382,59 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
             "insert",
             {"hole": 0.0},
             along([0, 0, 1], way.speed, axes="object", yields=way.yields),
-            until=(is_seated & pressed(6.0, into) & at_rest(*RESTING)).lasting(0.3),
+            until=(is_at_bottom & pressed(6.0, into) & at_rest(*RESTING)).lasting(0.3),
             within=10.0,
             fails="back",
             places={"hole": lambda now: hole.found_at(now.X)},
             then="done",
         ),
     ]
+
+
+def resting() -> End:
+    """Condition that the object rests, some time after the beginning of a stage."""
+    return at_rest(*RESTING).lasting(0.3) & after(0.8)
+
+
+def deeper_than(peg: Peg, hole: Hole, depth: float, words: str) -> End:
+    """Condition that the tip is deeper than a depth below the point that touched the face.
+
+    Args:
+        peg: peg.
+        hole: hole at its believed pose.
+        depth: depth (m).
+        words: words for verdicts.
+    """
+    into = hole.pose.rotation[:, 2]
+    return when(lambda now: _depth(now, peg, into) > depth, words)
+
+
+def has_turned(peg: Peg, hole: Hole) -> End:
+    """Condition that the rotation in the mouth is over: the peg is upright, or deep enough.
+
+    Args:
+        peg: peg.
+        hole: hole at its believed pose.
+    """
+    into = hole.pose.rotation[:, 2]
+
+    def is_parallel(now: Sensed) -> bool:
+        """Whether the commanded axis of the peg is that of the believed hole."""
+        return float(now.aim.rotation[:, 2] @ into) > cos(PARALLEL)
+
+    is_upright = when(is_parallel, "upright") & deeper_than(peg, hole, 3e-3, "3 mm deep")
+    return deeper_than(peg, hole, 12e-3, "12 mm deep") | is_upright.lasting(0.2)
+
+
+def turning(peg: Peg, hole: Hole) -> Motion:
+    """Rotation until the axis of the peg is that of the believed hole, while the peg moves in.
+
+    Args:
+        peg: peg.
+        hole: hole at its believed pose.
+    """
+    into = hole.pose.rotation[:, 2]
+    return turn_to([0, 0, 1], into, 0.5 * tilt_of(peg, hole)) & along(into, 5e-3, yields=6.0)
 
 
 def _turn_stages(peg: Peg, hole: Hole) -> list[Stage]:
@@ -403,24 +449,14 @@ def _turn_stages(peg: Peg, hole: Hole) -> list[Stage]:
         hole: hole at its believed pose.
     """
     way = _way(peg)
-    into = hole.pose.rotation[:, 2]
-
-    def is_parallel(now: Sensed) -> bool:
-        """Whether the commanded axis of the peg is that of the believed hole."""
-        return float(now.aim.rotation[:, 2] @ into) > cos(PARALLEL)
 
     def rims_found(now: Sensed) -> pin.SE3:
         """Hole as high as the face, where the sides touch its rims."""
         return _found(now, peg, hole, aside=True)
 
-    def deeper_than(depth: float, words: str) -> End:
-        """Condition that the tip is deeper than a depth (m)."""
-        return when(lambda now: _depth(now, peg, into) > depth, words)
-
-    motion = turn_to([0, 0, 1], into, 0.5 * tilt_of(peg, hole)) & along(into, 5e-3, yields=6.0)
-    is_deep = deeper_than(2.5e-3, "in the mouth")
-    is_upright = (when(is_parallel, "upright") & deeper_than(3e-3, "3 mm deep")).lasting(0.2)
-    until = deeper_than(12e-3, "12 mm deep") | is_upright
+    motion = turning(peg, hole)
+    is_deep = deeper_than(peg, hole, 2.5e-3, "in the mouth")
+    until = has_turned(peg, hole)
     if way.turned:
         is_lost = lost(*way.upright, lasting=0.7)
     else:
@@ -461,5 +497,5 @@ def _last_stages(peg: Peg, hole: Hole) -> list[Stage]:
     return [
         Stage("back", {}, along(-into, 20e-3, 30e-3), until=finished(), within=4.0, then="return"),
         Stage("return", {}, to(start, 30e-3, 0.5), until=finished(), within=8.0, then="find"),
-        Stage("done", {"hole": 0.0}, until=after(0.1), within=1.0),
+        Stage("done", {"hole": 0.0}, until=at_rest(*RESTING).lasting(0.2), within=2.0),
     ]

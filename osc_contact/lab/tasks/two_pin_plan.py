@@ -25,6 +25,7 @@ from osc_contact.lab.tasks.pegs import (
     RESTING,
     Inserted,
     controller_for,
+    resting,
     result_of,
     tilt_of,
 )
@@ -146,11 +147,6 @@ def _search_stages() -> list[Stage]:
         Stage("left rim", turning, until=is_pressed, within=4.0, fails="back"),
         Stage("turn", turning, turn, until=right_dropped, within=5.0, fails="back"),
     ]
-
-
-def resting() -> End:
-    """Condition that the bar rests, some time after the beginning of a stage."""
-    return at_rest(*RESTING).lasting(0.3) & after(0.8)
 
 
 def sunk(name: str) -> End:
@@ -293,5 +289,5 @@ def _last_stages(task: TwoPins) -> list[Stage]:
     return [
         Stage("back", {}, along(-INTO, 30e-3, 40e-3), until=finished(), within=4.0, then="return"),
         Stage("return", {}, to(start, 30e-3, 0.5), until=finished(), within=8.0, then="find"),
-        Stage("done", {BOTH: 0.0}, until=after(0.2), within=1.0),
+        Stage("done", {BOTH: 0.0}, until=at_rest(*RESTING).lasting(0.2), within=2.0),
     ]
