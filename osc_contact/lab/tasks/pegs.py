@@ -497,5 +497,5 @@ def _last_stages(peg: Peg, hole: Hole) -> list[Stage]:
     return [
         Stage("back", {}, along(-into, 20e-3, 30e-3), until=finished(), within=4.0, then="return"),
         Stage("return", {}, to(start, 30e-3, 0.5), until=finished(), within=8.0, then="find"),
-        Stage("done", {"hole": 0.0}, until=at_rest(*RESTING).lasting(0.2), within=2.0),
+        Stage("done", {"hole": 0.0}, until=at_rest(*RESTING).lasting(0.1), within=2.0),
     ]
