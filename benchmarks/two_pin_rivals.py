@@ -1,6 +1,6 @@
 """Two pins into two holes with a selection matrix in the two stages that no frame describes.
 
-    python -m benchmarks.two_pin_rivals [--count 5] [--seed 3000]
+    python -m benchmarks.two_pin_rivals [--count 5] [--seed 3000] [--only NAME]
 
 Of the stages of the plan of `two_pins`, a frame describes the contacts of all but "left rim" and
 "turn": there the left pin presses on its rim and the right one on the face, along skew lines 240 mm
@@ -145,11 +145,19 @@ def _replaced(stage: osc.Stage, rival: Rival) -> osc.Stage:
     return replace(stage, forces={SELECTION: rival.forces}, until=until)
 
 
-def main(count: int = 5, seed: int = 3000) -> None:
-    """Print one row for each law and seed, and a summary of each law."""
+def main(count: int = 5, seed: int = 3000, only: str = "") -> None:
+    """Print one row for each law and seed, and a summary of each law.
+
+    Args:
+        count: number of seeds.
+        seed: first seed.
+        only: laws whose name contains this.
+    """
     logging.disable(logging.WARNING)
     console = Console(width=140, highlight=False)
     for name, rival in {"ours": None, **RIVALS}.items():
+        if only not in name:
+            continue
         results = []
         for k in range(seed, seed + count):
             results.append(insert_by(rival, k))

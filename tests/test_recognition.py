@@ -13,7 +13,14 @@ from scipy.optimize import nnls
 
 import osc_contact as osc
 from benchmarks.recognition import ERRORS as BELIEVED
-from benchmarks.recognition import Truth, square_peg_states, true_forces
+from benchmarks.recognition import (
+    Tally,
+    Truth,
+    Watch,
+    square_peg_states,
+    true_forces,
+    true_instants,
+)
 from osc_contact.lab.checks.inspection import inspect_rig
 from osc_contact.lab.checks.states import undistinguished, wrench_errors
 from osc_contact.recognition.states import Columns
@@ -283,6 +290,28 @@ def test_truth_of_the_benchmark():
     assert Truth(forces).beyond(0.0) == {"side +y", "corner"}  # 1 N < 0.3 × 5 N
     assert Truth(forces).beyond(1.0) == {"corner"}
     assert Truth(forces).contacts == set(places)
+
+
+class Alarmed:
+    """Recogniser that has an alarm."""
+
+    def unexpected(self, assumed):
+        return "edge -x + side +y"
+
+
+@parametrize("force, alarms", {1.4: 0, 0.0: 1})
+def test_a_contact_that_chatters_is_no_false_alarm(force, alarms):
+    """A side that touches in every third millisecond has a median of zero; without force it is."""
+    hole = osc.Hole("square", 0.0202, 0.03)
+    rows = np.full((19, 1, 9), np.nan)
+    on_rim = [0.0101, 0.0, 0.0, 1.0, 0.0, 0.0, force, 0.0, 0.0]  # point, normal, force on it
+    rows[::3, 0] = on_rim
+    tally = Tally()
+    watch = Watch(tally, assumed=frozenset({"corner"}))
+    for truth in true_instants(rows, hole):
+        assert truth.forces == {}
+        watch.step(truth, frozenset({"corner"}), Alarmed())
+    assert tally.alarms == alarms
 
 
 test_refusals = refusals(

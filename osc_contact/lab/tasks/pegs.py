@@ -396,6 +396,27 @@ def resting() -> End:
     return at_rest(*RESTING).lasting(0.3) & after(0.8)
 
 
+def carried_by_bottom(peg: Peg, into: Array) -> End:
+    """Condition that the bottom alone carries the peg: its walls need not press.
+
+    A force f on the tip has a couple of at most f times the distance of the tip's farthest point
+    across the axis. A larger couple is that of walls, between which a leaning peg is wedged; joint
+    friction withstands it for up to a second until the force law has reduced it.
+
+    Args:
+        peg: peg.
+        into: (3,) direction into the believed hole.
+    """
+    farthest = float(np.linalg.norm(lowest_point(peg)))
+
+    def is_carried(now: Sensed) -> bool:
+        """Whether the couple across the axis is no larger than the bottom's (N m)."""
+        across = np.cross(into, now.wrench[3:])
+        return float(np.linalg.norm(across)) <= farthest * float(into @ now.wrench[:3])
+
+    return when(is_carried, "carried by the bottom")
+
+
 def deeper_than(peg: Peg, hole: Hole, depth: float, words: str) -> End:
     """Condition that the tip is deeper than a depth below the point that touched the face.
 
@@ -494,8 +515,9 @@ def _last_stages(peg: Peg, hole: Hole) -> list[Stage]:
     """
     into = hole.pose.rotation[:, 2]
     start = peg_start(peg, hole)
+    stands = (at_rest(*RESTING) & carried_by_bottom(peg, into)).lasting(0.1)
     return [
         Stage("back", {}, along(-into, 20e-3, 30e-3), until=finished(), within=4.0, then="return"),
         Stage("return", {}, to(start, 30e-3, 0.5), until=finished(), within=8.0, then="find"),
-        Stage("done", {"hole": 0.0}, until=at_rest(*RESTING).lasting(0.1), within=2.0),
+        Stage("done", {"hole": 0.0}, until=stands | after(2.0), within=4.0),
     ]

@@ -1,0 +1,153 @@
+"""Programs that judge insertions: other laws, faults in stages, a peg that slips; ends at rest."""
+
+import numpy as np
+import pinocchio as pin
+from numpy.testing import assert_allclose
+from pytest import approx, fixture
+from samples import parametrize
+
+import osc_contact as osc
+from benchmarks.peg_rivals import PEG, RIVALS, SELECTION, selected_axes
+from benchmarks.plan_faults import Run, possible
+from benchmarks.slipping_peg import SlippingPeg
+from osc_contact.control.status import Phase
+from osc_contact.lab.tasks.insertion import CLEARANCE, PERIOD, Insertion
+from osc_contact.lab.tasks.pegs import controller_for, peg_plan, peg_start
+from osc_contact.lab.tasks.two_pin_plan import two_pin_plan
+from osc_contact.lab.tasks.two_pins import TwoPins
+from osc_contact.plan.sensed import Sensed
+
+TASK = Insertion(PEG, CLEARANCE, 3)
+
+
+@fixture
+def robot():
+    return TASK.robot(peg_start(PEG, TASK.hole))
+
+
+def sensed(speed):
+    """Signals of an object that moves down at a speed (m/s)."""
+    V = np.array([0.0, 0.0, -speed, 0.0, 0.0, 0.0])
+    here = pin.SE3.Identity()
+    forces, phases = {"hole": 0.0}, {"hole": Phase.CLOSED}
+    return Sensed(here, V, here, np.zeros(6), forces, phases, here, np.zeros((6, 0)))
+
+
+@parametrize("plan", [lambda: peg_plan(PEG, TASK.hole), lambda: two_pin_plan(TwoPins(3))])
+def test_the_last_stage_goes_on_until_the_object_rests(plan):
+    done = plan().stages[-1]
+    assert done.name == "done"
+    moving, resting = sensed(5e-3), sensed(1e-4)
+    for now in (moving, resting):
+        now.wrench[:3] = 12.0 * TASK.hole.pose.rotation[:, 2]
+    watch = done.until.begin(moving)
+    for now, ticks, is_met in ((moving, 800, False), (resting, 50, False), (resting, 200, True)):
+        for _ in range(ticks):
+            now.t += PERIOD
+            met = watch(now, PERIOD)
+        assert met == is_met
+
+
+def test_a_peg_that_walls_press_is_not_done():
+    """Until the force law has reduced their couple, or for two seconds."""
+    done = peg_plan(PEG, TASK.hole).stages[-1]
+    into = TASK.hole.pose.rotation[:, 2]
+    for couple, seconds, is_met in ((0.3, 1.0, False), (0.3, 2.1, True), (0.1, 0.2, True)):
+        now = sensed(0.0)
+        now.wrench[:3] = 12.0 * into  # at most 12 N × 14 mm = 0.17 N m by the bottom
+        now.wrench[3] = couple
+        watch = done.until.begin(now)
+        met = False
+        for _ in range(round(seconds / PERIOD)):
+            now.t += PERIOD
+            met = watch(now, PERIOD)
+        assert met == is_met
+
+
+def test_selected_axes_carry_the_forces_of_our_contacts():
+    """In each stage that they replace, with the same motion; in the hole the contact is ours."""
+    ours = {stage.name: stage for stage in peg_plan(PEG, TASK.hole).stages}
+    stages = RIVALS[SELECTION].plan(TASK.hole).stages
+    forces = {stage.name: stage.forces for stage in stages if stage.forces}
+    assert forces == {
+        "find": {"down": 6.0},
+        "slide": {"down": 6.0},
+        "drop": {"down": 6.0},
+        "two points": {"down": 7.0},
+        "corner": {"x": 4.0, "y": 4.0, "down": 4.0},
+        "upright": {"x": 4.0, "y": 4.0, "turn": 0.0},
+        "insert": {"hole": 0.0},
+        "done": {"hole": 0.0},
+    }
+    for stage in stages:
+        assert stage.motion.words == ours[stage.name].motion.words
+
+
+def test_selected_axes_are_those_of_the_modelled_hole():
+    X = peg_start(PEG, TASK.hole)
+    R = TASK.hole.pose.rotation
+    for name, k in (("x", 0), ("y", 1), ("down", 2)):
+        N = selected_axes(TASK.hole)[name].contact(X, np.zeros(6)).N
+        assert_allclose(N[:, 0], np.concatenate((R[:, k], np.zeros(3))), atol=1e-12)
+    turn = selected_axes(TASK.hole)["turn"].contact(X, np.zeros(6)).N[:, 0]
+    assert_allclose(np.abs(turn), np.concatenate((np.zeros(3), np.abs(R[:, 2]))), atol=1e-12)
+
+
+@parametrize("name", list(RIVALS))
+def test_every_rival_begins(name, robot):
+    """Each plan fits its controller, and its first ticks are computed by its law."""
+    rival = RIVALS[name]
+    plan = rival.plan(TASK.hole)
+    pairs = {**osc.pairs_between(PEG, TASK.hole), **selected_axes(TASK.hole)}
+    controller = rival.controller(controller_for(TASK.model, pairs, plan, robot))
+    assert (controller.laws.structure is None) == (rival.laws in (None, osc.Laws))
+    assert bool(plan.contacts) == (rival.laws is None)
+    with osc.SteppedLoop(controller, plan=plan, check=False) as loop:
+        for _ in range(30):
+            robot.command(loop.step(robot.measure()), PERIOD)
+    assert controller.status is osc.Status.OK
+    assert plan.stage.name == "weigh"
+
+
+def test_guided_stages_press_with_half_of_our_forces_before_they_end(robot):
+    plan = RIVALS["position"].plan(TASK.hole)
+    into = TASK.hole.pose.rotation[:, 2]
+    find = next(stage for stage in plan.stages if stage.name == "find")
+    for force, is_met in ((2.9, False), (3.1, True)):
+        now = sensed(0.0)
+        now.wrench[:3] = force * into
+        watch = find.until.begin(now)
+        assert [watch(now, PERIOD) for _ in range(200)][-1] == is_met
+
+
+def test_a_fault_in_a_stage_stops_the_plan_with_its_name():
+    verdict = Run("wrench 100 kN for ever", 5, np.random.default_rng(2)).judge()
+    assert verdict.wrong == []
+    assert verdict.stopped is not None and verdict.stopped < 0.1
+    assert f"stage {verdict.stage!r}" in verdict.reason
+    assert 20 < len(possible()) < 60
+
+
+def test_a_peg_slips_once_it_is_pressed(robot):
+    """By the whole slip, along the force on it, out of the block; encoders do not show it."""
+
+    class InStage:
+        """Plan that is in its stage."""
+
+        class stage:
+            name = "slide"
+
+    below = TASK.true_hole.pose * pin.SE3(np.eye(3), np.array([0.03, 0.0, 1e-4]))
+    pressed = TASK.robot(below)  # the tip is in the face beside the hole
+    peg = SlippingPeg(pressed, InStage(), "slide", 1e-3)
+    before = pressed.chain.state(pressed.measure().q).X_WO.actInv(pressed.pose())
+    model = pressed.chain.model
+    weight = pin.computeGeneralizedGravity(model, model.createData(), pressed.q_start)
+    for _ in range(120):
+        peg.command(weight, PERIOD)
+    after = pressed.chain.state(pressed.measure().q).X_WO.actInv(pressed.pose())
+    assert_allclose(before.translation, 0.0, atol=1e-4)
+    slipped = after.translation - before.translation
+    assert np.linalg.norm(slipped) == approx(1e-3, abs=1e-4)
+    assert slipped[2] < -0.5e-3  # towards the gripper
+    assert np.linalg.norm(peg.slipped) == approx(1e-3, abs=2e-5)
