@@ -102,7 +102,8 @@ class Run:
         """
         task = Insertion(Peg("square", WIDTH), CLEARANCE, seed)
         self._robot, self._plan, self._controller = pegs.prepared(task)
-        self._sensors = self._robot.sensed = FaultySensors(self._robot.sensed)
+        self._sensors = FaultySensors(self._robot.sensed)
+        self._robot.sensed = self._sensors
         stages = [one.name for one in self._plan.stages if one.name not in LAST_STAGES]
         self._stage = stages[int(rng.integers(len(stages)))]
         self._moment = float(rng.uniform(0.0, LATEST))
@@ -257,7 +258,7 @@ def main(seed: int | None = None, only: str = "", count: int = 0) -> None:
         names = [names[i] for i in sorted(drawn.tolist())]
     console = Console(width=180, highlight=False)
     console.print(f"--seed {seed}")
-    verdicts = []
+    verdicts: list[Verdict] = []
     for name in names:
         rng = np.random.default_rng([seed, *sha256(name.encode()).digest()])
         verdicts.append(Run(name, seed + len(verdicts), rng).judge())

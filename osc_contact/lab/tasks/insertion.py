@@ -24,7 +24,7 @@ from osc_contact.dynamics.assembly import reach
 from osc_contact.dynamics.chain_state import RigidObject
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.dynamics.grasp import Grasp
-from osc_contact.interface import Measurement
+from osc_contact.interface import Measurement, Robot
 from osc_contact.lab.plants.joint_drives import JointDrives
 from osc_contact.lab.plants.mujoco import MujocoPlant
 from osc_contact.lab.plants.sensors import SensedPlant, SensorErrors, Sensors
@@ -260,14 +260,15 @@ class TaskRobot:
             encoders=(clock, SensorErrors(resolution=resolution)),
             wrists=(clock, SensorErrors(noise=noise)),
         )
-        self.sensed = SensedPlant(self.plant, sensors, task.seed)
+        sensed = SensedPlant(self.plant, sensors, task.seed)
 
         # start at rest: motors carry the weight before the first tick
         self.q_start = reach(chain, scene.posture, start)
-        self.sensed.reset(self.q_start)
+        sensed.reset(self.q_start)
         model = chain.model
         weight = pin.computeGeneralizedGravity(model, model.createData(), self.q_start)
-        self.sensed.hold(weight[chain.actuated])
+        sensed.hold(weight[chain.actuated])
+        self.sensed: Robot = sensed
 
         # rms error of a quantised reading is its step / √12
         error = np.full(chain.nq, resolution / np.sqrt(12.0))
