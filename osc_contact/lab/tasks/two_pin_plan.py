@@ -22,7 +22,6 @@ from osc_contact.control.controller import Controller
 from osc_contact.lab.tasks.insertion import BELIEVED, DEPTH, TaskRobot
 from osc_contact.lab.tasks.pegs import (
     PARALLEL,
-    RESTING,
     Inserted,
     controller_for,
     resting,
@@ -31,7 +30,18 @@ from osc_contact.lab.tasks.pegs import (
 )
 from osc_contact.lab.tasks.two_pins import HALF, NAMES, WIDTH, TwoPins
 from osc_contact.loop.loop import run_loop
-from osc_contact.plan.ends import End, after, at_rest, finished, lost, made, moved, pressed, when
+from osc_contact.plan.ends import (
+    End,
+    Watch,
+    after,
+    at_rest,
+    finished,
+    lost,
+    made,
+    moved,
+    pressed,
+    when,
+)
 from osc_contact.plan.motions import about, along, to, turn_to
 from osc_contact.plan.plan import Plan
 from osc_contact.plan.sensed import Sensed
@@ -156,6 +166,44 @@ def sunk(name: str) -> End:
         name: name of the pin.
     """
     return moved(0.5e-3, INTO, point=POINTS[name])
+
+
+def _stays(distance: float, seconds: float) -> End:
+    """Condition that the bar has stayed in place; slow creep is below the noise of its speed.
+
+    Args:
+        distance: distance within which its origin stays (m).
+        seconds: time for which it stays (s).
+    """
+
+    def begin(now: Sensed) -> Watch:
+        """Begin at the present place of the bar (`place`), where it has been for no time.
+
+        Args:
+            now: signals when the stage begins.
+
+        Returns:
+            Function of the signals of a tick and the period: whether the bar has stayed.
+        """
+        place = now.X.translation.copy()
+        stayed = 0.0
+
+        def met(now: Sensed, dt: float) -> bool:
+            """Add a period (s) to the time, or begin again where the bar has moved to.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
+            nonlocal place, stayed
+            stayed += dt
+            if np.linalg.norm(now.X.translation - place) > distance:
+                place, stayed = now.X.translation.copy(), 0.0
+            return stayed >= seconds
+
+        return met
+
+    return End(begin, f"within {1e3 * distance:g} mm for {seconds:g} s")
 
 
 def _dropped(name: str, contact: str) -> End:
@@ -289,5 +337,5 @@ def _last_stages(task: TwoPins) -> list[Stage]:
     return [
         Stage("back", {}, along(-INTO, 30e-3, 40e-3), until=finished(), within=4.0, then="return"),
         Stage("return", {}, to(start, 30e-3, 0.5), until=finished(), within=8.0, then="find"),
-        Stage("done", {BOTH: 0.0}, until=at_rest(*RESTING).lasting(0.2), within=2.0),
+        Stage("done", {BOTH: 0.0}, until=_stays(1e-4, 0.2) | after(2.0), within=4.0),
     ]
