@@ -191,7 +191,7 @@ def test_a_second_process_that_fails_is_logged(command, said, monkeypatch, caplo
     monkeypatch.setattr(c_object.sys, "executable", command)
     monkeypatch.setattr(c_object, "_cores", lambda: 2)
     with TemporaryFile() as errors, c_object._Assistant(errors) as assistant:
-        for _ in range(c_object._MANY):
+        for _ in range(c_object._MANY_NEW_PARTS):
             assert assistant._process is None
             assistant.start_if_needed(0.1, False)
         assistant._process.wait()

@@ -135,13 +135,13 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         p = rng.standard_normal(3)
         w *= angle / norm(w)
         M = pin.SE3(pin.exp3(w), p)
-        assert_near(grasps._remaining(p, M.rotation), pin.log6(M).vector, atol=1e-9)
+        assert_near(grasps._remaining_part(p, M.rotation), pin.log6(M).vector, atol=1e-9)
         twist = np.append(rng.standard_normal(3), w)
         M = pose_of(rng)
         R = np.full((6, 6), 7.0)
         point = np.append(M.translation, 7.0)
         R[:3, :3] = M.rotation
-        grasps._take_off(R, point, -twist)
+        grasps._remove_span(R, point, -twist)
         expected = M * pin.exp6(-twist)
         assert_near(R[:3, :3], expected.rotation, atol=1e-9)
         assert_near(point[:3], expected.translation, atol=1e-9)
@@ -196,12 +196,12 @@ def test_hinges_and_balls_miss_by_a_way_and_a_turn(seed):
     rows[3:, 3:] = qr(np.column_stack((tip_axis, rng.standard_normal((3, 2)))))[0].T[[1, 2, 0]]
     arm = Record(point=point, axis=axis, tip_axis=tip_axis, grasp=rows, kind=at.HINGE)
     frame = np.vstack((tip.rotation, tip.translation))
-    grasps._miss(arm, frame, X.homogeneous, out := np.full(6, 7.0))
+    grasps._grasp_miss(arm, frame, X.homogeneous, out := np.full(6, 7.0))
     between = pin.Quaternion.FromTwoVectors(tip_axis, tip.rotation.T @ X.rotation @ axis)
     assert_near(out[:3], tip.actInv(X.act(point)), atol=1e-12)
     assert_near(out[3:5], rows[3:5, 3:] @ pin.log3(between.toRotationMatrix()), atol=1e-9)
     arm.kind = at.BALL
-    grasps._miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
+    grasps._grasp_miss(arm, frame, X.homogeneous, ball := np.full(6, 7.0))
     assert_array_equal(ball, [*out[:3], 7.0, 7.0, 7.0])
 
 
@@ -222,12 +222,12 @@ def test_dependent_columns_must_agree_on_the_normal_acceleration(size):
         rows.extent = 1.0
         rows.n_gamma[[4, 2, 7]] = (*n_gamma, implied)
         rows.share[[4, 2, 7], :2] = (*np.eye(2), share)
-        assert columns_of_N._consistent(t)
+        assert columns_of_N._n_gamma_is_consistent(t)
         most = max(summands, 2.0 * largest(n_gamma))
         for off, fine in {0.5e-5: True, -0.5e-5: True, 2e-5: False, -2e-5: False}.items():
             rows[7].n_gamma = implied + off * most
             if abs(off * most) > 2e-9 or fine:  # what is next to nothing may differ
-                assert columns_of_N._consistent(t) == fine
+                assert columns_of_N._n_gamma_is_consistent(t) == fine
         if size == 1.0:
             assert (t.work.where, t.work.reason_amount) == (7, approx(implied))
 

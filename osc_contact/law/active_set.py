@@ -32,7 +32,7 @@ from osc_contact.law.phases import APPROACHING, CLOSED, OPEN, advance_phases, se
 from osc_contact.law.records import contact_of
 from osc_contact.law.vectors import dot3, linear
 
-_UNLOADED = 2.0  #: longest duration of unloading, as a multiple of the rise time of a step
+_LONGEST_UNLOADING = 2.0  #: longest duration of unloading, as a multiple of the rise time of a step
 
 
 @inner
@@ -140,7 +140,7 @@ def _unload(t, c):
     """
     model = t.model
     contact = t.memory.contacts[c]
-    may_last = contact.unloading <= _UNLOADED * model.step_time
+    may_last = contact.unloading <= _LONGEST_UNLOADING * model.step_time
     if contact.phase != CLOSED or model.step_time == 0.0 or not may_last:
         return False
     is_loaded = False

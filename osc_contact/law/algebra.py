@@ -14,7 +14,7 @@ from osc_contact.law.jit import inner, leaf
 from osc_contact.law.vectors import accumulate, add, dot6, fill, reflector, scaled, six
 
 _SINGULAR = 1e-10  #: relative pivot below which a matrix is singular
-_NOTHING = 1e-280  #: squares below it lose digits (subnormal numbers)
+_SUBNORMAL_SQUARE = 1e-280  #: squares below it lose digits (subnormal numbers)
 
 
 @inner
@@ -378,7 +378,7 @@ def one_sided_jacobi(X, count, length, carried):
                     continue
                 d = b - a  # tan 2φ = 2c/d of the rotation by φ that makes c zero
                 h = d * d + 4.0 * c * c
-                if h < _NOTHING:  # two zero rows, whose squares have lost digits
+                if h < _SUBNORMAL_SQUARE:  # two zero rows, whose squares have lost digits
                     continue
                 h = sqrt(h)
                 has_rotated = True

@@ -39,8 +39,8 @@ from osc_contact.law.vectors import (
 # with reorthogonalisation (Björck, Numerical Methods for Least Squares Problems, 1996, section
 # 2.4.5).
 
-_DRIVEN = 1e-12  #: least relative pivot of Z
-_DOUBTFUL = 1e-6  #: relative pivot below which a pivot is computed a second time
+_LEAST_PIVOT = 1e-12  #: least relative pivot of Z
+_INEXACT_PIVOT = 1e-6  #: relative pivot below which a pivot is computed a second time
 
 
 @inner
@@ -64,7 +64,7 @@ def factor_effort(t):
     for i in range(d):
         for j in range(i + 1):
             Z[i, j] = work.effort[work.locked + i, work.locked + j]
-    return cholesky(Z, 0, d, Z) > _DRIVEN
+    return cholesky(Z, 0, d, Z) > _LEAST_PIVOT
 
 
 @inner
@@ -87,15 +87,15 @@ def add_row(t, e):
     a = work.extra[e]
     size = 6 - work.locked + e
     row = work.factor[size]
-    _weigh(t, a, work.weighed[e])
+    _multiply_metric(t, a, work.weighed[e])
     _multiply_constraints(t, work.weighed[e], e, row)
     square = row[size] = dot(work.weighed[e], a, t.model.n_joints)  # aᵀR⁻¹a
     forward(work.factor, size, row)
     # the square of the part of a that the rows before it leave out, the pivot
     remainder = square - dot(row, row, size)
-    if remainder < _DOUBTFUL * square:
+    if remainder < _INEXACT_PIVOT * square:
         remainder = _refine_pivot(t, e)
-    if not remainder > _DRIVEN * square:  # also if NaN
+    if not remainder > _LEAST_PIVOT * square:  # also if NaN
         return False
     row[size] = 1.0 / sqrt(remainder)
     return True
@@ -161,7 +161,7 @@ def _refine_pivot(t, e):
     for c in range(e):
         add_scaled(-x[6 - m + c], work.extra[c], n, remainder)
     # the part of the remainder that rounding left in the span of these rows
-    _weigh(t, remainder, work.rest_weighed)
+    _multiply_metric(t, remainder, work.rest_weighed)
     _multiply_constraints(t, work.rest_weighed, e, x)
     forward(Z, size, x)
     add_scaled(1.0, x, size, Z[size])
@@ -185,7 +185,7 @@ def _embed_free(work, x):
 
 
 @inner
-def _weigh(t, row, out):
+def _multiply_metric(t, row, out):
     """Multiply a condition on the torques by R⁻¹, where R is the metric of the motors' effort.
 
     The effort Σ τ²/τ_max² of an arm without redundant joints has R⁻¹ = τ_max²; for an arm with them
@@ -323,7 +323,7 @@ def allocate_torques(t):
     n_internal = _append_internal(t)
     if n_internal < 0:
         return UNACTUATED
-    n_rows = _append_own(t, d, n_internal)
+    n_rows = _append_own_motions(t, d, n_internal)
     # Z⁻¹(b − A τ_0), of which each row of A contributes its part of the torques
     cholesky_solve(work.factor, d + n_rows, sides)
     y = _embed_free(work, sides)
@@ -359,7 +359,7 @@ def _append_internal(t):
 
 
 @leaf
-def _append_own(t, d, n_internal):
+def _append_own_motions(t, d, n_internal):
     """Append the rows of E for motions of single arms to the factor of Z; return all rows of E.
 
     A row that depends on those before it is left out, and the following ones are moved forward.
@@ -372,7 +372,7 @@ def _append_own(t, d, n_internal):
     Returns:
         Number of rows of E in use.
     """
-    n_own = _own_motions(t, d, n_internal)
+    n_own = _rows_of_own_motions(t, d, n_internal)
     n_rows = n_internal
     for e in range(n_internal, n_internal + n_own):
         if e > n_rows:  # a row before it was left out
@@ -394,7 +394,7 @@ def _fill_rest(t):
     for k in range(t.model.n_arms):
         arm = t.model.arms[k]
         if t.work.arms[k].wide:
-            _hold_posture(t, arm, t.work.arms[k])
+            _fill_posture_torques(t, arm, t.work.arms[k])
         else:
             for j in range(arm.first, arm.end):
                 t.work.joints[j].rest = 0.0
@@ -439,7 +439,7 @@ def push_from_limits(joint, q):
 
 
 @leaf
-def _hold_posture(t, arm, arm_work):
+def _fill_posture_torques(t, arm, arm_work):
     """Compute the posture torques (1 − JᵀJ̄ᵀ)τ₀ of an arm with redundant joints.
 
         τ₀ = h + M(k_p(q₀ − q) − k_d q̇) + diag(M) a_l
@@ -480,7 +480,7 @@ def _retreat_from_lost(t, arm, arm_work):
     Such a joint motion w (n,) has wᵀMw = 1, so that the torque M w c has the component c along it.
     A direction that the chain counts as locked (`gone`) gets the posture law in place of τ₀;
     another one gets it in the share of the command that is not executed. Reads `mode` (w), `gone`
-    and `share` of the arm; h, M and `tau` (τ₀ of `_hold_posture`) of its joints.
+    and `share` of the arm; h, M and `tau` (τ₀ of `_fill_posture_torques`) of its joints.
 
     Args:
         t: Tick.
@@ -505,7 +505,7 @@ def _retreat_from_lost(t, arm, arm_work):
 
 
 @inner
-def _own_motions(t, d, first):
+def _rows_of_own_motions(t, d, first):
     """Append rows of E for motions of single arms that do not move the object.
 
     An arm without redundant joints has such motions if its grasp permits them (a SCARA on a slide,

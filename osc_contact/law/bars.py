@@ -34,8 +34,8 @@ from osc_contact.law.vectors import (
 # All matrices are handled by rows. Rotations that make the rows of a matrix orthogonal (one-sided
 # Jacobi) are the left factor of its SVD; numbers appended to the rows are rotated with them.
 
-_NO_BAR = 1e-9  # m, distance below which two grasps are the same point
-_DEPENDENT = 1e-9  # remainder of a row, relative to the longest one, that counts as zero
+_COINCIDENT_M = 1e-9  # m, distance below which two grasps are the same point
+_LEAST_REMAINDER = 1e-9  # remainder of a row, relative to the longest one, that counts as zero
 
 
 @inner
@@ -163,8 +163,8 @@ def _find_internal_torques(t, count, n_locked):
         for row in range(count):
             effects[row, n_locked + j] *= tau_max
             loading[row, j] = effects[row, n_locked + j]
-    n_moving = _orthonormalise(moving_torques, 6, n, _DEPENDENT)
-    n_loading = _orthonormalise(loading, count, n, _DEPENDENT)
+    n_moving = _orthonormalise(moving_torques, 6, n, _LEAST_REMAINDER)
+    n_loading = _orthonormalise(loading, count, n, _LEAST_REMAINDER)
     # The remainder of a unit row is as long as the sine of its angle to the torques that move.
     for row in range(n_loading):
         _take_out(moving_torques, n_moving, n, loading[row])
@@ -227,7 +227,7 @@ def _place_bars(k, bars, points, X):
             X[bar, 3 * k + bar] = 1.0
             e = minus3(points[j], points[i])
             length = sqrt(dot3(e, e))
-            if length >= _NO_BAR:
+            if length >= _COINCIDENT_M:
                 e = divided3(e, length)
                 fill3(X[bar, 3 * i :], e)
                 fill3(X[bar, 3 * j :], scaled3(-1.0, e))

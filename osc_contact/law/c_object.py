@@ -6,6 +6,11 @@ By numba's calling convention a C program declares the entries as
 
 with uint64_t for addresses, even if a pointer has 32 bits. Sizes of arrays are those of MODEL; they
 are not checked.
+
+`Progress` has `_show`, function that shows the completed share; `_began`, instant of the start;
+`_translated`, time until the last part was ready (s); `_shown`, largest share shown. `_Assistant`
+has `_process`, a second process that translates parts (None: not started); `_new_parts`, number of
+parts that were not cached; `_errors`, file of its error output.
 """
 
 from __future__ import annotations
@@ -33,7 +38,7 @@ from osc_contact.law.limits import PROGRAM
 _log = logging.getLogger(__name__)
 KEPT = 16  #: number of libraries of other sources, 2 MB each, that remain in the cache
 MACHINE_CODE = 20.0  #: s of processor time for linking, optimising and emitting all parts
-_MANY = 10  #: number of new parts from which on a second process is started
+_MANY_NEW_PARTS = 10  #: number of new parts from which on a second process is started
 _program = PROGRAM.at
 
 _rows, _terms, _prepare, _finish, _fill, _settle = (
@@ -268,16 +273,16 @@ class Progress:
         self._shown = 0.0  #: largest share that was shown
         self._translated = 1.0  #: s from the start until the last part was ready; updated by each
 
-    def part_is_ready(self, share: float, kept: bool) -> None:
+    def part_is_ready(self, share: float, was_cached: bool) -> None:
         """Show the progress after another part.
 
         Args:
             share: share of the units with a finished part.
-            kept: whether this one was cached.
+            was_cached: whether this one was cached.
         """
         elapsed = perf_counter() - self._began
         self._translated = elapsed
-        self._raise_to(elapsed / (elapsed / share + MACHINE_CODE))
+        self._show_at_least(elapsed / (elapsed / share + MACHINE_CODE))
 
     def stage_is_over(self, share: float) -> None:
         """Show the progress after a stage of making the machine code.
@@ -289,9 +294,9 @@ class Progress:
             share: share of the time of this work that is over after the stage.
         """
         whole = self._translated + MACHINE_CODE
-        self._raise_to((self._translated + share * MACHINE_CODE) / whole)
+        self._show_at_least((self._translated + share * MACHINE_CODE) / whole)
 
-    def _raise_to(self, share: float) -> None:
+    def _show_at_least(self, share: float) -> None:
         """Show a completed share (0 … 1), or the largest one so far, so that it never falls."""
         self._shown = max(self._shown, min(share, 1.0))
         self._show(self._shown)
@@ -327,19 +332,19 @@ class _Assistant:
         Args:
             errors: file for its standard error.
         """
-        self._new = 0
+        self._new_parts = 0
         self._process: subprocess.Popen[bytes] | None = None
         self._errors = errors
 
-    def start_if_needed(self, share: float, kept: bool) -> None:
+    def start_if_needed(self, share: float, was_cached: bool) -> None:
         """Start the process once many parts are new, if a core is available for it.
 
         Args:
             share: share of the units with a finished part.
-            kept: whether the last one was cached.
+            was_cached: whether the last one was cached.
         """
-        self._new += not kept
-        if self._new == _MANY and self._process is None and _cores() > 1:
+        self._new_parts += not was_cached
+        if self._new_parts == _MANY_NEW_PARTS and self._process is None and _cores() > 1:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", __spec__.name, "assist"],
                 stdin=subprocess.DEVNULL,

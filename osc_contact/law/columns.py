@@ -47,9 +47,11 @@ DIFFERENT_BODIES = declare_reason(
 
 #: Largest part of a unit column outside the span of others with which it counts as dependent.
 DEPENDENT = 3e-7
-_PIVOT = 0.3  #: a column is preferred if its rest is at least this share of the longest rest
-_CONSISTENT = 1e-5  #: largest relative error of n_γ of a dependent column
-_STILL = 1e-9  #: rounding error of n_γ when the bodies hardly move (m/s², rad/s²)
+_PREFERRED_SHARE = (
+    0.3  #: a column is preferred if its rest is at least this share of the longest rest
+)
+_MOST_INCONSISTENCY = 1e-5  #: largest relative error of n_γ of a dependent column
+_ROUNDING_OF_N_GAMMA = 1e-9  #: rounding error of n_γ when the bodies hardly move (m/s², rad/s²)
 
 
 @inner
@@ -109,7 +111,7 @@ def keep_columns(t):
         least_ratio = orthonormalise(work.N_e, count, 0, work.N_basis, work.N_factor)
         may_depend = not least_ratio > 10.0 * DEPENDENT  # also if NaN
     if may_depend:
-        reason = _reduce(t)
+        reason = _select_independent(t)
         if reason != NO_REASON:
             return reason
     for a in range(work.rank):
@@ -122,21 +124,21 @@ def keep_columns(t):
 
 
 @inner
-def _reduce(t):
+def _select_independent(t):
     """Select a well-conditioned, independent subset of the active columns of N.
 
     Each step selects the first column whose part outside the span of the selected ones is at least
-    `_PIVOT` times the largest such part; it ends when all these parts are below `DEPENDENT`. Reads
-    `energy` and `extent` of the columns. Fills `rank`, `kept` (in ascending order), and `rest` (6,;
-    the part outside the span) and `share` (r,; magnitudes of the kept columns with the same wrench)
-    of the columns.
+    `_PREFERRED_SHARE` times the largest such part; it ends when all these parts are below
+    `DEPENDENT`. Reads `energy` and `extent` of the columns. Fills `rank`, `kept` (in ascending
+    order), and `rest` (6,; the part outside the span) and `share` (r,; magnitudes of the kept
+    columns with the same wrench) of the columns.
 
     Args:
         t: Tick.
 
     Returns:
         `NO_REASON`; `CONTRADICTION` if n_γ of a dependent column does not follow from those of the
-        selected ones; or the reason of `_same_body`.
+        selected ones; or the reason of `_require_same_body`.
     """
     work = t.work
     columns = work.columns
@@ -152,18 +154,18 @@ def _reduce(t):
         first = work.chosen[0]
         for j in range(work.count - 1, -1, -1):  # from the last one: the first one remains
             remainder = columns[work.chosen[j]].rest
-            if dot6(remainder, remainder) >= _PIVOT * _PIVOT * longest:
+            if dot6(remainder, remainder) >= _PREFERRED_SHARE * _PREFERRED_SHARE * longest:
                 first = work.chosen[j]
-        _insert(work.kept, rank, first)
+        _insert_index(work.kept, rank, first)
         rank += 1
-        _remove(t, first)
+        _remove_direction(t, first)
     work.rank = rank
     if rank == work.count:
         return NO_REASON
-    _express(t)
-    if not _consistent(t):
+    _express_columns(t)
+    if not _n_gamma_is_consistent(t):
         return CONTRADICTION
-    return _same_body(t)
+    return _require_same_body(t)
 
 
 @leaf
@@ -183,7 +185,7 @@ def _longest_rest(t):
 
 
 @leaf
-def _insert(indices, count, index):
+def _insert_index(indices, count, index):
     """Insert an index in a list of indices in ascending order.
 
     Args:
@@ -199,7 +201,7 @@ def _insert(indices, count, index):
 
 
 @inner
-def _remove(t, first):
+def _remove_direction(t, first):
     """Remove the direction of one column from `rest` of all others, and zero its own `rest`.
 
     `rest` (6,) is the part of a column of N outside the span of the selected columns, in energy
@@ -222,7 +224,7 @@ def _remove(t, first):
 
 
 @inner
-def _express(t):
+def _express_columns(t):
     """Express each active column of N as a combination of the kept ones, `energy` = Σ share_a N_a.
 
     `share` (r,) has the magnitudes of the r kept columns N_a with the same wrench as a unit of the
@@ -256,7 +258,7 @@ def _express(t):
 
 
 @inner
-def _consistent(t):
+def _n_gamma_is_consistent(t):
     """Determine whether n_γ of every active column follows from the kept ones, except for rounding.
 
     n_γ is the normal acceleration (m/s², rad/s²) that keeps the contact. A column that is the sum Σ
@@ -282,7 +284,9 @@ def _consistent(t):
         implied = 0.0
         for a in range(work.rank):
             implied += columns[work.kept[a]].n_gamma * column.share[a]
-        if abs(column.n_gamma - implied) > max(_STILL, _CONSISTENT * column.extent * largest):
+        if abs(column.n_gamma - implied) > max(
+            _ROUNDING_OF_N_GAMMA, _MOST_INCONSISTENCY * column.extent * largest
+        ):
             work.where = work.chosen[j]
             work.reason_amount = implied
             return False
@@ -290,7 +294,7 @@ def _consistent(t):
 
 
 @inner
-def _same_body(t):
+def _require_same_body(t):
     """Require that dependent columns are on one body, or on unyielding bodies that move in unison.
 
     Bodies are in unison if their inverse inertia Φ_e is zero and their bias and twist are equal;

@@ -61,10 +61,14 @@ BAD_METRIC = declare_reason(
     "BAD_METRIC", 10, "the metric B of eq. 24 is singular in the motions that the arms permit"
 )
 
-_REACH = 1e-9  #: least mobility along a column, relative to that of the free object
-_APART = 1e-10  #: least part of a column outside the span of the others, weighted by Λ_S
-_HARD = 1e-8  #: least share of a command that is distinguished from 0
-_GONE = 1e-6  #: least mobility of the chain along a lost direction, relative to that of Λ_ref
+_LEAST_MOBILITY = 1e-9  #: least mobility along a column, relative to that of the free object
+_LEAST_SEPARATE_PART = (
+    1e-10  #: least part of a column outside the span of the others, weighted by Λ_S
+)
+_LEAST_SHARE = 1e-8  #: least share of a command that is distinguished from 0
+_LEAST_CHAIN_MOBILITY = (
+    1e-6  #: least mobility of the chain along a lost direction, relative to that of Λ_ref
+)
 
 
 @inner
@@ -113,7 +117,11 @@ def require_reachable(t):
         N = work.N_t[a]
         reach = min(reach, dot(N[m:], N[m:], 6 - m) / dot6(N, N))
     # far above both bounds N alone is sufficient
-    if t.model.held and reach > 2.0 * _REACH * trace and least_ratio > 2.0 * _APART * sqrt(trace):
+    if (
+        t.model.held
+        and reach > 2.0 * _LEAST_MOBILITY * trace
+        and least_ratio > 2.0 * _LEAST_SEPARATE_PART * sqrt(trace)
+    ):
         return NO_REASON
     return _judge_reach(t)
 
@@ -153,12 +161,12 @@ def _judge_reach(t):
         fill(weighed[a], N)
         forward(factor, d, weighed[a, m:])
         work.reason_amount = dot(weighed[a, m:], weighed[a, m:], d) / dot6(N, N)
-        if not work.reason_amount > _REACH:  # also if NaN
+        if not work.reason_amount > _LEAST_MOBILITY:  # also if NaN
             work.where = a
             return UNREACHABLE
     # least part of a weighted column outside the span of the others
     work.reason_amount = orthonormalise(weighed, r, m, basis, factor)
-    if not work.reason_amount > _APART:  # also if NaN
+    if not work.reason_amount > _LEAST_SEPARATE_PART:  # also if NaN
         return INSEPARABLE
     return NO_REASON
 
@@ -283,9 +291,9 @@ def reduce_motion(t):
                 target -= arm_work.lost[e, i] * (a[i] - arm_work.gamma[i])
             fill_free(row, work, arm_work.lost[e])
             size = dot(row, row, 6)
-            if arm_work.gone[e] != 0.0 or size < _GONE:  # locked in the chain
+            if arm_work.gone[e] != 0.0 or size < _LEAST_CHAIN_MOBILITY:  # locked in the chain
                 continue
-            weight = (1.0 - arm_work.share[e]) / (max(arm_work.share[e], _HARD) * size)
+            weight = (1.0 - arm_work.share[e]) / (max(arm_work.share[e], _LEAST_SHARE) * size)
             accumulate(step, weight * target, row)
             add_square(weight, row, H)
     # Δ = H⁻¹ Σ w y u, then its projection to NᵀΔ = 0

@@ -112,32 +112,30 @@ def command_motion(t):
 # leaves the contact forces unchanged. In the very first tick they equal the desired ones, because
 # an object held by friction at the grasps must not fall.
 #
-# The brake commands the normal acceleration −κ(NᵀV_rel − v̄) instead of zero. v̄ is the lasting part
-# of the speed, so an object that slides along a tilted face is not braked. As an acceleration the
-# same κ suits every mass and every basis of N; the force is larger by the factor (NᵀΦN)⁻¹.
-#
-# On a face that yields by s per unit of force, this brake is too weak where the contact moves
-# slowly, and zero where the motion of the face is measured. There the brake is
-#
-#     b = κ(u + (K_i − w) p) − s α̈_s,   u = NᵀV − v̂ − s α̇_s,   ṗ = u − w p
-#
-# v̂ is the speed at which the face is driven: a low-pass of V_N − s α̇ where its motion is measured,
-# else 0. w is the rate of v̄ and of this low-pass. s is estimated from its declared value s_0: with
-# x̃, α̃ and α̃_s the position of the contact, its force and the commanded force, each after a
-# high-pass with the rate w,
-#
-#     s = (∫x̃ α̃_s + w_0 s_0) / (∫α̃ α̃_s + w_0)
-#
-# with exponential forgetting. Noise and sliding on a tilted face are not correlated with α̃_s.
+# The brake commands the normal acceleration −κ(NᵀV_rel − v̄) instead of zero. v̄ is the lasting
+# part of the speed, so an object that slides along a tilted face is not braked. As an acceleration
+# the same κ suits every mass and every basis of N; the force is larger by the factor (NᵀΦN)⁻¹.  On
+# a face that yields by s per unit of force, this brake is too weak where the contact moves slowly,
+# and zero where the motion of the face is measured. There the brake is      b = κ(u + (K_i − w) p)
+# − s α̈_s,   u = NᵀV − v̂ − s α̇_s,   ṗ = u − w p  v̂ is the speed at which the face is driven: a
+# low-pass of V_N − s α̇ where its motion is measured, else 0. w is the rate of v̄ and of this
+# low-pass. s is estimated from its declared value s_0: with x̃, α̃ and α̃_s the position of the
+# contact, its force and the commanded force, each after a high-pass with the rate w,      s = (∫x̃
+# α̃_s + w_0 s_0) / (∫α̃ α̃_s + w_0)  with exponential forgetting. Noise and sliding on a tilted
+# face are not correlated with α̃_s.
 
-_SUDDEN = 20.0  #: 1/s; a desired force that changes faster than this times its size is a step
-_FADES = 0.5  #: 1/s; rate at which the size of a former force is forgotten
-_PRESSES = 0.3  #: share of its desired force from which on a contact shows the tilt of its face
-_RESTS = 0.1  #: share of a force's size; with a larger remainder of a step the integral pauses
-_YIELDS = 0.01  #: s, time constant of the low-pass of α̈_s
-_RECALLS = 2.0  #: s, time constant of forgetting in the estimate of s
-_PRIOR = 0.002  #: s; w_0 is this time multiplied by the squared size of the force
-_SOFTEST = 20.0  #: largest estimate of s, as a multiple of s_0
+_SUDDEN_RATE = 20.0  #: 1/s; a desired force that changes faster than this times its size is a step
+_FADING_RATE = 0.5  #: 1/s; rate at which the size of a former force is forgotten
+_PRESSING_SHARE = (
+    0.3  #: share of its desired force from which on a contact shows the tilt of its face
+)
+_PAUSING_SHARE = (
+    0.1  #: share of a force's size; with a larger remainder of a step the integral pauses
+)
+_RATE_LAG = 0.01  #: s, time constant of the low-pass of α̈_s
+_COMPLIANCE_MEMORY = 2.0  #: s, time constant of forgetting in the estimate of s
+_PRIOR_TIME = 0.002  #: s; w_0 is this time multiplied by the squared size of the force
+_MOST_COMPLIANCE = 20.0  #: largest estimate of s, as a multiple of s_0
 
 
 @inner
@@ -172,13 +170,13 @@ def shape_steps(t, is_custom):
         j = work.chosen[i]
         row = work.columns[j]
         goal = row.goal = work.goal[j]
-        faded = memory.columns[j].scale * (1.0 - _FADES * dt)
+        faded = memory.columns[j].scale * (1.0 - _FADING_RATE * dt)
         row.scale = max(abs(goal), faded) if is_shaped else 0.0
         is_approached = is_shaped and contact_of(t, j).phase == APPROACHING
         row.shaped = 0 if is_custom or is_approached else 1
         step = goal - _start_of_step(t, j)
         row.to_come[0] = step  # for the second loop
-        is_sudden = is_sudden or (row.shaped and abs(step) > _SUDDEN * dt * row.scale)
+        is_sudden = is_sudden or (row.shaped and abs(step) > _SUDDEN_RATE * dt * row.scale)
     is_sudden = is_sudden and rise_time > 0.0
     # new steps are added to those that are still to come
     stretch = rise_time / last_time if remaining > 0.0 else 1.0
@@ -191,7 +189,7 @@ def shape_steps(t, is_custom):
         if is_shaped and row.shaped and memory.columns[j].has_desired:
             to_come = linear(memory.columns[j].to_come)
         if is_sudden:
-            to_come = _add_step(to_come, step, remaining, stretch)
+            to_come = _add_step_to_remainder(to_come, step, remaining, stretch)
         fill3(row.to_come, to_come)
         w = _still_to_come(to_come, 1.0 if is_sudden else remaining)
         row.goal -= w
@@ -201,7 +199,7 @@ def shape_steps(t, is_custom):
             largest = max(largest, abs(w) / row.scale)
     work.step_left = 1.0 if is_sudden else remaining
     work.step_time = rise_time if is_sudden else last_time
-    work.integral_scale = max(1.0 - largest / _RESTS, 0.0)
+    work.integral_scale = max(1.0 - largest / _PAUSING_SHARE, 0.0)
 
 
 @leaf
@@ -262,8 +260,8 @@ def shape_squeeze(t):
         desired = memory.squeeze[bar]
         start = last.desired if memory.ticked else desired
         row.goal = desired - start  # the step, for the second loop
-        row.scale = max(abs(desired), last.scale * (1.0 - _FADES * dt))
-        is_sudden = is_sudden or abs(row.goal) > _SUDDEN * dt * row.scale
+        row.scale = max(abs(desired), last.scale * (1.0 - _FADING_RATE * dt))
+        is_sudden = is_sudden or abs(row.goal) > _SUDDEN_RATE * dt * row.scale
     is_sudden = is_sudden and rise_time > 0.0
     # new steps are added to those that are still to come
     stretch = rise_time / last_time if remaining > 0.0 else 1.0
@@ -273,7 +271,7 @@ def shape_squeeze(t):
         if remaining > 0.0:
             to_come = linear(memory.internal[bar].to_come)
         if is_sudden:
-            to_come = _add_step(to_come, row.goal, remaining, stretch)
+            to_come = _add_step_to_remainder(to_come, row.goal, remaining, stretch)
         fill3(row.to_come, to_come)
         row.goal = memory.squeeze[bar] - _still_to_come(to_come, 1.0 if is_sudden else remaining)
     work.squeeze_left = 1.0 if is_sudden else remaining
@@ -298,7 +296,7 @@ def _still_to_come(to_come, remaining):
 
 
 @inner
-def _add_step(to_come, step, remaining, stretch):
+def _add_step_to_remainder(to_come, step, remaining, stretch):
     """Compute the quintic of a step's remainder after another step is added.
 
     The remainder of a step is w = (1 − x)³(a + b x + c x²) (N) at the elapsed share x of its rise
@@ -313,11 +311,11 @@ def _add_step(to_come, step, remaining, stretch):
     Returns:
         Coefficients a, b, c (N) of the sum, whose rise time begins now.
     """
-    return add3(_continue(to_come, remaining, stretch), step, (1.0, 3.0, 6.0))
+    return add3(_continue_remainder(to_come, remaining, stretch), step, (1.0, 3.0, 6.0))
 
 
 @inner
-def _continue(to_come, remaining, stretch):
+def _continue_remainder(to_come, remaining, stretch):
     """Compute the quintic that continues the remainder of a step with a new rise time.
 
     The remainder is w = (1 − x)³(a + b x + c x²) (N) at the elapsed share x of the rise time.
@@ -375,10 +373,10 @@ def brake_contacts(t):
     The deceleration, in m/s² for columns that are forces, is κ(NᵀV_rel − v̄): the speed of the
     contact less its lasting part v̄. Of contacts that hold without a desired force the whole speed
     is braked. On a yielding face it is κ(u + (K_i − w) p) − s α̈_s, with the unexplained speed u
-    (m/s) and its integral p (m) from `_deflection`, the force gain K_i and the rate w of `_washout`
-    (1/s), the compliance s (m/N) and the second derivative of the commanded force α_s. Reads
-    `speed`, and `drift` (v̄) of the columns in MEMORY. On a yielding face whose motion is not
-    measured, the normal is not turned in this tick (`slides`, `turned`).
+    (m/s) and its integral p (m) from `_deflection`, the force gain K_i and the rate w of
+    `_washout_rate` (1/s), the compliance s (m/N) and the second derivative of the commanded force
+    α_s. Reads `speed`, and `drift` (v̄) of the columns in MEMORY. On a yielding face whose motion
+    is not measured, the normal is not turned in this tick (`slides`, `turned`).
 
     Args:
         t: Tick.
@@ -391,8 +389,8 @@ def brake_contacts(t):
             work.brake[a] *= work.speed[a] - drift
             continue
         u, p, _, rate = _deflection(t, a, j)
-        work.brake[a] *= u + (t.model.force_gain - _washout(t)) * p
-        acceleration = (rate - t.memory.columns[j].eased_rate) / _YIELDS
+        work.brake[a] *= u + (t.model.force_gain - _washout_rate(t)) * p
+        acceleration = (rate - t.memory.columns[j].eased_rate) / _RATE_LAG
         work.brake[a] -= _compliance(t, j) * acceleration
         column = work.columns[j]
         if work.V_N[a] == 0.0:  # an unmeasured yield would be mistaken for a tilt of the face
@@ -401,7 +399,7 @@ def brake_contacts(t):
 
 
 @leaf
-def _washout(t):
+def _washout_rate(t):
     """Compute the rate w (1/s) with which lasting signals of a contact are forgotten.
 
     It is the rate of the low-pass of v̄, the lasting part of a contact's speed, and of the
@@ -418,7 +416,7 @@ def _washout(t):
 def _compliance(t, j):
     """Estimate the compliance s (m/N) of the yielding face that a column presses on.
 
-        s = (∫x̃ α̃_s dt + w_0 s_0) / (∫α̃ α̃_s dt + w_0),   0 ≤ s ≤ `_SOFTEST` s_0
+        s = (∫x̃ α̃_s dt + w_0 s_0) / (∫α̃ α̃_s dt + w_0),   0 ≤ s ≤ `_MOST_COMPLIANCE` s_0
 
     x̃ (m), α̃ and α̃_s (N) are position, force and commanded force after a high-pass, s_0 is the
     declared compliance, and w_0 (N² s) its weight in the estimate.
@@ -429,11 +427,11 @@ def _compliance(t, j):
     """
     row = t.memory.columns[j]
     s = body_of(t, j).parameters[0]
-    weight = _PRIOR * row.scale * row.scale
+    weight = _PRIOR_TIME * row.scale * row.scale
     if weight == 0.0:
         return s
     estimate = (row.correlation + weight * s) / (max(row.excitation, 0.0) + weight)
-    return min(max(estimate, 0.0), _SOFTEST * s)
+    return min(max(estimate, 0.0), _MOST_COMPLIANCE * s)
 
 
 @leaf
@@ -465,7 +463,7 @@ def _deflection(t, a, j):
     face = work.V_N[a]
     if column.shaped == 0:  # the contact is still approached
         return work.speed[a], 0.0, face, last.eased_rate
-    yielding = _washout(t) * s * (work.alpha_meas[a] - last.alpha_mean)
+    yielding = _washout_rate(t) * s * (work.alpha_meas[a] - last.alpha_mean)
     driven = last.driven - yielding if face != 0.0 else 0.0
     rate = (column.goal - last.eased) / work.dt if last.has_desired else 0.0
     return work.speed[a] + face - driven - s * rate, last.deflection, driven, rate
@@ -475,9 +473,9 @@ def _deflection(t, a, j):
 def _keep_deflections(t):
     """Advance the states of the brake on yielding faces, and the estimate of their compliance.
 
-    High-passes with the rate w of `_washout` give x̃ (m), α̃ and α̃_s (N) of position, force and
-    commanded force; the compliance is the ratio of the forgetting integrals `correlation` ∫x̃ α̃_s
-    dt and `excitation` ∫α̃ α̃_s dt (`_compliance`), which are not changed during an approach.
+    High-passes with the rate w of `_washout_rate` give x̃ (m), α̃ and α̃_s (N) of position, force
+    and commanded force; the compliance is the ratio of the forgetting integrals `correlation` ∫x̃
+    α̃_s dt and `excitation` ∫α̃ α̃_s dt (`_compliance`), which are not changed during an approach.
 
     Reads `V_N`, `speed`, `alpha_meas`, and `goal` (commanded force α_s) and `shaped` of the
     columns. Changes of the columns in MEMORY `driven` (speed of the driven face, m/s), `deflection`
@@ -489,7 +487,7 @@ def _keep_deflections(t):
     """
     work = t.work
     dt = work.dt
-    w = _washout(t)
+    w = _washout_rate(t)
     for a in range(work.rank):
         j = work.kept[a]
         if body_of(t, j).kind != YIELDING:
@@ -501,7 +499,7 @@ def _keep_deflections(t):
         row.driven += w * dt * (work.V_N[a] - row.driven)
         row.deflection = p + dt * (u - w * p)
         row.eased = column.goal
-        row.eased_rate += dt / (_YIELDS + dt) * (rate - row.eased_rate)
+        row.eased_rate += dt / (_RATE_LAG + dt) * (rate - row.eased_rate)
         if column.shaped == 0:
             continue
         # high-passes, then the forgetting integrals ∫x̃ α̃_s and ∫α̃ α̃_s
@@ -509,7 +507,7 @@ def _keep_deflections(t):
         row.alpha_mean += w * dt * (work.alpha_meas[a] - row.alpha_mean)
         row.eased_mean += w * dt * (row.eased - row.eased_mean)
         change = dt * (row.eased - row.eased_mean)
-        forgetting = 1.0 - dt / _RECALLS
+        forgetting = 1.0 - dt / _COMPLIANCE_MEMORY
         alpha = work.alpha_meas[a] - row.alpha_mean
         row.correlation = forgetting * row.correlation + change * row.yielded
         row.excitation = forgetting * row.excitation + change * alpha
@@ -577,7 +575,7 @@ def keep_steps(t):
         row.has_desired = column_work.shaped
         row.desired = work.goal[j]
         row.scale = column_work.scale
-        presses = column_work.shaped != 0 and work.alpha[j] > _PRESSES * work.goal[j] > 0.0
+        presses = column_work.shaped != 0 and work.alpha[j] > _PRESSING_SHARE * work.goal[j] > 0.0
         # an approach shows no tilt of the face, so its whole speed counts as lasting
         lasting = work.speeds[j] * (1.0 - column_work.slides if presses else 1.0)
         row.drift += scale * t.model.drift_share * (lasting - row.drift)

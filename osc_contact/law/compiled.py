@@ -34,7 +34,9 @@ _shown: list[Callable[[float], None]] = [_nowhere]
 def rows() -> Any:
     """Return the compiled `law.rows.rows`; it raises a TypeError for arguments of other types.
 
-    numba compiles it for the types of its arguments, here of arrays without rows.
+    numba compiles it for the types of its arguments, here of arrays without rows: q, v, wrenches,
+    X_WD, V_D, A_D, alpha_d, touched bodies and active contacts. A JOB without rows computes
+    nothing.
     """
     no_numbers = np.zeros(0)
     no_rows = Rows(new_model(1, 1, 1))

@@ -307,7 +307,7 @@ def _square_up(X):
 
 
 @inner
-def _miss(arm, tip, X, out):
+def _grasp_miss(arm, tip, X, out):
     """Fill the position error of the object in a hinge or a ball joint, along the rows of N.
 
     N (m, 6) are the wrenches that the grasp transmits, in the axes of the tip.
@@ -337,7 +337,7 @@ def _miss_of_group(arm, tip, X, out):
 
     The permitted part of the displacement is removed iteratively, along the rows of T in
     `arm.grasp[m:]`. They are orthonormal in metres and radians; these units affect the iteration,
-    but not a result of zero.
+    but not a result of zero. It ends at rounding errors, 1e-14, or after 30 steps.
 
     Args:
         arm: ARM row.
@@ -354,7 +354,7 @@ def _miss_of_group(arm, tip, X, out):
     p_O = rotated_back(tip, minus3(origin(X), tip[3]))
     fill3(p, minus3(p_O, rotated(R, arm.X_TO[9:])))
     for _ in range(30):
-        displacement = _remaining(p, R)
+        displacement = _remaining_part(p, R)
         largest = 0.0
         step = ZERO
         for a in range(arm.m, 6):
@@ -363,12 +363,12 @@ def _miss_of_group(arm, tip, X, out):
             largest = max(largest, abs(s))
         if largest < 1e-14:
             break
-        _take_off(R, p, scaled(-1.0, step))
-    fill(out, times6(arm.grasp, _remaining(p, R)))
+        _remove_span(R, p, scaled(-1.0, step))
+    fill(out, times6(arm.grasp, _remaining_part(p, R)))
 
 
 @inner
-def _remaining(p, R):
+def _remaining_part(p, R):
     """Logarithm of a displacement (R, p): the twist that causes it in unit time.
 
     The reference point of the twist is the tip's origin.
@@ -391,7 +391,7 @@ def _remaining(p, R):
 
 
 @inner
-def _take_off(R, p, twist):
+def _remove_span(R, p, twist):
     """Multiply a displacement by an exponential: (R, p) ← (R, p) exp(twist).
 
     The exponential is the displacement by a twist in unit time, about the tip's origin.
@@ -470,7 +470,7 @@ def find_object(t, X):
             arm = arms[k]
             arm_work = work.arms[k]
             if arm.kind == BALL or arm.kind == HINGE:
-                _miss(arm, arm_work.tip, X, r)
+                _grasp_miss(arm, arm_work.tip, X, r)
             else:
                 _miss_of_group(arm, arm_work.tip, X, r)
             grasp_rows(arm, arm_work, work.p_C, work.axes, arm_work.passed)

@@ -24,7 +24,7 @@ _FIRM = 0.5  #: share of its command above which a force counts as pressing agai
 _LIGHT = 1.0  #: N, command below which hops cannot be distinguished from noise
 
 #: State of a column since its contact became active: no force yet, gone, pressing.
-_UNMET, _GONE, _PRESSING = range(3)
+_NO_FORCE_YET, _FORCE_GONE, _PRESSING = range(3)
 
 
 @inner
@@ -49,7 +49,7 @@ def watch_hops(t):
     memory.hopping = 0
     for j in range(model.n_columns):
         if contact_of(t, j).active == 0:
-            _forget(memory.columns[j])
+            _forget_hops(memory.columns[j])
     largest_share = 0.0
     for a in range(work.rank):
         j = work.kept[a]
@@ -67,13 +67,13 @@ def watch_hops(t):
 
 
 @inner
-def _forget(row):
+def _forget_hops(row):
     """Begin anew with a column of a contact that is not active.
 
     Args:
         row: COLUMN_MEMORY, of which `pressing`, `hop_share` and `hop_rate` become zero.
     """
-    row.pressing = _UNMET
+    row.pressing = _NO_FORCE_YET
     row.hop_share = 0.0
     row.hop_rate = 0.0
 
@@ -97,12 +97,12 @@ def _note_force(row, force, command, is_approached, dt):
     pressing = force if command > 0.0 else -force
     is_judged = size > _LIGHT or is_approached
     is_gone = is_approached or pressing < _LOW * size
-    is_low = is_judged and is_gone and row.pressing != _UNMET
+    is_low = is_judged and is_gone and row.pressing != _NO_FORCE_YET
     k = dt / (_WINDOW + dt)
     row.hop_share += k * ((1.0 if is_low else 0.0) - row.hop_share)
     row.hop_rate -= k * row.hop_rate
     if is_low and row.pressing == _PRESSING:
-        row.pressing = _GONE
+        row.pressing = _FORCE_GONE
         row.hop_rate += 1.0 / (_WINDOW + dt)
     elif is_judged and not is_gone and pressing > _FIRM * size:
         row.pressing = _PRESSING

@@ -54,11 +54,11 @@ def level_approaches(t):
         if not has_factor:
             has_factor = cholesky(work.Lambda, m, d, factor) > 0.0
         if has_factor:
-            _level(t, factor, a, end)
+            _level_columns(t, factor, a, end)
 
 
 @inner
-def _level(t, factor, first, end):
+def _level_columns(t, factor, first, end):
     """Distribute the mean force command of one contact so that its columns move alike.
 
     Columns with the mobility D (n, n; acceleration along each per unit force of each) accelerate

@@ -91,11 +91,12 @@ _program = PROGRAM.at
 # Weights relative to that of motion, 1. Motion is given up last, because its errors accumulate.
 _FORCE = 1e-3
 _SQUEEZE = 1e-5
-_TORQUE = 1e-7  # of torques without effect on the object, relative to the mean energy of a torque
+# of torques without effect on the object, relative to the mean energy of a torque
+_IDLE_TORQUE_WEIGHT = 1e-7
 _POSTURE = 0.1  # of joint motions without effect on the object, so that no joint whirls
-_BEYOND = 1e2  # of a force out of range when no feasible torques keep it in range
-_INFINITE = 1e30  # the solver's infinity
-_SLACK = 1e-9  # relative tolerance of the limits, for rounding errors
+_OUT_OF_RANGE_WEIGHT = 1e2  # of a force out of range when no feasible torques keep it in range
+_SOLVER_INFINITY = 1e30  # the solver's infinity
+_LIMIT_TOLERANCE = 1e-9  # relative tolerance of the limits, for rounding errors
 
 
 @inner
@@ -157,7 +158,7 @@ def _compute_mobility(p, X, accelerations, mobility, row_maximum, factor):
 
 
 @inner
-def _respond(p):
+def _compute_responses(p):
     """Compute the response of the object and of the contacts to each motor: δη̇ and δα.
 
     The torque of motor j is `scale[j]`, and its wrench g = `G[j] scale[j]`, in energy coordinates
@@ -217,10 +218,11 @@ def prepare(raw, slack):
 
     z (v,) has the n_a changes of torques δτ in units of `scale`, then the slack variables. Each of
     the v rows of `rows` has the roots of the energies that one variable causes: of motion and force
-    (`_respond`), squeeze, joint motions of redundant arms, and, on a diagonal, of each variable
-    itself. H = rows rowsᵀ (v, v) is the Hessian; the k rows of A (k, v) are the sums of variables
-    that the contact forces depend on. Reads all operands; fills `rows`, `H`, `A`, `lower`, `upper`
-    (v bounds of z, then k of Az) and the fields of `_scale_torques`, `_respond`, `_add_energies`.
+    (`_compute_responses`), squeeze, joint motions of redundant arms, and, on a diagonal, of each
+    variable itself. H = rows rowsᵀ (v, v) is the Hessian; the k rows of A (k, v) are the sums of
+    variables that the contact forces depend on. Reads all operands; fills `rows`, `H`, `A`,
+    `lower`, `upper` (v bounds of z, then k of Az) and the fields of `_scale_torques`,
+    `_compute_responses`, `_add_energies`.
 
     Args:
         raw: bytes of PROGRAM.
@@ -236,13 +238,14 @@ def prepare(raw, slack):
     H = matrix(p.H, 0, v, v)
     w = 6 + p.d + p.s + len(p.idle)  # elements of a row before the diagonal
     _scale_torques(p)
-    if not _respond(p):
+    if not _compute_responses(p):
         return False
     energy = _add_energies(p, w)
     # Energies relative to their mean over the motors: then H has elements of about 1.
     size = sqrt(energy / n) if energy > 0.0 else 1.0
     for j in range(v):
-        weight = _TORQUE if j < n else _BEYOND  # of a torque or a slack variable itself
+        # of a torque or a slack variable itself
+        weight = _IDLE_TORQUE_WEIGHT if j < n else _OUT_OF_RANGE_WEIGHT
         for i in range(w):
             rows[j, i] = rows[j, i] / size if j < n else 0.0
         for i in range(v):  # the diagonal behind the energies
@@ -273,8 +276,8 @@ def _scale_torques(p):
     largest = largest if largest > 0.0 else 1.0
     for j in range(len(scale)):
         scale[j] = min(tau_max[j], largest)
-        p.lower[j] = max((-tau_max[j] - p.desired[j]) / scale[j], -_INFINITE)
-        p.upper[j] = min((tau_max[j] - p.desired[j]) / scale[j], _INFINITE)
+        p.lower[j] = max((-tau_max[j] - p.desired[j]) / scale[j], -_SOLVER_INFINITY)
+        p.upper[j] = min((tau_max[j] - p.desired[j]) / scale[j], _SOLVER_INFINITY)
 
 
 @inner
@@ -286,17 +289,17 @@ def _add_energies(p, w):
     forces of the motion that it causes, `carried` (s, 6) times `motion` (a, 6); its energy is
     squeeze²/mass. Its joint motion νᵀδτ of a redundant arm has the energy (νᵀδτ)², with ν (a,) in
     the rows of `idle`. The energies have the weights `_SQUEEZE` and `_POSTURE`. Fills `squeeze` (s,
-    a), and the elements of `rows` behind those of `_respond`.
+    a), and the elements of `rows` behind those of `_compute_responses`.
 
     Args:
-        p: PROGRAM after `_respond`.
+        p: PROGRAM after `_compute_responses`.
         w: number of elements of a row that are energies.
 
     Returns:
         Sum of the energies that units of all torques cause (N²/kg).
     """
     rows = p.rows
-    begin = 6 + p.d  # behind the elements of `_respond`
+    begin = 6 + p.d  # behind the elements of `_compute_responses`
     energy = 0.0
     for j in range(len(p.scale)):
         for c in range(p.s):  # `motion` begins with the d free axes, `carried` ends with them
@@ -321,7 +324,7 @@ def _bound_contacts(p, slack):
     bounds of the slack variables and, from element v on, of A z.
 
     Args:
-        p: PROGRAM after `_respond`.
+        p: PROGRAM after `_compute_responses`.
         slack: number of slack variables, 0 or k.
     """
     lower = p.lower
@@ -338,8 +341,8 @@ def _bound_contacts(p, slack):
             A[c, j] /= norm
         if slack > 0:
             A[c, n + c] = 1.0
-            lower[n + c] = -_INFINITE
-            upper[n + c] = _INFINITE
+            lower[n + c] = -_SOLVER_INFINITY
+            upper[n + c] = _SOLVER_INFINITY
         lower[v + c] = min((p.floor[c] - dot(p.share[c], p.alpha, p.r)) / norm, 0.0)
         upper[v + c] = 0.0  # no contact presses harder than commanded
 
@@ -371,11 +374,11 @@ def finish(raw, slack):
     fill(p.lost_force, ZERO)
     fill(p.lost_motion, ZERO)
     for j in range(n):
-        if not abs(z[j]) < _INFINITE:  # also if NaN
+        if not abs(z[j]) < _SOLVER_INFINITY:  # also if NaN
             return False
         limit = p.tau_max[j]
         p.tau[j] = max(-limit, min(limit, p.desired[j] + p.scale[j] * z[j]))
-        p.at_limit[j] = abs(p.tau[j]) >= limit * (1.0 - _SLACK)
+        p.at_limit[j] = abs(p.tau[j]) >= limit * (1.0 - _LIMIT_TOLERANCE)
         add_scaled(-z[j], p.force[j], p.r, p.lost_force)
         add_scaled(-z[j], p.motion[j], p.d, p.lost_motion[6 - p.d :])
     for c in range(p.s):

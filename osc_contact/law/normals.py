@@ -49,8 +49,10 @@ from osc_contact.law.vectors import (
 # edges from (tilt²/4) nnᵀ. The share 1 − σλ of v, which does not turn n, changes v̄.
 
 _LEAST_SQUARE = 1e-30  # (m/s)², keeps quotients finite
-_FASTER = 4.0  # corner frequency of the low-pass of v, in multiples of c
-_SLIDES = 0.01  #: v_1 (m/s), sliding speed at which half of v is attributed to the normal
+_CORNER_RATIO = 4.0  # corner frequency of the low-pass of v, in multiples of c
+_HALF_SLIDING_SPEED = (
+    0.01  #: v_1 (m/s), sliding speed at which half of v is attributed to the normal
+)
 
 
 @inner
@@ -81,12 +83,12 @@ def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
         n ← n − κ (NᵀV_rel − v̄) v_t / v_t²,   σ = v_t⁴ / (v_t⁴ + v_1⁴)
 
     NᵀV_rel (m/s) is the measured speed along the normal, v̄ its lasting part, which an error of the
-    normal does not explain, κ the gain of this tick with the factor σ, and v_1 = `_SLIDES`. v_t
-    (3,) is the desired velocity of the point along the face, so neither measurement noise nor a
-    point at rest turns the normal. n stays within the angle `tilt` of the declared normal, in the
-    axes of the object or body that carries the face; a larger deviation changes v̄ instead. On a
-    curved face n is the normal at the point touched: an error δ of a ball's position turns it by
-    −δ/R everywhere.
+    normal does not explain, κ the gain of this tick with the factor σ, and v_1 =
+    `_HALF_SLIDING_SPEED`. v_t (3,) is the desired velocity of the point along the face, so neither
+    measurement noise nor a point at rest turns the normal. n stays within the angle `tilt` of the
+    declared normal, in the axes of the object or body that carries the face; a larger deviation
+    changes v̄ instead. On a curved face n is the normal at the point touched: an error δ of a
+    ball's position turns it by −δ/R everywhere.
 
     Fills of the column `turned` (the normal after this tick less the declared one, `believed`),
     `slides` (σλ, 0 … 1: share of the speed that turns the normal), `shown` (v_t/|v_t|, in axes of
@@ -124,7 +126,7 @@ def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
             column.prior[3 * i + j] = 0.25 * model.tilt * model.tilt * share
     # σ, reduced by λ: the share of the speed that an error of the normal explains
     expected = square * _quadratic(last.covariance, column.shown)
-    column.slides = square * square / (square * square + _SLIDES**4)
+    column.slides = square * square / (square * square + _HALF_SLIDING_SPEED**4)
     if expected > 0.0:
         column.slides *= expected / (expected + last.residual)
     # the turned normal, within `tilt` of the declared one
@@ -197,10 +199,13 @@ def learn_normal(share, last, column):
         return
     # r: low-passed excess of the unexplained speed's square over |g|² ĝᵀPĝ, while the point slides
     square = column.lever * column.lever
-    last.unexplained += _FASTER * share * (column.unexplained - last.unexplained)
+    last.unexplained += _CORNER_RATIO * share * (column.unexplained - last.unexplained)
     unexplained_square = last.unexplained * last.unexplained - column.lever * _quadratic(P, u)
     last.residual += (
-        share * square / (square + _SLIDES**4) * (max(unexplained_square, 0.0) - last.residual)
+        share
+        * square
+        / (square + _HALF_SLIDING_SPEED**4)
+        * (max(unexplained_square, 0.0) - last.residual)
     )
     # P, multiplied out with w = Pĝ
     k = share * column.slides

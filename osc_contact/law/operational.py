@@ -35,7 +35,7 @@ from osc_contact.law.vectors import (
 
 # --- J̄ and Λ of one arm in energy coordinates, its locked wrenches, its effort -------------------
 
-_DEFINITE = 1e-12  #: least relative pivot of an effort metric
+_LEAST_PIVOT = 1e-12  #: least relative pivot of an effort metric
 
 
 @inner
@@ -49,8 +49,8 @@ def arm_terms(t, first, n, m, arm, row):
 
     With M = KKᵀ and N J K⁻ᵀ = U Σ Vᵀ arm and object together have the inertia 1 + 1/σ² along a
     column of U, with its singular value σ. Directions with σ²(1 + σ_max²) ≤ `rank_tolerance`²
-    σ_max² count as locked, for an object of any mass. The faster QR of `_decompose` is used if the
-    bound 1/trace(Λ) of the least σ² is above this threshold.
+    σ_max² count as locked, for an object of any mass. The faster QR of `_decompose_by_qr` is used
+    if the bound 1/trace(Λ) of the least σ² is above this threshold.
 
     Args:
         t: Tick.
@@ -65,13 +65,13 @@ def arm_terms(t, first, n, m, arm, row):
     """
     if m == 6:  # all wrenches: the axes themselves are orthonormal
         set_identity(arm.passed)
-        if _decompose(t, first, n, arm, row):
+        if _decompose_by_qr(t, first, n, arm, row):
             trace = 0.0
             for i in range(6):
                 trace += arm.Lambda[i, i]
             if trace * t.model.rank_tolerance * t.model.rank_tolerance < 1.0:
                 return arm.n_locked
-    return arm.n_locked if _separate(t, first, n, m, arm, row) else -1
+    return arm.n_locked if _decompose_by_svd(t, first, n, m, arm, row) else -1
 
 
 @leaf
@@ -129,7 +129,7 @@ def weigh_joints(joints, lo, n, K, weighed):
 
 
 @inner
-def _decompose(t, lo, n, arm, row):
+def _decompose_by_qr(t, lo, n, arm, row):
     """Compute J̄ and Λ of an arm of full rank by QR, in energy coordinates.
 
     J (6, n) is the Jacobian, J̄ (n, 6) its inverse weighted with the joint-space inertia M (n, n),
@@ -295,7 +295,7 @@ def _qr_tall(A, rows, columns, Q, L):
 
 
 @inner
-def _separate(t, lo, n, m, arm, row):
+def _decompose_by_svd(t, lo, n, m, arm, row):
     """Compute J̄ and Λ of any rank and for any grasp, by a singular value decomposition.
 
         A = N J K⁻ᵀ = UΣVᵀ,   J̄ = K⁻ᵀA⁺N,   Λ = NᵀA⁺ᵀA⁺N
@@ -428,7 +428,7 @@ def effort_metric(t, lo, n, m, arm, out):
         for a in range(count):
             x[a] = dot6(arm.kept[a], joints[j].J)
         add_square(table[j].ease, x, A)
-    if count > 0 and not cholesky(A, 0, count, factor) > _DEFINITE:  # also if NaN
+    if count > 0 and not cholesky(A, 0, count, factor) > _LEAST_PIVOT:  # also if NaN
         return False
     for a in range(count):
         fill(A[a], arm.kept[a])
@@ -466,7 +466,8 @@ def retreat(t, arm, i, damping):
     return torque
 
 
-# --- Λ, μ, p, J, J̄, Φ and h of one arm at its tip in world axes, outside of a tick ----------------
+# --- Λ, μ, p, J, J̄, Φ and h of one arm at its tip in world axes, outside of a tick
+# ----------------
 
 
 @entry

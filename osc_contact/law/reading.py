@@ -61,7 +61,7 @@ from osc_contact.law.vectors import (
 
 # --- The force path of fig. 5: contact forces from wrist readings ---------------------------------
 
-_NOTHING = 1e-9  #: Λ_out relative to the reference inertia that counts as zero
+_ZERO_INERTIA = 1e-9  #: Λ_out relative to the reference inertia that counts as zero
 
 
 @inner
@@ -257,7 +257,7 @@ def _measure_at_tip(t):
     trace = 0.0
     for i in range(6):
         trace += abs(work.out_T[i, i])
-    if trace < _NOTHING:
+    if trace < _ZERO_INERTIA:
         work.weightless = 1
         for a in range(r):
             bias_acceleration[a] = 0.0
@@ -310,11 +310,11 @@ _ALONG = 0.3  #: typical error of the coefficient of friction along the slip
 _ACROSS = 0.1  #: typical coefficient across the slip; also the tangent of an error of the normal
 _DEPARTURE = 0.1  #: σ_a (m/s²)
 _LEAST_FORCE = 1.0  #: least w_j (N)
-_LAG = 0.005  #: s, time constant of the low-pass of tangential forces
-_REACTION = 0.5  #: largest reaction to tangential forces, as a share of the desired force
+_TANGENTIAL_LAG = 0.005  #: s, time constant of the low-pass of tangential forces
+_MOST_REACTION = 0.5  #: largest reaction to tangential forces, as a share of the desired force
 _FIRST = 0.005  #: T_1 (s), weight of the assumed coefficient, as a time of sliding
 _MOST_FRICTION = 2.0  #: largest coefficient of friction that is identified
-_NOISE = 0.01  #: noise of a wrist's force (N), in the metric of the object's inertia
+_WRIST_NOISE = 0.01  #: noise of a wrist's force (N), in the metric of the object's inertia
 
 
 @inner
@@ -558,7 +558,7 @@ def oppose_friction(t):
                 D[a, b] = work.Phi_mu[a, b] + dot(response[m:], work.pushed_t[b, m:], d)
         solvable = lu_solve(D, r, x, 1)
     for a in range(r):
-        limit = _REACTION * abs(work.alpha_d[a])
+        limit = _MOST_REACTION * abs(work.alpha_d[a])
         work.reaction[a] = min(max(x[0, a], -limit), limit) if solvable else 0.0
 
 
@@ -620,7 +620,7 @@ def _find_tangential(t, column, index, last_force):
         multiplier[k] = dot6(reading_of_force(t, across(column.N, k), index), work.reading_rest)
     w = _likely_force(work, index)
     along_slip = (_ALONG**2 - _ACROSS**2) * dot3(column.slip, multiplier)
-    k = work.dt / (_LAG + work.dt)
+    k = work.dt / (_TANGENTIAL_LAG + work.dt)
     for i in range(3):
         force = w * w * (_ACROSS**2 * multiplier[i] + along_slip * column.slip[i])
         column.tangential[i] = last_force[i] + k * (force - last_force[i])
@@ -677,7 +677,7 @@ def _likely_errors(t, R):
     largest = 0.0
     for i in range(6):  # σ_a²m Λ_outΛ_outᵀ by rows; column i of `out_T` is row i of Λ_out
         fill(R[i], scaled(variance, outboard_times(work, work.out_T[:, i])))
-        R[i, i] += _NOISE * _NOISE / mass
+        R[i, i] += _WRIST_NOISE * _WRIST_NOISE / mass
     for a in range(work.rank):  # less the motions that the contacts prevent
         add_square(-variance, outboard_times(work, work.N_basis[a]), R)
     for j in range(work.count):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from osc_contact.law.algebra import add_scaled, back_substitute, dot, qr_rows, reflect
 from osc_contact.law.jit import inner, matrix
 
-_DEPENDENT = 1e-9  # part of a unit row outside the span of former rows that counts as zero
+_LEAST_REMAINDER = 1e-9  # part of a unit row outside the span of former rows that counts as zero
 _ROOM = 1e-7  # relative tolerance of the bounds for a refined solution
 
 
@@ -125,7 +125,7 @@ def _eliminate_limits(p, v, w, f):
             continue
         bend = p.bend[eliminated:]
         mirrored = qr_rows(p.normals[eliminated:], 1, f - eliminated, p.diagonal, bend)
-        if not mirrored or abs(p.diagonal[0]) <= _DEPENDENT:
+        if not mirrored or abs(p.diagonal[0]) <= _LEAST_REMAINDER:
             continue
         p.mix[:] = 0.0  # becomes β nᵀremaining
         for j in range(f - eliminated):

@@ -20,7 +20,7 @@ from osc_contact.law.records import JOINTS_AND_SIX, MAX_JOINTS
 
 NONE_LEFT = 0.05  #: χ up to which a command is zero
 FULL = 0.3  #: χ from which on a command is not reduced
-_SMALL = 1e-9  #: χ below which a direction does not determine a motion of the joints
+_LEAST_CHI = 1e-9  #: χ below which a direction does not determine a motion of the joints
 
 
 @leaf
@@ -140,7 +140,7 @@ def _unit_row(X, k, n, chi):
         chi: norm of these elements.
     """
     norm = chi
-    if not chi > _SMALL:  # also if NaN
+    if not chi > _LEAST_CHI:  # also if NaN
         axis = 0
         largest = -1.0
         for e in range(n):  # axis with the largest part outside the span of the former rows

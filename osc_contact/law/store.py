@@ -86,7 +86,9 @@ class Store:
         require_private(self.folder)
 
     def remove_old(self, limit: int) -> None:
-        """Remove the least recently used results.
+        """Remove the least recently used results, by the times at which their files changed.
+
+        Errors are ignored: another process may remove the same files.
 
         Args:
             limit: number of results that remain.

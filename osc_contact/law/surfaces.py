@@ -27,7 +27,7 @@ from osc_contact.law.vectors import (
 # 14; 0 without h); 2. R_ES by rows (0:9) and the origin of S in the body (9:12); 3. one row for
 # each cell, in which 4 p + q holds the factor of uᵖvᵠ of h, with u, v = 0 … 1 along x, y.
 
-_ITERATIONS = 25
+_MOST_ITERATIONS = 25
 _EXACT = 1e-28  #: m²; square of a Newton step that ends the iteration
 
 
@@ -38,7 +38,7 @@ def is_near(step):
 
 
 @leaf
-def _cell(x, count):
+def _grid_cell(x, count):
     """Index of the grid cell that contains x, and the coordinate in it (0 … 1).
 
     The outermost cells extend to infinity, so that the coordinate may be beyond 0 … 1 there.
@@ -52,7 +52,7 @@ def _cell(x, count):
 
 
 @inner
-def _height(shapes, at, x, y):
+def _height_and_derivatives(shapes, at, x, y):
     """Height of a gridded surface and its derivatives at a place, by bicubic interpolation.
 
         h(u, v) = Σ a_kl u^k v^l   in each cell, with its coordinates u, v (0 … 1)
@@ -73,8 +73,8 @@ def _height(shapes, at, x, y):
     row = shapes[at].row
     if row[13] == 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    i, u = _cell((x - row[9]) * row[11], row[13])
-    j, v = _cell((y - row[10]) * row[12], row[14])
+    i, u = _grid_cell((x - row[9]) * row[11], row[13])
+    j, v = _grid_cell((y - row[10]) * row[12], row[14])
     a = shapes[at + 2 + i * int(row[14]) + j].row
     h = h_u = h_uu = h_v = h_uv = h_vv = 0.0
     for k in range(3, -1, -1):  # Horner's scheme, differentiated
@@ -110,9 +110,9 @@ def nearest(shapes, at, p):
     row = shapes[at].row
     foot = p
     scale = 0.0  # λ
-    for _ in range(_ITERATIONS):
+    for _ in range(_MOST_ITERATIONS):
         x, y, z = foot
-        h, h_x, h_y, h_xx, h_xy, h_yy = _height(shapes, at, x, y)
+        h, h_x, h_y, h_xx, h_xy, h_yy = _height_and_derivatives(shapes, at, x, y)
         gradient = (row[4] * x - h_x, row[5] * y - h_y, row[6] * z + row[7])
         F = 0.5 * (row[4] * x * x + row[5] * y * y + row[6] * z * z) + row[7] * z + row[8] - h
         H = (row[4] - h_xx, -h_xy, row[5] - h_yy, row[6])
@@ -122,11 +122,11 @@ def nearest(shapes, at, p):
         yy = 1.0 + scale * H[2]
         det = xx * yy - xy * xy
         inverse = (yy / det, -xy / det, xx / det, 1.0 / (1.0 + scale * H[3]))
-        inverse_gradient = _times(inverse, gradient)
+        inverse_gradient = _times_uncoupled(inverse, gradient)
         # Newton's step for foot + λ∇F = p, F(foot) = 0: its rows are missed by `miss` and by F
         miss = add3(minus3(p, foot), -scale, gradient)
         change = (dot3(inverse_gradient, miss) + F) / dot3(inverse_gradient, gradient)
-        step = _times(inverse, add3(miss, -change, gradient))
+        step = _times_uncoupled(inverse, add3(miss, -change, gradient))
         foot = plus3(foot, step)
         scale = scale + change
         if is_near(step):
@@ -135,7 +135,7 @@ def nearest(shapes, at, p):
 
 
 @leaf
-def _times(M, v):
+def _times_uncoupled(M, v):
     """Multiply a symmetric matrix with a vector whose z axis is not coupled to x and y.
 
     Args:
@@ -168,8 +168,8 @@ def normal_at(shapes, at, p, v):
     seat = shapes[at + 1].row
     _, g, H, inverse = nearest(shapes, at, rotated9_back(seat, minus3(p, seat[9:])))
     size = sqrt(dot3(g, g))
-    v_foot = _times(inverse, rotated9_back(seat, v))
-    inverse_g = _times(inverse, g)
-    g_dot = _times(H, add3(v_foot, -dot3(g, v_foot) / dot3(inverse_g, g), inverse_g))
+    v_foot = _times_uncoupled(inverse, rotated9_back(seat, v))
+    inverse_g = _times_uncoupled(inverse, g)
+    g_dot = _times_uncoupled(H, add3(v_foot, -dot3(g, v_foot) / dot3(inverse_g, g), inverse_g))
     n_dot = divided3(add3(g_dot, -dot3(g, g_dot) / (size * size), g), size)
     return size, rotated9(seat, divided3(g, size)), rotated9(seat, n_dot)

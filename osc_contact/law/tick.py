@@ -137,7 +137,8 @@ PARTIAL = 16  #: the number of columns of N is not known yet
 # Flags of a tick, set by `rows`:
 MISFIT = 64  #: an input has a wrong size
 NO_FORCES = 128  #: alpha_d has a wrong size
-_BEYOND = 1e302  #: makes forces above 2 MN overflow; rounding errors would remain after them
+#: Makes forces above 2 MN overflow; rounding errors would remain after them.
+_OVERFLOW_FACTOR = 1e302
 
 # --- Model ----------------------------------------------------------------------------------------
 
@@ -205,7 +206,7 @@ def is_finite(t, engaged, moving):
     zero = finiteness(row.q, model.n_joints) + finiteness(row.v, model.n_joints)
     zero += finiteness(row.V_D, 6) + finiteness(row.A_D, 6)
     for c in range(max(model.n_bars, 1)):
-        zero += t.memory.squeeze[c] * _BEYOND * 0.0
+        zero += t.memory.squeeze[c] * _OVERFLOW_FACTOR * 0.0
     for i in range(4):
         zero += finiteness(row.X_WD[i], 4)
     for k in range(model.n_arms):
@@ -215,7 +216,7 @@ def is_finite(t, engaged, moving):
             zero += finiteness(row.touched[c], 28)
     if engaged:
         for j in range(model.n_columns):
-            zero += row.alpha_d[j] * _BEYOND * 0.0
+            zero += row.alpha_d[j] * _OVERFLOW_FACTOR * 0.0
     if row.chosen_set:
         for c in range(model.n_contacts):
             zero += row.active[c] * 0.0
@@ -590,6 +591,9 @@ def remember(t):
 def run_parts(t, flags, begin, stop):
     """Run the parts of a tick from `begin` until before `stop` for one controller.
 
+    The parts are LOOK (`look`: inputs, phases, closed chain, active columns), MEASURE (`measure`:
+    geometry and measured forces; then the desired forces), COMMAND (`command`: force law, motion
+    law and filter; then `watch`, limits and sensors) and ALLOCATE (`finish`: torques, MEMORY).
     A part that fails ends the tick: the following parts are skipped, and `guard` computes torques
     that hold the arms. Between parts that are called one by one (custom laws in Python) the reason
     is kept in WORK. Fills `status` and `reason` of WORK, and `reason` of MEMORY.

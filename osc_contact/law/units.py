@@ -312,6 +312,8 @@ class _Library(_Helper):
     def _optimize_functions(self, module: llvm.ModuleRef) -> None:
         """Leave the functions of a module as they are, instead of optimising them, as numba would.
 
+        Each part is optimised later, together with the helpers that it calls (`_simplified`).
+
         Args:
             module: module of LLVM, whose data layout is set.
         """

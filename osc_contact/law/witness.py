@@ -51,7 +51,7 @@ from osc_contact.law.vectors import (
 _FORCE_NOISE = 0.2  #: N, of one reading of the wrists
 _COUPLE_NOISE = 0.01  #: N m
 _POINT = 5e-4  #: m, error of the points at which closed contacts press
-_SURE = 3.0  #: standard deviations of α_n that noise hardly ever exceeds
+_SURE_DEVIATIONS = 3.0  #: standard deviations of α_n that noise hardly ever exceeds
 
 
 @inner
@@ -72,7 +72,9 @@ def measure_approached_forces(t):
     is_needed = False
     for i in range(work.count):
         column = work.chosen[i]
-        is_needed = is_needed or (contact_of(t, column).phase == APPROACHING and _beside(t, column))
+        is_needed = is_needed or (
+            contact_of(t, column).phase == APPROACHING and _is_other_contact(t, column)
+        )
         work.columns[column].touch = 0.0
         work.columns[column].touch_inertia = 0.0
         work.columns[column].explained = 0.0
@@ -81,7 +83,7 @@ def measure_approached_forces(t):
 
 
 @inner
-def _beside(t, column):
+def _is_other_contact(t, column):
     """Determine whether friction may act at an active contact other than that of a column of N.
 
     Args:
@@ -102,12 +104,12 @@ def _estimate_approached_forces(t):
 
     The force is gᵀ(reading), a weighted least-squares estimate: gᵀ is the column's row of
     (NᵀR⁻¹N)⁻¹NᵀR⁻¹, with N (6, r) the wrenches of unit forces with their friction, and R (6, 6) the
-    covariance of the other contacts' friction and of `_SURE` times the noise. Fills, for approached
-    columns beside which another contact may rub, `touch` (N), gᵀ times the reading less bias, and
-    `touch_inertia` (N), the part of it that the measured acceleration of the object causes. Adds to
-    `explained` (N) the part that needs no new contact: the largest contribution of friction
-    (`_bound_friction`), and `_SURE` standard deviations of the noise as far as they are above
-    `force_on`.
+    covariance of the other contacts' friction and of `_SURE_DEVIATIONS` times the noise. Fills, for
+    approached columns beside which another contact may rub, `touch` (N), gᵀ times the reading less
+    bias, and `touch_inertia` (N), the part of it that the measured acceleration of the object
+    causes. Adds to `explained` (N) the part that needs no new contact: the largest contribution of
+    friction (`_bound_friction`), and `_SURE_DEVIATIONS` standard deviations of the noise as far as
+    they are above `force_on`.
 
     Args:
         t: Tick.
@@ -136,7 +138,7 @@ def _estimate_approached_forces(t):
     gram(N, r, weighed, r, normal)
     for a in range(r):
         column = work.chosen[a]
-        if contact_of(t, column).phase != APPROACHING or not _beside(t, column):
+        if contact_of(t, column).phase != APPROACHING or not _is_other_contact(t, column):
             continue
         for b in range(r):  # a copy of `normal`, since `lu_solve` overwrites it
             row_of_inverse[0, b] = 1.0 if a == b else 0.0
@@ -149,7 +151,7 @@ def _estimate_approached_forces(t):
         row.touch = dot6(g, work.reading_e)
         row.touch_inertia = dot6(g, inertia)
         row.explained += _bound_friction(t, a, g)
-        spread = _SURE * sqrt(max(dot6(g, combined(g, noise, 6)), 0.0))
+        spread = _SURE_DEVIATIONS * sqrt(max(dot6(g, combined(g, noise, 6)), 0.0))
         row.explained += max(spread - t.model.force_on, 0.0)  # `force_on` covers so much of it
 
 
@@ -170,13 +172,13 @@ def _add_friction(t, noise, R):
     """
     work = t.work
     for i in range(6):
-        fill(R[i], scaled(_SURE * _SURE, noise[i]))
+        fill(R[i], scaled(_SURE_DEVIATIONS * _SURE_DEVIATIONS, noise[i]))
     for a in range(work.rank):
         column = work.chosen[a]
         if _may_rub(t, column):
-            size = t.model.friction_bound * _pressed(t, a)
-            for k in range(_ways(t, column)):
-                add_square(1.0, _friction(t, column, k, size), R)
+            size = t.model.friction_bound * _pressing_force(t, a)
+            for k in range(_friction_directions(t, column)):
+                add_square(1.0, _friction_reading(t, column, k, size), R)
 
 
 @inner
@@ -196,10 +198,10 @@ def _bound_friction(t, a, g):
     for b in range(work.rank):
         column = work.chosen[b]
         if b != a and _may_rub(t, column):
-            size = t.model.friction_bound * _pressed(t, b)
+            size = t.model.friction_bound * _pressing_force(t, b)
             square = 0.0
-            for k in range(_ways(t, column)):
-                component = dot6(g, _friction(t, column, k, size))
+            for k in range(_friction_directions(t, column)):
+                component = dot6(g, _friction_reading(t, column, k, size))
                 square += component * component
             bound += sqrt(square)
     return bound
@@ -258,7 +260,7 @@ def _add_noise(t, noise):
         column = work.chosen[a]
         if _may_rub(t, column) and has_point(t, column):
             N = work.columns[column].N
-            size = _POINT * _pressed(t, a)
+            size = _POINT * _pressing_force(t, a)
             for k in range(3):  # moments of the force about a point beside the one that is known
                 couple = join(ZERO_3, scaled3(size, cross(axis3(k), linear(N))))
                 add_square(1.0, wrench_to_energy(work, couple), noise)
@@ -278,7 +280,7 @@ def _may_rub(t, column):
 
 
 @inner
-def _ways(t, column):
+def _friction_directions(t, column):
     """Number of directions in which friction of a contact may act.
 
     It is 3, the axes of the world projected on the face, at a point of contact; else the number of
@@ -294,7 +296,7 @@ def _ways(t, column):
 
 
 @inner
-def _friction(t, column, k, size):
+def _friction_reading(t, column, k, size):
     """Reading (six numbers, energy coordinates) of a friction force at a contact.
 
     Args:
@@ -310,7 +312,7 @@ def _friction(t, column, k, size):
 
 
 @inner
-def _pressed(t, a):
+def _pressing_force(t, a):
     """Measured force (N) of a kept column, as a magnitude; 0 if it can only push and reads below 0.
 
     Args:
