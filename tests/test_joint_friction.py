@@ -206,6 +206,17 @@ def test_what_would_be_along_friction_after_a_reversal_is_dropped(errors, unlear
         assert joint_friction._compensation(t, 0) == approx(8.0 * sign + 0.5 * e)
 
 
+@parametrize("errors, applied, most", [(1, 0.0, 2.0), (1, 0.25, 1.5), (1, 1.0, 0.0), (0, 0.0, 0.0)])
+def test_what_is_not_identified_yet_is_compensated_up_to_its_prior(errors, applied, most):
+    """Beside a tare only: else an error of a wrist sensor would act in place of friction."""
+    t = records(1, 1, friction_errors=errors, friction_share=0.5, wrist_error=1.0)
+    t.model.joints.tau_max = 100.0
+    t.model.priors[0].doubt[0] = 2.0
+    t.memory.friction[0].applied = applied
+    t.memory.joints[0].unlearned = 10.0
+    assert joint_friction._compensation(t, 0) == approx(0.5 * most)
+
+
 @parametrize("phase", [APPROACHING, CLOSED])
 def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase):
     t = records(1, 1, 1, friction_learning=1, wrist_error=1.0)
@@ -423,6 +434,7 @@ FALLING = {
     "off": ({"brake_ratio": 0.0}, "nothing"),
     "free": ({"rank": 0}, "nothing"),
     "small brake": ({"force_brake": 20.0, "mass": 20.0}, "part"),
+    "suspected": ({"dry": 0.0, "doubt": 4.0}, "part"),
     "small brake, no friction": ({"force_brake": 20.0, "dry": 0.0}, "nothing"),
     "no brake": ({"force_brake": 0.0}, "nothing"),
     "no force law": ({"force_gain": 0.0}, "nothing"),
@@ -431,9 +443,13 @@ FALLING = {
 
 @parametrize("name", FALLING)
 def test_force_integrals_are_reduced_by_what_falling_friction_excites(name):
-    """To κ less 12 κ_f: power of falling friction over twice the energy, along Λ_o⁻¹N."""
+    """To κ less 12 κ_f: power of falling friction over twice the energy, along Λ_o⁻¹N.
+
+    Friction that residuals show and that is not identified has the deviation of its estimate.
+    """
     changes, expected = FALLING[name]
-    case = {"slides": 0, "viscous": 0.0, "mass": 5.0, "dry": 1.0, "rank": 2, **changes}
+    case = {"slides": 0, "viscous": 0.0, "mass": 5.0, "dry": 1.0, "doubt": 0.0, "rank": 2}
+    case.update(changes)
     gains = {"force_gain": 30.0, "force_brake": 40.0, "brake_ratio": 4.0}
     gains = {key: case.get(key, value) for key, value in gains.items()}
     rng = default_rng(3)
@@ -450,6 +466,10 @@ def test_force_integrals_are_reduced_by_what_falling_friction_excites(name):
     t.memory.joints.speed[:] = s
     t.model.joints.theta[:, 0] = F
     t.model.joints.theta[:, 1] = case["viscous"]
+    if case["doubt"]:
+        t.memory.friction_known[:] = friction_estimate.SUSPECTED
+        t.memory.friction.P[:, 0, 0] = case["doubt"] ** 2
+        F = F + case["doubt"]
     slow = 0.03 * (0.2 if case["slides"] else 1.0)
     slopes = np.maximum(0.3 * F * abs(s) / (s**2 + slow**2) - case["viscous"], 0.0)[:2]
     excited = sum(slopes @ (g[:2] @ n) ** 2 / (n @ inertia @ n) for n in N[: case["rank"]])
@@ -594,7 +614,10 @@ def test_friction_is_learned_and_must_be_sure_where_the_model_has_none(friction,
 
 @parametrize("mass", [0.8, 1.2])
 def test_errors_of_links_are_compensated_beside_a_tare(mass):
-    """A share of 0.7 is compensated while e is within its bound: at rest, the weight."""
+    """A share of 0.7 is compensated while e is within its bound: at rest, the weight.
+
+    No friction is identified so soon, whose prior widens the bound.
+    """
     rms = []
     for changes in ([], ["control.joint_friction.errors=false"]):
         words = [f"model_error.arm_mass={mass}", "tare={}", *changes]
@@ -607,7 +630,10 @@ def test_errors_of_links_are_compensated_beside_a_tare(mass):
         missing = memory.joints.residual - memory.joints.means[:, friction_estimate.FRICTION]
         e = memory.joints.unlearned
         assert_near(e, missing * (not changes), atol=0.02 * largest(missing))
-        most = np.minimum(0.3 * np.abs(controller.records.work.joints.h), 0.05 * rig.model.tau_max)
+        assert not memory.friction.applied.any()
+        most = 0.3 * np.abs(controller.records.work.joints.h)
+        most += controller.records.model.priors.doubt[:, 0]
+        most = np.minimum(most, 0.05 * rig.model.tau_max)
         assert_near(controller.result().friction, 0.7 * np.clip(e, -most, most), atol=1e-3)
     assert rms[0] < 0.5 * rms[1]
 

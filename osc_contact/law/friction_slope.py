@@ -18,10 +18,17 @@ this exceeds the gain K_i of the force integral (Routh, docs/tuning.md). A large
 more noise of the encoders, and raise the frequency below which v̄ leaves contacts undamped. So K_i
 is reduced to κ − `_MARGIN` κ_f, to a least share of κ, and the rate of v̄ with it. `_MARGIN` was
 chosen by measurement.
+
+Friction that residuals show and that is not identified yet excites contacts, too. It counts by the
+standard deviation of the estimate of F, which falls as the joint moves: within some tenths of a
+second where there is none. K_i and the rate of v̄ are rates of integrals, so that no torque jumps.
 """
 
 from __future__ import annotations
 
+from math import sqrt
+
+from osc_contact.law.friction_estimate import SUSPECTED
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.joint_friction import SLIDES, compensated_theta
 from osc_contact.law.vectors import dot6, fill_free
@@ -72,8 +79,9 @@ def limit_integrals(t):
 def _add_joint(t, j):
     """Add the part of joint j to the sum κ_f of this round (`slope` of MEMORY, 1/s).
 
-    Of several columns the parts are added. Reads F and D that are compensated, the permitted
-    `speed` s and J̄ of the joint, and the columns N_t, where V = N.
+    Of several columns the parts are added. Reads F and D that are compensated, of friction that is
+    suspected the deviation of F, the permitted `speed` s and J̄ of the joint, and the columns N_t,
+    where V = N.
 
     Args:
         t: Tick.
@@ -83,6 +91,8 @@ def _add_joint(t, j):
     if t.model.joints[j].motor < 0:
         return
     F, D, _ = compensated_theta(t, j)
+    if t.memory.friction_known[j] == SUSPECTED:
+        F += sqrt(max(t.memory.friction[j].P[0, 0], 0.0))
     if F <= 0.0:
         return
     slow = _SLOW * (SLIDES if t.model.joints[j].slides else 1.0)
