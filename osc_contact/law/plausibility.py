@@ -83,7 +83,7 @@ def check_readings(t):
     """Check the plausibility of readings and reference; return the first reason that applies.
 
     NO_ROTATION: X_WD is no pose. WRENCH_TIMEOUT, STALE: no wrench, or no new reading, for longer
-    than `wrench_timeout` (s). OUT_OF_RANGE: a wrist reads more than its sensor's range, or NaN.
+    than `wrench_timeout` (s). OUT_OF_RANGE: a wrist reads more than its sensor's range.
     OUT_OF_ORDER: the packet is older than the last one. JUMPED, SPEEDS_JUMPED: a speed above
     `plausible_speed` times its limit, a position that jumps, or speeds of several joints that do.
 
@@ -105,7 +105,7 @@ def check_readings(t):
             return WRENCH_TIMEOUT
     else:
         for k in range(model.n_arms):
-            if model.arms[k].sensor_joint >= 0 and not is_measurable(t, k):
+            if model.arms[k].sensor_joint >= 0 and exceeds_range(t, k):
                 memory.culprit = k
                 return OUT_OF_RANGE
     if memory.repeated & OUTDATED:
@@ -383,18 +383,18 @@ def _speed_jumps(t, j):
 
 
 @leaf
-def is_measurable(t, k):
-    """Determine whether the reading of a wrist is finite and within the range of its sensor.
+def exceeds_range(t, k):
+    """Determine whether a number of a wrist's reading is beyond its sensor's range; NaN is not.
 
     Args:
         t: Tick, of which `wrenches` of INPUT are read.
         k: index of the arm.
     """
-    fits = True
+    exceeds = False
     for i in range(6):
         limit = t.model.force_range if i < 3 else t.model.torque_range
-        fits = fits and abs(t.input.wrenches[k, i]) <= limit  # False if NaN
-    return fits
+        exceeds = exceeds or abs(t.input.wrenches[k, i]) > limit
+    return exceeds
 
 
 @leaf

@@ -116,16 +116,13 @@ def check_sensors(t):
     if wrist_reason != NO_REASON:
         reason = wrist_reason
         culprit = arm
-    if work.looked == 0:  # `find_jumps` has not been called in this tick
-        find_jumps(t)
-    work.looked = 0
+    jump_reason, jumped = _check_jumps(t)
+    if jump_reason != NO_REASON:
+        reason = jump_reason
+        culprit = jumped
     positions_jump = work.jumps > 1
-    speeds_jump = work.speed_jumps > 1
-    if (positions_jump or speeds_jump) and memory.mixed > BLIND:
-        reason = MIXED
-        culprit = work.jumped if positions_jump else work.speed_jumped
     is_new = memory.repeated & JOINTS == 0 and not positions_jump
-    joint_reason, faulty_joint, is_complete = _check_joints(t, is_new, speeds_jump, same_wrenches)
+    joint_reason, faulty_joint, is_complete = _check_joints(t, is_new, same_wrenches)
     if joint_reason != NO_REASON:
         reason = joint_reason
         culprit = faulty_joint
@@ -136,13 +133,46 @@ def check_sensors(t):
         if faulty_joint >= 0:
             culprit = faulty_joint
     is_dead = reason in (STUCK, DISAGREE, FROZEN) and is_complete and memory.still > DEAD
-    for j in range(t.model.n_joints if is_dead or reason == MIXED else 0):
-        memory.joints[j].faulty |= FAULTY_SPEED
-        if is_dead or positions_jump:
-            memory.joints[j].faulty |= FAULTY_POSITION
+    if is_dead or reason == MIXED:
+        _mark_packet(t, is_dead or positions_jump)
     if memory.state != SAFE_STOP:  # the cause of a stop keeps its culprit
         memory.culprit = culprit
     return reason
+
+
+@inner
+def _check_jumps(t):
+    """Return MIXED if positions or speeds of several joints have jumped in each packet for `BLIND`.
+
+    Calls `find_jumps` if that was not called in this tick; sets `looked` of WORK to 0.
+
+    Args:
+        t: Tick.
+
+    Returns:
+        `MIXED`, and the index of a joint that jumps; or `NO_REASON`, and −1.
+    """
+    work = t.work
+    if work.looked == 0:
+        find_jumps(t)
+    work.looked = 0
+    if max(work.jumps, work.speed_jumps) > 1 and t.memory.mixed > BLIND:
+        return MIXED, work.jumped if work.jumps > 1 else work.speed_jumped
+    return NO_REASON, -1
+
+
+@leaf
+def _mark_packet(t, positions_too):
+    """Mark the speeds of all joints as faulty, since their packet is dead or mixed.
+
+    Args:
+        t: Tick, of which `faulty` of the joints in MEMORY is changed.
+        positions_too: whether positions are marked, too.
+    """
+    for j in range(t.model.n_joints):
+        t.memory.joints[j].faulty |= FAULTY_SPEED
+        if positions_too:
+            t.memory.joints[j].faulty |= FAULTY_POSITION
 
 
 @leaf
@@ -180,18 +210,18 @@ def _shares(dt):
 
 
 @inner
-def _check_joints(t, is_new, speeds_jump, same_wrenches):
+def _check_joints(t, is_new, same_wrenches):
     """Update the evidence of faults of all joints by the readings of this tick.
 
-    A position is used if it is finite and not barred by a jump, a speed if it is plausible. Reads q
-    and v of INPUT, and `barred` and `acceleration` of the joints in MEMORY; updates their last
-    readings `q` and `v`, `pending` (speed commanded since the position was read), `unread_q`,
-    `unread_v` (ticks), and the fields of `_check_joint`, `isolate_joint` and `_note_packet`.
+    A position is used if it is finite and not barred by a jump, a speed if it is plausible and no
+    speeds of several joints jump (`speed_jumps` of WORK). Reads q and v of INPUT, and `barred` and
+    `acceleration` of the joints in MEMORY; updates their last readings `q` and `v`, `pending`
+    (speed commanded since the position was read), `unread_q`, `unread_v` (ticks), and the fields of
+    `_check_joint`, `isolate_joint` and `_note_packet`.
 
     Args:
         t: Tick.
         is_new: whether the packet has new readings of joints that can be used.
-        speeds_jump: whether speeds of several joints jump, so that no speed is used.
         same_wrenches: whether the readings of all wrists equal those of the last tick.
 
     Returns:
@@ -205,6 +235,7 @@ def _check_joints(t, is_new, speeds_jump, same_wrenches):
     reason = NO_REASON
     faulty_joint = -1
     compared = memory.compared != 0
+    speeds_jump = t.work.speed_jumps > 1
     is_complete = is_new
     all_same = compared
     elapsed = model.period

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from osc_contact.law.jit import inner, leaf
-from osc_contact.law.plausibility import is_measurable
+from math import isfinite
+
+from osc_contact.law.jit import inner
+from osc_contact.law.plausibility import exceeds_range
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import WRISTS
+from osc_contact.law.vectors import ZERO, fill, finiteness
 
 WRIST_FROZEN = declare_reason(
     "WRIST_FROZEN",
@@ -28,17 +31,14 @@ _LEAST_LIVELY = 0.5  #: least share of them of a sensor of which a number that r
 
 @inner
 def check_wrists(t):
-    """Detect wrist sensors whose readings repeat.
+    """Detect wrist sensors whose readings, or one of whose numbers, repeat.
 
-    One of its six numbers that repeats is evidence only if most numbers of that sensor change with
-    each reading (`lively`): those of a sensor whose noise is smaller than its resolution repeat in
-    sound operation, too. Numbers that are zero are left out, since a sensor may lack them; and a
-    number is evidence only while it repeats in contact, since in the air it has no reason to
-    change. Reads `wrenches` of INPUT; updates `same`, `constant`, `lively`, `watched` and `unread`
-    of the arms and `wrenches` in MEMORY.
+    A number that repeats is evidence only while its arm is in contact, since in the air it has no
+    reason to change. Readings are compared by `_compare_reading`. Updates `same` and `unread` of
+    the arms in MEMORY, and what that function updates.
 
     Args:
-        t: Tick.
+        t: Tick, of which `wrenches` of INPUT are read.
 
     Returns:
         WRIST_FROZEN if the reading of an arm in contact has been constant for `frozen_time`,
@@ -47,60 +47,75 @@ def check_wrists(t):
     """
     model = t.model
     memory = t.memory
-    last_wrenches = memory.wrenches
-    wrenches = t.input.wrenches
     all_same = True
     reason = NO_REASON
     culprit = -1
     is_new = memory.repeated & WRISTS == 0 and memory.wrench_missing == 0
+    is_pressing = memory.engaged != 0 and memory.force_rank > 0
     for k in range(model.n_arms):
-        arm_memory = memory.arms[k]
-        # a reading beyond the sensor's range is new evidence that readings change
-        if not (is_new and is_measurable(t, k)):
-            arm_memory.unread += 1
-            all_same = all_same and not (is_new and _exceeds(t, k))
+        row = memory.arms[k]
+        is_beyond = is_new and exceeds_range(t, k)
+        if not is_new or is_beyond or not isfinite(finiteness(t.input.wrenches[k], 6)):
+            row.unread += 1
+            # a reading beyond the sensor's range is new evidence that readings change
+            all_same = all_same and not is_beyond
             continue
-        is_same = memory.has_wrench != 0
-        pressed = model.arms[k].sensor_joint >= 0 and memory.engaged != 0 and memory.force_rank > 0
-        elapsed = model.period * (1 + arm_memory.unread)
-        longest = 0.0
-        n_constant = 0
-        n_read = 0
-        for i in range(6):
-            is_constant = last_wrenches[k, i] == wrenches[k, i]
-            is_same = is_same and is_constant
-            last_wrenches[k, i] = wrenches[k, i]
-            n_read += 1 if wrenches[k, i] != 0.0 else 0
-            if is_constant and wrenches[k, i] != 0.0:
-                n_constant += 1
-                arm_memory.constant[i] = arm_memory.constant[i] + elapsed if pressed else 0.0
-                longest = max(longest, arm_memory.constant[i])
-            else:
-                arm_memory.constant[i] = 0.0
-        changed = 1.0 - n_constant / max(n_read, 1)
-        span = min(_REMEMBERED, arm_memory.watched)
-        arm_memory.watched += elapsed
-        arm_memory.lively += elapsed / (span + elapsed) * (changed - arm_memory.lively)
-        longest = longest if arm_memory.lively > _LEAST_LIVELY else 0.0
-        arm_memory.same = arm_memory.same + elapsed if is_same else 0.0
-        arm_memory.unread = 0
+        elapsed = model.period * (1 + row.unread)
+        row.unread = 0
+        is_pressed = is_pressing and model.arms[k].sensor_joint >= 0
+        is_same, longest = _compare_reading(t, k, elapsed, is_pressed)
+        row.same = row.same + elapsed if is_same else 0.0
         all_same = all_same and is_same
-        if pressed and max(longest, arm_memory.same) > model.frozen_time:
-            reason = WRIST_FROZEN if arm_memory.same > model.frozen_time else WRIST_SATURATED
+        if is_pressed and max(longest, row.same) > model.frozen_time:
+            reason = WRIST_FROZEN if row.same > model.frozen_time else WRIST_SATURATED
             culprit = k
     return reason, culprit, all_same
 
 
-@leaf
-def _exceeds(t, k):
-    """Determine whether the reading of a wrist is beyond the range of its sensor; false for NaN.
+@inner
+def _compare_reading(t, k, elapsed, is_pressed):
+    """Compare the six numbers of a wrist with those of its last reading, and store them.
+
+    Numbers that are zero are left out, since a sensor may lack them. A number that repeats is
+    evidence only if most numbers of that sensor change with each reading (`lively` of the arm, the
+    low-passed share of those that change): those of a sensor whose noise is smaller than its
+    resolution repeat in sound operation, too. Updates `constant` (six times in s), `lively` and
+    `watched` (s for which it has been observed) of the arm, and `wrenches`, in MEMORY.
 
     Args:
-        t: Tick, of which `wrenches` of INPUT are read.
+        t: Tick.
         k: index of the arm.
+        elapsed: time since its last reading (s).
+        is_pressed: whether the arm is in contact.
+
+    Returns:
+        Whether all numbers equal those of the last reading; and the longest time for which one of
+        them that is not zero has been constant in contact (s), 0 where that is no evidence.
     """
-    exceeds = False
+    row = t.memory.arms[k]
+    last = t.memory.wrenches[k]
+    reading = t.input.wrenches[k]
+    n_read = 0
+    n_same = 0
+    n_constant = 0
     for i in range(6):
-        limit = t.model.force_range if i < 3 else t.model.torque_range
-        exceeds = exceeds or abs(t.input.wrenches[k, i]) > limit
-    return exceeds
+        is_read = reading[i] != 0.0
+        n_read += 1 if is_read else 0
+        if reading[i] == last[i]:
+            n_same += 1
+            n_constant += 1 if is_read else 0
+    longest = 0.0
+    for i in range(6 if n_constant > 0 and is_pressed else 0):
+        is_constant = reading[i] == last[i] and reading[i] != 0.0
+        row.constant[i] = row.constant[i] + elapsed if is_constant else 0.0
+        longest = max(longest, row.constant[i])
+    if longest == 0.0:
+        fill(row.constant, ZERO)
+    fill(last, reading)
+    changed = 1.0 - n_constant / n_read if n_constant > 0 else 1.0
+    span = min(_REMEMBERED, row.watched)
+    row.watched += elapsed
+    if row.lively != changed:
+        row.lively += elapsed / (span + elapsed) * (changed - row.lively)
+    is_same = n_same == 6 and t.memory.has_wrench != 0
+    return is_same, longest if row.lively > _LEAST_LIVELY else 0.0
