@@ -1036,7 +1036,7 @@ def test_a_stopped_arm_has_let_go_once_its_load_is_light_for_20_ms(light_for, go
     def weigh(force, ticks):
         t.memory.wrenches[0, :3] = force
         for _ in range(ticks):
-            holding._weigh(t, 0, np.zeros(3), np.eye(4))
+            holding._weigh(t, 0, np.zeros(3))
 
     weigh(share, 5)
     weigh(np.zeros(3), light_for)
@@ -1058,7 +1058,7 @@ def test_a_gripper_that_swings_bears_no_load():
     for k in range(400):
         t.memory.v[0] = speed * np.sin(omega * k * DT)
         t.memory.wrenches[0, :3] = (omega * speed * np.cos(omega * k * DT), 0.0, 9.81)
-        holding._weigh(t, 0, np.zeros(3), np.eye(4))
+        holding._weigh(t, 0, np.zeros(3))
     assert np.linalg.norm(t.memory.arms[0].load) < 1.5  # N, with speeds that are half a tick late
     assert t.memory.arms[0].let_go == 1
 
@@ -1096,6 +1096,20 @@ def test_arms_are_apart_where_one_shifts_or_turns_the_object_by_20_mm(turn, shif
     assert_near(t.memory.apart, 3 * DT if apart else 0.0)
 
 
+@parametrize("start, speed, found", [(0.0, 0.25, 12), (0.0, 0.05, 301), (0.015, -0.25, 0)])
+def test_arms_that_part_are_apart_before_the_gap_is_20_mm(start, speed, found):
+    """At 0.25 m/s 3 mm, and 17 mm that follow within 0.1 s; at 0.05 m/s 15 mm and 5 mm."""
+    t = two_at_a_rod()
+    seen = 0
+    for k in range(1, 320 if speed > 0.0 else 60):
+        t.work.joints.p[1, 2] = 1e-6 + start + speed * k * DT
+        agreement.measure_gap(t, 1, np.eye(4), DT)
+        if agreement.is_apart(t, 1):
+            seen = k
+            break
+    assert abs(seen - found) <= 1
+
+
 @parametrize("turn, gone", [(0.0, False), (0.1, True)])
 def test_an_arm_that_is_apart_from_the_object_has_let_go_below_half_of_its_share(turn, gone):
     """A wrist without a load may read as much as its bias, here 0.45 of the arm's share."""
@@ -1104,8 +1118,30 @@ def test_an_arm_that_is_apart_from_the_object_has_let_go_below_half_of_its_share
     t.memory.wrenches[1, :3] = (0.0, 0.0, 0.45 * 9.81)
     for _ in range(60):
         holding._compare_places(t, X)
-        holding._weigh(t, 1, np.zeros(3), X)
+        holding._weigh(t, 1, np.zeros(3))
     assert t.memory.arms[1].let_go == gone
+
+
+def test_torques_of_an_arm_that_has_let_go_fall_on_a_line_of_their_own():
+    """At `torque_rate`, and neither they nor the others' limit the changes of the other ones."""
+    t = records(arms=2, joints=4, period=DT, torque_rate=200.0)
+    write(t.model.arms, first=[0, 2], end=[2, 4])
+    write(t.model.joints, motor=[0, 1, 2, 3], tau_max=[50.0, 10.0, 50.0, 10.0])
+    write(t.memory, torques=[40.0, 1.0, 40.0, 1.0])
+    write(t.work, tau=[0.0, 0.0, 0.0, 0.9])
+    holding._move_alone(t, t.model.arms[1])
+    assert_near(t.work.tau, [0.0, 0.0, 30.0, 0.975])
+    assert_near(t.memory.torques, [40.0, 1.0, 30.0, 0.975])
+
+
+@parametrize(
+    "rate, gone, omega", [(1e3, 0, 20.0), (1e3, 1, 40.0), (400.0, 1, 40.0), (100.0, 1, 20.0)]
+)
+def test_an_arm_that_has_let_go_is_braked_twice_as_fast(rate, gone, omega):
+    t = records(arms=2, joints=2, period=1.0 / rate, hold_rate=20.0)
+    assert_near(holding._hold_rate(t, bool(gone)), omega)
+    t.memory.derived = at.NOISY
+    assert_near(holding._hold_rate(t, bool(gone)), 10.0)
 
 
 @parametrize("apart, bears, brakes", [(0.09, 0.6, False), (0.11, 0.6, True), (0.11, 0.4, False)])

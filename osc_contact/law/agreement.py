@@ -40,8 +40,8 @@ APART = declare_reason(
     "APART",
     60,
     "arm '{arm}' is more than closure_error = {closure_mm:g} mm away from where the others "
-    "hold the object: an encoder is wrong, those of two arms are swapped, or a grasp has "
-    "slipped",
+    "hold the object, or moves so far away within 0.1 s: an encoder is wrong, those of two arms "
+    "are swapped, or a grasp has slipped",
 )
 
 _LAG = 0.02  #: s, time constant of the low-pass of speeds of an approach
@@ -55,6 +55,8 @@ _OUTLIER = 10.0  #: largest unexplained torque of one tick, as a multiple of the
 _RUBBING = 2e-3  #: rad/s, m/s, speed above which a joint has dry friction along its motion
 _RUBS = 0.5  #: possible error of the modelled friction, as a share
 APART_TIME = 0.01  #: s for which arms may place the object differently
+_AHEAD = 0.1  #: s ahead for which the gap between arms is extrapolated by its rate
+_PARTING = 0.01  #: s, time constant of the low-pass of this rate
 #: share of its part of the object's weight above which a stopped arm holds the object if no other
 #: arm does, or if encoders place the arms apart
 HEAVY = 0.5
@@ -102,8 +104,8 @@ def check_arms(t):
 
     The residual of a motor, the torque that neither model nor wrist explains, less friction must
     stay within `wrist_error` times the torque limit of its long-term mean, and within twice that
-    bound of zero. The arms must place the object alike (`closure_error`). Wrists are not compared
-    in ticks without wrenches. Updates `apart`, `balanced` and `instant` of MEMORY.
+    bound of zero. The arms must place the object alike (`is_apart`). Wrists are not compared in
+    ticks without wrenches. Updates `apart`, `balanced` and `instant` of MEMORY.
 
     Args:
         t: Tick after `solve_chain`.
@@ -114,7 +116,7 @@ def check_arms(t):
     model = t.model
     memory = t.memory
     dt = model.period * (1 + max(memory.gap, memory.wrench_age))
-    arm = _find_apart(t)  # −1: none
+    arm = _find_apart(t, model.period * (1 + memory.gap))  # −1: none
     memory.apart = collect(memory.apart, dt, arm >= 0)
     if arm >= 0 and memory.apart > APART_TIME:
         memory.culprit = arm
@@ -263,14 +265,16 @@ def _follow_unexplained(row, friction, bound, fast_share, slow_share):
 
 
 @inner
-def _find_apart(t):
-    """Find an arm that places the object more than `closure_error` (m) apart from the leader.
+def _find_apart(t, dt):
+    """Find an arm that places the object apart from the leader, by `is_apart`.
 
     The leader is an arm that holds the object rigidly. If there is none, an arm is found whose
-    grasp point is that far from its place in the object. Reads `X_WO`, and R and p of the joints.
+    grasp point is apart from its place in the object. Reads `X_WO`, and R and p of the joints;
+    updates `gap` and `parting` of the arms in MEMORY.
 
     Args:
         t: Tick.
+        dt: time since the last computed tick (s).
 
     Returns:
         Index of the last such arm, or −1; −1 also for a single arm.
@@ -280,29 +284,53 @@ def _find_apart(t):
     if model.n_arms == 1:
         return deviating_arm
     for k in range(model.n_arms):
-        if k != model.leader and is_apart(t, k, t.work.X_WO):
+        if k == model.leader:
+            continue
+        measure_gap(t, k, t.work.X_WO, dt)
+        if is_apart(t, k):
             deviating_arm = k
     return deviating_arm
 
 
 @inner
-def is_apart(t, k, X):
-    """Determine whether arm k places the object more than `closure_error` (m) from the leader's X.
+def measure_gap(t, k, X, dt):
+    """Measure how far from its place in the object arm k is, and the rate of that.
 
-    Two distances are compared with this bound: of the arm's grasp point from its place in the
+    The larger one of two distances is measured: of the arm's grasp point from its place in the
     object at X; and, if both arms hold the object rigidly, of the leader's grasp point from the
-    place where arm k has it, which shows a different rotation of the object, too.
+    place where arm k has it, which shows a different rotation of the object, too. Updates `gap` (m)
+    and `parting` (its rate, low-passed; m/s) of the arm in MEMORY.
 
     Args:
         t: Tick after `place_arm` of all arms.
         k: index of the arm, which is not the leader.
         X: (4, 4) pose of the object by the leader (the arm that holds it rigidly); if there is no
             leader, `X_WO` of WORK.
+        dt: time since the last call (s).
     """
-    bound = t.model.closure_error
-    if grasp_gap(t, k, X) > bound:
-        return True
-    return t.model.leader >= 0 and t.model.arms[k].kind == RIGID and leader_gap(t, k) > bound
+    row = t.memory.arms[k]
+    gap = grasp_gap(t, k, X)
+    if t.model.leader >= 0 and t.model.arms[k].kind == RIGID:
+        gap = max(gap, leader_gap(t, k))
+    if row.gap > 0.0:  # it has been measured before
+        row.parting += (gap - row.gap - row.parting * dt) / (_PARTING + dt)
+    row.gap = gap
+
+
+@leaf
+def is_apart(t, k):
+    """Determine whether the gap of arm k exceeds `closure_error` (m), or will after `_AHEAD`.
+
+    An arm that has let go is accelerated by the torques that carried its part of the object, and
+    the others by its missing ones: before it is `closure_error` away, contact forces have changed,
+    and its light joints are fast.
+
+    Args:
+        t: Tick after `measure_gap`.
+        k: index of the arm, which is not the leader.
+    """
+    row = t.memory.arms[k]
+    return row.gap + _AHEAD * max(row.parting, 0.0) > t.model.closure_error
 
 
 @leaf

@@ -2,7 +2,7 @@
 
 The torques of each arm carry the arm and its share of the object, and brake it in proportion to the
 joint-space inertia of both. An arm with almost no load on its wrist for `LET_GO_TIME` is assumed to
-have let go of the object; then the other arms carry it.
+have let go of the object; then the other arms carry it, and this arm is braked twice as fast.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from osc_contact.law.agreement import (
     HEAVY,
     UNBALANCED,
     is_apart,
+    measure_gap,
     weight_share,
 )
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, place_pose, turn_axes
@@ -52,6 +53,10 @@ BRAKE_RATE = 40.0  #: 1/s, rate of the torques of a hold, as a multiple of their
 _HASTE = 4.0  #: factor of that rate if a joint is above its speed limit
 _LIGHT = 0.25  #: share of its part of the object's weight below which an arm has let go
 LET_GO_TIME = 0.02  #: s for which the load has to be below that share until an arm has let go
+#: s that are enough where encoders place the arm and the object apart: joints that carried much
+#: more than their own inertia swing meanwhile, on `workcell` with a period of 16 ms
+_AWAY_TIME = 0.005
+_FASTER = 2.0  #: factor of `hold_rate` of an arm that has let go
 _SOFTER = 0.5  #: factor of `hold_rate` where speeds are estimated from noisy encoders
 _SHAKES = 0.02  #: s, time constant of the low-pass of the load of a wrist
 
@@ -66,7 +71,8 @@ def hold_posture(t):
     `hold_rate` (1/s), q and q̇ positions and speeds of the joints, q_hold the positions where they
     are held, J the Jacobian, and w the wrench for each arm's share of the object's weight and
     inertia. Where q̇ is estimated from noisy encoders, with the bandwidth `hold_rate`, ω is half of
-    that: a hold as fast as the estimate oscillates, and a faster estimate returns the noise.
+    that: a hold as fast as the estimate oscillates, and a faster estimate returns the noise. An arm
+    that has let go of the object is braked and held with 2 `hold_rate` (see `_hold_rate`).
 
     While joints are braked, q_hold moves with them, at most by the braking distance; a joint beyond
     it is pushed by an error of the modelled weight or by an object that another arm has let go of.
@@ -74,7 +80,8 @@ def hold_posture(t):
     object. If motors cannot exert the braking torques, these are reduced as a whole, and q_hold
     follows the joints, so that the torques dissipate energy. Torques move in a straight line from
     the last ones, at the rate `BRAKE_RATE`, or faster if a joint is above its speed limit or its
-    motor at its torque limit.
+    motor at its torque limit; those of an arm that has let go on a line of their own, at
+    `torque_rate`.
 
     Reads q and v of MEMORY. Fills `tau`, `step` and the holds of the joints.
 
@@ -105,48 +112,81 @@ def hold_posture(t):
     for k in range(model.n_arms):
         fill(outboard, ZERO)
         move_arm(t, model.arms[k], speed, world, twist, drift, outboard)
-        _weigh(t, k, world, X)
+        _weigh(t, k, world)
     # the object's weight, among how many arms it is divided, and the braking torques
     object_is_known = _carry_weight(t, R, centre, weight)
     n_holding = _count_holding(t)
-    rate_limit = _command_braking(t)
+    rate_limit = _rate_limit(t)
     # torques of each arm, with its share of the object if it holds it
     for k in range(model.n_arms):
-        holds = object_is_known and (n_holding == model.n_arms or memory.arms[k].let_go == 0)
-        object_share = 1.0 / n_holding if holds else 0.0
-        share = _split_torques(t, model.arms[k], object_share, R, centre, weight)
+        arm = model.arms[k]
+        has_let_go = n_holding < model.n_arms and memory.arms[k].let_go != 0
+        object_share = 1.0 / n_holding if object_is_known and not has_let_go else 0.0
+        _command_braking(t, arm, _hold_rate(t, has_let_go))
+        share = _split_torques(t, arm, object_share, R, centre, weight)
         rate = rate_limit if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
-        _take_share(t, model.arms[k], share, rate)
+        _take_share(t, arm, share, rate)
+        if has_let_go and memory.ticked != 0:
+            _move_alone(t, arm)
     slew(work.tau, memory.torques, work.step, memory.ticked != 0)
 
 
 @leaf
-def _command_braking(t):
-    """Fill `acceleration` of the joints, −2ω q̇ − ω²(q − q_hold), which brakes and holds them.
+def _rate_limit(t):
+    """Compute the largest rate of the torques of a hold (1/s, as a multiple of their limits).
 
-    ω = `hold_rate` (1/s), or `_SOFTER` times that with noisy encoders, q and q̇ are the estimated
-    positions and speeds of MEMORY, q_hold = `hold` the positions where the joints are held (rad,
-    m). Joints without a motor get 0.
+    It is `BRAKE_RATE`, or `_HASTE` times that if a joint is above its speed limit, and at most
+    `torque_rate`.
 
     Args:
         t: Tick.
+    """
+    rate = BRAKE_RATE
+    for j in range(t.model.n_joints):
+        if abs(t.memory.v[j]) > t.model.joints[j].speed_max:
+            rate = _HASTE * BRAKE_RATE
+    return min(rate, t.model.torque_rate)
 
-    Returns:
-        Largest rate of the torques (1/s, as a multiple of their limits): `BRAKE_RATE`, `_HASTE`
-        times that if a joint is above its speed limit, at most `torque_rate`.
+
+@leaf
+def _hold_rate(t, has_let_go):
+    """Compute the rate ω (1/s) with which the joints of an arm are braked and held.
+
+    It is `hold_rate`; with noisy encoders `_SOFTER` times that. An arm that has let go of the
+    object is braked `_FASTER` times as fast, as long as the damping 2ω takes at most a fifth of a
+    speed in each tick: its inertia is only its own, and its light joints may be fast, because until
+    then they were driven by torques for both.
+
+    Args:
+        t: Tick.
+        has_let_go: whether the arm has let go of the object.
     """
     model = t.model
+    if t.memory.derived == NOISY:
+        return _SOFTER * model.hold_rate
+    if has_let_go:
+        return min(_FASTER * model.hold_rate, max(model.hold_rate, 0.1 / model.period))
+    return model.hold_rate
+
+
+@leaf
+def _command_braking(t, arm, omega):
+    """Fill `acceleration` of an arm's joints, −2ω q̇ − ω²(q − q_hold), which brakes and holds them.
+
+    q and q̇ are the estimated positions and speeds of MEMORY, q_hold = `hold` the positions where
+    the joints are held (rad, m). Joints without a motor get 0.
+
+    Args:
+        t: Tick.
+        arm: ARM row.
+        omega: rate ω (1/s).
+    """
     memory = t.memory
-    omega = (_SOFTER if memory.derived == NOISY else 1.0) * model.hold_rate
-    rate_limit = min(BRAKE_RATE, model.torque_rate)
-    for j in range(model.n_joints):
-        speed = memory.v[j]
-        if abs(speed) > model.joints[j].speed_max:
-            rate_limit = min(_HASTE * BRAKE_RATE, model.torque_rate)
+    for j in range(arm.first, arm.end):
         restoring = omega * (memory.q[j] - memory.joints[j].hold)
-        has_motor = model.joints[j].motor >= 0
-        t.work.joints[j].acceleration = -omega * (2.0 * speed + restoring) if has_motor else 0.0
-    return rate_limit
+        has_motor = t.model.joints[j].motor >= 0
+        acceleration = -omega * (2.0 * memory.v[j] + restoring) if has_motor else 0.0
+        t.work.joints[j].acceleration = acceleration
 
 
 @inner
@@ -178,6 +218,34 @@ def _take_share(t, arm, share, rate):
             torque = min(max(joints[j].tau + share * joints[j].rest, -limit), limit)
             work.tau[motor] = torque if isfinite(torque) else memory.torques[motor]
             work.step[motor] = rate * model.period * limit
+
+
+@leaf
+def _move_alone(t, arm):
+    """Move the torques of an arm that has let go straight to their new values, at `torque_rate`.
+
+    They carried and braked a part of the object, which would accelerate the arm's own inertia while
+    they fall. The arm is not coupled to the others any more: neither limits the changes of the
+    other. Changes `tau` of WORK and `torques` of MEMORY (N m, N) of its motors, which become equal.
+
+    Args:
+        t: Tick after a computed one.
+        arm: ARM row.
+    """
+    joints = t.model.joints
+    tau = t.work.tau
+    last = t.memory.torques
+    share = 1.0
+    for j in range(arm.first, arm.end):
+        motor = joints[j].motor
+        if motor >= 0:
+            step = t.model.torque_rate * t.model.period * joints[j].tau_max
+            share = max(share, abs(tau[motor] - last[motor]) / step)
+    for j in range(arm.first, arm.end):
+        motor = joints[j].motor
+        if motor >= 0:
+            last[motor] += (tau[motor] - last[motor]) / share
+            tau[motor] = last[motor]
 
 
 @inner
@@ -239,11 +307,11 @@ def _count_holding(t):
 
 @inner
 def _compare_places(t, X):
-    """Accumulate the time for which stopped arms place the object differently.
+    """Accumulate the time for which a stopped arm places the object apart from the leader.
 
-    One arm, the leader, holds the object rigidly; the others place it apart where their grasp
-    points are more than `closure_error` (m) from their places at the leader's object. Updates
-    `apart` of MEMORY (s: time in which they do, less time in which they do not).
+    The leader is an arm that holds the object rigidly; an arm is apart from it by `is_apart`.
+    Updates `apart` of MEMORY (s: time in which one is, less time in which none is), and `gap` and
+    `parting` of the arms.
 
     Args:
         t: Tick after `place_arm` of all arms.
@@ -256,12 +324,14 @@ def _compare_places(t, X):
     place_pose(t.work.joints[model.arms[model.leader].tip_joint], model.X_LO, X)
     any_apart = False
     for k in range(model.n_arms):
-        any_apart = any_apart or (k != model.leader and is_apart(t, k, X))
+        if k != model.leader:
+            measure_gap(t, k, X, model.period)
+            any_apart = any_apart or is_apart(t, k)
     memory.apart = collect(memory.apart, model.period, any_apart)
 
 
 @inner
-def _weigh(t, k, world, X):
+def _weigh(t, k, world):
     """Low-pass the load on the wrist of a stopped arm k, and detect whether it has let go.
 
     The load f is the force by which the gripper carries the object: the reading F less weight mg
@@ -276,19 +346,18 @@ def _weigh(t, k, world, X):
     let go: the load of an arm that holds passes zero for a few milliseconds only, as braking shakes
     the object. This is not revoked until the next stop as long as other arms hold the object,
     because vibrations or errors of the sensor may look like a load later; except where encoders
-    place the arm and the object apart. There `HEAVY` times the share is the bound in both
-    directions, because a bias of the sensor may exceed the lower one, and arms that hold a rigid
-    object apart bear more.
+    place the arm and the object apart (`is_apart`). There `HEAVY` times the share is the bound in
+    both directions, because a bias of the sensor may exceed the lower one, and arms that hold a
+    rigid object apart bear more; and a load below it for `_AWAY_TIME` is enough.
 
     A wrist is no evidence if motor torques contradict one of the wrists, as an error of scale,
     range or wiring concerns all, or if its reading repeats. Fills `load` (3,; f), `weighing` (3,;
     s), both in N, `light` (s of such evidence), `weighed` and `let_go` of the arm in MEMORY.
 
     Args:
-        t: Tick after `move_arm`.
+        t: Tick after `move_arm` and `_compare_places`.
         k: index of the arm.
         world: (3,) origin of the world, reference point of the wrenches.
-        X: (4, 4) pose of the object by the leader; read only after `_compare_places` has filled it.
     """
     model = t.model
     memory = t.memory
@@ -313,12 +382,12 @@ def _weigh(t, k, world, X):
     if is_frozen or memory.cause == UNBALANCED:
         return
     may_be_apart = memory.apart > APART_TIME and model.leader >= 0 and k != model.leader
-    is_away = may_be_apart and is_apart(t, k, X)
+    is_away = may_be_apart and is_apart(t, k)
     bound = (HEAVY if is_away else _LIGHT) * weight_share(t)
     is_light = dot3(row.load, row.load) < bound * bound
     contradicts = is_away and not is_light if row.let_go else row.holds == 0 and is_light
     row.light = row.light + model.period if contradicts else 0.0
-    if row.light > LET_GO_TIME:
+    if row.light > (_AWAY_TIME if is_away and not row.let_go else LET_GO_TIME):
         row.let_go = 1 - row.let_go
         row.light = 0.0
 

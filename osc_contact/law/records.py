@@ -500,10 +500,11 @@ FRICTION = _record(
 #: the load of a stopped arm contradicts that it has, or has not, let go; force by which its gripper
 #: carries the object (N), low-passed; the state of this low-pass (N); s for which each of the six
 #: numbers of its wrist has been identical, the share of them that change with a reading, and s for
-#: which this share has been observed.
+#: which this share has been observed; distance between where it and the leader have the object (m),
+#: and its rate (m/s), low-passed.
 ARM_MEMORY = _record(
     whole=("unread", "weighed", "let_go", "holds"),
-    number=("same", "doubtful", "light", "lively", "watched"),
+    number=("same", "doubtful", "light", "lively", "watched", "gap", "parting"),
     load=3,
     weighing=3,
     constant=6,
