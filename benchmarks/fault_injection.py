@@ -144,6 +144,7 @@ class Run:
         references: of the ticks to come. true: the plant behind its sensors. k: ticks done.
         act: joints with motors; fastest: their speed limits. first: tick at which the fault begins.
         lost: (n_a,) the most that each motor has not given of its torque (N m, N).
+        received: number of the last packet that came; None: it had none.
         estimated: whether speeds are estimated from positions, and end with them.
         diverged: whether the simulation has, which ends the run.
     """
@@ -188,6 +189,7 @@ class Run:
         ticked = self.controller.records.memory.ticked
         self.before = self.controller.last_torques() if ticked else None
         self.lost = np.zeros(len(self.act))
+        self.received: int | None = None
         self.estimated = self.diverged = False
         rng = case.rng(fault)
         moment = rng.uniform(earliest, scenario.duration if latest is None else latest)
@@ -211,8 +213,10 @@ class Run:
         if self.hold and 8 < self.first - k <= 16:
             measurement = replace(measurement, wrenches=np.full_like(measurement.wrenches, NAN))
         if case.every and k % case.every == case.every - 1 and self.controller.engaged:
-            m = measurement  # no packet came
+            m = measurement  # no packet came: neither its readings nor its number
             measurement = replace(m, q=m.q * NAN, v=m.v * NAN, wrenches=m.wrenches * NAN)
+            measurement = replace(measurement, sequence=self.received)
+        self.received = measurement.sequence
         tau = self.tick(measurement, reference)
         if not np.isfinite(tau).all() or (np.abs(tau) > self.limit * (1 + 1e-9)).any():
             verdict.wrong.append(f"tick {k}: torques {tau}")

@@ -86,6 +86,12 @@ def test_drawn_moments_that_were_once_found_wrong(name, case):
     assert verdict.state is SAFE_STOP
 
 
+def test_a_packet_that_is_lost_outdates_none():
+    """Every second packet is newer than the next one; these are lost, and the rest is in order."""
+    verdict = try_fault("packets out of order", Case(every=2), 0.3, **SHORT)
+    assert not verdict.wrong and verdict.stopped is None, verdict
+
+
 @parametrize("every", first([3, 2], 1))
 def test_wrists_that_motors_contradict_do_not_show_that_an_arm_has_let_go(every):
     """Their readings are limited; one arm alone is too weak to carry the object, and sinks."""
