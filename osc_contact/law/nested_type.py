@@ -115,13 +115,12 @@ def pointer_to(record_layout: Layout) -> Any:
     """Compiled function (bytes, offset) that returns the record at an offset.
 
     numba gets a type of its own for the record, whose value is a pointer to the first byte. Tables
-    of the record become attributes of the type: by numba's `overload_attribute`, or, while the
-    law's parts are translated one by one (`jit.UNITS`), by code that `lower_tables` generates.
+    of the record become its attributes, in units (`jit.UNITS`) by code that `lower_tables`
+    generates.
 
     Args:
         record_layout: declaration of the record, a `Nested`: fields of its head, and tables.
     """
-    # the type, its representation as a pointer, and its only instance
     Record = _record_class(record_layout)
     register_model(Record)(_Pointer)
     record = Record()

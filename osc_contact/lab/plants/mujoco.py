@@ -141,9 +141,9 @@ class MujocoPlant:
         except (ValueError, mujoco.FatalError) as error:
             raise PlantError(f"MuJoCo refuses the scene: {error}") from error
         self._connect(model, chain, contacts, faces)
-        self._q, self._v = self._find_coordinates(chain.joint_names)
+        self._q, self._v = self._coordinates(chain.joint_names)
         if self.drives.flexible is not None:
-            self._springs, self._spring_v = self._find_coordinates(
+            self._springs, self._spring_v = self._coordinates(
                 [f"{name}/{SPRING}" for name in driven]
             )
         self.object_body = model.body("object/root").id
@@ -153,8 +153,8 @@ class MujocoPlant:
         for i in range(len(bodies)):
             self.body_of[geoms_beyond(model, model.body(f"face{i}/root").id)] = i
         self._find_guides(faces)
-        # MuJoCo scales the solver's tolerance by the mean inertia; the very large mass that stands
-        # for a drive would make it coarse, so that the scale is set to 1 kg
+        # the solver's tolerance scales with the mean inertia, which a drive's large mass would
+        # raise
         if faces.driven:
             model.stat.meaninertia = 1.0
         self._find_wrist_sensors(chain)
@@ -177,7 +177,7 @@ class MujocoPlant:
         """
         self.guided = guided_joints(faces.rails)
         guides = [f"face{i}/{GUIDES[k]}" for i, k in zip(*self.guided, strict=True)]
-        self.face_q, self._face_v = self._find_coordinates(guides)
+        self.face_q, self._face_v = self._coordinates(guides)
         by_drive = np.isin(self.guided[0], list(faces.driven))
         self._driven_guides = tuple(x[by_drive] for x in self.guided)
         self._driven_q = self.face_q[by_drive]
@@ -213,7 +213,7 @@ class MujocoPlant:
         self._flags_without_sensors = self._flags | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self.time = 0.0
 
-    def _find_coordinates(self, joints: Sequence[str]) -> tuple[Array, Array]:
+    def _coordinates(self, joints: Sequence[str]) -> tuple[Array, Array]:
         """Indices of joints in qpos and in qvel.
 
         Args:

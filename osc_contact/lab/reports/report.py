@@ -32,12 +32,8 @@ MOST_PROJECTED = 0.1  #: of the total power; a larger share is explained
 def verdict_table(verdict: Json) -> Table:
     """Make the table of a run's metrics for the terminal.
 
-    Rows are, in this order: forces; first contacts and steps; free motion and power; friction of
-    the joints; normals; times of the tick; stages of a plan; statuses and motors at their limits.
-    A quantity that was not measured (None) has no row.
-
     Args:
-        verdict: content of metrics.json, see `metrics` for its keys and units.
+        verdict: content of metrics.json, see `metrics`; a quantity that is None has no row.
     """
     title = (
         f"{verdict['scenario']} on {verdict['plant']}, {verdict['duration_s']:g} s, "

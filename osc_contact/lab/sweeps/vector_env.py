@@ -197,11 +197,8 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         """Make plants, controllers and spaces; all rows are at the start of the first episode.
 
-        See the class for the arguments.
-
         Raises:
-            InvalidInputError: no environments, a rate that does not divide that of control, or a
-                force above the scenario's ceilings.
+            InvalidInputError: no environments, a rate that does not divide control's, large forces.
         """
         constant_seed = [f"{SEED}=integers(0, 0)"]  # a study needs a key that varies
         study = SweepStudy.of(
