@@ -10,7 +10,7 @@ from scenario_runs import rig_of
 
 import osc_contact as osc
 from osc_contact.control.status import Phase, SafetyState
-from osc_contact.plan import ends, motions
+from osc_contact.plan import ends, motions, permitted
 from osc_contact.plan.plan import Outcome
 from osc_contact.plan.sensed import Sensed
 from osc_contact.spatial import pose_error
@@ -70,7 +70,7 @@ def travelled(motion, ticks, dt=1e-3, **signals):
     finished = None
     for k in range(ticks):
         demand = course(now, dt)
-        V, misfit = motions.permitted_twist(now.N, demand)
+        V, misfit = permitted.permitted_twist(now.N, demand)
         assert_allclose(misfit, 0.0, atol=1e-9)
         now.aim = pin.SE3(pin.exp3(dt * V[3:]) @ now.aim.rotation, now.aim.translation + dt * V[:3])
         now.V_D = V
@@ -157,8 +157,8 @@ def test_motions_are_permitted_by_contacts():
     rng = np.random.default_rng(5)
     for _ in range(50):
         N = rng.standard_normal((6, 3))
-        demand = motions.Demand(rng.standard_normal((2, 6)), rng.standard_normal(2))
-        V, misfit = motions.permitted_twist(N, demand)
+        demand = permitted.Demand(rng.standard_normal((2, 6)), rng.standard_normal(2))
+        V, misfit = permitted.permitted_twist(N, demand)
         assert_allclose(N.T @ V, 0.0, atol=1e-9)
         assert_allclose(misfit, 0.0, atol=1e-9)
 
@@ -166,11 +166,11 @@ def test_motions_are_permitted_by_contacts():
 def test_what_contacts_do_not_permit_is_taken_from_the_position():
     """A light body would turn by degrees for each millimetre in its own metric."""
     face = np.array([[0, 0, -1.0, 0.014, -0.014, 0]]).T  # a corner beside the origin
-    d = motions.permitted_displacement(face, np.array([1e-3, 0, 2e-3, 0, 0, 0]))
+    d = permitted.permitted_displacement(face, np.array([1e-3, 0, 2e-3, 0, 0, 0]))
     assert_allclose(d, [1e-3, 0, 0, 0, 0, 0], atol=1e-12)
     e = np.array([1e-3, 2e-3, 0, 0.01, 0.02, 0.03])
-    assert_allclose(motions.permitted_displacement(face, e)[3:], e[3:], atol=1e-12)
-    assert_allclose(face.T @ motions.permitted_displacement(face, e), 0.0, atol=1e-12)
+    assert_allclose(permitted.permitted_displacement(face, e)[3:], e[3:], atol=1e-12)
+    assert_allclose(face.T @ permitted.permitted_displacement(face, e), 0.0, atol=1e-12)
 
 
 def test_normals_of_one_face_that_differ_a_little_do_not_turn_shifts():
@@ -179,9 +179,9 @@ def test_normals_of_one_face_that_differ_a_little_do_not_turn_shifts():
     tilts = 5e-3 * np.array([[1, 0, 0], [0, 1, 0], [-1, 1, 0]])
     normals = [pin.exp3(w) @ -UP for w in tilts]
     N = np.array([np.append(n, np.cross(p, n)) for p, n in zip(points, normals, strict=True)]).T
-    d = motions.permitted_displacement(N, np.array([0, 0, 0, 1e-4, 1e-4, 0]))
+    d = permitted.permitted_displacement(N, np.array([0, 0, 0, 1e-4, 1e-4, 0]))
     assert np.abs(d[:3]).max() < 1e-4
-    V, _ = motions.permitted_twist(N, motions.Demand(np.eye(6)[:2], np.array([0.02, 0.0])))
+    V, _ = permitted.permitted_twist(N, permitted.Demand(np.eye(6)[:2], np.array([0.02, 0.0])))
     assert_allclose(V[:2], [0.02, 0.0], atol=1e-9)
     assert np.abs(V[3:]).max() < 1e-2
 
@@ -191,15 +191,16 @@ def test_a_blocked_motion_is_left_out():
     n = pin.exp3(np.array([0.4, 0.3, 0.0])) @ UP
     points = np.array([[74, 54, -30], [74, -54, -30], [-74, 0, -30]]) / 1e3
     N = np.array([np.concatenate((n, np.cross(p, n))) for p in points]).T
-    V, misfit = motions.permitted_twist(N, motions.Demand(np.append(n, 0 * n)[None], np.ones(1)))
+    demand = permitted.Demand(np.append(n, 0 * n)[None], np.ones(1))
+    V, misfit = permitted.permitted_twist(N, demand)
     assert_allclose(V, 0.0, atol=1e-9)
     assert_allclose(misfit, -1.0)
 
 
 def test_what_a_motion_leaves_open_is_not_turned():
     face = np.array([[0, 0, -1.0, 0, 0, 0]]).T  # a point under the origin
-    demand = motions.Demand(np.eye(6)[:1], np.array([0.01]))
-    V, _ = motions.permitted_twist(face, demand)
+    demand = permitted.Demand(np.eye(6)[:1], np.array([0.01]))
+    V, _ = permitted.permitted_twist(face, demand)
     assert_allclose(V, [0.01, 0, 0, 0, 0, 0], atol=1e-12)
 
 

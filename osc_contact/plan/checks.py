@@ -14,7 +14,7 @@ from osc_contact.contacts.pairs.pair import AT_REST
 from osc_contact.control.status import Phase
 from osc_contact.errors import InvalidInputError, OscContactError, did_you_mean
 from osc_contact.plan.ends import End
-from osc_contact.plan.motions import Demand, permitted_twist
+from osc_contact.plan.permitted import Demand, permitted_twist
 from osc_contact.plan.sensed import Sensed, forces_of
 from osc_contact.plan.stage import Stage
 from osc_contact.recognition.recogniser import Recogniser

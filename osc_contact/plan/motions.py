@@ -9,7 +9,7 @@ Motions are added by &: `turn_to(axis, up, 0.1) & along(down, 5e-3, yields=6.0)`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, hypot, inf, pi, sin, sqrt
 from typing import Literal, NamedTuple
@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.plan.arguments import Direction, Points
+from osc_contact.plan.permitted import ANGULAR, LINEAR, Demand, null_space
 from osc_contact.plan.sensed import Sensed
 from osc_contact.settings.quantities import (
     Angle,
@@ -40,24 +41,6 @@ BACK = -0.5  #: share of the speed with which a motion that yields goes back
 ARRIVED = 1e-5  #: m, distance from its end at which a motion has arrived
 ARRIVED_ANGLE = 1e-4  #: rad, the same of a turn
 Axes = Literal["world", "object"]
-
-_LINEAR = np.eye(6)[:3]  #: rows of a demand: the velocity of the origin
-_ANGULAR = np.eye(6)[3:]  #: rows of a demand: the angular velocity
-
-
-@dataclass
-class Demand:
-    """Components of the twist at O that a motion prescribes.
-
-    Attributes:
-        rows: (k, 6) components, world axes.
-        values: (k,) their values (m/s, rad/s).
-        finished: whether the motion has reached its end.
-    """
-
-    rows: Array
-    values: Array
-    finished: bool = False
 
 
 #: Motion under way: its demand for the signals of a tick and the control period (s).
@@ -237,9 +220,9 @@ def turn_to(
             rotation = _turn_between(a, target)
             angle = float(np.linalg.norm(rotation))
             w = _speed_to_stop(largest_rate, angle, ANGULAR_ACCELERATION, dt)
-            normal_axes = _null_space(a[None]).T  # two axes at right angles to a
+            normal_axes = null_space(a[None]).T  # two axes at right angles to a
             values = normal_axes @ rotation * (w / max(angle, 1e-12))
-            return Demand(normal_axes @ _ANGULAR, values, angle < ARRIVED_ANGLE)
+            return Demand(normal_axes @ ANGULAR, values, angle < ARRIVED_ANGLE)
 
         return demand
 
@@ -333,16 +316,16 @@ def through(points: Points, speed: Velocity, *, relative: bool = False) -> Motio
             """
             nonlocal k
             while k < len(path):
-                tangents = _null_space(signals.N[:3].T)  # directions across all contact forces
+                tangents = null_space(signals.N[:3].T)  # directions across all contact forces
                 offset = tangents @ tangents.T @ (path[k] - signals.aim.translation)
                 distance = float(np.linalg.norm(offset))
                 if distance >= largest_speed * dt + ARRIVED:
                     is_last = k + 1 == len(path)
                     to_stop = distance if is_last else inf  # the motion stops only at the last one
                     v = _speed_to_stop(largest_speed, to_stop, LINEAR_ACCELERATION, dt)
-                    return Demand(_LINEAR, offset * (v / distance))
+                    return Demand(LINEAR, offset * (v / distance))
                 k += 1
-            return Demand(_LINEAR, np.zeros(3), finished=True)
+            return Demand(LINEAR, np.zeros(3), finished=True)
 
         return demand
 
@@ -400,7 +383,7 @@ def spiral(axis: Direction, pitch: Length, speed: Velocity, radius: Length) -> M
     per_angle = _require_positive("spiral: pitch", pitch) / (2.0 * pi)
     largest_speed = _require_positive("spiral: speed", speed)
     end = _require_positive("spiral: radius", radius)
-    rows = _null_space(normal[None]).T @ _LINEAR
+    rows = null_space(normal[None]).T @ LINEAR
 
     def begin(signals: Sensed) -> Course:
         """Begin at the centre of the spiral, whose radius is r = pitch/(2π) × angle (m).
@@ -465,13 +448,7 @@ def rock(
     amplitude = _require_positive("rock: angle", angle)
     frequency_Hz = _require_positive("rock: frequency", frequency)
     n_cycles = _require_positive("rock: cycles", cycles)
-    # largest acceleration of the sine, which the plan's change of twist must be able to follow
-    largest = amplitude * (2.0 * pi * frequency_Hz) ** 2
-    if largest > CHANGES * ANGULAR_ACCELERATION:
-        raise InvalidInputError(
-            f"rock: {amplitude:g} rad at {frequency_Hz:g} Hz need {largest:.3g} rad/s², more than "
-            f"{CHANGES * ANGULAR_ACCELERATION:g} rad/s²; lower angle or frequency"
-        )
+    _require_followed(amplitude, frequency_Hz)
 
     def begin(signals: Sensed) -> Course:
         """Begin with an angle of zero, in the first cycle.
@@ -498,80 +475,29 @@ def rock(
             new_angle = amplitude * min(cycle, 1.0) * sin(2.0 * pi * cycle)
             w = (new_angle - last_angle) / dt
             last_angle = new_angle
-            return Demand((a @ _ANGULAR)[None], np.array([w]), cycle >= n_cycles)
+            return Demand((a @ ANGULAR)[None], np.array([w]), cycle >= n_cycles)
 
         return demand
 
     return Motion(begin, f"rock about {_direction_text(rock_axis)} by {amplitude:g} rad")
 
 
-def permitted_twist(N: Array, demand: Demand) -> tuple[Array, Array]:
-    """Twist V (6,) with NᵀV = 0 that meets a demand S V = s, and its misfit S V − s (k,).
-
-    Components that contacts and demand leave open are zero: first the angular velocity as far as
-    possible, then the linear velocity, so that metres and radians are not added.
+def _require_followed(amplitude: float, frequency_Hz: float) -> None:
+    """Refuse an oscillation with a larger acceleration than that of a plan's references.
 
     Args:
-        N: (6, r) directions of force of the active contacts, at O in world axes.
-        demand: S and s.
+        amplitude: amplitude A of the angle (rad).
+        frequency_Hz: frequency f; the largest acceleration is A (2πf)².
+
+    Raises:
+        InvalidInputError: it is more than `CHANGES` times `ANGULAR_ACCELERATION`.
     """
-    at_rest = ((_ANGULAR, np.zeros(3)), (_LINEAR, np.zeros(3)))
-    V = _solve_by_priority(N, ((demand.rows, demand.values), *at_rest))
-    return V, demand.rows @ V - demand.values
-
-
-def permitted_displacement(N: Array, e: Array) -> Array:
-    """Displacement d (6,) with Nᵀd = 0 next to e: the angles as far as possible, then the position.
-
-    The projection Ω_m in the metric of a small body would replace most of a displacement that the
-    contacts do not permit by a rotation, because a small body is turned with little energy.
-
-    Args:
-        N: (6, r) directions of force of the active contacts.
-        e: (6,) displacement at O (m, rad).
-    """
-    return _solve_by_priority(N, ((_ANGULAR, e[3:]), (_LINEAR, e[:3])))
-
-
-def _solve_by_priority(N: Array, equations: Iterable[tuple[Array, Array]]) -> Array:
-    """Vector V (6,) with NᵀV = 0 that meets several equations A V = b in order of priority.
-
-    Each equation is solved by least squares with the motions that the equations before it leave
-    open, whose basis is Z.
-
-    Args:
-        N: (6, r) directions of force of the active contacts.
-        equations: A (k, 6) and b (k,) of each equation, the most important one first. Each A has
-            rows of one unit.
-    """
-    V = np.zeros(6)
-    Z = _null_space(N.T)
-    for rows, values in equations:
-        if len(rows) > 0 and Z.shape[1] > 0:
-            left, sizes, right = np.linalg.svd(rows @ Z)
-            threshold = _LEAST_TURN if rows is _ANGULAR else _LEAST_SHARE
-            k = int(np.sum(sizes > threshold))
-            y = left[:, :k].T @ (values - rows @ V) / sizes[:k]
-            V = V + Z @ (right[:k].T @ y)
-            Z = Z @ right[k:].T
-    return V
-
-
-_INDEPENDENT = 1e-6  #: least singular value of independent rows of about unit length
-#: Least singular value with which permitted motions meet a demand; a demand of which contacts
-#: permit a smaller share is blocked. Estimated normals of the same face differ a little.
-_LEAST_SHARE = 0.02
-#: Least singular value with which permitted motions meet a demanded rotation (rad/m): a rotation
-#: about an axis more than 2 m away counts as a translation.
-_LEAST_TURN = 0.5
-
-
-def _null_space(A: Array) -> Array:
-    """Orthonormal basis (n, n − rank) of the null space of A (m, n), rows of about unit length."""
-    if A.size == 0:
-        return np.eye(A.shape[1])
-    _, sizes, rows = np.linalg.svd(A)
-    return rows[int(np.sum(sizes > _INDEPENDENT)) :].T
+    largest = amplitude * (2.0 * pi * frequency_Hz) ** 2
+    if largest > CHANGES * ANGULAR_ACCELERATION:
+        raise InvalidInputError(
+            f"rock: {amplitude:g} rad at {frequency_Hz:g} Hz need {largest:.3g} rad/s², more than "
+            f"{CHANGES * ANGULAR_ACCELERATION:g} rad/s²; lower angle or frequency"
+        )
 
 
 def _turn_between(a: Array, b: Array) -> Array:
@@ -587,7 +513,7 @@ def _turn_between(a: Array, b: Array) -> Array:
     size = float(np.linalg.norm(axis))
     angle = float(np.arctan2(size, a @ b))
     if size < 1e-12:
-        return _null_space(a[None])[:, 0] * angle
+        return null_space(a[None])[:, 0] * angle
     return axis * (angle / size)
 
 
@@ -605,8 +531,8 @@ class _KindOfMotion(NamedTuple):
     arrived: float
 
 
-_TRANSLATION = _KindOfMotion(_LINEAR, LINEAR_ACCELERATION, ARRIVED)
-_ROTATION = _KindOfMotion(_ANGULAR, ANGULAR_ACCELERATION, ARRIVED_ANGLE)
+_TRANSLATION = _KindOfMotion(LINEAR, LINEAR_ACCELERATION, ARRIVED)
+_ROTATION = _KindOfMotion(ANGULAR, ANGULAR_ACCELERATION, ARRIVED_ANGLE)
 
 
 def _begin_steady_motion(

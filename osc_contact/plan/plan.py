@@ -43,9 +43,8 @@ from osc_contact.plan.motions import (
     CHANGES,
     LINEAR_ACCELERATION,
     Course,
-    permitted_displacement,
-    permitted_twist,
 )
+from osc_contact.plan.permitted import permitted_displacement, permitted_twist
 from osc_contact.plan.sensed import Sensed, Senses, forces_of
 from osc_contact.plan.stage import Stage, StageVerdict
 from osc_contact.recognition.recogniser import Recogniser
