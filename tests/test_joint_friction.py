@@ -208,12 +208,17 @@ def test_what_would_be_along_friction_after_a_reversal_is_dropped(errors, unlear
 
 @parametrize("errors, applied, most", [(1, 0.0, 2.0), (1, 0.25, 1.5), (1, 1.0, 0.0), (0, 0.0, 0.0)])
 def test_what_is_not_identified_yet_is_compensated_up_to_its_prior(errors, applied, most):
-    """Beside a tare only: else an error of a wrist sensor would act in place of friction."""
+    """Beside a tare only: else an error of a wrist sensor would act in place of friction.
+
+    Nor without learning: then it would never be identified.
+    """
     t = records(1, 1, friction_errors=errors, friction_share=0.5, wrist_error=1.0)
     t.model.joints.tau_max = 100.0
     t.model.priors[0].doubt[0] = 2.0
     t.memory.friction[0].applied = applied
     t.memory.joints[0].unlearned = 10.0
+    assert joint_friction._compensation(t, 0) == 0.0
+    t.model.friction_learning = 1
     assert joint_friction._compensation(t, 0) == approx(0.5 * most)
 
 
@@ -435,6 +440,7 @@ FALLING = {
     "free": ({"rank": 0}, "nothing"),
     "small brake": ({"force_brake": 20.0, "mass": 20.0}, "part"),
     "suspected": ({"dry": 0.0, "doubt": 4.0}, "part"),
+    "suspected, not learned": ({"dry": 0.0, "doubt": 4.0, "friction_learning": 0}, "nothing"),
     "small brake, no friction": ({"force_brake": 20.0, "dry": 0.0}, "nothing"),
     "no brake": ({"force_brake": 0.0}, "nothing"),
     "no force law": ({"force_gain": 0.0}, "nothing"),
@@ -452,8 +458,9 @@ def test_force_integrals_are_reduced_by_what_falling_friction_excites(name):
     case.update(changes)
     gains = {"force_gain": 30.0, "force_brake": 40.0, "brake_ratio": 4.0}
     gains = {key: case.get(key, value) for key, value in gains.items()}
+    learns = case.get("friction_learning", 1)
     rng = default_rng(3)
-    t = records(1, 3, 1, 2, rubs=1, **gains)
+    t = records(1, 3, 1, 2, rubs=1, friction_learning=learns, **gains)
     t.model.joints.motor = (0, 1, -1)
     t.model.joints.slides = case["slides"]
     A = rng.normal(size=(6, 6))
@@ -469,7 +476,7 @@ def test_force_integrals_are_reduced_by_what_falling_friction_excites(name):
     if case["doubt"]:
         t.memory.friction_known[:] = friction_estimate.SUSPECTED
         t.memory.friction.P[:, 0, 0] = case["doubt"] ** 2
-        F = F + case["doubt"]
+        F = F + learns * case["doubt"]
     slow = 0.03 * (0.2 if case["slides"] else 1.0)
     slopes = np.maximum(0.3 * F * abs(s) / (s**2 + slow**2) - case["viscous"], 0.0)[:2]
     excited = sum(slopes @ (g[:2] @ n) ** 2 / (n @ inertia @ n) for n in N[: case["rank"]])

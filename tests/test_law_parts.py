@@ -141,7 +141,7 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         R = np.full((6, 6), 7.0)
         point = np.append(M.translation, 7.0)
         R[:3, :3] = M.rotation
-        grasps._remove_span(R, point, -twist)
+        grasps._displace(R, point, -twist)
         expected = M * pin.exp6(-twist)
         assert_near(R[:3, :3], expected.rotation, atol=1e-9)
         assert_near(point[:3], expected.translation, atol=1e-9)

@@ -313,7 +313,8 @@ def measure_gap(t, k, X, dt):
     if t.model.leader >= 0 and t.model.arms[k].kind == RIGID:
         gap = max(gap, leader_gap(t, k))
     if row.gap > 0.0:  # it has been measured before
-        row.parting += (gap - row.gap - row.parting * dt) / (_PARTING + dt)
+        parting = row.parting + (gap - row.gap - row.parting * dt) / (_PARTING + dt)
+        row.parting = parting if parting == parting else 0.0  # NaN does not last
     row.gap = gap
 
 

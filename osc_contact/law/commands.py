@@ -112,26 +112,30 @@ def command_motion(t):
 # leaves the contact forces unchanged. In the very first tick they equal the desired ones, because
 # an object held by friction at the grasps must not fall.
 #
-# The brake commands the normal acceleration −κ(NᵀV_rel − v̄) instead of zero. v̄ is the lasting
-# part of the speed, so an object that slides along a tilted face is not braked. As an acceleration
-# the same κ suits every mass and every basis of N; the force is larger by the factor (NᵀΦN)⁻¹.  On
-# a face that yields by s per unit of force, this brake is too weak where the contact moves slowly,
-# and zero where the motion of the face is measured. There the brake is      b = κ(u + (K_i − w) p)
-# − s α̈_s,   u = NᵀV − v̂ − s α̇_s,   ṗ = u − w p  v̂ is the speed at which the face is driven: a
-# low-pass of V_N − s α̇ where its motion is measured, else 0. w is the rate of v̄ and of this
-# low-pass. s is estimated from its declared value s_0: with x̃, α̃ and α̃_s the position of the
-# contact, its force and the commanded force, each after a high-pass with the rate w,      s = (∫x̃
-# α̃_s + w_0 s_0) / (∫α̃ α̃_s + w_0)  with exponential forgetting. Noise and sliding on a tilted
-# face are not correlated with α̃_s.
+# The brake commands the normal acceleration −κ(NᵀV_rel − v̄) instead of zero. v̄ is the lasting part
+# of the speed, so an object that slides along a tilted face is not braked. As an acceleration the
+# same κ suits every mass and every basis of N; the force is larger by the factor (NᵀΦN)⁻¹.
+#
+# On a face that yields by s per unit of force, this brake is too weak where the contact moves
+# slowly, and zero where the motion of the face is measured. There the brake is
+#
+#     b = κ(u + (K_i − w) p) − s α̈_s,   u = NᵀV − v̂ − s α̇_s,   ṗ = u − w p
+#
+# v̂ is the speed at which the face is driven: a low-pass of V_N − s α̇ where its motion is measured,
+# else 0. w is the rate of v̄ and of this low-pass. s is estimated from its declared value s_0: with
+# x̃, α̃ and α̃_s the position of the contact, its force and the commanded force, each after a
+# high-pass with the rate w,
+#
+#     s = (∫x̃ α̃_s + w_0 s_0) / (∫α̃ α̃_s + w_0)
+#
+# with exponential forgetting. Noise and sliding on a tilted face are not correlated with α̃_s.
 
 _SUDDEN_RATE = 20.0  #: 1/s; a desired force that changes faster than this times its size is a step
 _FADING_RATE = 0.5  #: 1/s; rate at which the size of a former force is forgotten
-_PRESSING_SHARE = (
-    0.3  #: share of its desired force from which on a contact shows the tilt of its face
-)
-_PAUSING_SHARE = (
-    0.1  #: share of a force's size; with a larger remainder of a step the integral pauses
-)
+#: Share of its desired force from which on a contact shows the tilt of its face.
+_PRESSING_SHARE = 0.3
+#: Share of a force's size; with a larger remainder of a step the integral pauses.
+_PAUSING_SHARE = 0.1
 _RATE_LAG = 0.01  #: s, time constant of the low-pass of α̈_s
 _COMPLIANCE_MEMORY = 2.0  #: s, time constant of forgetting in the estimate of s
 _PRIOR_TIME = 0.002  #: s; w_0 is this time multiplied by the squared size of the force

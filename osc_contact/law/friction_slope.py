@@ -91,7 +91,7 @@ def _add_joint(t, j):
     if t.model.joints[j].motor < 0:
         return
     F, D, _ = compensated_theta(t, j)
-    if t.memory.friction_known[j] == SUSPECTED:
+    if t.model.friction_learning and t.memory.friction_known[j] == SUSPECTED:
         F += sqrt(max(t.memory.friction[j].P[0, 0], 0.0))
     if F <= 0.0:
         return

@@ -363,7 +363,7 @@ def _miss_of_group(arm, tip, X, out):
             largest = max(largest, abs(s))
         if largest < 1e-14:
             break
-        _remove_span(R, p, scaled(-1.0, step))
+        _displace(R, p, scaled(-1.0, step))
     fill(out, times6(arm.grasp, _remaining_part(p, R)))
 
 
@@ -391,7 +391,7 @@ def _remaining_part(p, R):
 
 
 @inner
-def _remove_span(R, p, twist):
+def _displace(R, p, twist):
     """Multiply a displacement by an exponential: (R, p) ← (R, p) exp(twist).
 
     The exponential is the displacement by a twist in unit time, about the tip's origin.

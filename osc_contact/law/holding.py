@@ -387,7 +387,8 @@ def _weigh(t, k, world):
     is_light = dot3(row.load, row.load) < bound * bound
     contradicts = is_away and not is_light if row.let_go else row.holds == 0 and is_light
     row.light = row.light + model.period if contradicts else 0.0
-    if row.light > (_AWAY_TIME if is_away and not row.let_go else LET_GO_TIME):
+    away_time = max(_AWAY_TIME, 1.5 * model.period)  # two readings at least
+    if row.light > (away_time if is_away and not row.let_go else LET_GO_TIME):
         row.let_go = 1 - row.let_go
         row.light = 0.0
 

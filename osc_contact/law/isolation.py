@@ -139,12 +139,13 @@ def isolate_arms(t):
     object that is rigid, and hold it apart. Which encoder is wrong is not known; if speeds are
     estimated from encoders, it contradicts none of them, and the arms follow its drift. Arms that
     were stopped for another reason, and are placed apart later, bear more than `HEAVY` times their
-    shares of the weight then.
+    shares of the weight then. After a stop in which arms were only about to be apart, as after a
+    short slip, encoders are sound as long as no gap exceeds `closure_error`.
 
     Arms without a wrist sensor do not show whether they hold the object: nothing is marked.
 
     Args:
-        t: Tick, of which `apart`, and `let_go` and `load` of the arms in MEMORY are read.
+        t: Tick, of which `apart`, and `let_go`, `load` and `gap` of the arms in MEMORY are read.
     """
     model = t.model
     memory = t.memory
@@ -154,12 +155,17 @@ def isolate_arms(t):
     if (memory.age * model.period if is_cause else memory.apart) < _WEIGHED:
         return
     heavy = HEAVY * weight_share(t)
+    largest_gap = 0.0
     for k in range(model.n_arms):
         row = memory.arms[k]
+        largest_gap = max(largest_gap, row.gap)
         if model.arms[k].sensor_joint < 0 or row.let_go:
             return
         if not is_cause and dot3(row.load, row.load) < heavy * heavy:
             return
+    # without a leader gaps of stopped arms are not measured
+    if is_cause and model.leader >= 0 and largest_gap <= model.closure_error:
+        return
     for j in range(model.n_joints):
         memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED
 

@@ -497,12 +497,13 @@ def _compensation(t, j):
     f is the friction that is identified or modelled (`believed_friction`), e = `unlearned` the
     friction that is not identified yet, g = `friction_share` its compensated share, and clip the
     limit to F + D |s| (Coulomb and viscous friction at the permitted speed s), and to `wrist_error`
-    times the torque limit. With `friction_errors` the limit is wider by `_LINKS` |h|, and, until
-    friction is identified, by the deviation of F that the prior assumes: a joint whose friction and
-    rotor are unknown would follow no command else, where its links are light. A sticking joint
-    keeps e while s reverses. If e then has the sign of the new f, it is set to zero, because more
-    than F would act on the joint. With `friction_errors` it is kept, as it contains errors of the
-    links' masses. Changes `friction` f and `unlearned` e of the joint in MEMORY.
+    times the torque limit. With `friction_errors` the limit is wider by `_LINKS` |h|, and, where
+    friction is learned and until it is identified, by the deviation of F that the prior assumes: a
+    joint whose friction and rotor are unknown would follow no command else, where its links are
+    light. A sticking joint keeps e while s reverses. If e then has the sign of the new f, it is set
+    to zero, because more than F would act on the joint. With `friction_errors` it is kept, as it
+    contains errors of the links' masses. Changes `friction` f and `unlearned` e of the joint in
+    MEMORY.
 
     Args:
         t: Tick.
@@ -518,7 +519,8 @@ def _compensation(t, j):
     bound = F + D * abs(row.speed)
     if t.model.friction_errors:
         bound += _LINKS * abs(t.work.joints[j].h)
-        bound += (1.0 - t.memory.friction[j].applied) * t.model.priors[j].doubt[0]
+        if t.model.friction_learning:
+            bound += (1.0 - t.memory.friction[j].applied) * t.model.priors[j].doubt[0]
     elif last_friction * row.friction < 0.0 and row.friction * row.unlearned > 0.0:
         row.unlearned = 0.0
     bound = min(bound, t.model.wrist_error * t.model.joints[j].tau_max)

@@ -466,8 +466,7 @@ def retreat(t, arm, i, damping):
     return torque
 
 
-# --- Λ, μ, p, J, J̄, Φ and h of one arm at its tip in world axes, outside of a tick
-# ----------------
+# --- Λ, μ, p, J, J̄, Φ and h of one arm at its tip in world axes, outside of a tick ----------------
 
 
 @entry

@@ -333,7 +333,8 @@ def _enter(t, state):
     """Set the state of the safety layer, and reset what belongs to a change of state.
 
     `age` of MEMORY counts the ticks in the state. On the way from an active state to HOLD or
-    SAFE_STOP the holds are no longer settled, and the load of each arm is weighed anew.
+    SAFE_STOP the holds are no longer settled, the load of each arm is weighed anew, and the gaps
+    between arms count as not measured: their next change is not that of a single tick.
 
     Args:
         t: Tick.
@@ -347,5 +348,6 @@ def _enter(t, state):
         memory.settled = 0
         for k in range(t.model.n_arms):
             memory.arms[k].weighed = 0
+            memory.arms[k].gap = 0.0
     memory.state = state
     memory.age = 1

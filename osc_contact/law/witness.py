@@ -73,7 +73,7 @@ def measure_approached_forces(t):
     for i in range(work.count):
         column = work.chosen[i]
         is_needed = is_needed or (
-            contact_of(t, column).phase == APPROACHING and _is_other_contact(t, column)
+            contact_of(t, column).phase == APPROACHING and _has_other_contact(t, column)
         )
         work.columns[column].touch = 0.0
         work.columns[column].touch_inertia = 0.0
@@ -83,7 +83,7 @@ def measure_approached_forces(t):
 
 
 @inner
-def _is_other_contact(t, column):
+def _has_other_contact(t, column):
     """Determine whether friction may act at an active contact other than that of a column of N.
 
     Args:
@@ -138,7 +138,7 @@ def _estimate_approached_forces(t):
     gram(N, r, weighed, r, normal)
     for a in range(r):
         column = work.chosen[a]
-        if contact_of(t, column).phase != APPROACHING or not _is_other_contact(t, column):
+        if contact_of(t, column).phase != APPROACHING or not _has_other_contact(t, column):
             continue
         for b in range(r):  # a copy of `normal`, since `lu_solve` overwrites it
             row_of_inverse[0, b] = 1.0 if a == b else 0.0

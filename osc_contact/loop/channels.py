@@ -152,7 +152,7 @@ def _row_blocks(parts: Iterable[tuple[int, Array]]) -> Iterator[tuple[int, Array
     pieces: list[Array] = []  # rows of the block that begins at `begin`
     for first, rows in parts:
         while len(rows):
-            # a block ends where rows are missing, or at a multiple of _TOGETHER
+            # a block ends where rows are missing, or at a multiple of _ROWS_OF_BLOCK
             count = sum(len(piece) for piece in pieces)
             if count and (first != begin + count or first % _ROWS_OF_BLOCK == 0):
                 yield begin, np.concatenate(pieces)

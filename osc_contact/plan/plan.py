@@ -14,7 +14,7 @@ State of a running `Plan`, beside its public attributes:
 * `_course`, `_until_watch`, `_unless_watch`: motion of the present stage, condition that ends it,
   and condition by which it fails (None: none), as functions of the signals and the period;
 * `_verdict`: verdict on the present stage; `_failures`: number of failures of all stages;
-* `_force_errors`: sum of the squared force errors (N²) of `_ticks` ticks of the stage;
+* `_squared_force_errors`: sum of the squared force errors (N²) of `_ticks` ticks of the stage;
 * `_residual_sum`: (6,) sum of the residual wrenches (N, N m) of `_residual_ticks` ticks of the
   stage, from whose mean the tare is set;
 * `_ticks_to_instant`: ticks until the recogniser is updated again.
@@ -341,7 +341,7 @@ class Plan:
         self._unless_watch: Watch | None = None
         if isinstance(stage.unless, End):
             self._unless_watch = stage.unless.begin(signals)
-        self._force_errors = 0.0
+        self._squared_force_errors = 0.0
         self._ticks = 0
         self._residual_sum = np.zeros(6)
         self._residual_ticks = 0
@@ -393,7 +393,7 @@ class Plan:
         verdict.peak = max(verdict.peak, force)
         self._ticks += 1
         if self._controller.records.memory.ticked:
-            self._force_errors += self._senses.force_error(self._alpha_d)
+            self._squared_force_errors += self._senses.force_error(self._alpha_d)
         # the tare is the mean of the residual wrenches after motion of the stage's start has
         # decayed
         if stage.tare and signals.t > SETTLED:
@@ -468,7 +468,7 @@ class Plan:
         """
         verdict = self._verdict
         verdict.duration = self._time - verdict.begin
-        verdict.rms = sqrt(self._force_errors / max(self._ticks, 1))
+        verdict.rms = sqrt(self._squared_force_errors / max(self._ticks, 1))
         verdict.ended_by = why
         verdict.failed = failed
         self.verdicts.append(verdict)

@@ -278,7 +278,7 @@ class Detected:
 
 # --- Removal of repeated contacts -----------------------------------------------------------------
 
-_LEAST_DEPTH = 1e-6
+_INSIDE_DISTANCE = 1e-6
 """Largest distance outside another shape of its body of a point that counts as inside (m)."""
 
 
@@ -366,13 +366,13 @@ def _is_inside_shape(contact: Detected, shape: CollisionShape, X_WO: SE3) -> boo
     point = SE3(np.eye(3), surface)
     return (
         nearest(coal.Sphere(0.0), point, shape.shape, X_WO * shape.placement).distance
-        <= _LEAST_DEPTH
+        <= _INSIDE_DISTANCE
     )
 
 
 # --- Detection ------------------------------------------------------------------------------------
 
-_EXACT_ANGLE = 1e-9
+_EXACT_DISTANCE = 1e-9
 """Largest difference of the distance along the normal of a plane face from the distance (m)."""
 
 
@@ -490,7 +490,7 @@ def _contact_direction(a: Solid, e: Solid, closest: Nearest) -> Array:
     """
     direction = best_direction(a, e)
     has_round_surface = a.radius + e.radius > 0.0
-    if has_round_surface and separation(a, e, direction) < closest.distance - _EXACT_ANGLE:
+    if has_round_surface and separation(a, e, direction) < closest.distance - _EXACT_DISTANCE:
         direction = best_direction(a, e, closest.normal)
     return direction
 
