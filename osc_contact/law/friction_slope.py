@@ -20,8 +20,9 @@ is reduced to κ − `_MARGIN` κ_f, to a least share of κ, and the rate of v̄
 chosen by measurement.
 
 Friction that residuals show and that is not identified yet excites contacts, too. It counts by the
-standard deviation of the estimate of F, which falls as the joint moves: within some tenths of a
-second where there is none. K_i and the rate of v̄ are rates of integrals, so that no torque jumps.
+standard deviation of the estimate of F, which falls while the joint moves at 10 mrad/s or faster:
+within some tenths of a second where there is none. Without learning it would stay, and does not
+count. K_i and the rate of v̄ are rates of integrals, so that no torque jumps.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The torques of each arm carry the arm and its share of the object, and brake it in proportion to the
 joint-space inertia of both. An arm with almost no load on its wrist for `LET_GO_TIME` is assumed to
-have let go of the object; then the other arms carry it, and this arm is braked twice as fast.
+have let go of the object; then the other arms carry it, and this arm is braked up to twice as fast.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ bound of e plus the friction that has been identified for a long time; the ident
 discarded when residuals contradict it for 50 ms. e, with g < 1 and |e| ≤ F + D |s|, is the friction
 that is not identified yet; when f reverses, a part of e along the new f is dropped. An error of the
 wrist sensor enters e, too, so e is zero as long as no friction is modelled or identified. With
-`errors` the bound is wider by 0.3 |h|, so that e also covers errors of the links' masses, and by
-2 % of the torque limit until friction is identified, which e replaces.
+`errors` the bound is wider by 0.3 |h|, so that e also covers errors of the links' masses; and where
+friction is learned, by the prior's deviation of F until it is identified, which e replaces.
 
 A delayed wrench is compared with signals of the instant at which it was measured. Without learning
 θ is the model's, and without `errors` e = 0. Friction of passive joints is added to h, because they
