@@ -47,7 +47,8 @@ nitpick_ignore_regex = [
     ("py:class", r"Radius|Extent|Angle|Field|pi"),  # likewise
     ("py:class", r"(pin\.)?(SE3|Inertia|Model|Data)|Path|Sequence|Callable|Mapping|Any"),
     ("py:class", r"(numpy|pinocchio|coal|enum|os|pathlib|collections|typing)\..*"),
-    ("py:class", r"MjcfSource|MjModel|Progress|Design|ArmOptions|(np|npt|pyarrow|distributed)\..*"),
+    ("py:class", r"MjcfSource|Mj(Model|Data)|Progress|Design|ArmOptions"),
+    ("py:class", r"(np|npt|pyarrow|distributed)\..*"),
     ("py:class", r"osc_contact\..*"),  # types in signatures that have no page
     ("py:obj", r".*"),  # arguments and formulas stand between single backticks too
 ]

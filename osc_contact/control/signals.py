@@ -155,7 +155,7 @@ class Signals(TickResult):
 
     @cached_property
     def parts(self) -> list[Contact]:
-        """Active contacts: N (6, r) at O in world axes, n_γ (r,), and the name of the pair.
+        """Active contacts with N (6, r) at O in world axes, n_γ (r,), and the name of the pair.
 
         `_active_contacts` has the indices of these contacts, `_settings` their pairs; the columns
         of N are those of WORK.

@@ -357,7 +357,8 @@ def _take_in_rotor(row, friction_row, prior, is_learned, dt):
     M is the joint-space inertia. `rotor` follows the certain part of the identified inertia A, with
     `_TAKEN_IN` as time constant. Gains of forces and motions are of accelerations: a rotor that M
     lacks reduces them all, and makes the brake of a contact weaker than its integral needs. Certain
-    is A less `_CERTAIN` standard deviations, once these are a small share of the prior's.
+    is A less `_CERTAIN` standard deviations (√P_AA), once these are a small share of the prior's
+    (`doubt`). A is `theta[2]`, times the share `applied`, 0 to 1, that is phased in already.
 
     Args:
         row: JOINT_MEMORY.

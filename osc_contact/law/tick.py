@@ -388,10 +388,11 @@ def compare_poses(t):
 def transfer_integral(t):
     """Convert the motion integral along free directions into a constant wrench.
 
-    The wrench S⁻ᵀΛ_S P_T K_i ∫e dt is added to `f_bias`, so that weight errors stay balanced in
-    directions that are no longer controlled by the motion law: K_i (1/s³) is the gain of the
-    integral of the pose error e, P_T the projection on the motions that contacts and arms permit,
-    Λ_S the inertia along these, and S⁻ᵀ leads from there to a wrench on the object.
+    The wrench S⁻ᵀΛ_S x is added to `f_bias`, so that weight errors stay balanced in directions that
+    are no longer controlled by the motion law: x is K_i ∫e dt, with the gain K_i (1/s³) of the
+    integral of the pose error e, without its components along motions that the arms lock, Λ_S the
+    inertia along the others, and S⁻ᵀ leads from there to a wrench on the object. Components that
+    are dropped do not change Nᵀx, which is zero as far as e was permitted by the contacts.
 
     Reads `Lambda`, `N_t` and its factors in WORK. Changes in MEMORY `f_bias` (at O in world axes;
     N, N m), and `motion_sum` (∫e dt), which is reset to zero.
