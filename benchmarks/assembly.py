@@ -16,6 +16,7 @@ the end of each millisecond.
 """
 
 import logging
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import typer
@@ -60,6 +61,29 @@ def row_of(seed: int, one: Inserted) -> str:
         f"{np.degrees(one.tilt):.2f}°, {one.largest_sum:.0f} N, single "
         f"{one.largest_single:.0f} N, {words}"
     )
+
+
+def compare(
+    laws: Mapping[str, Callable[[int], Inserted]], count: int, seed: int, only: str
+) -> None:
+    """Print one row for each law and seed, and a summary of each law.
+
+    Args:
+        laws: functions that make the insertion of a seed, by the name of their law.
+        count: number of seeds.
+        seed: first seed.
+        only: laws whose name contains this.
+    """
+    logging.disable(logging.WARNING)
+    console = Console(width=140, highlight=False)
+    for name, insert_by_law in laws.items():
+        if only not in name:
+            continue
+        results = []
+        for k in range(seed, seed + count):
+            results.append(insert_by_law(k))
+            console.print(f"{name}, {row_of(k, results[-1])}", soft_wrap=True)
+        console.print(f"{name}: {summary(results)}", soft_wrap=True)
 
 
 def main(

@@ -10,23 +10,22 @@ World and insertions are those of `benchmarks.assembly`, one row for each law an
   laws are the same: five axes at zero.
 * `impedance` of three stiffnesses, a fiftieth of it (N m/rad) in angles, damping ratio 1;
   `admittance`: a position controller of 10 Hz whose set point is displaced by measured forces, with
-  the packaged mass, damping and stiffness (1000 N/m, 20 N m/rad); `position`: a position controller
-  of 6 Hz. They have no contacts. Each force of a stage is reached by a motion that yields: the
+  the packaged mass, damping and stiffness (1000 N/m, 20 N m/rad); `position`: our motion law of
+  6 Hz. They have no contacts. Each force of a stage is reached by a motion that yields: the
   reference moves on until the measured force is that of our stage. It moves at the speed with which
   our contacts are approached, so every one of these laws has a guarded approach. The check for
-  encoders that stand still is off: these laws press with joints that what they touch blocks.
+  encoders that stand still is off: these laws press with joints that the environment blocks.
 """
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import typer
-from rich.console import Console
 
 import osc_contact as osc
-from benchmarks.assembly import DEFAULTS, row_of, summary
+from benchmarks.assembly import DEFAULTS, compare
 from benchmarks.two_pin_rivals import Selected
 from osc_contact.contacts.insertion import SIDES
 from osc_contact.lab.tasks import pegs
@@ -214,13 +213,15 @@ RIVALS = {
 }
 
 
-def insert_by(rival: Rival, task: Insertion) -> Inserted:
-    """Result of an insertion by a law.
+def insert_by(rival: Rival, seed: int) -> Inserted:
+    """Result of an insertion of a square peg by a law.
 
     Args:
         rival: plan and law.
-        task: insertion of a square peg.
+        seed: seed of everything random.
     """
+    clearance, offset, tilt = DEFAULTS["square"]
+    task = Insertion(PEG, 1e-3 * clearance, seed, 1e-3 * offset, float(np.radians(tilt)))
     plan = rival.plan(task.hole)
     pairs = {**osc.pairs_between(task.peg, task.hole), **selected_axes(task.hole)}
     robot = task.robot(pegs.peg_start(task.peg, task.hole))
@@ -237,18 +238,7 @@ def main(count: int = 5, seed: int = 5000, only: str = "") -> None:
         seed: first seed.
         only: laws whose name contains this.
     """
-    logging.disable(logging.WARNING)
-    console = Console(width=140, highlight=False)
-    clearance, offset, tilt = DEFAULTS["square"]
-    for name, rival in RIVALS.items():
-        if only not in name:
-            continue
-        results = []
-        for k in range(seed, seed + count):
-            task = Insertion(PEG, 1e-3 * clearance, k, 1e-3 * offset, float(np.radians(tilt)))
-            results.append(insert_by(rival, task))
-            console.print(f"{name}, {row_of(k, results[-1])}", soft_wrap=True)
-        console.print(f"{name}: {summary(results)}", soft_wrap=True)
+    compare({name: partial(insert_by, rival) for name, rival in RIVALS.items()}, count, seed, only)
 
 
 if __name__ == "__main__":

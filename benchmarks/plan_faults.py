@@ -61,7 +61,8 @@ class Verdict:
         force: largest true force of a single contact since the fault (N).
         unbraked: whether brakes were requested.
         rest_speed: largest speed of a joint later than 0.5 s after a stop (rad/s).
-        wrong: sentences; none if all was as it should be.
+        wrong: sentences; none if all was as it should be. A fault that did not begin is wrong, too:
+            it was not tried.
     """
 
     fault: str
@@ -217,6 +218,9 @@ class Run:
         verdict.state = self._controller.state
         verdict.outcome = self._plan.outcome
         verdict.reason = self._plan.reason
+        if self._began is None:
+            verdict.wrong.append(f"not tried: stage {self._stage!r} was not reached")
+            return
         most = pegs.LARGEST * (3.0 if fault.mirrors else 1.0)
         most += fault.stiffness * self._trial.kept.get("speed", 0.0) * POST_SEEN_AFTER
         if fault.limited and not verdict.unbraked and verdict.force > most:

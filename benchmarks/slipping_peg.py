@@ -37,7 +37,7 @@ class SlippingPeg:
 
     Attributes:
         slipped: (3,) displacement of the peg so far, in the axes of the gripper's tip (m).
-        stage: name of the stage in which the peg slips; after the slip, in which it has slipped.
+        slipped_in: name of the stage in which the peg began to slip; empty: it has not.
     """
 
     def __init__(self, robot: InsertionRobot, plan: Plan, stage: str, slip: float) -> None:
@@ -55,7 +55,8 @@ class SlippingPeg:
         self._body = robot.plant.model.body("object/root").id
         self._along: Array | None = None
         self._is_due = False
-        self.stage = stage
+        self._stage = stage
+        self.slipped_in = ""
         self.slipped = np.zeros(3)
         self.measure = robot.measure
         self.stop = robot.stop
@@ -67,7 +68,7 @@ class SlippingPeg:
             tau: (n_a,) motor torques (N m).
             duration: period (s).
         """
-        self._is_due |= self._plan.stage.name == self.stage
+        self._is_due |= self._plan.stage.name == self._stage
         plant = self._robot.plant
         if self._is_due and self._along is None:
             force = -self._robot.contact_forces().sum(axis=0)  # on the peg
@@ -75,7 +76,7 @@ class SlippingPeg:
             if size > LEAST:
                 tip = plant.data.xmat[plant.model.body_parentid[self._body]].reshape(3, 3)
                 self._along = tip.T @ force / size
-                self.stage = self._plan.stage.name
+                self.slipped_in = self._plan.stage.name
         if self._along is not None and np.linalg.norm(self.slipped) < self._slip:
             step = SPEED * duration * self._along
             self.slipped = self.slipped + step
@@ -106,16 +107,18 @@ def main(count: int = 5, seed: int = 6000, slip: float = 1.0) -> None:
     logging.disable(logging.WARNING)
     console = Console(width=160, highlight=False)
     results = []
+    n_slipped = 0
     for k in range(seed, seed + count):
         result, peg, error = insert_slipping(k, 1e-3 * slip)
         results.append(result)
+        n_slipped += bool(np.linalg.norm(peg.slipped) > 0.99e-3 * slip)
         axial, across = 1e3 * peg.slipped[2], 1e3 * float(np.hypot(*peg.slipped[:2]))
         console.print(
-            f"{row_of(k, result)}; slipped in {peg.stage!r} by {axial:.2f} mm along, "
+            f"{row_of(k, result)}; slipped in {peg.slipped_in!r} by {axial:.2f} mm along, "
             f"{across:.2f} mm across; modelled {1e3 * error:.2f} mm too deep",
             soft_wrap=True,
         )
-    console.print(summary(results), soft_wrap=True)
+    console.print(f"{n_slipped} slipped by {slip:g} mm; {summary(results)}", soft_wrap=True)
 
 
 if __name__ == "__main__":

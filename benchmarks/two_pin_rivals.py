@@ -14,17 +14,16 @@ when the tip has dropped, and forces of either sign are commanded.
 * `rim only`: the frame at the left rim; force along y, the right tip is held by motion.
 """
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
 import typer
-from rich.console import Console
 
 import osc_contact as osc
-from benchmarks.assembly import row_of, summary
+from benchmarks.assembly import compare
 from osc_contact.lab.tasks import two_pin_plan
 from osc_contact.lab.tasks.insertion import BELIEVED
 from osc_contact.lab.tasks.pegs import Inserted, controller_for, resting
@@ -153,16 +152,8 @@ def main(count: int = 5, seed: int = 3000, only: str = "") -> None:
         seed: first seed.
         only: laws whose name contains this.
     """
-    logging.disable(logging.WARNING)
-    console = Console(width=140, highlight=False)
-    for name, rival in {"ours": None, **RIVALS}.items():
-        if only not in name:
-            continue
-        results = []
-        for k in range(seed, seed + count):
-            results.append(insert_by(rival, k))
-            console.print(f"{name}, {row_of(k, results[-1])}", soft_wrap=True)
-        console.print(f"{name}: {summary(results)}", soft_wrap=True)
+    rivals = {"ours": None, **RIVALS}
+    compare({name: partial(insert_by, rival) for name, rival in rivals.items()}, count, seed, only)
 
 
 if __name__ == "__main__":

@@ -132,6 +132,12 @@ def test_a_fault_in_a_stage_stops_the_plan_with_its_name():
     assert 20 < len(possible()) < 60
 
 
+def test_a_fault_that_does_not_begin_is_not_as_it_should_be():
+    run = Run("encoder NaN once", 5, np.random.default_rng(2))
+    run._judge_end()  # the plan has ended before the stage of the fault
+    assert "not tried" in str(run.verdict)
+
+
 def test_a_peg_slips_once_it_is_pressed(robot):
     """By the whole slip, along the force on it, out of the block; encoders do not show it."""
 

@@ -1162,7 +1162,7 @@ def test_an_arm_that_has_let_go_is_braked_twice_as_fast(rate, gone, omega):
 
 @parametrize("gap, brakes", [(0.005, False), (0.0201, True)])
 def test_encoders_are_sound_after_arms_were_only_about_to_be_apart(gap, brakes):
-    """As after a short slip of a grasp: the stop is right, the arms still hold the object."""
+    """A short slip of a grasp stops the arms, which still hold the object: no encoder is faulty."""
     t = two_at_a_rod()
     write(t.memory, derived=1, age=5000, cause=agreement.APART)
     t.memory.arms[1].gap = gap

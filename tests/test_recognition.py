@@ -311,7 +311,16 @@ def test_a_contact_that_chatters_is_no_false_alarm(force, alarms):
     for truth in true_instants(rows, hole):
         assert truth.forces == {}
         watch.step(truth, frozenset({"corner"}), Alarmed())
-    assert tally.alarms == alarms
+    assert (tally.alarms, tally.alarms_by_median) == (alarms, 1)
+
+
+def test_an_alarm_before_the_touch_is_false():
+    """Contacts that follow an alarm do not excuse it."""
+    hole = osc.Hole("square", 0.0202, 0.03)
+    rows = np.full((19, 1, 9), np.nan)
+    rows[1:, 0] = [0.0101, 0.0, 0.0, 1.0, 0.0, 0.0, 1.4, 0.0, 0.0]  # point, normal, force on it
+    first = true_instants(rows, hole)[0]
+    assert first.contacts and first.touched == frozenset()
 
 
 test_refusals = refusals(
