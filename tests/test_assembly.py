@@ -9,6 +9,7 @@ from samples import parametrize
 
 import osc_contact as osc
 from benchmarks.assembly import summary
+from osc_contact.dynamics.assembly import reach
 from osc_contact.lab.tasks import pegs
 from osc_contact.lab.tasks.insertion import (
     DEPTH,
@@ -144,6 +145,31 @@ def test_a_tip_slides_on_one_box_of_a_round_hole():
     assert_allclose(tops[on_axis], 0.0, atol=1e-15)
     assert_allclose(tops[~on_axis], LOWER, atol=1e-15)
     assert on_axis.sum() == 4 and len(around) == SECTORS
+
+
+def test_a_tip_that_hardly_sinks_in_is_pressed_straight_out():
+    """By some micrometres or less: contacts have the normal of the face, and the true depth."""
+    task = task_of(shape="round")
+    robot = task.robot(peg_start(task.peg, task.hole))
+    plant, hole = robot.plant, task.true_hole.pose
+    n = hole.rotation[:, 2]  # into the block
+    (tip,) = np.flatnonzero(plant.model.geom_bodyid == plant.object_body)
+    lowest = np.array([0.5 * WIDTH, 0.0, 0.0])
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        turn = pin.exp3(np.array([0.0, -rng.uniform(0.1, 0.2), 0.0]))
+        beside = np.array([rng.uniform(1e-3, 3e-3), rng.uniform(-2e-3, 2e-3), 0.0])
+        depth = 10.0 ** rng.uniform(-8.0, -5.5) * np.array([0.0, 0.0, 1.0])
+        place = pin.SE3(turn, lowest + beside + depth - turn @ lowest)
+        plant.reset(reach(robot.chain, task.scene.posture, hole * place))
+        axis = plant.data.geom_xmat[tip].reshape(3, 3)[:, 2]
+        middle = n @ (plant.data.geom_xpos[tip] - hole.translation)
+        rim = 0.5 * LENGTH * (n @ axis) + 0.5 * WIDTH * np.linalg.norm(np.cross(n, axis))
+        contacts = plant.data.contact
+        assert len(contacts.dist) >= 1
+        from_tip = np.where(contacts.geom[:, :1] == tip, 1.0, -1.0) * contacts.frame[:, :3]
+        assert_allclose(from_tip @ n, 1.0, atol=1e-4)
+        assert (-contacts.dist <= middle + rim + 1e-9).all()
 
 
 # --- two arms, two pins ---------------------------------------------------------------------------

@@ -43,6 +43,10 @@ TIE_SPAN = 0.05
 DRIVE_MASS = 1e6
 WELDS = 3014000  #: version of MuJoCo from which on sensors feel welds as they are
 GUIDES = ("slide", "hinge")  #: joints of a body that moves
+#: Error of the depths of contacts of cylinders, ellipsoids and meshes (m). Light contacts sink in
+#: by a micrometre or less; where this is no more than the error, 1 µm in MuJoCo unless it is set,
+#: normals may have any direction, and depths may be of millimetres.
+DEPTH_TOLERANCE = 1e-10
 _LEAST_INERTIA = 1e-9  # kg, kg m²: MuJoCo needs mass in moving bodies
 
 
@@ -72,6 +76,7 @@ def scene(
     spec.option.timestep = options.step
     spec.option.tolerance = 1e-12
     spec.option.iterations = 100
+    spec.option.ccd_tolerance = DEPTH_TOLERANCE
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     bits = mujoco.mjtDisableBit
     disabled = bits.mjDSBL_AUTORESET | bits.mjDSBL_MIDPHASE  # few geometries: all are compared
