@@ -1,4 +1,4 @@
-"""The rigs that are timed, each in motion on its contacts."""
+"""Rigs whose ticks are timed, each at an instant of a motion on its contacts."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ POINT |= {
     "duration": 3,
 }
 
-DT = 1e-3
-MOVING_TICKS = 40
+DT = 1e-3  #: control period (s)
+MOVING_TICKS = 40  #: number of ticks of the motion before the instant of a case
 ROD = pin.Inertia(1.5, np.array([0.01, -0.004, 0.006]), np.diag([2e-3, 0.045, 0.044]))
-END = np.array([0.29, 0.0, 0.0])
-RADIUS = 0.01  # the packaged rod's
-PANDA_Q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78])
+END = np.array([0.29, 0.0, 0.0])  #: centre of the ball at one end of the rod (m)
+RADIUS = 0.01  #: radius of this ball, as of the packaged rod (m)
+PANDA_Q = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.78])  #: positions of a Panda's joints (rad)
 GAINS = Gains(
     motion=osc.MotionGains(stiffness=900.0, damping=60.0),
     force=osc.ForceGains(integral=30.0, damping=100.0),
@@ -78,11 +78,17 @@ GAINS = Gains(
 
 
 Timed = tuple[Callable[[], Array], Callable[[], None]]
-"""A call to be timed, and what is to be called after each."""
+"""Function to be timed, and function that is called after each call of it."""
 
 
 def repeatable(controller: Controller) -> Controller:
-    """Configure a controller so that it can be ticked repeatedly with identical readings."""
+    """Copy of a controller whose tick can be repeated with identical readings.
+
+    Rules that take identical readings for a fault of the sensors are switched off.
+
+    Args:
+        controller: controller with any safety settings.
+    """
     rules = ("stuck_speed", "frozen_time", "speed_error", "position_drift", "wrist_error")
     return controller.with_safety(
         controller.settings.safety.replaced(**dict.fromkeys(rules, np.inf))
@@ -91,12 +97,19 @@ def repeatable(controller: Controller) -> Controller:
 
 @dataclass(frozen=True)
 class TickCase:
-    """A rig at one instant.
+    """Rig at one instant of a motion along its faces, with all contacts pressed.
 
     Attributes:
-        chain, pairs: arms, object and contacts. gains, posture: of the controller.
-        measurement, reference: in the middle of a motion along the faces, all contacts pressed.
-        status: how every tick at this instant ends. life, safety: of the controller.
+        name: name of the case.
+        chain: arms and object.
+        pairs: contacts.
+        gains: gains of the controller.
+        posture: (n,) joint positions of the posture task (rad, m).
+        measurement: measurement at this instant.
+        reference: reference at this instant.
+        status: status of every tick at this instant.
+        life: settings of the contact phases; None: contacts are always closed.
+        safety: safety settings of the controller.
     """
 
     name: str
@@ -116,7 +129,7 @@ class TickCase:
         return (self.measurement, self.reference)
 
     def controller(self) -> Controller:
-        """A controller of this rig."""
+        """New controller of this rig, which reads contact forces as the paper does (fig. 5)."""
         return Controller(
             self.chain,
             self.pairs,
@@ -124,21 +137,27 @@ class TickCase:
             dt=DT,
             posture=self.posture,
             life=self.life,
-            reading="filter",  # the paper's
+            reading="filter",
             safety=self.safety,
         )
 
     def tick(self, controller: Controller | None = None) -> Timed:
-        """A tick at this instant, and what is to be called after each.
+        """Function that computes a tick at this instant, and function to be called after each.
 
-        That is: how the tick ended is checked, and its integrators are set back to zero.
+        The second one checks the status, and sets the integrals to zero, so that all ticks are
+        equal.
 
         Args:
-            controller: to be ticked; default: a new one.
+            controller: controller of the ticks; None: a new one.
         """
         ticked = controller or repeatable(self.controller())
 
         def unwind() -> None:
+            """Set the integrals to zero.
+
+            Raises:
+                InvalidInputError: the tick ended with another status.
+            """
             if ticked.status is not self.status:
                 reason = f" ({ticked.reason})" if ticked.status.value else ""
                 raise osc.InvalidInputError(
@@ -151,7 +170,7 @@ class TickCase:
         return (partial(ticked.tick, *self.given), unwind)
 
     def floor(self) -> Callable[[], object]:
-        """`pin.computeAllTerms` of the same arms at the same q and v."""
+        """Function that calls `pin.computeAllTerms` of the same arms at the same q and v."""
         model = self.chain.model
         q, v = np.array([self.measurement.q, self.measurement.v], float)
         return partial(pin.computeAllTerms, model, model.createData(), q, v)
@@ -166,11 +185,16 @@ def in_motion(
     reference: Callable[[float], Reference],
     status: Status = Status.OK,
 ) -> TickCase:
-    """Let the rigid plant follow a reference for a moment; there the case stands.
+    """Make the case of a rig at the instant after `MOVING_TICKS` of a motion on the rigid plant.
 
     Args:
-        name: of the case. chain, pairs, gains: of its controller. q: (n,) start.
-        reference: by time (s). status: how its ticks end.
+        name: name of the case.
+        chain: arms and object.
+        pairs: contacts.
+        q: (n,) joint positions at the start, and of the posture task (rad, m).
+        gains: gains of the controller.
+        reference: function of the time (s).
+        status: status of the ticks at this instant.
     """
     plant = RigidPlant(chain, pairs, DT)
     plant.reset(q)
@@ -181,30 +205,31 @@ def in_motion(
 
 
 def rod_rig() -> tuple[osc.Rig, tuple[VertexOnFace, ...]]:
-    """The packaged scenario's rig and its two contacts; steps of force are not shaped.
+    """Rig of the packaged scenario two_contact_rod, and its two contacts.
 
-    A step that fades within the rise time would make each tick at the same instant another one.
+    Steps of the desired forces are not shaped, because the remainder of a step would make repeated
+    ticks at one instant differ.
     """
     rig = osc.build_rig(osc.load_scenario("two_contact_rod", ["gains.force.rise=0 s"]))
     return (rig, tuple(pair for pair in rig.pairs if isinstance(pair, VertexOnFace)))
 
 
 def two_contact_rod() -> TickCase:
-    """Two SCARA arms with gripper hinges, a rod, two skew contacts: d = 5, r = 2."""
+    """Case of two SCARA arms with gripper hinges, a rod, two skew contacts: d = 5, r = 2."""
     rig, pairs = rod_rig()
     at = rig.references.at
     return in_motion("two_contact_rod", rig.chain, pairs, rig.q_contact, rig.gains, at)
 
 
 def one_panda() -> TickCase:
-    """One Panda, its rod pressed on a face by one end: d = 6, r = 1, one redundant joint."""
+    """Case of one Panda that presses one end of a rod on a face: d = 6, r = 1, n = 7."""
     arm = panda("arm", _at())
     chain = ClosedChain([arm], [_at(0.02, 0.01, 0.08)], osc.RigidObject(ROD))
     return _sliding("one_panda", chain, PANDA_Q, [END])
 
 
 def two_pandas() -> TickCase:
-    """Two Pandas hold a rod, each end on a face: d = 6, r = 2."""
+    """Case of two Pandas that hold a rod, each end of it on a face: d = 6, r = 2."""
     arms = [panda("left", _at(-0.55)), panda("right", _at(0.55, yaw=np.pi))]
     grasps = [_at(-0.15, roll=np.pi).inverse(), _at(0.15, roll=np.pi, yaw=np.pi).inverse()]
     chain = ClosedChain(arms, grasps, osc.RigidObject(ROD))
@@ -222,11 +247,17 @@ CASES: dict[str, Callable[[], TickCase]] = {
 def _at(
     x: float = 0.0, y: float = 0.0, z: float = 0.0, *, roll: float = 0.0, yaw: float = 0.0
 ) -> pin.SE3:
+    """Pose with a translation (m), rotated about x by `roll`, then about z by `yaw` (rad)."""
     return pin.SE3(pin.rpy.rpyToMatrix(roll, 0.0, yaw), np.array([x, y, z]))
 
 
 def panda(name: str, base: pin.SE3) -> osc.Arm:
-    """A Panda with its fingers locked and a force sensor where the hand is flanged on."""
+    """Make a Panda with locked fingers and a wrist sensor between its flange and its hand.
+
+    Args:
+        name: name of the arm.
+        base: pose of its base in the world.
+    """
     urdf, _ = robots.find_robot("panda")
     return osc.Arm.from_urdf(
         urdf, name=name, tip="panda_hand_tcp", base=base, wrist_sensor="panda_hand"
@@ -234,7 +265,16 @@ def panda(name: str, base: pin.SE3) -> osc.Arm:
 
 
 def _sliding(name: str, chain: ClosedChain, q: Array, vertices: list[Array]) -> TickCase:
-    """Faces that lean towards the rod, so that only its ends touch; the rod slides across."""
+    """Make the case of a rod whose ends slide on faces, at 0.1 m/s across the rod.
+
+    Each face leans towards its end, so that the rest of the rod does not touch it.
+
+    Args:
+        name: name of the case.
+        chain: arms that hold the rod along x of the object.
+        q: (n,) joint positions at the start (rad).
+        vertices: points (3,) of the rod that touch, in the frame of the object (m).
+    """
     X = object_pose(chain, q)
     up = np.array([0.0, 0.0, 1.0])
     pairs = []
@@ -245,6 +285,7 @@ def _sliding(name: str, chain: ClosedChain, q: Array, vertices: list[Array]) -> 
     speed = 0.1 * _unit(np.cross(up, X.rotation[:, 0]))
 
     def reference(t: float) -> Reference:
+        """Reference at a time (s): constant speed, 10 N on each contact."""
         X_WD = _shifted(X, speed * t)
         return Reference(X_WD, np.r_[speed, 0, 0, 0], np.zeros(6), np.full(len(pairs), 10.0))
 
@@ -252,18 +293,23 @@ def _sliding(name: str, chain: ClosedChain, q: Array, vertices: list[Array]) -> 
 
 
 def _unit(x: Array) -> Array:
+    """Vector of length 1 along x."""
     return x / np.linalg.norm(x)
 
 
-# --- Any number of arms around one object, with contacts, made up at random in code ---
+# --- Any number of arms around one object, with contacts, drawn at random -------------------------
 
 
 class Kind(NamedTuple):
-    """Serial arms whose joints turn (one may slide) about their z, with links of 1 to 3 kg.
+    """Kind of serial arms, with links of 1 to 3 kg, whose joints turn about or slide along their z.
 
     Attributes:
-        joints: quarter turns about x, and x, y, z in the joint before (m). tip: in the last (m).
-        q, spread: positions, and how far from them they are drawn. sliding: the joint along z.
+        joints: for each joint the placement in the joint before it: number of quarter turns about
+            x, and x, y, z (m).
+        tip: (3,) position of the tip in the last joint (m).
+        q: mean joint positions (rad, m).
+        spread: largest deviations of drawn positions from these (rad, m).
+        sliding: index of the joint that slides; None: all turn.
     """
 
     joints: Sequence[tuple[float, ...]]
@@ -273,7 +319,11 @@ class Kind(NamedTuple):
     sliding: int | None = None
 
     def draw(self, rng: np.random.Generator) -> tuple[pin.Model, Array]:
-        """An arm, its lengths varied by a tenth, and its positions (n,)."""
+        """Draw an arm, with lengths varied by up to a tenth, and its joint positions (n,).
+
+        Args:
+            rng: generator of random numbers.
+        """
         model = pin.Model()
         last = 0
         for i, (quarters, *p) in enumerate(self.joints):
@@ -316,22 +366,26 @@ BODY = pin.Inertia(4.0, np.array([0.01, -0.02, 0.015]), np.diag([0.09, 0.11, 0.1
 
 
 class RandomRig:
-    """Arms of some kinds that hold an object, at rest; hands and bases are where they have to be.
+    """Random arms of some kinds around an object that they hold at rest.
 
-    Planar arms turn in the horizontal plane and SCARAs stand upright, so that several of a kind
-    permit the same motions.
+    Postures are drawn, and the bases placed so that the hands reach the object. Planar arms turn in
+    the horizontal plane and SCARAs stand upright, so that several of a kind permit the same
+    motions.
 
     Attributes:
-        chain: arms and object. q: (n,) positions. X_WO: pose of the object.
+        chain: arms and object.
+        q: (n,) joint positions (rad, m).
+        X_WO: pose of the object.
     """
 
     X_WO = _at(z=0.6)
 
     def __init__(self, kinds: Sequence[str], rng: np.random.Generator) -> None:
-        """Put arms around the object.
+        """Draw the arms, and place them around the object.
 
         Args:
-            kinds: of `KINDS`. rng: random numbers.
+            kinds: names in `KINDS`, one for each arm.
+            rng: generator of random numbers.
         """
         arms = []
         grasps = []
@@ -353,7 +407,14 @@ class RandomRig:
         self.q = np.concatenate(positions)
 
     def case(self, name: str, pairs: Sequence[osc.ContactPair]) -> TickCase:
-        """At rest, wrists that read zero although they bear the object, 1 N on each contact."""
+        """Make a case at rest with a desired force of 1 N at each contact, and no force ceilings.
+
+        Wrists read zero although they bear the object, so ceilings of forces would stop the arms.
+
+        Args:
+            name: name of the case.
+            pairs: contacts.
+        """
         still = np.zeros(6)
         count = sum(pair.contact(self.X_WO, still).r for pair in pairs)
         wrenches = np.zeros((len(self.chain.arms), 6))
@@ -375,13 +436,15 @@ class RandomRig:
 def faces_of(
     rig: RandomRig, contacts: int, rank: int, rng: np.random.Generator
 ) -> list[VertexOnFace]:
-    """Vertices on faces whose lines of force span `rank` dimensions of the object's forces.
+    """Make contacts of vertices with faces, of whose columns of N `rank` are independent.
 
     Faces beyond the first `rank` are copies of these, moved along their lines of force.
 
     Args:
-        rig: holds the object. contacts: how many. rank: of their forces, at most as many as
-            contacts and motions of the object. rng: random numbers.
+        rig: arms and object.
+        contacts: number of contacts.
+        rank: rank of N, at most the number of contacts and the dimension of the object's motions.
+        rng: generator of random numbers.
     """
     pairs: list[VertexOnFace] = []
     for i in range(contacts):
@@ -395,24 +458,23 @@ def faces_of(
     return pairs
 
 
-# --- Rigs in trouble or with more switched on than usual, and many rigs at once ---
+# --- Rigs near their limits or with further parts of the law, and many rigs at once ---------------
 
-
-ROWS = 4096
-NEAR_STRAIGHT = 0.217  #: m further out than the packaged pose: elbows at 0.13 rad
-TOO_MUCH = 1.25  #: of the limit of one motor is commanded
+ROWS = 4096  #: number of rows of a batch
+NEAR_STRAIGHT = 0.217  #: m beyond the packaged pose, so that elbows are 0.13 rad from straight
+TOO_MUCH = 1.25  #: largest commanded torque of a motor, as a multiple of its limit
 
 
 class OwnFace(VertexOnFace):
-    """A pair written by a user: its N and n_γ come from Python in every tick."""
+    """Pair as a user writes it: N and n_γ are computed by Python in every tick."""
 
     def contact(self, *args, **kwargs):  # type: ignore[no-untyped-def]
-        """Those of a vertex on a face."""
+        """Contact of a vertex on a face; an override in Python, which the law therefore calls."""
         return super().contact(*args, **kwargs)
 
 
 def near_singular() -> TickCase:
-    """The rod rig with both elbows 0.13 rad from straight: motion commands are reduced."""
+    """Case of the rod rig with both elbows 0.13 rad from straight: motion commands are reduced."""
     rig, pairs = rod_rig()
     shift = np.array([0.0, NEAR_STRAIGHT, 0.0])
     X = object_pose(rig.chain, rig.q_contact)
@@ -420,6 +482,7 @@ def near_singular() -> TickCase:
     moved = tuple(replace(pair, point=pair.point + shift) for pair in pairs)
 
     def reference(t: float) -> Reference:
+        """Reference of the scenario at a time (s), moved as the faces are."""
         at = rig.references.at(t)
         return replace(at, X_WD=_shifted(at.X_WD, shift))
 
@@ -427,11 +490,12 @@ def near_singular() -> TickCase:
 
 
 def _shifted(X: pin.SE3, shift: Array) -> pin.SE3:
+    """Pose X moved by a shift (3,) in world axes (m)."""
     return pin.SE3(X.rotation, X.translation + shift)
 
 
 def saturated() -> TickCase:
-    """The rod rig with motors too weak for what is commanded: a quadratic program in each tick."""
+    """Case of the rod rig with motors too weak for the commands: a quadratic program per tick."""
     case = two_contact_rod()
     tau = case.controller().tick(case.measurement, case.reference)
     chain = ClosedChain(case.chain.arms, case.chain.grasps, case.chain.payload)
@@ -440,7 +504,7 @@ def saturated() -> TickCase:
 
 
 def three_arms() -> TickCase:
-    """Three arms like a UR5, a force commanded between each two grasps, two contacts."""
+    """Case of three arms like a UR5, two contacts, a commanded force between each two grasps."""
     rng = np.random.default_rng(0)
     rig = RandomRig(["ur5"] * 3, rng)
     case = rig.case("three_arms", faces_of(rig, 2, 2, rng))
@@ -449,12 +513,12 @@ def three_arms() -> TickCase:
 
 
 def contact_phases() -> TickCase:
-    """The rod rig, its two contacts opened and closed one by one; here both are closed."""
+    """Case of the rod rig with contact phases, in which both contacts are closed."""
     return replace(two_contact_rod(), name="contact_phases", life=PhaseSettings())
 
 
 def own_pair() -> TickCase:
-    """The rod rig, one of its two contacts a pair written in Python."""
+    """Case of the rod rig, one of whose two contacts is a pair written in Python."""
     case = two_contact_rod()
     first, second = case.pairs
     own = OwnFace(first.vertex, first.point, first.normal, first.radius, name=first.name)
@@ -462,7 +526,19 @@ def own_pair() -> TickCase:
 
 
 def vertex_on_plane(X_WO, V_O, X_WE, V_E, given, *out):  # type: ignore[no-untyped-def]
-    """A vertex (3) of the object on a plane at rest: direction into it (3), distance from O_W."""
+    """Fill N, n_γ, gap and point of a vertex of the object on a plane at rest.
+
+    It has the arguments of the functions of `osc.CompiledPair`; poses X_WE and twists V_E of the
+    touched body do not matter.
+
+    Args:
+        X_WO: (4, 4) pose of the object.
+        V_O: (6,) twist of the object at O.
+        X_WE, V_E: pose and twist of the touched body, not used.
+        given: vertex in the object (3; m), unit vector into the plane (3), and coordinate of the
+            plane along this vector, from the origin of the world (m).
+        *out: N (6, 1), n_γ (1,), gaps (1,) and points (3, 1), filled.
+    """
     N, n_gamma, gaps, points = out
     p = X_WO[:3, :3].copy() @ given[:3]
     n = given[3:6]
@@ -475,7 +551,7 @@ def vertex_on_plane(X_WO, V_O, X_WE, V_E, given, *out):  # type: ignore[no-untyp
 
 
 def compiled_pair() -> TickCase:
-    """The rod rig, one of its two contacts a function that numba compiles."""
+    """Case of the rod rig, one of whose two contacts is a function that numba compiles."""
     case = two_contact_rod()
     first, second = case.pairs
     n = -first.normal
@@ -484,11 +560,11 @@ def compiled_pair() -> TickCase:
     return replace(case, name="compiled_pair", pairs=(own, second))
 
 
-KNOWN = 12  #: known contacts of `two_of_twelve`
+KNOWN = 12  #: number of known contacts of `two_of_twelve`
 
 
 def two_of_twelve() -> TickCase:
-    """`two_pandas` with ten more known contacts, which are not active."""
+    """Case `two_pandas` with ten more known contacts, which are not active."""
     case = two_pandas()
     first, second = (pair for pair in case.pairs if isinstance(pair, VertexOnFace))
     others = []
@@ -514,17 +590,19 @@ SPECIAL_CASES: dict[str, Callable[[], TickCase]] = {
 }
 
 
-#: Of the rows' inputs about those of a single tick.
+#: Standard deviations of a batch's inputs from those of a single tick, by name (SI units).
 SPREADS = {"q": 1e-3, "v": 1e-3, "wrenches": 0.1, "V_D": 1e-3, "A_D": 0.0, "alpha_d": 0.1}
 
 
 @dataclass
 class BatchCase:
-    """Rows of one rig, each at a random state close to a case's.
+    """Batch of one rig, each row of it at a random state near that of a case.
 
     Attributes:
-        case: the rig. rows, threads: of the batch.
-        inputs: of `BatchController.tick`, by name.
+        case: rig at one instant.
+        rows: number of rows.
+        threads: number of threads.
+        inputs: arguments of `BatchController.tick` by name.
     """
 
     case: TickCase
@@ -543,11 +621,19 @@ class BatchCase:
         self.inputs["squeeze_d"] = np.full(self.rows, float(given["squeeze_d"]))
 
     def tick(self) -> Timed:
-        """A tick of all rows, and what is to be called after each, as in `TickCase.tick`."""
+        """Function that computes a tick of all rows, and function to be called after each.
+
+        The second one checks the status of all rows, and resets the batch.
+        """
         batch = osc.BatchController([self.case.controller()] * self.rows, self.threads)
         expected = self.case.status
 
         def unwind() -> None:
+            """Reset the batch.
+
+            Raises:
+                InvalidInputError: a row ended with another status.
+            """
             wrong = np.flatnonzero(batch.status != expected)
             if len(wrong):
                 ended = Status(int(batch.status[wrong[0]])).name
@@ -560,11 +646,12 @@ class BatchCase:
         return (partial(batch.tick, **self.inputs), unwind)
 
     def floor(self) -> Callable[[], object]:
-        """`pin.computeAllTerms` of all rows, one after the other."""
+        """Function that calls `pin.computeAllTerms` for all rows, one after the other."""
         model = self.case.chain.model
         data = model.createData()
 
         def floor() -> None:
+            """Compute the terms of all rows; results are not kept."""
             for q, v in zip(self.inputs["q"], self.inputs["v"], strict=True):
                 pin.computeAllTerms(model, data, q, v)
 

@@ -1,4 +1,4 @@
-"""Medians of calls that take turns in one process, and what machine they were taken on."""
+"""Times of calls that take turns in one process, the machine, and tables of the results."""
 
 import os
 import platform
@@ -20,15 +20,15 @@ from osc_contact.lab.cli.console import err
 from osc_contact.spatial import Array
 from paper.study import Data, table_of
 
-SHARES = {"p50": 50, "p99": 99, "p99_9": 99.9, "max": 100}
-PACKAGES = ("osc-contact", "pin", "numpy", "numba", "mujoco")
-WARM_UP = 5
+SHARES = {"p50": 50, "p99": 99, "p99_9": 99.9, "max": 100}  #: percentiles of times by name (%)
+PACKAGES = ("osc-contact", "pin", "numpy", "numba", "mujoco")  #: packages whose versions are named
+WARM_UP = 5  #: number of rounds before those that are timed
 Call = Callable[[], object]
-Rows = list[Data]  #: of a table: numbers and words by the heads of its columns
+Rows = list[Data]  #: rows of a table, each with its numbers and words by the heads of the columns
 
 
 def machine() -> Data:
-    """Processor, cores, system, Python, packages: what numbers were measured on."""
+    """Describe this machine: processor, cores, system, versions of Python and packages."""
     packages = {}
     for name in PACKAGES:
         with suppress(PackageNotFoundError):
@@ -44,9 +44,15 @@ def machine() -> Data:
 
 
 def table_from(title: str, rows: Rows) -> Table:
-    """The rows of a benchmark as a table; "–" where there is no number."""
+    """Table of the rows of a benchmark, for a terminal.
+
+    Args:
+        title: title of the table.
+        rows: rows, at least one, all with the same keys; None becomes "–".
+    """
 
     def cell(x: Any) -> str:
+        """Text of an entry; two digits behind the point of a float."""
         return "–" if x is None else f"{x:.2f}" if isinstance(x, float) else str(x)
 
     return table_of(title, "; ".join(rows[0]), (map(cell, row.values()) for row in rows))
@@ -55,10 +61,14 @@ def table_from(title: str, rows: Rows) -> Table:
 def side_by_side(
     task: Callable[..., Any], jobs: Collection[tuple[Any, ...]], workers: int
 ) -> Iterator[Any]:
-    """What a task gives for each of some arguments, in their order; a terminal shows how many.
+    """Call a function for each of several jobs in parallel processes; yield results in their order.
+
+    A terminal shows the progress.
 
     Args:
-        task: a function of a module. jobs: its arguments, call by call. workers: processes.
+        task: function at the top level of a module, so that other processes can import it.
+        jobs: arguments of each call.
+        workers: number of processes.
     """
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         found = pool.map(task, *zip(*jobs, strict=True))
@@ -71,13 +81,17 @@ def take_turns(
     rounds: int,
     between: Call | None = None,
 ) -> dict[str, Array]:
-    """Times (rounds,) in µs of each call; in every round all are called, one after the other.
+    """Time functions in turns: in every round each is called once, one after the other.
+
+    So slow changes of the processor's speed affect all of them alike.
 
     Args:
-        calls: what to time, by name.
-        rounds: how often, after a few that do not count.
-        between: called after each round, untimed.
+        calls: functions by name.
+        rounds: number of rounds, after `WARM_UP` rounds that are not timed.
+        between: function that is called after each round and not timed; None: none.
 
+    Returns:
+        Times (rounds,) of each function by name (µs).
     """
     times = np.zeros((rounds + WARM_UP, len(calls)))
     for row in times:
@@ -91,5 +105,9 @@ def take_turns(
 
 
 def spread(times: Array) -> dict[str, float]:
-    """p50, p99, p99.9 and largest of some times, in their unit."""
+    """Percentiles `SHARES` of times by name, in the unit of the times.
+
+    Args:
+        times: (n,) times.
+    """
     return {name: float(np.percentile(times, share)) for name, share in SHARES.items()}

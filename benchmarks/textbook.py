@@ -1,9 +1,9 @@
 """The control law as textbooks write it: a matrix for every symbol, `numpy.linalg` for the rest.
 
-Pinocchio gives M, h, the Jacobians and spatial vectors; J, Λ, μ + p of each arm, the augmented
-object, the contact and eqs. 21 to 25 are then NumPy. Nothing of the toolkit's own mathematics is
-used. One thing is left out: the gripper parts beyond the wrist sensors, whose wrench the readings
-are not rid of.
+Pinocchio computes M, h, Jacobians and spatial vectors. J, Λ, μ + p of each arm, the augmented
+object, the contact and eqs. 21 to 25 of the paper are computed with NumPy, without the toolkit's
+own mathematics. Wrist readings are not corrected by weight and inertia of the gripper parts beyond
+the sensors.
 """
 
 from typing import NamedTuple
@@ -15,12 +15,22 @@ from numpy.linalg import inv, lstsq, norm, pinv, svd
 from benchmarks.cases import DT, TickCase
 from osc_contact.spatial import Array
 
-STIFFNESS = 25.0
-DAMPING = 10.0  # of the posture of redundant arms
+STIFFNESS = 25.0  #: 1/s², of the posture of redundant arms
+DAMPING = 10.0  #: 1/s, of the same
 
 
 class ArmTerms(NamedTuple):
-    """An arm's joints, J, M, h, γ, Λ and J̄ at O."""
+    """Terms of an arm with n joints at O, in world axes.
+
+    Attributes:
+        s: its joints among those of all arms.
+        J: (6, n) Jacobian.
+        M: (n, n) joint-space inertia.
+        h: (n,) torques of velocities and gravity (N m, N).
+        gamma: (6,) drift γ of the tip, J̇ q̇.
+        Lambda: (6, 6) operational-space inertia (J M⁻¹Jᵀ)⁺.
+        J_bar: (n, 6) inertia-weighted inverse M⁻¹JᵀΛ.
+    """
 
     s: slice
     J: Array
@@ -32,10 +42,25 @@ class ArmTerms(NamedTuple):
 
 
 class TextbookLaw:
-    """Vertices on fixed faces, arms with full rank in the motions they share."""
+    """Law for vertices on faces at rest, and arms with full rank in the motions that they share.
+
+    Attributes:
+        case: rig at one instant, of which measurement and reference are those of each tick.
+        model, data: Pinocchio's model of all arms, and its results.
+        tips, wrists: frames of the tips and of the wrist sensors in the model.
+        inertia: inertia of the object.
+        selected: (n, n_a) matrix that maps motor torques to joint torques.
+        limits: (n,) torque limits, 1 for joints without a motor (N m, N).
+        motion_sum: (6,) integral of the permitted pose error (m s, rad s).
+        force_sum: (r,) force integrals (N).
+    """
 
     def __init__(self, case: TickCase) -> None:
-        """Copy what the law needs to know; each tick is computed at the case's instant."""
+        """Copy structure and limits from a case, with integrals of zero.
+
+        Args:
+            case: rig with an object, at one instant.
+        """
         chain = case.chain
         assert chain.payload is not None
         self.case = case
@@ -51,7 +76,10 @@ class TextbookLaw:
         self.force_sum = np.zeros(len(case.pairs))
 
     def tick(self) -> Array:
-        """Motor torques (n_a,)."""
+        """Compute the motor torques (n_a,; N m, N) at the instant of the case; update integrals.
+
+        Symbols are those of the glossary; the equations of the paper are named at each step.
+        """
         case = self.case
         model = self.model
         data = self.data
@@ -151,7 +179,20 @@ class TextbookLaw:
     def allocated(
         self, arms: list[ArmTerms], G: Array, f_S: Array, acceleration: Array, v: Array
     ) -> Array:
-        """Least torques, weighted by 1/τ_max², for f_S and the squeeze of two arms."""
+        """Compute the motor torques (n_a,) of least effort Στ²/τ_max² for f_S and the squeeze.
+
+        They are τ_0 + WAᵀ(AWAᵀ)⁻¹(b − Aτ_0), with W = diag(τ_max²), of a redundant arm W = Jᵀ(J
+        diag(τ_max⁻²) Jᵀ)⁻¹J, whose torques do not move it in its null space, and τ_0 the torques of
+        the posture task there. A τ = b states G τ = f_S and, of two arms, the desired squeeze: the
+        mean of the forces by which they press towards each other along the line between their tips.
+
+        Args:
+            arms: terms of the arms.
+            G: (d, n_a) generalised force on the object per motor torque.
+            f_S: (d,) generalised force on the object.
+            acceleration: (6,) commanded spatial acceleration of the object.
+            v: (n,) joint velocities.
+        """
         case = self.case
         B = self.selected
         weight = np.zeros((len(v), len(v)))
