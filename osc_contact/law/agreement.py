@@ -1,8 +1,8 @@
 """Consistency of motors, wrists, encoders and speeds, checked during a tick.
 
 Speeds of an approach are compared with positions, motor torques with wrist readings, and the poses
-of the object by the encoders of several arms with each other. A contradiction of the last two kinds
-stops the arms.
+of the object by the encoders of several arms with each other. Speeds of an approach that are too
+small are replaced; contradictions of the other kinds stop the arms.
 """
 
 from __future__ import annotations
@@ -68,10 +68,11 @@ def compare_speeds(t):
 
     The speed of a contact is NᵀV_rel (m/s): the twist V_rel of the object relative to the face,
     along the column N. An approach with speed sensors that read too little would accelerate towards
-    its face. The twist from positions is computed from the poses `X_WO` of the last tick and of
-    this one; both speeds are low-passed. A column that was not in N in the last tick (`known` = 0)
-    begins without a past. Changes `speed` (m/s) of the kept columns; fills
-    `velocity_from_positions` and `velocity_from_encoders` (m/s) of the columns in MEMORY.
+    its face. Too little is a deficit of more than `_AGREE` times `approach_speed`. The twist from
+    positions is computed from the poses `X_WO` of the last tick and of this one; both speeds are
+    low-passed. A column that was not in N in the last tick (`known` = 0) begins without a past.
+    Changes `speed` (m/s) of the kept columns; fills `velocity_from_positions` and
+    `velocity_from_encoders` (m/s) of the columns in MEMORY.
 
     Args:
         t: Tick.
@@ -103,9 +104,10 @@ def check_arms(t):
     """Compare motors, wrists and encoders of the arms with each other.
 
     The residual of a motor, the torque that neither model nor wrist explains, less friction must
-    stay within `wrist_error` times the torque limit of its long-term mean, and within twice that
-    bound of zero. The arms must place the object alike (`is_apart`). Wrists are not compared in
-    ticks without wrenches. Updates `apart`, `balanced` and `instant` of MEMORY.
+    stay near its long-term mean and near zero (`_balance_arm`). The arms must place the object
+    alike (`is_apart`); a difference that lasts for more than `APART_TIME` stops them. Wrists are
+    not compared in ticks without wrenches. Updates in MEMORY `apart` (s), `balanced` (number of
+    ticks with this comparison) and `instant` (the same, lost ticks included).
 
     Args:
         t: Tick after `solve_chain`.
@@ -134,7 +136,7 @@ def check_arms(t):
 
 @inner
 def _balance_arm(t, k, dt):
-    """Determine whether unexplained motor torques of an arm have exceeded their bound for too long.
+    """Update unexplained motor torques of an arm; return whether one is too large for too long.
 
     For each motor from the base to the wrist sensor, the unexplained torque is low-passed
     (`unexplained`) and compared with its long-term mean (`usual`): their difference must not exceed
@@ -186,10 +188,11 @@ def _balance_arm(t, k, dt):
 
 @leaf
 def _torque_bound(t, j):
-    """Bound of the unexplained torque of a joint (N m, N) by errors of wrist and modelled friction.
+    """Compute the bound of a joint's unexplained torque (N m, N).
 
-    It is `wrist_error` times the torque limit, plus the share `_RUBS` of the modelled friction F +
-    D |s|, with Coulomb friction F, viscous friction D and the low-passed permitted speed s.
+    It covers errors of the wrist and of the modelled friction: `wrist_error` times the torque
+    limit, plus the share `_RUBS` of the modelled friction F + D |s|, with Coulomb friction F,
+    viscous friction D and the low-passed permitted speed s.
 
     Args:
         t: Tick.
@@ -206,7 +209,7 @@ def _torque_bound(t, j):
 
 @leaf
 def _trusted_friction(t, j, share):
-    """Compute the friction F + D |s| + |A q̈| of a joint (N m, N) that was identified for long.
+    """Update and compute the friction F + D |s| + |A q̈| of a joint (N m, N) that is trusted.
 
     F, D and |A| (Coulomb and viscous friction, inertia of the rotor beyond the model's) are
     `trusted` (3,) of the joint in MEMORY, which follows the identified θ, or the model's, so slowly
@@ -246,8 +249,8 @@ def _note_rubbing(row, share, dt):
 def _follow_unexplained(row, friction, bound, fast_share, slow_share):
     """Update the unexplained torque u of a joint and its long-term mean m; return |u − m|.
 
-    u is the low-passed part of the residual that exceeds ±`friction`. One reading changes it by no
-    more than `_OUTLIER` bounds would.
+    u is the low-passed part of the residual that exceeds ±`friction`, which counts with at most
+    `_OUTLIER` bounds in each tick, so that a single wrong reading changes u by little.
 
     Args:
         row: JOINT_MEMORY, of which `residual` is read, and `unexplained` u and `usual` m are

@@ -36,7 +36,7 @@ from osc_contact.law.jit import bytes_at, inner, numbers_at, words_at
 from osc_contact.law.limits import PROGRAM
 
 _log = logging.getLogger(__name__)
-KEPT = 16  #: number of libraries of other sources, 2 MB each, that remain in the cache
+KEPT = 16  #: number of libraries, of 2 MB each, that remain in the cache, the newest included
 MACHINE_CODE = 20.0  #: s of processor time for linking, optimising and emitting all parts
 _MANY_NEW_PARTS = 10  #: number of new parts from which on a second process is started
 _program = PROGRAM.at
@@ -208,10 +208,14 @@ def make() -> Any:
 
 
 def _make(folder: Path) -> Any:
-    """Make a complete folder with object file, library and checksum; load the library.
+    """Make a folder with object file, library and checksum, delete old ones, load the library.
+
+    The folder appears complete or not at all: it is filled under another name and renamed. Of the
+    folders beside it whose names have the same beginning before the first hyphen, all are deleted
+    but the `KEPT` that were changed last, the new one included.
 
     Args:
-        folder: the folder, which appears complete or not at all; a damaged one is replaced.
+        folder: path of the new folder; a folder of that name, which is damaged, is replaced.
 
     Returns:
         The module of the library.

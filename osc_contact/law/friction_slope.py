@@ -3,26 +3,28 @@
 Friction that has the size F at rest and falls by the share q as the joint moves faster has, with
 any Stribeck speed v_s, a negative slope:
 
-    F (1 − q (1 − exp(−(v/v_s)²))),   −slope = 2 q F v/v_s² exp(−(v/v_s)²) ≤ 2 q F/(e v).
+    F (1 − q (1 − exp(−(v/v_s)²))),   −slope = 2 q F v/v_s² exp(−(v/v_s)²) ≤ 2 q F/(e v),
 
-At the speed s of a joint σ = 2 q F |s|/(e (s² + s_1²)) less the viscous friction D is taken, the
-bound at speeds beyond s_1. It is 0 at rest: friction damps joints whose speed changes its sign. The
-direction of the oscillation along the column N is V = Λ_o⁻¹N, an approximation of the contact mode;
+where e is Euler's number. Of a joint with the permitted speed s, σ = 2 q F |s|/(e (s² + s_1²)) − D
+is used, with the viscous friction D, where it is positive. Its first term is nearly the bound at
+speeds far above s_1, and 0 at rest, because friction damps joints whose speed changes its sign. The
+oscillation along the column N has the direction V = Λ_o⁻¹N, an approximation of the contact mode;
 joints move by J̄V. Falling friction feeds this motion, with the inertia Λ_S of object and arms, at
 the rate
 
     κ_f = Σ σ (J̄V)²/(VᵀΛ_S V),
 
-so that the brake κ leaves a damping of κ − κ_f. On every spring the contact decays if and only if
-this exceeds the gain K_i of the force integral (Routh, docs/tuning.md). A larger κ would return
-more noise of the encoders, and raise the frequency below which v̄ leaves contacts undamped. So K_i
-is reduced to κ − `_MARGIN` κ_f, to a least share of κ, and the rate of v̄ with it. `_MARGIN` was
-chosen by measurement.
+so that the brake κ leaves a damping of κ − κ_f. Whatever the stiffness of the contact, its
+oscillation decays if and only if this damping exceeds the gain K_i of the force integral (Routh,
+docs/tuning.md). A larger κ would return more noise of the encoders, and raise the frequency below
+which the brake leaves contacts undamped, because it spares their lasting speed v̄ (`commands`).
+So K_i is reduced to κ − `_MARGIN` κ_f, but not below κ/`brake_ratio`, and the rate of v̄ with it.
+`_MARGIN` was chosen by measurement.
 
 Friction that residuals show and that is not identified yet excites contacts, too. It counts by the
 standard deviation of the estimate of F, which falls while the joint moves at 10 mrad/s or faster:
-within some tenths of a second where there is none. Without learning it would stay, and does not
-count. K_i and the rate of v̄ are rates of integrals, so that no torque jumps.
+within some tenths of a second where there is no friction. Without learning this deviation would not
+fall, so it does not count. K_i and the rate of v̄ are rates of integrals, so that no torque jumps.
 """
 
 from __future__ import annotations
@@ -36,17 +38,18 @@ from osc_contact.law.vectors import dot6, fill_free
 
 _FALL = 0.3  #: 2 q/e: friction falls by the share q = 0.4
 _SLOW = 0.03  #: s_1 (rad/s), speed of the oscillation, below which a joint's speed changes its sign
-_MARGIN = 12.0  #: multiple of κ_f, chosen by measurement: masses may lack rotors, speeds come late
+_MARGIN = 12.0  #: multiple of κ_f: masses may lack those of rotors, measured speeds are delayed
 
 
 @inner
 def limit_integrals(t):
     """Update the share by which gains of force integrals are reduced (`integral_cut` of MEMORY).
 
-    Each tick adds one joint to κ_f (`slope` of MEMORY, 1/s). After a round through all joints the
-    share leaves K_i at κ less `_MARGIN` κ_f, where κ_f is what makes K_i too large: without it the
-    share is 0 also where κ < K_i. K_i keeps at least κ divided by `brake_ratio`. Where no friction
-    is compensated, or K_i, κ or `brake_ratio` is 0, the share is 0.
+    The gain is reduced to K_i (1 − share) = κ − `_MARGIN` κ_f if it is larger; by no more than
+    `_MARGIN` κ_f, if it exceeds κ without friction, too; and not below κ/`brake_ratio`. Each tick
+    adds one joint only to the sum κ_f (`slope` of MEMORY, 1/s), which saves time; the share changes
+    after each round through all joints. It is 0 if no friction is compensated, if K_i, κ or
+    `brake_ratio` is 0, or if K_i ≤ κ/`brake_ratio` already.
 
     Args:
         t: Tick whose friction has been compensated, and whose torques are finite.
@@ -80,9 +83,10 @@ def limit_integrals(t):
 def _add_joint(t, j):
     """Add the part of joint j to the sum κ_f of this round (`slope` of MEMORY, 1/s).
 
-    Of several columns the parts are added. Reads F and D that are compensated, of friction that is
-    suspected the deviation of F, the permitted `speed` s and J̄ of the joint, and the columns N_t,
-    where V = N.
+    It is Σ_a σ (J̄V_a)²/(V_aᵀΛ_S V_a) over the kept columns a, with V_a = N_a: in energy
+    coordinates Λ_o is the identity. Reads F and D that are compensated, the standard deviation of F
+    where friction is suspected, the permitted `speed` s and J̄ of the joint, and `N_t` of the
+    columns.
 
     Args:
         t: Tick.

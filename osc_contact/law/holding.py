@@ -1,7 +1,7 @@
 """Braking and holding of arms by joint torques, without the control law.
 
 The torques of each arm carry the arm and its share of the object, and brake it in proportion to the
-joint-space inertia of both. An arm with almost no load on its wrist for `LET_GO_TIME` is assumed to
+joint-space inertia of both. An arm whose wrist has almost no load for `LET_GO_TIME` is assumed to
 have let go of the object; then the other arms carry it, and this arm is braked up to twice as fast.
 """
 
@@ -58,7 +58,7 @@ LET_GO_TIME = 0.02  #: s for which the load has to be below that share until an 
 _AWAY_TIME = 0.005
 _FASTER = 2.0  #: factor of `hold_rate` of an arm that has let go
 _SOFTER = 0.5  #: factor of `hold_rate` where speeds are estimated from noisy encoders
-_SHAKES = 0.02  #: s, time constant of the low-pass of the load of a wrist
+_LOAD_LAG = 0.02  #: s, time constant of the low-pass of the load of a wrist
 
 
 @inner
@@ -72,48 +72,34 @@ def hold_posture(t):
     are held, J the Jacobian, and w the wrench for each arm's share of the object's weight and
     inertia. Where q̇ is estimated from noisy encoders, with the bandwidth `hold_rate`, ω is half of
     that: a hold as fast as the estimate oscillates, and a faster estimate returns the noise. An arm
-    that has let go of the object is braked and held with 2 `hold_rate` (see `_hold_rate`).
+    that has let go of the object is braked and held with up to 2 `hold_rate` (see `_hold_rate`).
 
     While joints are braked, q_hold moves with them, at most by the braking distance; a joint beyond
     it is pushed by an error of the modelled weight or by an object that another arm has let go of.
     No acceleration is commanded to joints without a motor, which would drive others through the
-    object. If motors cannot exert the braking torques, these are reduced as a whole, and q_hold
-    follows the joints, so that the torques dissipate energy. Torques move in a straight line from
-    the last ones, at the rate `BRAKE_RATE`, or faster if a joint is above its speed limit or its
-    motor at its torque limit; those of an arm that has let go on a line of their own, at
+    object. If motors cannot exert the braking torques, these are reduced (`_split_torques`), and
+    q_hold follows the joints, so that the torques dissipate energy. Torques move in a straight line
+    from the last ones, at `BRAKE_RATE`, or faster if a joint is above its speed limit or motors
+    cannot exert the braking torques; those of an arm that has let go on a line of their own, at
     `torque_rate`.
 
-    Reads q and v of MEMORY. Fills `tau`, `step` and the holds of the joints.
+    Reads q and v of MEMORY. Fills `tau` (N m, N) and `step` (their largest changes) of the motors,
+    `torques` of MEMORY with the same, and of the joints in MEMORY `hold`, `acceleration`, `driven`;
+    of the arms the evidence of `_weigh` and `_compare_places`.
 
     Args:
-        t: Tick.
+        t: Tick that was not computed, after `estimate_joints`.
     """
     model = t.model
     work = t.work
     memory = t.memory
-    q = memory.q
-    speed = memory.v
     if memory.settled != SETTLED:
         _move_holds(t)  # q_hold of the joints follows their motion
-    # kinematics and bias torques at the estimated q and q̇, with wrenches at the world's origin
-    world = local(3)
-    twist = local(6)
-    drift = local(6)
-    outboard = local(6)  # a result of `move_arm` that is not needed
-    X = local(4, 4)  # of the object
+    _observe_arms(t)
+    # the object's weight, and the number of arms among which it is divided
     R = local(3, 3)
     centre = local(3)
     weight = local(6)
-    fill3(world, ZERO_3)
-    for k in range(model.n_arms):
-        place_arm(t, model.arms[k], q)
-    _compare_places(t, X)
-    # bias torques h of the joints; the load on each wrist, which shows whether its arm has let go
-    for k in range(model.n_arms):
-        fill(outboard, ZERO)
-        move_arm(t, model.arms[k], speed, world, twist, drift, outboard)
-        _weigh(t, k, world)
-    # the object's weight, among how many arms it is divided, and the braking torques
     object_is_known = _carry_weight(t, R, centre, weight)
     n_holding = _count_holding(t)
     rate_limit = _rate_limit(t)
@@ -125,10 +111,38 @@ def hold_posture(t):
         _command_braking(t, arm, _hold_rate(t, has_let_go))
         share = _split_torques(t, arm, object_share, R, centre, weight)
         rate = rate_limit if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
-        _take_share(t, arm, share, rate)
+        _set_torques(t, arm, share, rate)
         if has_let_go and memory.ticked != 0:
             _move_alone(t, arm)
     slew(work.tau, memory.torques, work.step, memory.ticked != 0)
+
+
+@inner
+def _observe_arms(t):
+    """Compute kinematics and bias torques of all arms, and detect whether they have let go.
+
+    Both are those at the estimated q and q̇ of MEMORY; wrenches are at the world's origin. Fills
+    the fields of `place_arm` and `move_arm` of the joints in WORK, among them `h` (torques of
+    velocities and gravity) and M, and the evidence of `_compare_places` and `_weigh`.
+
+    Args:
+        t: Tick.
+    """
+    model = t.model
+    memory = t.memory
+    origin_of_world = local(3)
+    twist = local(6)
+    drift = local(6)
+    outboard = local(6)  # a result of `move_arm` that is not needed
+    X = local(4, 4)  # of the object
+    fill3(origin_of_world, ZERO_3)
+    for k in range(model.n_arms):
+        place_arm(t, model.arms[k], memory.q)
+    _compare_places(t, X)
+    for k in range(model.n_arms):
+        fill(outboard, ZERO)
+        move_arm(t, model.arms[k], memory.v, origin_of_world, twist, drift, outboard)
+        _weigh(t, k, origin_of_world)
 
 
 @leaf
@@ -153,9 +167,9 @@ def _hold_rate(t, has_let_go):
     """Compute the rate ω (1/s) with which the joints of an arm are braked and held.
 
     It is `hold_rate`; with noisy encoders `_SOFTER` times that. An arm that has let go of the
-    object is braked `_FASTER` times as fast, as long as the damping 2ω takes at most a fifth of a
-    speed in each tick: its inertia is only its own, and its light joints may be fast, because until
-    then they were driven by torques for both.
+    object is braked `_FASTER` times as fast, or less so that the damping 2ω reduces a speed by at
+    most a fifth in each tick, but not slower than `hold_rate`: its inertia is only its own, and its
+    light joints may be fast, because until then they were driven by torques for both.
 
     Args:
         t: Tick.
@@ -190,8 +204,8 @@ def _command_braking(t, arm, omega):
 
 
 @inner
-def _take_share(t, arm, share, rate):
-    """Set torques, their largest steps and the commanded accelerations of an arm that brakes.
+def _set_torques(t, arm, share, rate):
+    """Set torques, their largest steps and the commanded accelerations of an arm that is braked.
 
     Fills `tau` and `step` of the motors (N m, N), and of the joints in MEMORY `acceleration`
     (rad/s², m/s²), `driven` (0) and, if braking torques are reduced, `hold` (rad, m).
@@ -252,11 +266,12 @@ def _move_alone(t, arm):
 def _move_holds(t):
     """Move the held positions of braked joints to where they are, at most by the braking distance.
 
-    Sets `hold` (rad, m) of the joints, and `settled` to SETTLED when all joints are at rest, or
-    have been braked for `_BRAKING`.
+    The braking distance |q̇| `reaction` (`way`; rad, m) is counted from the position where the hold
+    began (`begun`). Sets `hold` (rad, m) of the joints in MEMORY, and `settled`: SETTLED when all
+    joints are at rest, or have been braked for `_BRAKING`, else BRAKED.
 
     Args:
-        t: Tick.
+        t: Tick; `settled` of MEMORY is 0 in the first tick of a hold.
     """
     model = t.model
     memory = t.memory
@@ -275,7 +290,7 @@ def _move_holds(t):
 
 @inner
 def _count_holding(t):
-    """Number of arms that hold the object, without stopped arms that have let go of it.
+    """Count the arms that hold the object, without stopped arms that have let go of it.
 
     If all arms have let go (`let_go` of MEMORY), all count as holding, because contacts may carry
     the object; unless the wrist of the arm with the largest load bears more than `HEAVY` times its
@@ -309,9 +324,10 @@ def _count_holding(t):
 def _compare_places(t, X):
     """Accumulate the time for which a stopped arm places the object apart from the leader.
 
-    The leader is an arm that holds the object rigidly; an arm is apart from it by `is_apart`.
-    Updates `apart` of MEMORY (s: time in which one is, less time in which none is), and `gap` and
-    `parting` of the arms.
+    The leader is an arm that holds the object rigidly; `is_apart` determines whether an arm is
+    apart from it. Updates in MEMORY `apart` (s: time in which any arm is, less time in which none
+    is), and `gap` and `parting` of the arms. Nothing is done before a stop, for a single arm, or
+    without a leader.
 
     Args:
         t: Tick after `place_arm` of all arms.
@@ -334,24 +350,25 @@ def _compare_places(t, X):
 def _weigh(t, k, world):
     """Low-pass the load on the wrist of a stopped arm k, and detect whether it has let go.
 
-    The load f is the force by which the gripper carries the object: the reading F less weight mg
-    and inertial force ṗ of the gripper, with its momentum p. Its low-pass with the time constant T
-    = `_SHAKES`
+    The load f is the force by which the gripper carries the object: the reading F less weight and
+    inertial force of the gripper, F + m g − ṗ with its mass m, gravity g (3,; m/s²) and momentum p.
+    The low-pass of F + m g and of p with the time constant T = `_LOAD_LAG`
 
         s ← s + dt/(T + dt) (F + m g + p/T − s),   f = s − p/T
 
-    is that of F + m g − ṗ, without a difference of speeds.
+    gives the low-pass f of the load without a difference of speeds.
 
     An arm whose load is below `_LIGHT` times its share of the object's weight for `LET_GO_TIME` has
-    let go: the load of an arm that holds passes zero for a few milliseconds only, as braking shakes
-    the object. This is not revoked until the next stop as long as other arms hold the object,
-    because vibrations or errors of the sensor may look like a load later; except where encoders
-    place the arm and the object apart (`is_apart`). There `HEAVY` times the share is the bound in
+    let go: in an oscillation that braking excites, the load of an arm that holds the object passes
+    zero for a few milliseconds only. This is not revoked until the next stop as long as other arms
+    hold the object, because vibrations or errors of the sensor may look like a load later; except
+    where encoders place the arm and the object apart (`is_apart`). There `HEAVY` times the share is
+    the bound in
     both directions, because a bias of the sensor may exceed the lower one, and arms that hold a
     rigid object apart bear more; and a load below it for `_AWAY_TIME` is enough.
 
     A wrist is no evidence if motor torques contradict one of the wrists, as an error of scale,
-    range or wiring concerns all, or if its reading repeats. Fills `load` (3,; f), `weighing` (3,;
+    range or wiring may affect all, or if its reading repeats. Fills `load` (3,; f), `weighing` (3,;
     s), both in N, `light` (s of such evidence), `weighed` and `let_go` of the arm in MEMORY.
 
     Args:
@@ -367,13 +384,13 @@ def _weigh(t, k, world):
         return
     joint = t.work.joints[arm.sensor_joint]
     wrench = read_wrist(memory.wrenches[k], joint, arm.sensor, world)
-    share = model.period / (_SHAKES + model.period) if row.weighed else 1.0
+    share = model.period / (_LOAD_LAG + model.period) if row.weighed else 1.0
     if row.weighed == 0:
         row.let_go = row.holds = 0
         row.light = 0.0
     row.weighed = 1
     # the low-passed load f
-    inertial = scaled3(1.0 / _SHAKES, _gripper_momentum(t, arm))
+    inertial = scaled3(1.0 / _LOAD_LAG, _gripper_momentum(t, arm))
     force = plus3(add3(wrench, _gripper_mass(t, arm), model.gravity), inertial)
     fill3(row.weighing, add3(row.weighing, share, minus3(force, row.weighing)))
     fill3(row.load, minus3(row.weighing, inertial))
@@ -395,10 +412,10 @@ def _weigh(t, k, world):
 
 @leaf
 def _gripper_mass(t, arm):
-    """Mass of the bodies of an arm beyond its wrist sensor (kg).
+    """Add up the mass of the bodies of an arm beyond its wrist sensor (kg).
 
-    They are a part of the link of the joint `outer_joint` (`outer`), and all links beyond it, whose
-    mass is the first element of `body` of the next joint.
+    They are a part of the link of the joint `outer_joint`, with the mass `outer[0]`, and all links
+    beyond it, whose mass is the first element of `body` of the next joint.
 
     Args:
         t: Tick after `move_arm`, of which `body` of the joints is read.
@@ -431,11 +448,13 @@ def _gripper_momentum(t, arm):
 def _split_torques(t, arm, object_share, R, centre, weight):
     """Compute the torques of one arm and its share of the object, split in carrying and braking.
 
-    Fills of its joints `tau` (N m, N), which carries both at rest, and `rest`, which accelerates
-    both by `acceleration` q̈ of the joints. If the motors cannot exert the sum, `rest` is reduced
-    as a whole, or limited joint by joint if this extracts more power −restᵀq̇ from the joints, so
-    that one motor near its limit does not weaken the brakes of the others. In this case q̈ is along
-    −q̇, because the held positions follow the joints.
+    Fills of its joints `tau` (N m, N), which carries arm and object at rest, and `rest`, which
+    accelerates both by `acceleration` q̈ of the joints. If the motors cannot exert the sum, the
+    caller commands `tau` plus the returned share of `rest`, the largest one with which no motor
+    exceeds its limit, at least `_LEAST`. If it extracts more power −restᵀq̇ from the joints, `rest`
+    is replaced so that this share of it is the braking torque limited joint by joint: then one
+    motor near its limit does not weaken the brakes of the others. The power is compared by Σ Δrest
+    q̈, because q̈ is along −q̇ once the held positions follow the joints.
 
     Args:
         t: Tick.
@@ -446,7 +465,7 @@ def _split_torques(t, arm, object_share, R, centre, weight):
         weight: (6,) wrench that carries the object, at the world's origin (N, N m).
 
     Returns:
-        Share of `rest` that can be exerted.
+        Share of `rest` to be exerted (`_LEAST` … 1).
     """
     table = t.model.joints
     joints = t.work.joints
@@ -465,7 +484,7 @@ def _split_torques(t, arm, object_share, R, centre, weight):
             room = limit - carrying if brake > 0.0 else limit + carrying
             share = min(share, max(room, 0.0) / abs(brake))
     share = max(share, _LEAST)
-    # limited joint by joint instead, if this brakes more; q̈ is along −q̇, so Σ change q̈ > 0 then
+    # limited joint by joint instead, if this extracts more power: then Σ change q̈ > 0
     power_gain = 0.0
     if share < 1.0:
         for j in range(lo, arm.end):
@@ -496,7 +515,7 @@ def _clip_brake(joint, limit):
 
 @inner
 def _inertial_wrench(t, arm, object_share, R, centre):
-    """Wrench that gives a share of the object the acceleration that q̈ of an arm's joints causes.
+    """Compute the wrench that gives a share of the object the acceleration by q̈ of an arm's joints.
 
     The object is accelerated along this wrench: force = mass × acceleration, not its opposite. The
     acceleration is J q̈, where q̈ is `acceleration` and J consists of `column` (Jacobian at the
@@ -521,7 +540,8 @@ def _inertial_wrench(t, arm, object_share, R, centre):
     (x, y, z) = rotated_back(R, angular(a))  # angular acceleration along the principal axes
     I = t.model.principal  # mass, then the principal moments
     couple = scaled3(object_share, rotated(R, (I[1] * x, I[2] * y, I[3] * z)))
-    force = scaled3(object_share * I[0], velocity_at(a, centre))  # acceleration of the centre
+    # mass times the acceleration of the centre of mass; then from the centre to the world's origin
+    force = scaled3(object_share * I[0], velocity_at(a, centre))
     return join(force, plus3(couple, cross(centre, force)))
 
 

@@ -28,14 +28,18 @@ BLIND = 0.01  #: s without a sound reading after which a joint cannot be braked
 def isolate_joint(t, j):
     """Mark the faulty reading of joint j, whose position and speed contradict each other.
 
-    1. A reading that stays constant while the other one changes is faulty.
+    1. A reading that stays constant while the joint must have moved is faulty (`is_constant`, and
+       for the speed `same_speed` and `moved`).
     2. Otherwise the reading is faulty whose changes the commanded accelerations predicted with the
-       larger error, averaged over the last half second.
-    3. Speeds that the driver differentiates from positions (`derived`) follow the predictions more
-       closely than positions do; they are faulty if their error exceeds `_SPEED_SHARE` times that
-       of the position.
+       larger error, integrated with forgetting (`blame`; see `sensors`).
+    3. In place of rule 2, speeds that are estimated from positions (`derived`) are faulty if their
+       error exceeds `_SPEED_SHARE` times that of the position, because they follow the predictions
+       more closely than positions do; else the position is.
 
-    All speeds come from the same estimator, so those of all joints are marked with the first.
+    If the position is constant, joint j alone is marked; a speed that is estimated from a constant
+    position is faulty, too. Otherwise nothing is done if the joint has a mark already; and if its
+    speed is faulty, the speeds of all joints without a mark are marked, because one driver or
+    estimator returns them all.
 
     Args:
         t: Tick; `faulty` of the joints in MEMORY is changed.
@@ -78,10 +82,11 @@ def isolate_packet(t):
     """Mark all readings of joints as faulty if they are constant while motors contradict a wrist.
 
     The unexplained torque exceeds friction, so the joints must move although their readings have
-    been identical for `UNBALANCED_TIME`.
+    been identical for more than `UNBALANCED_TIME`.
 
     Args:
-        t: Tick.
+        t: Tick in which motor torques contradict a wrist (`UNBALANCED`); `still` (s of identical
+            readings) of MEMORY is read, and `faulty` of the joints changed.
     """
     memory = t.memory
     for j in range(t.model.n_joints if memory.still > UNBALANCED_TIME else 0):
@@ -90,13 +95,13 @@ def isolate_packet(t):
 
 @inner
 def isolate_posture(t):
-    """Mark all readings of a single arm as faulty if motors, wrist and encoders all disagree.
+    """Mark all readings of a single arm as faulty if its encoders contradict motors and wrist.
 
     Weights and inertia at the posture that encoders read predict the torques of the motors and the
     load of the wrist. Where motors and wrist contradict each other, the wrist is wrong if torques
     are as predicted, and something drags at the arm inboard of the wrist if the load is. If neither
-    is, the posture is wrong, by an encoder that is not known. If speeds are estimated from
-    encoders, none of the arm is sound then.
+    is as predicted, the posture is wrong; which encoder has the error is not known. If speeds are
+    estimated from encoders, no reading of the arm is sound then.
 
     The load of an arm in contact, or of one of several at an object, is not predicted: no reading
     of such arms is marked. Reads in MEMORY `residual` of the joints (torque that neither model nor
@@ -175,12 +180,14 @@ def estimate_joints(t):
     """Estimate positions and speeds of the joints (`q`, `v` of MEMORY) from sound readings.
 
     A missing or faulty position is integrated from the speed; a missing or faulty speed is
-    estimated from positions and commanded accelerations. Without either reading both are predicted,
-    and the joint cannot be braked reliably; `unbraked` of MEMORY is set to such a joint, or −1.
+    estimated from positions and commanded accelerations. Without either reading both are predicted
+    from the commands. A joint with a motor cannot be braked reliably if neither reading was sound
+    for `BLIND`; `unbraked` of MEMORY is set to the last such joint, or −1. Before the first
+    computed tick positions are those last read, and a missing or faulty speed counts as 0.
 
     Args:
-        t: Tick, of which `faulty`, `unread_q`, `unread_v`, `q`, `v` and `acceleration` of the
-            joints in MEMORY are read.
+        t: Tick, of which `faulty` (flags), `unread_q`, `unread_v` (ticks without a reading), `q`,
+            `v` (last readings) and `acceleration` (commanded) of the joints in MEMORY are read.
     """
     model = t.model
     table = model.joints
@@ -193,13 +200,14 @@ def estimate_joints(t):
         sound_v = joint.faulty & FAULTY_SPEED == 0
         new_q = sound_q and joint.unread_q == 0
         new_v = sound_v and joint.unread_v == 0
-        v = memory.v[j] + joint.acceleration * dt  # predicted by the command
+        # speed: as read; or predicted by the command, corrected by the slope of the positions
+        v = memory.v[j] + joint.acceleration * dt
         if memory.ticked == 0:
             memory.q[j] = joint.q
             v = 0.0
         if new_v:
             v = joint.v
-        elif new_q:  # follows the speed by positions, with the time constant `_SLOPE`
+        elif new_q:  # with the time constant `_SLOPE`
             slope = (joint.q - memory.q[j]) / dt
             v += (slope - v) * dt / (_SLOPE + dt)
         v = clamped(v, model.plausible_speed * table[j].rated)

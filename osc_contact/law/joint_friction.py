@@ -33,12 +33,12 @@ bound of e plus the friction that has been identified for a long time; the ident
 discarded when residuals contradict it for 50 ms. e, with g < 1 and |e| ≤ F + D |s|, is the friction
 that is not identified yet; when f reverses, a part of e along the new f is dropped. An error of the
 wrist sensor enters e, too, so e is zero as long as no friction is modelled or identified. With
-`errors` the bound is wider by 0.3 |h|, so that e also covers errors of the links' masses; and where
-friction is learned, by the prior's deviation of F until it is identified, which e replaces.
+`friction_errors` the bound is wider by 0.3 |h|, so that e also covers errors of the links' masses;
+and, if friction is learned, by the prior's deviation of F as long as it is not identified.
 
-A delayed wrench is compared with signals of the instant at which it was measured. Without learning
-θ is the model's, and without `errors` e = 0. Friction of passive joints is added to h, because they
-have no motor to compensate it.
+A delayed wrench is compared with signals of the instant at which it was measured. Without
+`friction_learning` θ is the model's; if `friction_errors` is 0, too, residuals change nothing, and
+e = 0. Friction of passive joints is added to h, because they have no motor to compensate it.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ _CERTAIN = 2.0  #: standard deviations of A that M leaves out
 #: Largest standard deviation of A, as a share of the prior's, at which motion and not the prior has
 #: determined A. Above it, errors of the model of friction made A wrong by 3.5 deviations.
 _MEASURED = 0.1
-_TAKEN_IN = 0.1  #: s in which M follows A
+_ROTOR_LAG = 0.1  #: s, time constant with which the rotor in M follows A
 _SUDDEN = 0.05  #: s; the rate of s is bounded by the speed limit divided by this
 
 _LINKS = 0.3  #: largest torque error by wrong masses, as a share of |h|
@@ -115,19 +115,23 @@ def observe_arm(t, arm, arm_work, sound, dt):
     """Update `residual` of the motors from the base to the wrist sensor of an arm.
 
     The residual (N m, N) is the torque of a motor that neither the model nor the reading of the
-    wrist explains, low-passed. All terms pass the same low-pass. Loads are averaged over this tick
-    and the last one, because the motor torques were held constant between them. Reads h, M, columns
-    and offsets of the joints and `reading` of the arm. Fills `net` of the arm, its reading less
-    weight and inertia of the bodies beyond the wrist, and the means of the joints; updates the
-    estimate of friction if it is enabled. The bodies beyond the sensor are those outboard of the
-    joint `outer_joint` (−1: none); with `filtered` they can move by themselves. `balanced` of
-    MEMORY is the number of ticks so far in which wrists were compared with motors.
+    wrist explains, low-passed. All terms pass the same low-pass, with the time constant `LAG`.
+    Loads are averaged over this tick and the last one, because the motor torques were held constant
+    between them. The bodies beyond the sensor are those that the joint `outer_joint` and the joints
+    behind it carry (−1: none); if `filtered` is 1, they can move by themselves.
+
+    Reads h, M, `column`, `outboard` and `offset` of the joints in WORK, `reading` and `bias` of the
+    arm, and `balanced` of MEMORY, the number of ticks so far in which wrists were compared with
+    motors. Fills `net` of the arm, its reading less weight and inertia of the bodies beyond the
+    wrist (at C, world axes), and of the joints in MEMORY `rate` (acceleration, low-passed; rad/s²,
+    m/s²), `past_v` and the fields of `_observe_joint`; updates the estimate of friction if it is
+    enabled (`_learn`).
 
     Args:
         t: Tick.
-        arm: ARM.
+        arm: ARM row.
         arm_work: its ARM_WORK.
-        sound: whether no fault of its wrist sensor has been detected.
+        sound: whether the arm's wrist sensor is not suspected of a fault.
         dt: time since the last computed tick (s).
     """
     work = t.work
@@ -163,8 +167,11 @@ def observe_arm(t, arm, arm_work, sound, dt):
 def _observe_joint(t, arm, j, wrench, bias, inertia_force, k, dt):
     """Update the low-passed signals `means`, `load` and `residual` of a joint with a motor.
 
-    A single wrong reading changes the residual by no more than `_OUTLIER` torque limits. Reads h, M
-    and `column` of the joint, and its former signals if wrenches are delayed.
+    `means` are the signals TORQUE … INERTIAL, low-passed, `load` is the torque of the wrist's
+    wrench in this tick. A single wrong reading changes the residual by no more than `_OUTLIER`
+    torque limits. Reads h, M and `column` of the joint in WORK, of MEMORY the rates of the arm's
+    joints and the motor's torque, and the joint's former signals if wrenches have time stamps
+    (`stamped`). Updates `past_weight`, too (torque of h less that of the bias, of the last tick).
 
     Args:
         t: Tick.
@@ -222,9 +229,10 @@ def _observe_joint(t, arm, j, wrench, bias, inertia_force, k, dt):
 def _align(t, row, signals, ticks):
     """Store the signals of this tick; return those of the instant at which the wrench was measured.
 
-    The wrench is `late` ticks older than the readings of the joints, by its time stamps. Signals
-    that are not stored, of ticks before torques and wrists were compared (`balanced`) or before the
-    wrench had stamps (`stamped`), are replaced by the oldest ones that are. `instant` counts ticks.
+    The wrench is `late` ticks older than the readings of the joints, by its time stamps. The
+    history has the signals of the last `HISTORY` ticks, but none of ticks before torques and wrists
+    were compared (`balanced`) or before the wrench had stamps (`stamped`); instead of those the
+    oldest signals are returned that are stored. `instant` of MEMORY is the number of this tick.
 
     Args:
         t: Tick.
@@ -262,8 +270,8 @@ def _learn(t, j, sound, rate, inertial, dt):
 
     Args:
         t: Tick.
-        j: joint.
-        sound: whether no fault of the arm's wrist sensor has been detected.
+        j: index of the joint.
+        sound: whether the arm's wrist sensor is not suspected of a fault.
         rate: acceleration of the joint (rad/s², m/s²).
         inertial: M q̈ − Jᵀ w_out (N m, N); both of the instant of the wrench.
         dt: time since the last computed tick (s).
@@ -279,7 +287,7 @@ def _learn(t, j, sound, rate, inertial, dt):
     if state == LEARNED or (state == SUSPECTED and t.model.friction_errors):
         aim = missing if row.unbalanced == 0.0 else 0.0  # an error of the wrist sensor is suspected
         row.unlearned += min(t.model.friction_smoothing * dt, 1.0) * (aim - row.unlearned)
-    _take_in_rotor(row, friction_row, t.model.priors[j], state == LEARNED, dt)
+    _update_rotor(row, friction_row, t.model.priors[j], state == LEARNED, dt)
     k = dt / (_SMOOTH + dt)
     _smooth_regressors(row, friction_row, rate, inertial, k)
     threshold = _MOVES * (SLIDES if t.model.joints[j].slides else 1.0)
@@ -299,11 +307,12 @@ def _learn(t, j, sound, rate, inertial, dt):
 def _note_rest(friction_row, permitted_now, threshold, is_learned, dt):
     """Update the times for which a joint rests or is stuck, and determine whether it moves.
 
-    A joint rests where it is slower than `_RESTS` times the threshold and than the share `_FOLLOWS`
-    of the speed that is permitted. It is stuck where this share exceeds the threshold, and the
-    joint is slower than the threshold: so much slower than commanded that noise of its speed, which
-    interrupts a rest, does not matter. It moves in the direction of the permitted speed where both
-    are fast enough.
+    A joint rests while it is slower than `_RESTS` times the threshold and slower than the share
+    `_FOLLOWS` of the speed that is permitted; without identified friction the permitted speed must
+    exceed the threshold, too. It is stuck while this share exceeds the threshold, and the joint is
+    slower than the threshold: so much slower than commanded that noise of its speed, which
+    interrupts a rest, does not matter. It moves if the permitted speed exceeds the threshold, and
+    it has more than the share `_FOLLOWS` of it, in the same direction.
 
     Args:
         friction_row: FRICTION of the joint, of which `smooth` (low-passed residual and regressors)
@@ -351,14 +360,15 @@ def _smooth_regressors(row, friction_row, rate, inertial, k):
 
 
 @leaf
-def _take_in_rotor(row, friction_row, prior, is_learned, dt):
+def _update_rotor(row, friction_row, prior, is_learned, dt):
     """Update `rotor`, the inertia of a joint's rotor that is in M beside the model's.
 
-    M is the joint-space inertia. `rotor` follows the certain part of the identified inertia A, with
-    `_TAKEN_IN` as time constant. Gains of forces and motions are of accelerations: a rotor that M
-    lacks reduces them all, and makes the brake of a contact weaker than its integral needs. Certain
-    is A less `_CERTAIN` standard deviations (√P_AA), once these are a small share of the prior's
-    (`doubt`). A is `theta[2]`, times the share `applied`, 0 to 1, that is phased in already.
+    M is the joint-space inertia. `rotor` (kg m², kg) follows the certain part of the identified
+    inertia A, with the time constant `_ROTOR_LAG`. Gains of forces and motions are accelerations: a
+    rotor that M lacks reduces the effect of them all, and makes the brake of a contact weaker than
+    its integral needs. The certain part is A less `_CERTAIN` standard deviations (√P_AA); it is 0
+    until the standard deviation is at most `_MEASURED` times that of the prior (`doubt`). A is
+    `theta[2]`, times the share `applied`, 0 to 1, that is phased in already.
 
     Args:
         row: JOINT_MEMORY.
@@ -373,7 +383,7 @@ def _take_in_rotor(row, friction_row, prior, is_learned, dt):
         A = friction_row.applied * friction_row.theta[2]
         doubt = _CERTAIN * deviation
         certain = A - min(max(A, -doubt), doubt)  # 0 within ±doubt, else nearer to 0 by it
-    row.rotor += dt / (_TAKEN_IN + dt) * (certain - row.rotor)
+    row.rotor += dt / (_ROTOR_LAG + dt) * (certain - row.rotor)
 
 
 @leaf
@@ -387,7 +397,7 @@ def _is_contradicted(t, j, missing, moves, dt):
 
     Args:
         t: Tick.
-        j: joint.
+        j: index of the joint.
         missing: residual less compensated friction (N m, N), of one instant.
         moves: whether the joint moves; a joint at rest may need less than Coulomb friction F.
         dt: time since the last computed tick (s).

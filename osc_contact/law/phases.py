@@ -31,7 +31,7 @@ from osc_contact.law.vectors import add, fill, minus
 OPEN, APPROACHING, CLOSED = range(3)
 SURE = 0.0025  #: s, least duration of evidence; a single wrong sample does not last so long
 _CHANGES = 0.1  #: s after a change of phase during which torques change more slowly
-_GENTLER = 0.45  #: further factor of that rate where the user names active contacts
+_GENTLER = 0.45  #: further factor of the rate of torques meanwhile, if the user names the contacts
 APPROACH_GAIN = 10.0  #: 1/s, gain K of the integral of an approach
 _SLOW = 0.25  #: share of the speed limits up to which the torque rate is reduced fully
 _RETURN = 5.0  #: 1/s, additional speed of a return per distance since the contact was lost
@@ -39,7 +39,7 @@ _SLOWED = 0.5  #: share of v_a; a contact is made once its approach is slower th
 _SOFT = 0.5  #: s of force after which a contact is made even if its approach is not slower
 _FELT = 1.5  #: largest net force of an impact, as a multiple of the measured force
 _NOISE = 0.05  #: s, time constant of the estimate of a force's noise
-_PUSHED_BACK = 2.0  #: push of an approach at rest beside closed contacts, over the force it meets
+_OVERCOME = 2.0  #: push of an approach at rest, as a multiple of the force that it certainly meets
 _GENTLE = 0.5  #: share of `force_on` with which an approach at the speed v_a accelerates
 
 
@@ -203,7 +203,7 @@ def advance_phases(t):
         contact.since = contact.since + t.work.dt if phase == last_phase else 0.0
         contact.phase = phase
         set_changes = set_changes or (phase != OPEN) != (contact.active != 0)
-        _measure_gap(t, c, last_phase, phase)
+        _integrate_gap(t, c, last_phase, phase)
     return set_changes
 
 
@@ -267,10 +267,12 @@ def _monitor_contact(t, c):
 def _certain_force(row):
     """Compute the force (N) that a column of an approached contact certainly has; may be negative.
 
-    It is the measured force less its noise, and not more than wrists alone show, nor than friction
-    of closed contacts leaves unexplained. The inertial force of an object that sticks and slips
-    follows from speeds that are estimated with a lag, so it counts only where it makes the force
-    smaller.
+    It is the force less its noise, without the inertial force of free flight (`net`), and at most
+    `_FELT` times the measured one. Beside closed contacts whose friction may hold the object
+    (`explained` > 0), it is also at most the force by the wrists alone less the part that this
+    friction explains. Of the forces by the wrists with and without the inertial force of the object
+    (`touch_read`, `touch`) the smaller one counts: for an object that sticks and slips the inertial
+    force follows from speeds that are estimated with a lag.
 
     Args:
         row: COLUMN_MEMORY, of which `net`, `force`, `noise`, `touch_read`, `touch` and `explained`
@@ -283,11 +285,11 @@ def _certain_force(row):
 
 
 @inner
-def _pushed_back(t, contact):
-    """Compute the least force (N) that all columns of an approached contact certainly have.
+def _least_certain_force(t, contact):
+    """Compute the least force (N) that certainly opposes the columns of an approached contact.
 
-    It is 0 unless there are closed contacts whose friction might hold the object (`explained` > 0
-    of all columns).
+    It is that of `_certain_force` of the column with the smallest one, at least 0; and 0 unless
+    friction of closed contacts may hold the object (`explained` > 0 of all columns).
 
     Args:
         t: Tick.
@@ -302,7 +304,7 @@ def _pushed_back(t, contact):
 
 
 @inner
-def _measure_gap(t, c, last_phase, phase):
+def _integrate_gap(t, c, last_phase, phase):
     """Integrate the distance of a contact from its face, and the time since its loss.
 
     The distance is integrated from the measured speeds of separation while the contact is
@@ -339,10 +341,16 @@ def set_goals(t):
 
     Fills of each contact in MEMORY `active` (1: in N) and the gains of the force law: `gain` K_i
     (1/s), `damping` (N s/m), `brake` κ (1/s), `least` (least command, N). The goal of an
-    approaching contact is the damping K_a (`approach_damping`, N s/m) of the speed law times the
-    speed at which it approaches (`approach_speed`, faster for one that was lost at a distance),
-    less while it still accelerates, and 0 once it has gone `travel` (m) without touching. That of a
-    closed one rises from there to the desired force within `rise` (s).
+    approaching contact is
+
+        min(K_a v_r, K_a v + `_GENTLE` F_on v_r/v_a + `_OVERCOME` F_c),
+
+    with K_a = `approach_damping` (N s/m) of the speed law, v_r (m/s) the speed at which it
+    approaches (v_a = `approach_speed`, or more for a contact that returns over the distance `gap`),
+    v its present speed (`slowest_column`), F_on = `force_on` and F_c the force that certainly
+    opposes it (`_least_certain_force`): the second term limits its acceleration. The goal is 0 once
+    the approach has lasted for `travel` (m) over v_a. That of a closed contact rises from K_a v_a
+    to the desired force within `rise` (s). A contact that can also pull keeps its desired force.
 
     Args:
         t: Tick.
@@ -370,11 +378,11 @@ def set_goals(t):
             speed = max(speed, min(speed + _RETURN * row.gap, model.return_speed))
         start = model.approach_damping * speed if pushes else goal[j]
         if is_approaching:
-            # A force little above that of the present speed limits the acceleration.
-            gentle = _GENTLE * model.force_on * speed / model.approach_speed
-            slowest = slowest_column(t, model.columns[j].contact)
-            gentle += _PUSHED_BACK * _pushed_back(t, model.columns[j].contact)
-            start = min(start, gentle + model.approach_damping * slowest)
+            # a force little above that of the present speed limits the acceleration
+            extra = _GENTLE * model.force_on * speed / model.approach_speed
+            extra += _OVERCOME * _least_certain_force(t, model.columns[j].contact)
+            present_speed = slowest_column(t, model.columns[j].contact)
+            start = min(start, extra + model.approach_damping * present_speed)
             if contact.since * model.approach_speed >= model.travel:
                 start = 0.0  # no face within `travel`: the approach ends
         risen_share = 0.0
@@ -385,10 +393,11 @@ def set_goals(t):
 
 @inner
 def slowest_column(t, contact):
-    """Smallest speed |NᵀV_rel| of the columns of a contact (m/s), low-passed or not.
+    """Find the smallest speed |NᵀV_rel| of the columns of a contact (m/s).
 
-    It determines the goal of all columns of an approached contact: if the goal of each rose with
-    its own speed, faster columns would be pushed more, and the object would turn.
+    Of each column the smaller one of the low-passed and the last measured speed counts. The result
+    determines the goal of all columns of an approached contact: if the goal of each rose with its
+    own speed, faster columns would be pushed more, and the object would turn.
 
     Args:
         t: Tick.
@@ -417,12 +426,13 @@ def max_speed_ratio(t):
 
 @inner
 def torque_rate(t, share):
-    """Largest rate of the motor torques (1/s, as a multiple of the torque limits).
+    """Compute the largest rate of the motor torques (1/s, as a multiple of the torque limits).
 
-    It is `torque_rate`; for `_CHANGES` (s) after a change of phase, and while a contact is
-    unloaded, `phase_rate`, and `_GENTLER` times that where active contacts are named. It is not
-    reduced where joints are fast, because a delayed torque would make a joint deviate from its
-    path: in between it rises with the inverse square of the remaining share of the speed limit.
+    It is `torque_rate`. For `_CHANGES` (s) after a change of phase, and while a contact is
+    unloaded, it is reduced to `phase_rate`, times `_GENTLER` if the user names the active contacts;
+    each over x², but not more than `torque_rate`, where x falls from 1 at the share `_SLOW` of the
+    speed limits to 0 at the limit: a delayed torque would make fast joints deviate from their
+    paths.
 
     Args:
         t: Tick.
@@ -430,16 +440,16 @@ def torque_rate(t, share):
     """
     model = t.model
     rate = model.torque_rate
-    slow = min((1.0 - share) / (1.0 - _SLOW), 1.0)  # 1 up to the share `_SLOW`, 0 at the limit
-    gently = model.phase_rate
+    x = min((1.0 - share) / (1.0 - _SLOW), 1.0)
+    reduced_rate = model.phase_rate
     if t.memory.chosen_set:
-        gently *= _GENTLER
-    changes = model.phased or t.memory.chosen_set
-    if changes and slow > 0.0:
+        reduced_rate *= _GENTLER
+    has_phases = model.phased or t.memory.chosen_set
+    if has_phases and x > 0.0:
         for c in range(model.n_contacts):
             contact = t.memory.contacts[c]
             if contact.since < _CHANGES or contact.unloading > 0.0:
-                rate = min(rate, gently / (slow * slow))
+                rate = min(rate, reduced_rate / (x * x))
     return rate
 
 
@@ -447,8 +457,9 @@ def torque_rate(t, share):
 def limit_changes(t, has_last):
     """Limit the change of the motor torques since the last tick to the torque rate.
 
-    The rate (1/s) is a multiple of each motor's torque limit, and depends on the speeds of joints.
-    Changes `tau` (n_a,; N m, N) of WORK, and stores it as `torques` in MEMORY.
+    The rate (1/s) of `torque_rate` is a multiple of each motor's torque limit. Changes `tau` (n_a,;
+    N m, N) of WORK, and stores it as `torques` in MEMORY; fills `step` (n_a,; N m, N), the largest
+    changes of the motors in this tick.
 
     Args:
         t: Tick.
@@ -457,7 +468,7 @@ def limit_changes(t, has_last):
     work = t.work
     model = t.model
     rate = torque_rate(t, max_speed_ratio(t))
-    for j in range(model.n_joints):  # `step`: largest changes of the motors in this tick (N m, N)
+    for j in range(model.n_joints):
         motor = model.joints[j].motor
         if motor >= 0:
             work.step[motor] = rate * model.period * model.joints[j].tau_max

@@ -1,9 +1,10 @@
 """Plausibility of readings and reference before a tick is computed.
 
-A tick is not computed (see `safety`) if the reference pose is not a rotation matrix, if a wrench
-exceeds the range of its sensor or is too old, if a packet arrives out of order, if a joint moves or
-changes its speed faster than possible, if two joints exchange their positions, or if speeds are
-estimated from encoders far noisier than expected.
+A tick is not computed (see `safety`) if speeds are estimated from encoders far noisier than
+expected, if the reference pose has no rotation matrix, if readings are too old or a wrench exceeds
+the range of its sensor, if a packet arrives out of order, if the position of a joint jumps or is
+exchanged with that of another joint, if a joint is read faster than possible, or if the speeds of
+several joints jump or are exchanged.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ NOISY_ENCODERS = declare_reason(
     "shields",
 )
 
-_ROUND = 1e-4  #: largest deviation of R Rᵀ from the identity
+_ROUND = 1e-4  #: bound of the elements of R Rᵀ − 1
 _NOISE = 0.02  #: rad, m, largest change of a position that never counts as a jump
 _SLIGHT = 0.2  #: share of `speed_error` by which exchanged speeds differ at least
 _EXCHANGED = 1e-3  #: rad, m, least difference of two positions whose exchange is detected
@@ -80,18 +81,29 @@ _SAME = 0.2  #: share of this difference within which a reading is attributed to
 
 @inner
 def check_readings(t):
-    """Check the plausibility of readings and reference; return the first reason that applies.
+    """Check the plausibility of readings and reference before a tick is computed.
 
-    NO_ROTATION: X_WD is no pose. WRENCH_TIMEOUT, STALE: no wrench, or no new reading, for longer
-    than `wrench_timeout` (s). OUT_OF_RANGE: a wrist reads more than its sensor's range.
-    OUT_OF_ORDER: the packet is older than the last one. JUMPED, SPEEDS_JUMPED: a speed above
-    `plausible_speed` times its limit, a position that jumps, or speeds of several joints that do.
+    They are, in their order:
 
-    Reads INPUT, and in MEMORY `wrench_missing`, `repeated` (flags of repeated readings) and ages of
-    readings (ticks). Fills `culprit` (joint or arm), and `looked` of WORK once jumps were searched.
+    1. NOISY_ENCODERS: speeds are estimated from encoders far noisier than expected.
+    2. NO_ROTATION: the first 3×3 block of X_WD is not a rotation matrix.
+    3. WRENCH_TIMEOUT: this tick has no wrench, and none was read for `wrench_timeout` (s) or ever;
+       or OUT_OF_RANGE: a wrist reads more than its sensor's range.
+    4. OUT_OF_ORDER: the packet is older than the last one.
+    5. STALE: joints or wrists have no new readings for longer than `wrench_timeout`.
+    6. JUMPED: a speed is above `plausible_speed` times the rated one, or a position jumps or is
+       exchanged (`find_jumps`).
+    7. SPEEDS_JUMPED: the speeds of several joints do.
+
+    Reads INPUT, and in MEMORY `derived`, `wrench_missing`, `has_wrench`, `repeated` (flags of
+    repeated readings) and ages of readings (ticks). Fills `culprit` (joint or arm), and `looked` of
+    WORK (1 once `find_jumps` was called in this tick).
 
     Args:
         t: Tick.
+
+    Returns:
+        The first reason that applies, or `NO_REASON`.
     """
     model = t.model
     table = model.joints
@@ -132,10 +144,13 @@ def check_readings(t):
 def find_jumps(t):
     """Detect jumps of positions and speeds in this packet; must be called once in each tick.
 
-    Fills `jumps`, `jumped`, `speed_jumps` and `speed_jumped` of WORK, `barred` of the joints
-    (NOT_BARRED, JUMP or EXCHANGED), and `mixed`, the time (s) for which positions or speeds of
-    several joints have jumped. Only the reading of a joint that jumps alone is discarded. Without a
-    new or a former reading nothing is detected.
+    Fills `jumps` and `speed_jumps` of WORK (numbers of joints whose positions or speeds jump),
+    `jumped` and `speed_jumped` (one of these joints), and in MEMORY `barred` of the joints
+    (NOT_BARRED, JUMP or EXCHANGED) and `mixed`, the time (s) for which several joints have jumped,
+    over packets in which no position was read, too. If the joints have no new readings, or were
+    never read before, no jumps are counted and MEMORY remains unchanged. `sensors` discards the
+    position of a joint that jumps alone, the whole packet if several positions jump, and all its
+    speeds if several speeds do.
 
     Args:
         t: Tick.
@@ -169,7 +184,7 @@ def find_jumps(t):
             n_deviating += 1
     # without jumps of several joints, readings of pairs of joints may still be exchanged
     if n_deviating > 1 and work.jumps < 2:
-        _find_exchange(t, n_deviating)
+        _find_exchanged_positions(t, n_deviating)
     if n_speeds_deviating > 1 and work.speed_jumps < 2:
         _find_exchanged_speeds(t, n_speeds_deviating)
     several_jump = max(work.jumps, work.speed_jumps) > 1
@@ -195,13 +210,14 @@ def _expected(t, j):
 
 @leaf
 def _judge_position(t, j, position):
-    """Return whether the position read of joint j is credible, a jump, or another joint's.
+    """Judge whether the position read of joint j is credible, a jump, or that of another joint.
 
     A credible joint jumps if it has moved farther since its position was last read than it can at
-    `plausible_speed` times its rated speed. A joint that has jumped is credible again once its
-    reading is that near to the estimated position of the last tick, and not to its last reading,
-    which would become plausible with time. A joint whose reading `_find_exchange` has attributed to
-    another one is credible again once the reading is near its prediction.
+    `plausible_speed` times its rated speed. A joint that has jumped is compared with the estimated
+    position of the last tick instead, with the distance of one period: its last reading would
+    permit a larger distance with each tick without a reading, until any position were plausible. A
+    joint whose reading `_find_exchanged_positions` has attributed to another one is credible again
+    once the reading is within half of `_EXCHANGED` of its prediction.
 
     Args:
         t: Tick, of which `barred` (state of the joint in the last tick), `q` (position last read;
@@ -228,29 +244,29 @@ def _judge_position(t, j, position):
 
 
 @inner
-def _find_exchange(t, n_deviating):
-    """Detect pairs of joints whose position readings are exchanged.
+def _find_exchanged_positions(t, n_deviating):
+    """Detect pairs of joints whose position readings are exchanged (`_are_exchanged`).
 
-    Of such a pair each position is near the one predicted for the other joint, which need not be a
-    jump of either. Very noisy encoders may look exchanged by chance; then further joints deviate,
-    and no exchange is reported. Fills `barred` (EXCHANGED) of the joints, and `jumps` (2) and
-    `jumped` of WORK.
+    An exchange need not be a jump of either joint. Very noisy encoders may look exchanged by
+    chance; then further joints deviate, and no exchange is reported. Fills `barred` (EXCHANGED) of
+    the joints in MEMORY; of WORK `jumps` (2, also for several pairs) and `jumped` (one of the
+    joints).
 
     Args:
         t: Tick.
         n_deviating: number of joints whose positions deviate from their predictions.
     """
     n = t.model.n_joints
-    n_crossed = 0  # number of joints in such pairs, compared with that of deviating joints
+    n_exchanged = 0  # number of joints in such pairs, compared with that of deviating joints
     for i in range(n):
         for j in range(i):
-            if _cross(t, i, j):
-                n_crossed += 2
-    if n_crossed != n_deviating:
+            if _are_exchanged(t, i, j):
+                n_exchanged += 2
+    if n_exchanged != n_deviating:
         return
     for i in range(n):
         for j in range(i):
-            if _cross(t, i, j):
+            if _are_exchanged(t, i, j):
                 t.memory.joints[i].barred = EXCHANGED
                 t.memory.joints[j].barred = EXCHANGED
                 t.work.jumps = 2
@@ -258,7 +274,7 @@ def _find_exchange(t, n_deviating):
 
 
 @leaf
-def _cross(t, i, j):
+def _are_exchanged(t, i, j):
     """Determine whether the position readings of two joints are exchanged.
 
     Each is then near the position predicted for the other joint, and farther than `_EXCHANGED` from
@@ -289,15 +305,15 @@ def _is_near_other(x, y, expected_x, expected_y):
 def _find_exchanged_speeds(t, n_deviating):
     """Detect pairs of joints whose speed readings are exchanged.
 
-    Of such a pair each speed is near the one predicted for the other joint, and both have changed.
+    In such a pair each speed is near the one predicted for the other joint, and both have changed.
     If further joints deviate, the speeds are only noisy, and nothing is reported. Fills of WORK
-    `speed_jumps` (2) and `speed_jumped` (one of the joints).
+    `speed_jumps` (2, also for several pairs) and `speed_jumped` (one of the joints).
 
     Args:
         t: Tick.
         n_deviating: number of joints whose speeds deviate from their predictions.
     """
-    n_crossed = 0
+    n_exchanged = 0
     last_found = 0
     for i in range(t.model.n_joints):
         for j in range(i):
@@ -305,9 +321,9 @@ def _find_exchanged_speeds(t, n_deviating):
             x = t.input.v[i]
             y = t.input.v[j]
             if both_change and _is_near_other(x, y, _expected_speed(t, i), _expected_speed(t, j)):
-                n_crossed += 2
+                n_exchanged += 2
                 last_found = j
-    if n_crossed == n_deviating:
+    if n_exchanged == n_deviating:
         t.work.speed_jumps = 2
         t.work.speed_jumped = last_found
 
@@ -328,9 +344,9 @@ def _expected_speed(t, j):
 
 @leaf
 def _speed_room(t, j):
-    """Compute the change of a joint's speed from which on it counts as a jump.
+    """Compute the largest change of a joint's speed that does not count as a jump.
 
-    It is `speed_error` times the speed limit, for each tick since the position was last read.
+    It is `speed_error` times the speed limit, and as much again for each tick without a position.
 
     Args:
         t: Tick.
@@ -347,8 +363,8 @@ def _speed_room(t, j):
 def _changes_speed(t, j):
     """Determine whether the speed of a joint differs from the last and from the predicted one.
 
-    Differences below `_SLIGHT` times a jump are attributed to noise. Speeds that are estimated from
-    positions are not checked, because they jump together with the positions.
+    Differences up to `_SLIGHT` times `_speed_room` are attributed to noise. Speeds that are
+    estimated from positions are not checked, because they jump together with the positions.
 
     Args:
         t: Tick.
@@ -363,10 +379,10 @@ def _changes_speed(t, j):
 
 @leaf
 def _speed_jumps(t, j):
-    """Determine whether a joint's speed is far out of the range from last to commanded speed.
+    """Determine whether a joint's speed is far out of the range from last to predicted speed.
 
-    The last speed is permitted because a joint that is blocked, or whose motor is weak, changes its
-    speed less than commanded.
+    It is so if it is outside by more than `_speed_room`. The last speed is in the range because a
+    joint that is blocked, or whose motor is weak, changes its speed less than commanded.
 
     Args:
         t: Tick.
@@ -374,11 +390,11 @@ def _speed_jumps(t, j):
     """
     room = _speed_room(t, j)
     last_speed = t.memory.v[j]
-    commanded_speed = _expected_speed(t, j)
+    predicted_speed = _expected_speed(t, j)
     speed = t.input.v[j]
     return (
-        speed < min(last_speed, commanded_speed) - room
-        or speed > max(last_speed, commanded_speed) + room
+        speed < min(last_speed, predicted_speed) - room
+        or speed > max(last_speed, predicted_speed) + room
     )
 
 
@@ -401,7 +417,7 @@ def exceeds_range(t, k):
 def _is_rotation(X):
     """Determine whether the first 3×3 block R of X is a rotation matrix.
 
-    R Rᵀ = 1 must hold within `_ROUND`, and det R > 0. R is compared by rows.
+    Each element of R Rᵀ − 1 must be below `_ROUND`, and det R > 0. The rows of R are compared.
 
     Args:
         X: at least (3, 3), such as a pose.

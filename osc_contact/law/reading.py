@@ -459,7 +459,8 @@ def _sum_friction_errors(t, columns_depend):
     force beyond the modelled friction is β_j = C_jT_jᵀR⁻¹(f − Hα) (3,; N) with the covariance C_j
     (3, 3; N²) of tangential forces, the map T_j (6, 3) from a force at the contact to the reading,
     and R⁻¹(f − Hα) (6,) in `reading_rest`, the weighted part of the reading that contact forces α
-    along N do not explain. As n_jᵀs_j = 0 for the normal n_j, C_j of `_likely_errors` gives
+    with their modelled friction do not explain. As n_jᵀs_j = 0 for the normal n_j, C_j of
+    `_likely_errors` gives
 
         s_jᵀC_j = w_j² variance_j s_jᵀ,   variance_j = σ_t² + (σ_s² − σ_t²)|s_j|²
 
@@ -598,15 +599,19 @@ def _sum_tangential(t, f_t, accelerations):
 
 @inner
 def _find_tangential(t, column, index, last_force):
-    """Low-pass the tangential force β of a contact that the identified friction does not explain.
+    """Low-pass the tangential force of a contact beyond the friction that is assumed in α.
 
-        β = C TᵀR⁻¹(f − Hα),   C = w²(σ_t²(1 − n nᵀ) + (σ_s² − σ_t²) s sᵀ)
+    Its value β (3,; N) of this tick is, by the least squares of `weigh_magnitudes`,
 
-    T (6, 3) is the reading of a force at the contact, R⁻¹(f − Hα) (6,) = `reading_rest` the
-    weighted part of the reading that contact forces α along N do not explain, and C (3, 3; N²) the
-    covariance of tangential forces, with the typical force w (N), normal n and direction of slip s
-    (3,), and typical coefficients of friction σ_s = `_ALONG` and σ_t = `_ACROSS` along and across
-    it. Reads `goal` and `reading_rest`; fills `tangential` of the column (3,; N, world axes).
+        β = C TᵀR⁻¹(f − Hα),   C = w²(σ_t²(1 − n nᵀ) + (σ_s² − σ_t²) s sᵀ),
+
+    and `tangential` follows β with the time constant `_TANGENTIAL_LAG`. R⁻¹(f − Hα) (6,) =
+    `reading_rest` is the weighted part of the wrist readings that the measured contact forces α do
+    not explain, each of which acts with its friction by the identified coefficient. T (6, 3) is the
+    reading of a force at the contact, C (3, 3; N²) the covariance of tangential forces, with the
+    typical force w (N), the normal n (3,), the direction of slip s (3,), which is across n, and the
+    typical coefficients of friction σ_s = `_ALONG` along the slip and σ_t = `_ACROSS` across it.
+    Reads `goal`, `reading_rest` and `dt`; fills `tangential` of the column (3,; N, world axes).
 
     Args:
         t: Tick.

@@ -83,13 +83,15 @@ _OVERFORCE = 3.0  #: multiple of its command above which a contact is overloaded
 
 @leaf
 def watch_joints(t):
-    """Return a reason if a joint is too fast for too long, or cannot stop before its end stop.
+    """Return a reason if a joint is too fast for too long, or can just be stopped before its end.
 
     The stopping distance of a joint with the speed q̇ is |q̇|(t_r + |q̇|/(2a)), where t_r =
     `reaction` is the time until the brakes act and a the deceleration of the stop (1/(2a) =
     `brake`). Joints beyond the end of their range are excluded, because braking cannot keep them in
-    it. Reads q and v of INPUT. Updates `overspeed` (weighted ticks) and `ending` (s) of MEMORY;
-    fills `culprit`.
+    it. Reads q and v of INPUT. Updates in MEMORY `overspeed` (ticks above a speed limit, weighted
+    with 1 + `_FASTER` (|q̇|/q̇_max − 1) of the fastest joint, less ticks below all limits) and
+    `ending` (s in which a stopping distance exceeds the way to the end, less s in which none does);
+    fills `culprit` (index of the joint) if a reason is returned.
 
     Args:
         t: Tick.
@@ -131,25 +133,32 @@ def watch_joints(t):
 
 @inner
 def watch_contacts(t):
-    """Return a reason if a contact takes too much power, is lost, or is overloaded.
+    """Return a reason if a contact is lost, is overloaded, or takes too much power.
 
-    The power is Σ α_k v_k over the contacts k that are pressed and move into their faces, with the
-    measured force α_k (N) and the speed v_k = (NᵀV_rel)_k (m/s). A contact is lost (or its sensor
-    is faulty) if less than `_SHARE` times its command is measured or if its force integral is at
-    its bound; with contact phases, if it is not regained within `regain_time`. A column without a
-    command, such as one of a hole that holds a peg at zero force, has no force to lose: its
-    integral is at its bound where a force remains that the bound cannot cancel, for example at a
-    wedged peg. A contact is overloaded above `_OVERFORCE` times its command or above
-    `contact_force`, whichever is larger.
+    Each kept column of N counts as a contact. It is lost (or a sensor is faulty) after
+    `contact_loss_time` in which
 
-    Reads `alpha_meas`, `alpha_d` and `speed`. Updates in MEMORY `underforce` and `overforce` (s) of
-    the columns, and `powered` (s); fills `culprit`.
+    - without contact phases less than `_SHARE` times a command above `_LIGHT` is measured, or
+    - its force integral is within 1 % of its bound (`_FULL`), if a force is commanded. A column
+      without a command, such as one of a hole that holds a peg at zero force, has no force to lose:
+      its integral is at the bound where a force remains that the bound cannot cancel, for example
+      at a wedged peg;
+
+    with contact phases also if it is not regained within `regain_time`. This time counts only in
+    the state RUN or while ticks are missing. It is overloaded after `overforce_time` above
+    `_OVERFORCE` times its command or above `contact_force`, whichever is larger. The power Σ α_k
+    v_k is summed over the columns k that are pressed and move into their faces, with the measured
+    force α_k (N) and the speed v_k = (NᵀV_rel)_k (m/s).
+
+    Reads `alpha_meas`, `alpha_d`, `speed` and the force integrals `force_sum`. Updates in MEMORY
+    `underforce` and `overforce` (s) of the columns, and `powered` (s); fills `culprit` (index of
+    the column) if a contact is lost or overloaded.
 
     Args:
         t: Tick.
 
     Returns:
-        `NO_REASON`, `CONTACT_LOST`, `OVERFORCE` or `POWERED`.
+        `CONTACT_LOST` or `OVERFORCE` of the first column with either, `POWERED`, or `NO_REASON`.
     """
     model = t.model
     work = t.work
@@ -202,15 +211,18 @@ _RECENT = 0.5  #: s, time constant of the share of ticks that are not computed
 
 @inner
 def guard(t, reason):
-    """Update the state of the controller, and compute torques of a tick that was not computed.
+    """Check sensors, update the controller's state, and compute torques if the law could not.
 
-    These are the torques of the last tick in the state DEGRADED, or as long as joints were never
-    read; else those of `hold_posture`. Updates of MEMORY the ages of readings, `missed` (share of
-    ticks that were not computed), `state`, `cause`, and the counts that belong to them.
+    Sensors are checked and joint states estimated from sound readings in every tick. Of a tick that
+    was not computed the torques are those of the last tick, in the state DEGRADED or as long as
+    joints were never read; else those of `hold_posture`. Updates in MEMORY the ages of readings,
+    the evidence of sensor faults, q and v, `missed` (share of ticks that were not computed),
+    `state`, `cause`, and the counts that belong to them; fills `tau` of WORK in a tick that was not
+    computed.
 
     Args:
         t: Tick.
-        reason: reason of the tick so far, NO_REASON if it was computed.
+        reason: reason why the tick was not computed; NO_REASON if it was.
 
     Returns:
         The same reason.
@@ -247,7 +259,8 @@ def guard(t, reason):
 def _note_computed(t, sensor_reason):
     """Update counts and state after a computed tick: RUN or DEGRADED, or a stop by a sensor fault.
 
-    The torques of this tick are valid in any case; a stop begins with the next one.
+    The state is RUN if the status is OK or HOPPING and the tick had wrenches. The torques of this
+    tick are commanded in any case; a stop changes those of the next one.
 
     Args:
         t: Tick.
@@ -258,7 +271,8 @@ def _note_computed(t, sensor_reason):
     memory.gap = 0
     _note_accelerations(t)
     memory.has_wrench = 1
-    if work.status != SATURATED:  # a saturated tick is counted when `limits` has finished it
+    # a saturated tick is counted by `saturation.settle`; after it no torques are repeated
+    if work.status != SATURATED:
         count_computed(t)
     memory.repeats = t.model.repeats if work.status != SATURATED else 0
     is_ok = work.status == OK or work.status == HOPPING
@@ -273,9 +287,12 @@ def _note_computed(t, sensor_reason):
 def _choose_state(t, reason, sensor_reason):
     """Choose the state of the controller after a tick that was not computed.
 
-    DEGRADED for the first few ticks, in which torques are repeated; then HOLD; SAFE_STOP after too
-    many such ticks, or for a reason that lasts. A stop lasts until a reset. Updates `faults`,
-    `lost` and `cause` of MEMORY.
+    It is DEGRADED for the first `repeats` ticks, in which torques are repeated; then HOLD. It is
+    SAFE_STOP after `fault_ticks` such ticks, less computed ones since, or at once for a cause that
+    cannot pass by itself (≥ `LASTING`). A stop lasts until a reset. The cause is the sensor fault
+    if there is one, else MISSED if more than `missed_share` of the last ticks were not computed,
+    else the reason of the tick. Updates `faults`, `lost` and `cause` of MEMORY, except while
+    stopped.
 
     Args:
         t: Tick.
@@ -301,7 +318,10 @@ def _choose_state(t, reason, sensor_reason):
 
 @inner
 def _note_accelerations(t):
-    """Store the commanded accelerations, and `driven` of joints with constant positions.
+    """Store the commanded accelerations of a computed tick, and which joints must move by them.
+
+    Fills of the joints in MEMORY `acceleration` (rad/s², m/s²) and `driven`: 1 if the position is
+    constant although dry friction cannot hold the joint against the command.
 
     Args:
         t: Tick.
@@ -318,10 +338,12 @@ def _note_accelerations(t):
 
 @leaf
 def count_computed(t):
-    """Reset the count of consecutive faults after a computed tick, and reduce `lost` by one.
+    """Reset the count of consecutive ticks that were not computed, and reduce `lost` by one.
+
+    `lost` counts ticks that were not computed less computed ones, at least 0.
 
     Args:
-        t: Tick.
+        t: Tick that was computed; `faults` and `lost` of MEMORY are changed.
     """
     memory = t.memory
     memory.faults = 0
@@ -332,7 +354,7 @@ def count_computed(t):
 def _enter(t, state):
     """Set the state of the safety layer, and reset what belongs to a change of state.
 
-    `age` of MEMORY counts the ticks in the state. On the way from an active state to HOLD or
+    `age` of MEMORY counts the ticks in the state. At a change from RUN or DEGRADED to HOLD or
     SAFE_STOP the holds are no longer settled, the load of each arm is weighed anew, and the gaps
     between arms count as not measured: their next change is not that of a single tick.
 

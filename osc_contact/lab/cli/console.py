@@ -143,9 +143,15 @@ def load_program(name: str) -> ModuleType:
 
 @contextmanager
 def exit_codes() -> Iterator[None]:
-    """Turn errors of the block into exit codes and messages without a traceback.
+    """Turn expected errors of the block into a message on stderr and an exit code.
 
-    1: the run failed; 2: bad input or a missing extra.
+    The code is 1 if the plant failed in a run (`PlantError`); it is 2 for every other
+    `OscContactError`, for an `OSError`, such as a file that cannot be read, and for a package of an
+    extra that is not installed, also if that was the cause of a `PlantError`. All other errors are
+    raised unchanged, with their traceback, among them an `ImportError` that is not of an extra.
+
+    Raises:
+        Exit: with the code, in place of an expected error.
     """
     try:
         yield

@@ -109,13 +109,17 @@ def controller_of(task: Insertion, plan: Plan, robot: InsertionRobot) -> Control
 def controller_for(
     model: ClosedChain, pairs: Mapping[str, ContactPair], plan: Plan, robot: TaskRobot
 ) -> Controller:
-    """Controller of the contacts that a plan names, with default safety but for its ceilings.
+    """Make the controller of the contacts that a plan names; those that push are open at first.
+
+    Gains are `GAINS`, the metric of the motion filter is `METRIC`. Joint friction is identified,
+    and compensated together with errors of the links' masses. The forces of contacts and wrists
+    stop the arms above `LARGEST`; other settings have their default values.
 
     Args:
         model: modelled arms and object.
-        pairs: contact pairs by name.
-        plan: plan that names the contacts.
-        robot: robot at rest at the start.
+        pairs: contact pairs by name; those that the plan does not name are left out.
+        plan: plan that names the contacts; their order is that of the columns of N.
+        robot: robot at rest at the start, whose joint positions are the desired posture.
     """
     return Controller(
         model,
