@@ -147,20 +147,43 @@ def test_no_pair_of_reason_and_cause_is_without_a_sentence(case, held):
 
 @parametrize("fault", FAULTS)
 def test_the_robot_is_stopped_with_a_reason_in_the_tick_that_finds_the_fault(case, fault):
-    """Although its torques still are those of the law."""
+    """The check before the start, in which this tick would be refused, is left out."""
     controller = prepared(case, fault)
     robot = Robot(case.measurement)
-    osc.run_loop(robot, controller, [case.reference] * 5)
+    osc.run_loop(robot, controller, [case.reference] * 5, check=False)
     assert robot.calls[0][0] == "stop" and len(robot.stops) == 2 and robot.stops[1] == ""
     assert first_words(FAULTS[fault][0]) in robot.stops[0]
     assert at_fault(case, fault) in robot.stops[0]
+
+
+@parametrize("fault", FAULTS)
+def test_the_torques_of_the_tick_that_finds_a_fault_are_not_those_of_the_law(case, fault):
+    """They brake the arms, whatever the reference; of a sound tick they follow it."""
+    accelerated = replace(case.reference, A_D=case.reference.A_D + [0.1, 0, 0, 0, 0, 0])
+    for found, controllers in (
+        (True, [prepared(case, fault) for _ in range(2)]),
+        (False, [case.controller() for _ in range(2)]),
+    ):
+        tau, tau_accelerated = (
+            controller.tick(case.measurement, reference).copy()
+            for controller, reference in zip(
+                controllers, [case.reference, accelerated], strict=True
+            )
+        )
+        assert np.array_equal(tau, tau_accelerated) == found
+        assert {controller.state is SAFE_STOP for controller in controllers} == {found}
+
+
+def test_a_fault_known_beforehand_is_refused_at_the_start(case):
+    with raises(osc.InvalidInputError, match="the encoder of joint"):
+        osc.run_loop(Robot(case.measurement), prepared(case, "stuck"), [case.reference] * 5)
 
 
 def test_a_dead_packet_stops_with_the_request_for_brakes_at_once(case):
     controller = prepared(case, "stuck")
     controller.records.memory.still = 1.0  # s for which joints read the very same
     robot = Robot(case.measurement)
-    osc.run_loop(robot, controller, [case.reference] * 5)
+    osc.run_loop(robot, controller, [case.reference] * 5, check=False)
     assert len(robot.stops) == 2 and "engage the mechanical brakes" in robot.stops[0]
     assert robot.stops[0].endswith("See why, then call reset()")
 
@@ -171,7 +194,7 @@ def test_brakes_are_requested_once_more_where_they_are_needed_after_the_stop(cas
     m = case.measurement
     blind = replace(m, q=m.q * np.nan, v=m.v * np.nan)
     robot = Robot(*[m] * 5, *[blind] * 40)
-    osc.run_loop(robot, controller, [case.reference] * 45)
+    osc.run_loop(robot, controller, [case.reference] * 45, check=False)
     first, request, end = robot.stops
     assert "brakes" not in first and "the wrist of arm" in first
     assert "engage the mechanical brakes" in request and "the wrist of arm" in request
@@ -182,10 +205,10 @@ def test_brakes_are_requested_once_more_where_they_are_needed_after_the_stop(cas
 
 @parametrize("fault", FAULTS)
 def test_a_recording_has_the_moment_and_the_reason_of_the_stop(case, fault):
-    """In whose tick the torques still are those of the law."""
     controller = prepared(case, fault)
     recorder = Recorder(controller)
-    osc.run_loop(Robot(case.measurement), controller, [case.reference] * 3, recorder=recorder)
+    references = [case.reference] * 3
+    osc.run_loop(Robot(case.measurement), controller, references, recorder=recorder, check=False)
     first = recorder.recording().meta["first_reason"]
     assert first.startswith(f"at 0.000 s: {first_words(FAULTS[fault][0])}")
 

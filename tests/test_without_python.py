@@ -412,7 +412,7 @@ def test_every_reason_has_a_sentence(library):
 def test_the_tick_of_a_stop_gives_its_cause_and_the_joint_that_needs_its_brake(
     library, tmp_path, fault
 ):
-    """A fault found after a tick whose torques still are those of the law."""
+    """The tick is held: its torques are not those of the law."""
     rig = rig_of("two_contact_rod")
     plant, controller = start(rig)
     m, r = plant.measure(), rig.references.at(0.0)
@@ -426,7 +426,7 @@ def test_the_tick_of_a_stop_gives_its_cause_and_the_joint_that_needs_its_brake(
         memory.still = 1.0 * (fault == "packet")
     c, handle = created(library, tmp_path, controller)
     first, later = (tick_in_both(c, handle, controller, m, r) for _ in range(2))
-    assert (first.status, first.state) == (osc.Status.OK, osc.SafetyState.SAFE_STOP)
+    assert (first.status, first.state) == (osc.Status.HELD, osc.SafetyState.SAFE_STOP)
     assert later.reason == CODES["STOPPED"]
     for out in (first, later):
         assert out.cause == CODES["WRIST_FROZEN" if fault == "wrist" else "STUCK"]

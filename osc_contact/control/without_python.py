@@ -270,10 +270,10 @@ def _layout_header() -> str:
         lines += [f"#define {name}_{table} {kind.start(table)}" for table in kind.tables]
     words = len(records.MEMORY.tables) + len(records.MEMORY.counts)
     numbers = {
-        "LOOK": tick.LOOK,
-        "ALLOCATE": tick.ALLOCATE,
-        "END": tick.END,
-        "HAND_OVER": tick.HAND_OVER,
+        "LOOK": records.LOOK,
+        "ALLOCATE": records.ALLOCATE,
+        "END": records.END,
+        "HAND_OVER": records.HAND_OVER,
         "MOVING": tick.MOVING,
         "COMMANDED": tick.COMMANDED,
         "MEMORY_LAYOUT_WORDS": words,

@@ -25,7 +25,7 @@ from osc_contact.law.records import (
     SATURATED,
     WRISTS,
 )
-from osc_contact.law.sensors import check_sensors, exceeds_dry_friction, stop_at_once
+from osc_contact.law.sensors import exceeds_dry_friction, stop_at_once
 
 OVERSPEED = declare_reason(
     "OVERSPEED",
@@ -210,30 +210,26 @@ _RECENT = 0.5  #: s, time constant of the share of ticks that are not computed
 
 
 @inner
-def guard(t, reason):
-    """Check sensors, update the controller's state, and compute torques if the law could not.
+def guard(t, reason, sensor_reason):
+    """Update the controller's state, and compute torques if the law could not.
 
-    Sensors are checked and joint states estimated from sound readings in every tick. Of a tick that
-    was not computed the torques are those of the last tick, in the state DEGRADED or as long as
-    joints were never read; else those of `hold_posture`. Updates in MEMORY the ages of readings,
-    the evidence of sensor faults, q and v, `missed` (share of ticks that were not computed),
-    `state`, `cause`, and the counts that belong to them; fills `tau` of WORK in a tick that was not
-    computed.
+    Joint states are estimated from sound readings in every tick. Of a tick that was not computed
+    the torques are those of the last tick, in the state DEGRADED or as long as joints were never
+    read; else those of `hold_posture`. Updates in MEMORY the ages of readings, q and v, `missed`
+    (share of ticks that were not computed), `state`, `cause`, and the counts that belong to them;
+    fills `tau` of WORK in a tick that was not computed.
 
     Args:
-        t: Tick.
+        t: Tick after `check_sensors`.
         reason: reason why the tick was not computed; NO_REASON if it was.
-
-    Returns:
-        The same reason.
+        sensor_reason: reason of `check_sensors`, or NO_REASON.
     """
     model = t.model
     memory = t.memory
     memory.wrench_age = memory.wrench_age + 1 if memory.wrench_missing else 0
     memory.old_joints = memory.old_joints + 1 if memory.repeated & JOINTS else 0
     memory.old_wrists = memory.old_wrists + 1 if memory.repeated & WRISTS else 0
-    # faults of sensors, and the state of the joints from sound readings
-    sensor_reason = check_sensors(t)
+    # the state of the joints from sound readings
     if reason == UNBALANCED:
         isolate_packet(t)
         isolate_posture(t)
@@ -242,8 +238,8 @@ def guard(t, reason):
     not_computed = 0.0 if reason == NO_REASON else 1.0
     memory.missed += model.period / (_RECENT + model.period) * (not_computed - memory.missed)
     if reason == NO_REASON:
-        _note_computed(t, sensor_reason)
-        return NO_REASON
+        _note_computed(t)
+        return
     # not computed: torques of the last tick, or of a hold
     memory.gap += 1
     _enter(t, _choose_state(t, reason, sensor_reason))
@@ -252,19 +248,16 @@ def guard(t, reason):
             t.work.tau[i] = memory.torques[i]
     else:
         hold_posture(t)
-    return reason
 
 
 @inner
-def _note_computed(t, sensor_reason):
-    """Update counts and state after a computed tick: RUN or DEGRADED, or a stop by a sensor fault.
+def _note_computed(t):
+    """Update counts and state after a computed tick: RUN, or DEGRADED.
 
-    The state is RUN if the status is OK or HOPPING and the tick had wrenches. The torques of this
-    tick are commanded in any case; a stop changes those of the next one.
+    The state is RUN if the status is OK or HOPPING and the tick had wrenches.
 
     Args:
         t: Tick.
-        sensor_reason: reason of `check_sensors`, or NO_REASON.
     """
     work = t.work
     memory = t.memory
@@ -278,9 +271,6 @@ def _note_computed(t, sensor_reason):
     is_ok = work.status == OK or work.status == HOPPING
     is_ok = is_ok and memory.wrench_missing == 0
     _enter(t, RUN if is_ok else DEGRADED_STATE)
-    if sensor_reason != NO_REASON:
-        memory.cause = sensor_reason
-        _enter(t, SAFE_STOP)
 
 
 @inner

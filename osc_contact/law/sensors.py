@@ -1,4 +1,4 @@
-"""Detection of sensor faults after each tick, computed or not; a fault stops the arms.
+"""Detection of sensor faults in each tick, computed or not; a fault stops the arms.
 
 Detected are encoders that are constant although their joints are driven, speeds that contradict the
 positions or their changes, constant readings of whole packets, and of wrists (`wrist_readings`).

@@ -71,7 +71,6 @@ from osc_contact.law.reading import (
 )
 from osc_contact.law.reasons import NO_REASON, declare_reason
 from osc_contact.law.records import (
-    ALLOCATE,
     COMMAND,
     DEGRADED,
     END,
@@ -88,6 +87,7 @@ from osc_contact.law.records import (
     contact_of,
 )
 from osc_contact.law.safety import guard, watch_contacts, watch_joints
+from osc_contact.law.sensors import check_sensors
 from osc_contact.law.vectors import (
     ZERO,
     accumulate,
@@ -594,10 +594,12 @@ def run_parts(t, flags, begin, stop):
 
     The parts are LOOK (`look`: inputs, phases, closed chain, active columns), MEASURE (`measure`:
     geometry and measured forces; then the desired forces), COMMAND (`command`: force law, motion
-    law and filter; then `watch`, limits and sensors) and ALLOCATE (`finish`: torques, MEMORY).
-    A part that fails ends the tick: the following parts are skipped, and `guard` computes torques
-    that hold the arms. Between parts that are called one by one (custom laws in Python) the reason
-    is kept in WORK. Fills `status` and `reason` of WORK, and `reason` of MEMORY.
+    law and filter; then `watch`, limits and sensors) and ALLOCATE (`check_sensors`, then `finish`:
+    torques, MEMORY). A part that fails ends the tick: the following parts are skipped, and `guard`
+    computes torques that hold the arms. Sensors are checked in any case, by the readings of the
+    tick, before the torques: those of a faulty reading are not sent. Between parts that are called
+    one by one (custom laws in Python) the reason is kept in WORK. Fills `status` and `reason` of
+    WORK, and `reason` of MEMORY.
 
     Args:
         t: Tick.
@@ -625,10 +627,13 @@ def run_parts(t, flags, begin, stop):
         reason = command(t, flags)
         if reason == NO_REASON:
             reason = watch(t)
-    if begin <= ALLOCATE < stop and reason == NO_REASON:
-        reason = finish(t)
     if reason != NO_REASON or stop == END:
-        reason = guard(t, reason)
+        sensor_reason = check_sensors(t)
+        if reason == NO_REASON:
+            reason = sensor_reason  # the torques would follow from a faulty reading
+        if reason == NO_REASON:
+            reason = finish(t)
+        guard(t, reason, sensor_reason)
         memory.wrench_missing = memory.repeated = memory.derived = 0
     work.reason = memory.reason = reason
     if reason != NO_REASON:
