@@ -305,10 +305,10 @@ class _Fastest:
         n = len(x)
         # from the origin and in units of the velocity limits, ruckig's tolerances suit any motion
         unit = limits[0]
-        self._origin = x
-        self._unit = unit
+        self._origin = x  #: (n,) position at the beginning, which is 0 for ruckig
+        self._unit = unit  #: (n,) velocity limits, which are ruckig's units
         request = ruckig.InputParameter(n)
-        self._trajectory = ruckig.Trajectory(n)
+        self._trajectory = ruckig.Trajectory(n)  #: ruckig's trajectory
         request.current_position = np.zeros(n)
         request.current_velocity = v / unit
         request.current_acceleration = a / unit

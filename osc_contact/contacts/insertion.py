@@ -197,15 +197,19 @@ class _Pairs:
             hole: dimensions and pose of the hole.
             prefix: beginning of all names.
         """
-        self._prefix = prefix
-        self._peg_half = 0.5 * peg.width
-        self._hole_half = 0.5 * hole.width
-        self._depth = hole.depth
-        self._hole_pose = hole.pose
-        self._peg_pose = peg.pose
+        self._prefix = prefix  #: beginning of all names
+        self._peg_half = 0.5 * peg.width  #: half the width of the peg (m)
+        self._hole_half = 0.5 * hole.width  #: half the width of the hole (m)
+        self._depth = hole.depth  #: depth of the hole (m)
+        self._hole_pose = hole.pose  #: pose of the hole in its body
+        self._peg_pose = peg.pose  #: pose of the peg in the object
+        #: map of points (3,) to the frame of the hole's body
         self._to_body: Callable[[Array], Array] = hole.pose.act
+        #: map of directions (3,) to that frame
         self._turn_to_body: Callable[[Array], Array] = lambda d: hole.pose.rotation @ d
+        #: map of points (3,) to the frame of the object
         self._to_object: Callable[[Array], Array] = peg.pose.act
+        #: map of directions (3,) to that frame
         self._turn_to_object: Callable[[Array], Array] = lambda d: peg.pose.rotation @ d
 
     def square(self) -> Iterator[ContactPair]:

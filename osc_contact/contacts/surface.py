@@ -55,7 +55,7 @@ class Shapes(list[Any]):
     def __init__(self, rows: tuple[Array, ...]) -> None:
         """Store the rows (16,) of a surface, see `Surface.rows`."""
         super().__init__(SimpleNamespace(row=row.tolist()) for row in rows)
-        self._table = np.array(rows).T
+        self._table = np.array(rows).T  #: (16, k) numbers of all rows
 
     def __getitem__(self, number: Any) -> Any:
         """Row at an index, or rows at an array of indices, as an object with the field `row`."""

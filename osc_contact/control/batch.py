@@ -71,22 +71,26 @@ class BatchController:
         if not controllers or threads < 1:
             raise InvalidInputError(f"{len(controllers)} controllers, {threads} threads: give ≥ 1")
         first = controllers[0]
+        #: numbers of arms, joints, … that all rows have, by name
         self._structure = _structure_of(first)
         for i, controller in enumerate(controllers):
             self._require_fitting(i, controller)
         self.rows = len(controllers)
         self.threads = threads
+        #: settings of the controller of each row
         self._settings = [c.settings for c in controllers]
         self._records = Rows(
             np.stack([c.records.model_bytes for c in controllers]),
             np.stack([c.records.memory_bytes for c in controllers]),
             threads,
         )
+        #: (B, size) bytes of MEMORY to which `reset` returns
         self._start_memory = self._records.memory.copy()
         self._make_views()
         self._statuses[:] = Status.OK
+        #: programs for torques at the motors' limits, by the number of the row
         self._limits: dict[int, MotorLimits] = {}
-        self._pool = ThreadPoolExecutor(threads)
+        self._pool = ThreadPoolExecutor(threads)  #: threads of the ticks
 
     def _require_fitting(self, i: int, controller: Controller) -> None:
         """Refuse a controller that cannot be a row of the batch.
@@ -134,6 +138,7 @@ class BatchController:
         self._columns = view_table("columns")
         self._torques = view_table("torques")
         self._squeeze = view_table("squeeze")
+        #: JOB of each thread
         self._jobs = [law_records.JOB.view(raw) for raw in self._records.jobs]
 
     def tick(

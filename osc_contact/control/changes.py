@@ -75,9 +75,10 @@ class Changes:
 
     def __init__(self, controller: ControllerState) -> None:
         """Store the present state of the controller; only later changes are events."""
-        self._controller = controller
+        self._controller = controller  #: controller that is watched
         self._locate_fields()
-        self._noted_ceilings: dict[str, float] = {}
+        self._noted_ceilings: dict[str, float] = {}  #: ceilings of the last event, by key (N)
+        #: name of the joint without a sound reading, of the last event
         self._noted_joint: str | None = None
 
     def _locate_fields(self) -> None:
@@ -89,14 +90,19 @@ class Changes:
         head = records.memory_bytes[: law_records.MEMORY.dtype.itemsize].view(
             law_records.MEMORY.dtype
         )
-        self._records = records
-        self._words = records.rows.raw.view(np.int64)
+        self._records = records  #: records in which the fields were located
+        self._words = records.rows.raw.view(np.int64)  #: bytes of all records as 64-bit words
+        #: indices of the watched fields in `_words`
         self._word_indices = records.places(*(head[name] for name in _WATCHED_FIELDS))
+        #: ceilings as multiples of the largest command, by key
         self._headroom = {key: float(records.model[f"{key}_headroom"]) for key in _CEILINGS}
+        #: ceilings that are set, by key (N)
         self._set_ceilings = {key: float(records.model[f"{key}_ceiling"]) for key in _CEILINGS}
+        #: watched words of the last reading
         self._buffer = np.zeros(len(self._word_indices), np.int64)
+        #: view of the largest commands in `_buffer` (N)
         self._largest_commands = self._buffer[_COMMANDS_BEGIN // 8 :].view(np.float64)
-        self._last_bytes = self._read()
+        self._last_bytes = self._read()  #: watched bytes at the last look
 
     def _read(self) -> bytes:
         """Copy the bytes of the watched fields, one field after the other."""

@@ -160,10 +160,12 @@ class CustomParts:
         """
         self.settings = settings
         self.laws = laws
+        #: pairs that Python evaluates, with the index of their contact
         self._pairs: list[tuple[int, ContactPair]] = [
             (number, settings.contacts[number])
             for number in np.flatnonzero(head.pairs.kind == at.GIVEN).tolist()
         ]
+        #: bodies that Python evaluates, with the index of their first contact
         self._bodies: list[tuple[int, Body]] = [
             (number, body)
             for number, (row, body) in enumerate(zip(head.bodies, settings.bodies, strict=True))

@@ -74,11 +74,14 @@ class GoalFollower:
         Raises:
             InvalidInputError: arguments out of range or of the wrong kind.
         """
-        self._owners = force_owners(contacts)
-        self._names = [pair.name for pair in contacts]
+        self._owners = force_owners(contacts)  #: (r,) index of the contact of each column of N
+        self._names = [pair.name for pair in contacts]  #: names of the contacts
+        #: generator of poses on the way to the goal
         self._pose = PoseSetPoint(start, linear, angular, dt)
-        self._goal = start
+        self._goal = start  #: desired pose at the end of the way
+        #: (r,) desired forces at the end of the way (N)
         self._alpha_d = np.zeros(len(self._owners))
+        #: generator of forces on the way; None without contacts
         self._force = SetPoint(self._alpha_d, force, dt) if len(self._owners) else None
 
     def aim(self, goal: pin.SE3 | None = None, forces: Mapping[str, float] | None = None) -> None:

@@ -71,6 +71,7 @@ class JointTorqueLoop:
         self.gain = self.settings.gain
         self.bandwidth = np.sqrt(K * (1.0 + self.gain) / J)
         self.rate_gain = 2.0 * self.settings.damping_ratio * (1.0 + self.gain) / self.bandwidth
+        #: estimate of the rate of the torque readings
         self._torque_rate = VelocityEstimate.with_bandwidth(
             RATE_BANDWIDTH * self.bandwidth, self.dt
         )

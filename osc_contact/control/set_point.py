@@ -71,16 +71,18 @@ class SetPoint:
         Raises:
             InvalidInputError: `start` is empty or not finite, or the period is not positive.
         """
-        self._dt = _checked_period(dt)
+        self._dt = _checked_period(dt)  #: period (s)
         numbers = np.asarray(as_numbers("start", start))
         if numbers.size == 0:
             raise InvalidInputError("start is empty; give a number, or one for each coordinate")
-        self._shape = numbers.shape
+        self._shape = numbers.shape  #: shape of the values
+        #: limits of velocity, acceleration and jerk of each number
         self._bounds = limits.each(numbers.size)
         self.reset(start)
 
     def reset(self, value: ArrayLike) -> None:
         """Set the state to rest at `value` (a number or (n,)), which is the goal, too."""
+        #: trajectory from the last state to the goal
         self._trajectory = Trajectory.rest(self._flattened("start", value), self._bounds)
 
     def step(self, goal: ArrayLike | None = None) -> SetPointState:
@@ -151,15 +153,18 @@ class PoseSetPoint:
         Raises:
             InvalidInputError: the pose or the period is not valid.
         """
-        self._dt = _checked_period(dt)
+        self._dt = _checked_period(dt)  #: period (s)
         bounds = zip(linear.each(3), angular.each(3), strict=True)
+        #: limits of velocity, acceleration and jerk of each coordinate
         self._bounds = tuple(position + rotation for position, rotation in bounds)
         self.reset(start)
 
     def reset(self, X: SE3) -> None:
         """Set the state to rest at the pose X, such as at the start or after a hold of the arm."""
-        self._goal = _checked_pose("start", X)
+        self._goal = _checked_pose("start", X)  #: pose at the end of the trajectory
+        #: rotation at which the rotation vector of the trajectory is 0
         self._R_0: Array = self._goal.rotation
+        #: trajectory of position (m) and rotation vector (rad)
         self._trajectory = Trajectory.rest(
             np.append(self._goal.translation, np.zeros(3)), self._bounds
         )

@@ -93,13 +93,15 @@ class FrankaRobot:
             import pylibfranka
         except ImportError as error:
             raise PlantError(f"{missing(error)} (Linux, Python 3.11 or 3.12)") from error
-        self._lib = pylibfranka
+        self._lib = pylibfranka  #: module `pylibfranka`
         self.host = host
         self.chain = chain
+        #: function that reads a wrist sensor; None: the robot's estimate is used
         self._wrench = wrench
         self._prepare_model(chain)
+        #: running torque control; None before the first command and after a stop
         self._control: ActiveControlBase | None = None
-        self._stopped = False
+        self._stopped = False  #: whether the arm was stopped, so that commands are ignored
         self.read_to_write = 0.0
         self.success_rate = self.least_success_rate = 1.0
         with self._errors_reported("cannot be prepared"):
@@ -126,9 +128,9 @@ class FrankaRobot:
                 f"{len(chain.arms)} with {chain.nq} joints: {chain.joint_names}; give the arm a "
                 "frame beyond the last joint as wrist_sensor, and lock the fingers"
             )
-        self._sensor = int(chain.sensors[0])
-        self._tip = int(chain.tips[0])
-        model = self._model = chain.model.copy()
+        self._sensor = int(chain.sensors[0])  #: frame of the wrist sensor in the model
+        self._tip = int(chain.tips[0])  #: frame of the tip in the model
+        model = self._model = chain.model.copy()  #: copy of the model of the arm
         last = model.njoints - 1
         sensor = model.frames[self._sensor]
         if sensor.parentJoint != last:
@@ -147,13 +149,14 @@ class FrankaRobot:
         self._load = sensor.placement.actInv(hangs)  # in axes of the sensor
         # force against its weight, in world axes
         self._lift_force = pin.Force(-self._load.mass * model.gravity.linear, np.zeros(3))
-        self._data = model.createData()
-        self._translation = pin.SE3.Identity()
+        self._data = model.createData()  #: results of `_model`
+        self._translation = pin.SE3.Identity()  #: buffer of translations of wrenches
         self._brake_speed = SPEED_SHARE * np.array(model.upperVelocityLimit)
-        self._tau_max = np.array(chain.tau_max)
+        self._tau_max = np.array(chain.tau_max)  #: (7,) torque limits (N m)
         # the braking torque rises from 0 at `_brake_speed` to the motor's limit at the speed limit
         self._brake = self._tau_max / (np.array(model.upperVelocityLimit) - self._brake_speed)
-        self._base = chain.arms[0].base
+        self._base = chain.arms[0].base  #: pose of the arm's base in the world
+        #: rotation of the base, as a pose at the origin
         self._base_rotation = pin.SE3(self._base.rotation, np.zeros(3))
 
     def _set_up(self, end_effector: pin.SE3 | None, collision: tuple[float, float, float]) -> None:
@@ -231,13 +234,13 @@ class FrankaRobot:
                 state = self._robot.read_once()
             else:
                 state = self._control.readOnce()[0]
-        self._read_at = perf_counter()
+        self._read_at = perf_counter()  #: clock at the last reading (s)
         self.state = state
         self.success_rate = float(state.control_command_success_rate)
         if self._control is not None:
             self.least_success_rate = min(self.least_success_rate, self.success_rate)
-        self._q = np.array(state.q)
-        self._v = np.array(state.dq)
+        self._q = np.array(state.q)  #: (7,) last joint positions (rad)
+        self._v = np.array(state.dq)  #: (7,) last joint velocities (rad/s)
         self._update_placements(self._q)
         reading = self._estimate_wrench(state) if self._wrench is None else self._wrench()
         # without a valid reading the controller continues with the previous wrench; zeros are not
@@ -315,6 +318,7 @@ class FrankaRobot:
             last = np.array(self.state.tau_J_d)
             step = np.clip(target, -self._tau_max, self._tau_max) - last
             step *= min(1.0, TORQUE_STEP / max(np.abs(step).max(), TORQUE_STEP))
+            #: torques that were sent last, in libfranka's type
             self._sent_torques = self._lib.Torques((last + step).tolist())
             self._control.writeOnce(self._sent_torques)
             self.read_to_write = perf_counter() - self._read_at

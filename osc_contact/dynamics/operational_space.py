@@ -67,8 +67,9 @@ class OperationalSpace:
             arm: the arm.
             rows: number of states, or nothing for a single state without a first axis.
         """
-        self._arm = _compiled_arm(arm)
-        self._rows = rows
+        self._arm = _compiled_arm(arm)  #: compiled terms of the arm
+        self._rows = rows  #: (number of states,), or () for a single state
+        #: (number of states, size) results, of which the terms are views
         self._numbers = np.empty((rows[0] if rows else 1, self._arm.size))
 
     def __getattr__(self, name: str) -> Array:

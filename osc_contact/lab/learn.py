@@ -138,8 +138,11 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         joints = cfg.joints or tuple(name.split("/")[-1] for name in chain.joint_names)
         # the simulator's numbers of the joints, in the chain's order, and of those with a motor
         ids, _ = self._entity.find_joints(joints, preserve_order=True)
+        #: (n,) the simulator's indices of the joints, in the chain's order
         self._joints = torch.tensor(ids, device=self.device)
+        #: (n_a,) those of the joints with a motor
         self._motors = self._joints[torch.tensor(chain.actuated, device=self.device)]
+        #: names of the force and torque sensor of each arm
         self._wrists = cfg.wrists or tuple(
             (f"{cfg.entity_name}/{arm.name}/force", f"{cfg.entity_name}/{arm.name}/torque")
             for arm in chain.arms
@@ -147,8 +150,8 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         # steps of physics in a control period, and control periods in an action: whole numbers
         ticks_per_step = cfg.controller.dt / env.physics_dt
         of_action = env.step_dt / cfg.controller.dt
-        self._steps_per_tick = round(ticks_per_step)
-        self._ticks_per_action = round(of_action)
+        self._steps_per_tick = round(ticks_per_step)  #: steps of physics in a control period
+        self._ticks_per_action = round(of_action)  #: control periods in an action
         if (
             max(abs(ticks_per_step - self._steps_per_tick), abs(of_action - self._ticks_per_action))
             > 1e-6
@@ -159,14 +162,18 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
                 f"actions every {env.step_dt:g} s: each must be a multiple of the one before"
             )
         self.batch = BatchController([cfg.controller] * self.num_envs, cfg.threads)
-        self._n_forces = self.batch.alpha_meas.shape[1]
+        self._n_forces = self.batch.alpha_meas.shape[1]  #: r, number of contact forces
         require_below_ceilings(cfg.controller.settings.safety, cfg.most_force, self._n_forces)
         # last actions, targets and forces of all environments; `_was_reset` marks those to be reset
         self._raw_actions = torch.zeros(self.num_envs, 6 + self._n_forces, device=self.device)
+        #: (B, 4, 4) desired poses of the objects at the end of the action
         self._target = np.tile(np.eye(4), (self.num_envs, 1, 1))
+        #: (B, r) desired contact forces at the end of the action (N)
         self._forces = np.zeros((self.num_envs, self._n_forces))
+        #: (B,) whether an environment begins anew in the next step
         self._was_reset = np.ones(self.num_envs, dtype=bool)
-        self._step = 0
+        self._step = 0  #: number of steps of physics since the last action began
+        #: ways of references through the action; None before the first one
         self._action_course: tuple[Array, Array, Array] | None = None
 
     @property

@@ -272,7 +272,7 @@ class Progress:
         Args:
             show: called after each part and stage with the completed share of the time, 0 … 1.
         """
-        self._show = show
+        self._show = show  #: function that is called with the completed share
         self._began = perf_counter()  #: instant of the start (s)
         self._shown = 0.0  #: largest share that was shown
         self._translated = 1.0  #: s from the start until the last part was ready; updated by each
@@ -336,9 +336,10 @@ class _Assistant:
         Args:
             errors: file for its standard error.
         """
-        self._new_parts = 0
+        self._new_parts = 0  #: number of parts so far that were not cached
+        #: the process; None until it is started
         self._process: subprocess.Popen[bytes] | None = None
-        self._errors = errors
+        self._errors = errors  #: file for its standard error
 
     def start_if_needed(self, share: float, was_cached: bool) -> None:
         """Start the process once many parts are new, if a core is available for it.

@@ -51,7 +51,7 @@ class Nested:
             fields.insert(0, ("layout", np.int64, (words,)))
         self.dtype = np.dtype(fields, align=True)
         numbers = {name: _number(name) for name in self.dtype.names if not self.dtype[name].shape}
-        self._view: Any = type("View", (View,), numbers)
+        self._view: Any = type("View", (View,), numbers)  #: class of the views in Python
         if not COMPILES:
             self.at: Any = lambda raw, start: self.view(raw[start:])
         else:

@@ -76,7 +76,8 @@ class _Table:
         """
         dtype, sizes = record_layout.tables[name]
         self.array = types.Array(_public.from_dtype(dtype), len(sizes), "C")
-        self._item = dtype.itemsize
+        self._item = dtype.itemsize  #: size of an element (bytes)
+        #: index of the layout's word with the offset of the table
         self._start = record_layout.start(name)
         # each size is the index of a word of the layout, or a constant
         self._sizes = [

@@ -93,8 +93,9 @@ class Commissioning:
             InvalidInputError: there is no model of the robot, or it has joints without motors.
             PlantError: the first measurement has wrong sizes, or `robot.stop` fails.
         """
-        self._chain = require_model(self.robot, self.chain)
-        self._model = self._chain.model
+        self._chain = require_model(self.robot, self.chain)  #: chain of the arm
+        self._model = self._chain.model  #: model of the arm
+        #: robot that is held by a torque law
         self._holder = HeldRobot(self.robot, self._chain, self.dt)
         steps = {
             "model: nothing moves": self._compare_model,

@@ -106,7 +106,7 @@ class NotedTruths:
 
     def __init__(self, contacts: Sequence[ContactPair]) -> None:
         """Set the contacts, in the order of the controller's contacts."""
-        self._contacts = contacts
+        self._contacts = contacts  #: contacts of the controller
 
     def truths(self, rows: Array) -> Truths:
         """True states and contact forces at k instants.
@@ -132,8 +132,8 @@ class Watched(NotedTruths):
     def __init__(self, judge: Judge, contacts: Sequence[ContactPair]) -> None:
         """Set the judge whose truth is recorded, and the contacts of the controller."""
         super().__init__(contacts)
-        self._judge = judge
-        self._rows: list[Array] = []
+        self._judge = judge  #: judge whose truth is recorded
+        self._rows: list[Array] = []  #: rows of numbers, one for each instant
 
     def note(self) -> None:
         """Append the judge's present truth as a row of numbers.

@@ -198,8 +198,9 @@ class SideWork:
             period: control period (s), of which the loop leaves a tenth to the thread when it has
                 work.
         """
+        #: time that the loop leaves to the thread in each period (s)
         self._slack = SLACK_SHARE * period
-        self._executor = ThreadPoolExecutor(1, "side work", _lower_priority)
+        self._executor = ThreadPoolExecutor(1, "side work", _lower_priority)  #: the thread
         self.failure: Exception | None = None
         # the thread begins with its first call, one without effect
         self._last_call: Future[None] = self._executor.submit(self._run_and_log, int)

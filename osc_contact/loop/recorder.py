@@ -64,6 +64,7 @@ class Tick(UserDict[str, Any]):
 
     def __init__(self, compute_channels: Callable[[], dict[str, Array]]) -> None:
         """Store a function that computes channels with one row each."""
+        #: function that computes the channels, with one row each
         self._compute_channels = compute_channels
 
     @cached_property
@@ -138,24 +139,28 @@ class Recorder:
         Raises:
             RecordingError: the file cannot be created.
         """
+        #: wall clock and processor time at the start (s)
         self._start_times = perf_counter(), process_time()
-        self._controller = controller
+        self._controller = controller  #: controller of the loop
         self.of = of = own_subject(controller) if subject is None else subject
+        #: meta data of the recording
         self._meta = {**describe_subject(of, controller), **(meta or {})}
         self._meta["date"] = datetime.now(UTC).isoformat(timespec="seconds")
         if isinstance(judge, Pictured):
             self._meta["picture"] = judge.picture()
         self.journal = JournalFile(journal, self._meta)
+        #: log of events
         self._events = EventLog(None if journal is None else events_beside(journal))
-        self._changes = Changes(controller)
+        self._changes = Changes(controller)  #: watch on the controller, for events
         self.truth = None if judge is None else judge.log()
         self.count = 0
         self._first_reason = ""  #: why the first tick that failed could not be computed
-        self._error_logged = False
+        self._error_logged = False  #: whether the failure of the journal has been logged
         self._pending = 0  #: rows that are not in the journal yet
+        #: whether the journal is a named file, which survives the process
         self._survives = journal is not None
-        self._flushed = perf_counter()
-        self._located_result: TickResult | None = None
+        self._flushed = perf_counter()  #: clock at the last write (s)
+        self._located_result: TickResult | None = None  #: result for which `_positions` were found
         #: writes rows; `run_loop(…, realtime=True)` has another thread do it
         self.hand_over: Callable[[Callable[[], object]], None] = at_once
         self._lay_out(of)
@@ -189,21 +194,31 @@ class Recorder:
         if subject.phased:
             integers |= {"phase": contacts, "closed": r, "collision": r}
         sizes = {**unknown, "tau": chain.n_a, **numbers, "normal_std": r, **integers}
-        self._result_names = tuple(results)
+        self._result_names = tuple(results)  #: names of the results of a tick in a row
+        #: names, types and shapes of the fields of a row
         self._fields = [(name, "<f8", (size,)) for name, size in sizes.items()]
-        self._rows = np.zeros((_ROWS_OF_BLOCK, sum(sizes.values())))
+        self._rows = np.zeros((_ROWS_OF_BLOCK, sum(sizes.values())))  #: rows since the last write
+        #: poses of touched bodies that are not measured, as one row
         self._rest_poses = np.tile(np.eye(4), (contacts, 1, 1)).ravel()
+        #: NaN for all fields of a tick without a result
         self._blank = np.full(sum(unknown.values()), np.nan)
+        #: fields that every tick has, filled by `_note_numbers`
         self._numbers = np.zeros(sum(numbers.values()))
         parts = np.split(self._numbers[2:], [squeezes, squeezes + r])
+        #: views of `_numbers`: desired internal forces (N), forces given up (N), named contacts
         self._squeezes, self._given_up, self._named = parts
         self._noted_squeeze: float | None = None  #: of the last tick, if `_squeezes` still has it
         # words copied from the controller's records: α, speeds, results, normal_std, then integers
         results_end = 2 * r + sum(results.values())
+        #: words copied from the records: α, speeds, results, normal_std, then integers
         self._words = np.zeros(results_end + r + sum(integers.values()), np.int64)
+        #: views of `_words`: α, speeds and results
         self._results = self._words[:results_end].view(np.float64)
+        #: standard deviations of the normals (rad)
         self._normal_std = self._words[results_end : results_end + r].view(np.float64)
-        self._integers = self._words[results_end + r :]
+        self._integers = self._words[
+            results_end + r :
+        ]  #: activity and phases of contacts, flags of columns
 
     @property
     def _write_interval(self) -> float:
@@ -331,7 +346,9 @@ class Recorder:
         integers = [contacts.active]
         if self.of.phased:
             integers += [contacts.phase, columns.closed, columns.collision]
+        #: bytes of all records as 64-bit words
         self._record_words = records.rows.raw.view(np.int64)
+        #: indices of the copied words among these
         self._positions = records.places(
             columns.alpha, columns.speed, *results, columns.normal_std, *integers
         )

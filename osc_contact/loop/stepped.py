@@ -41,9 +41,9 @@ class StopCalls:
 
     def __init__(self, stop: Callable[[str], object], recorder: Records | None) -> None:
         """Set the robot's `stop` and the recorder, see the class; nothing is called yet."""
-        self._stop = stop
-        self._stopped = False
-        self._needs_brakes = False
+        self._stop = stop  #: function that stops the robot
+        self._stopped = False  #: whether it was called for the present stop
+        self._needs_brakes = False  #: whether a joint needs its mechanical brakes
         self.log: Callable[..., None] = getattr(recorder, "log", _ignore_event)
 
     def follow(self, controller: Controls) -> None:
@@ -103,7 +103,7 @@ class Drawing:
             raise InvalidInputError(
                 "a viewer shows what is recorded; give the loop a recorder, too"
             )
-        self._viewer = viewer
+        self._viewer = viewer  #: viewer of the ticks; None: none
 
     @property
     def wanted(self) -> bool:
@@ -190,15 +190,16 @@ class SteppedLoop(Generic[Law]):
                 f"controller is {brief(controller)}, which has no {' and no '.join(lacking)}; give "
                 "an osc.Controller"
             )
-        self._drawing = Drawing(viewer, recorder)
+        self._drawing = Drawing(viewer, recorder)  #: drawing of the ticks
         self.controller: Law = controller
-        self._recorder = recorder
-        self._checks_next = check
-        self._scene = scene
-        self._plan = plan
-        self._plan_begun = False
+        self._recorder = recorder  #: recorder of the ticks; None: none
+        self._checks_next = check  #: whether the next step checks robot and reference
+        self._scene = scene  #: scene with which the contacts are compared before the first step
+        self._plan = plan  #: plan that gives the references; None: the caller does
+        self._plan_begun = False  #: whether the plan has begun
+        #: calls of the robot's `stop`
         self._stops = StopCalls(_ignore_stop if stop is None else stop, recorder)
-        self._ended = False
+        self._ended = False  #: whether the loop has ended
 
     def step(self, measurement: Measurement, reference: Reference | None = None) -> Array:
         """Compute and record one control period.

@@ -144,11 +144,12 @@ class Plan:
         self.outcome = Outcome.NEW
         self.reason = ""
         self.verdicts: list[StageVerdict] = []
-        self._stage_index = 0
+        self._stage_index = 0  #: index of the present stage
+        #: poses in which stages have placed touched bodies, by name of the contact
         self._places: dict[str, pin.SE3] = {}
-        self._failures = 0
-        self._time = 0.0
-        self._ended_for = 0.0
+        self._failures = 0  #: number of failed stages
+        self._time = 0.0  #: time since the plan began (s)
+        self._ended_for = 0.0  #: time since the plan ended or was stopped (s)
 
     # --- the loop's side ------------------------------------------------------------------------
 
@@ -179,15 +180,15 @@ class Plan:
             require_plan(self.stages, self.largest, controller, X)
             require_states(self.stages, self.recogniser)
         contacts = controller.settings.contacts
-        self._controller = controller
-        self._names = [pair.name for pair in contacts]
-        self._owners = force_owners(contacts)
-        self._log = log
-        self._senses = Senses(controller, X)
+        self._controller = controller  #: controller of the run
+        self._names = [pair.name for pair in contacts]  #: names of the contacts
+        self._owners = force_owners(contacts)  #: (r,) index of the contact of each column of N
+        self._log = log  #: function that logs events; None: none
+        self._senses = Senses(controller, X)  #: signals of the ticks
         self._senses.signals.recogniser = self.recogniser
-        self._ticks_to_instant = 0
-        self._aim = X
-        self._V_D = np.zeros(6)
+        self._ticks_to_instant = 0  #: ticks until the next instant of the recogniser
+        self._aim = X  #: commanded pose of the object
+        self._V_D = np.zeros(6)  #: (6,) commanded twist at O (m/s, rad/s)
         self.outcome = Outcome.RUNNING
         self._enter_stage(self._stage_index)
 
@@ -331,21 +332,23 @@ class Plan:
         signals.unexpected = ""
         signals.start = signals.X
         signals.aim = self._aim
+        #: (r,) desired forces (N), and (contacts,) which contacts are active
         self._alpha_d, self._active = forces_of(stage.forces, self._names, self._owners)
         for name, place in stage.places.items():
             self._places[name] = pin.SE3(place(signals) if callable(place) else place)
+        #: demand of the stage's motion by signals and period
         self._course: Course = stage.motion.begin(signals)
         until = stage.until
         assert isinstance(until, End)  # the stage made it one
-        self._until_watch: Watch = until.begin(signals)
-        self._unless_watch: Watch | None = None
+        self._until_watch: Watch = until.begin(signals)  #: condition that ends the stage
+        self._unless_watch: Watch | None = None  #: condition by which the stage fails; None: none
         if isinstance(stage.unless, End):
             self._unless_watch = stage.unless.begin(signals)
-        self._squared_force_errors = 0.0
-        self._ticks = 0
-        self._residual_sum = np.zeros(6)
-        self._residual_ticks = 0
-        self._verdict = StageVerdict(stage.name, self._time)
+        self._squared_force_errors = 0.0  #: sum over the ticks of the stage (N²)
+        self._ticks = 0  #: number of ticks of the stage
+        self._residual_sum = np.zeros(6)  #: (6,) sum of the residual wrenches of the tare (N, N m)
+        self._residual_ticks = 0  #: number of its summands
+        self._verdict = StageVerdict(stage.name, self._time)  #: verdict on the present stage
         self._log_event("stage", name=stage.name, number=k)
 
     def _recognise_state(self, signals: Sensed, recogniser: Recogniser) -> None:

@@ -101,11 +101,13 @@ class Senses:
             controller: controller whose results are read in every tick.
             X: pose of the object in the world at the beginning.
         """
-        self._controller = controller
+        self._controller = controller  #: controller of the run
+        #: names of the contacts
         self._names = [pair.name for pair in controller.settings.contacts]
+        #: (r,) index of the contact of each column of N
         self._owners = force_owners(controller.settings.contacts)
         self._share = controller.dt / (SMOOTHING + controller.dt)
-        self._alpha = np.zeros(len(self._owners))
+        self._alpha = np.zeros(len(self._owners))  #: (r,) measured contact forces (N)
         self.signals = Sensed(
             X=X,
             V=np.zeros(6),

@@ -49,9 +49,11 @@ class Cones:
             for mask in product(*choices, *padding):
                 owners.append(i)
                 masks.append(mask)
+        #: (n, k) whether a magnitude must not be negative
         self._pushes = (self.used > 0.0) & pushes[self.index] if most else self.used > 0.0
-        self._owners = np.array(owners, dtype=np.intp)
+        self._owners = np.array(owners, dtype=np.intp)  #: (m,) candidate of each subset of columns
         self._masks = np.array(masks).reshape(len(owners), most)
+        #: (n,) first subset of each candidate
         self._first = np.searchsorted(self._owners, np.arange(len(columns)))
 
     def gram(self, N: Array, S: Array) -> tuple[Array, Array]:

@@ -65,9 +65,11 @@ class LearnedPlace:
         for name, value in numbers.items():
             if not (value > 0.0 and np.isfinite(value)):
                 raise InvalidInputError(f"{name} = {value!r}; give a number > 0 in SI units")
+        #: (3,) point of the body at which displacements are stated (m)
         self._at = as_array("at", at, (3,))
+        #: (6,) standard deviations of the displacement at first (m, rad)
         self._first = np.repeat([position, angle], 3)
-        self._noise = lasting * gap**2
+        self._noise = lasting * gap**2  #: variance of the gap of a closed contact (m²)
         self.X_WE = pin.SE3.Identity()
         self.covariance: Array = np.diag(self._first**2)
 

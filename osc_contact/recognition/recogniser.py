@@ -69,10 +69,13 @@ class Recogniser:
                 raise InvalidInputError(f"{name} = {value!r}; give a number > 0")
         self.states = states
         self.period = period
+        #: factor of log-likelihoods, ≤ 1, since errors last
         self._weight = min(1.0, period / lasting)
         count = len(states.names)
         self.probabilities: Array = np.full(count, 1.0 / count)
+        #: (n, k) magnitudes of the last instant (N)
         self._alpha: Array = np.zeros((count, int(states.sizes.max())))
+        #: (n, n) probabilities of changes from the state of a row to that of a column
         self._moves = self._transition_matrix(1.0 - exp(-changes * period), following or {})
 
     def _transition_matrix(self, share: float, following: Mapping[str, Sequence[str]]) -> Array:

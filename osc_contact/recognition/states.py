@@ -178,10 +178,10 @@ class ContactStates:
                     f"state {name!r} has {len(indices)} columns of N; give at most {MOST_COLUMNS}"
                 )
         self.sizes = np.array([len(indices) for indices in columns])
-        self._owners = owners
+        self._owners = owners  #: (r,) index of the pair of each column of N
         pushes = np.array([pushes_only(pair) for pair in pair_list], dtype=bool)
-        self._pushes = pushes[owners]
-        self._cones = Cones(columns, self._pushes)
+        self._pushes = pushes[owners]  #: (r,) whether the force of a column must not be negative
+        self._cones = Cones(columns, self._pushes)  #: cones of the states, for the fit
 
         # least force of each column in each state: that of a contact is shared by its columns
         counts = np.bincount(owners, minlength=len(pair_list))
@@ -191,6 +191,7 @@ class ContactStates:
             self._least[i, pressing] = self.errors.least / counts[owners[pressing]]
         # a force of one sign has half of the values of a force of either sign: twice the density
         signs = [int(self._pushes[indices].sum()) for indices in columns]
+        #: (n,) logarithm of the density's factor by forces of one sign
         self._one_sided = np.log(2.0) * np.array(signs)
 
     def columns(self, X_WO: pin.SE3, X_WE: pin.SE3 | None = None) -> Columns:

@@ -66,7 +66,7 @@ class EventLog:
         self.omitted = 0
         self.error: RecordingError | None = None
         self._descriptor = -1
-        self._path = path
+        self._path = path  #: file of the events; None: none
         if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)

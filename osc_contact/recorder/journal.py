@@ -74,12 +74,13 @@ class JournalFile:
         """
         self.path = path
         self.error: RecordingError | None = None
+        #: size of the file up to its last complete record, size before its end; number of rows
         self._complete_bytes = self._bytes_before_end = self._row_count = 0
-        self._ended = False
+        self._ended = False  #: whether the end of the file is written
         try:
             if path is None:
                 with tempfile.TemporaryFile(buffering=0) as file:
-                    self._descriptor = os.dup(file.fileno())
+                    self._descriptor = os.dup(file.fileno())  #: descriptor of the open file
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.unlink(missing_ok=True)  # the older file stays open for its readers
@@ -171,11 +172,13 @@ class Journal:
             RecordingError: there is no such file, or its beginning cannot be read.
         """
         self.missing: list[str] = []
+        #: name of the file in messages
         self._shown_name = "the recording" if isinstance(source, int) else str(source)
         try:
             with open(source, "rb", closefd=isinstance(source, Path)) as file:
                 size = os.fstat(file.fileno()).st_size
                 if size:
+                    #: bytes of the file
                     self._file = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
                 else:  # an empty file cannot be mapped: a zero byte in its place
                     self._file = mmap.mmap(-1, 1, access=mmap.ACCESS_READ)

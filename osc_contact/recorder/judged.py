@@ -51,9 +51,11 @@ class JudgedTicks:
         contacts = len(meta["contact_names"])
         self.columns = np.array(meta.get("columns", range(contacts)), dtype=int)
         blank = STEP_BLANK_S + meta.get("force_rise_s", 0.0)
+        #: intervals after steps of force that are not judged (s)
         self._blanks = [(step, step + blank) for step in meta.get("force_steps_s", ())]
         self.landed: list[float | None] = [None] * contacts
         self.open = [False] * contacts
+        #: time at which each contact closed (s); None while it is open
         self._since: list[float | None] = [None] * contacts
 
     def add(self, piece: Mapping[str, npt.NDArray[np.generic]]) -> tuple[Flags, Flags, Flags]:

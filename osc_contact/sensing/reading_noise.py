@@ -60,14 +60,21 @@ class ReadingNoise:
         """
         self.expected = np.array(expected, dtype=float)
         self.is_loud = self.begins = False
+        #: (k,) whether a sensor was noisier than expected before the last reading
         self._was_loud = np.zeros(len(self.expected), dtype=bool)
+        #: share of a reading in the mean of magnitudes
         self._low_pass_share = min(
             sample / (_MEAN_TIME + sample), _MOST_OF_ONE_READING / (4.0 * _LEAST_CAP)
         )
+        #: largest magnitude that counts, as a multiple of the mean
         self._cap = min(_MOST_OF_ONE_READING / (4.0 * self._low_pass_share), _MOST_CAP)
+        #: (k,) noise up to which a sensor is as expected (rad, m)
         self._largest_expected = np.maximum(_LOUD_RATIO * self.expected, _LEAST_LOUD_NOISE)
+        #: (k,) mean magnitude of third differences (rad, m)
         self._mean_third = _THIRD_OF_UNIT_NOISE * self.expected
+        #: (4, k) last readings, the newest last (rad, m)
         self._readings = np.full((4, len(self.expected)), np.nan)
+        #: (m, k) last magnitudes of third differences (rad, m)
         self._last_thirds = np.zeros((_FIRST_MEASURE_LENGTH, len(self.expected)))
 
     def update(self, measured: Array) -> Array:

@@ -138,12 +138,14 @@ class VelocityEstimate:
         #: (k,) variance of the share, and (3, k) derivatives of x, v and unknown by it
         self._share_variance = np.full(len(self.alpha), _SHARE_DEVIATION**2)
         self._share_derivatives = np.zeros((3, len(self.alpha)))
-        self._gains = self._scaled_gains()
+        self._gains = self._scaled_gains()  #: gains of the filter, scaled to the period
+        #: function that designs α, β and γ for a noise; None: they were given
         self._design: Design | None = None
         #: states before each of the last updates, and the arguments of these
         self._replayable: deque[tuple[tuple[Any, ...], tuple[Any, ...]]] = deque(
             maxlen=max(round(_REPLAYED_TIME / self.dt), 1)
         )
+        #: whether the share of the known acceleration is estimated
         self._learns_share = bool(np.isfinite(self.scatter).all())
 
     @classmethod

@@ -40,6 +40,7 @@ class History:
             span: time for which values are kept (s).
         """
         self.span = span
+        #: times (s) and values, the oldest first
         self._samples: deque[tuple[float, Array]] = deque()
 
     def add(self, t: float, x: Array) -> None:
@@ -197,14 +198,18 @@ class VisionFusion:
         """
         self.registration = registration
         self.history = History(2.0 * (delay + period))
+        #: function that returns the poses of object and tips at joint positions
         self._known = known
-        self._delay = delay
+        self._delay = delay  #: time from a picture to its arrival (s)
+        #: pose of the marker of each body in its frame; None: the frame itself
         self._markers = None if markers is None else [SE3(np.array(X)) for X in markers]
         noise = np.repeat((registration.position, registration.orientation), 3)
+        #: function that makes the filter of a body
         self._channels = partial(
             VelocityEstimate.optimal, noise, np.repeat(acceleration, 3), dt, period
         )
-        self._bodies: list[BodyEstimate] = []
+        self._bodies: list[BodyEstimate] = []  #: estimate of each body
+        #: time of the last picture (s); None before the first one
         self._stamp: float | None = None
 
     def update(

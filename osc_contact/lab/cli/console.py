@@ -82,7 +82,7 @@ class CompilationBar:
 
     def __init__(self) -> None:
         """Begin without a bar; it is made when the compilation begins."""
-        self._bar: Progress | None = None
+        self._bar: Progress | None = None  #: progress bar; None until it is shown
 
     def __call__(self, share: float) -> None:
         """Show the progress; remove the bar at the end.

@@ -83,18 +83,20 @@ class DrakePlant:
             )
         except RuntimeError as error:
             raise PlantError(f"Drake refuses the scene: {error}") from error
-        self._step = options.step
+        self._step = options.step  #: time step (s)
         plant = self.scene.plant
         # indices of the chain's joints in Drake's state vectors
         self._q = np.array([joint.position_start() for joint in self.scene.joints])
+        #: (n,) indices of the joint velocities
         self._v = np.array([joint.velocity_start() for joint in self.scene.joints])
-        self._torque_port = plant.get_actuation_input_port()
+        self._torque_port = plant.get_actuation_input_port()  #: input port of the motor torques
+        #: output port of the reactions at the joints
         self._reaction_port = plant.get_reaction_forces_output_port()
-        self._simulator = analysis.Simulator(self.scene.diagram)
-        self._root_context = self._simulator.get_mutable_context()
+        self._simulator = analysis.Simulator(self.scene.diagram)  #: Drake's simulator of the scene
+        self._root_context = self._simulator.get_mutable_context()  #: state of the simulation
         self.context: Any = plant.GetMyMutableContextFromRoot(self._root_context)
-        self._tau = np.zeros(chain.n_a)
-        self._steps = 0
+        self._tau = np.zeros(chain.n_a)  #: (n_a,) torques that act (N m, N)
+        self._steps = 0  #: number of steps so far
         self.time = 0.0
 
     def reset(self, q: Array) -> None:
@@ -182,9 +184,10 @@ class DrakeTruth(NotedWrenches):
         """Set the plant whose states are recorded."""
         inertia = plant.chain.reference_inertia(pin.SE3.Identity())
         super().__init__(plant.contacts, plant.faces, inertia)
-        self._plant = plant
+        self._plant = plant  #: plant whose truth is recorded
+        #: output port of the contact forces
         self._contact_port = plant.scene.plant.get_contact_results_output_port()
-        self._rows: list[Array] = []
+        self._rows: list[Array] = []  #: rows of numbers, one for each instant
 
     def note(self) -> None:
         """Append a row with the present state of the object, and the wrenches of its contacts.

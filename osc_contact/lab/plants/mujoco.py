@@ -141,13 +141,16 @@ class MujocoPlant:
         except (ValueError, mujoco.FatalError) as error:
             raise PlantError(f"MuJoCo refuses the scene: {error}") from error
         self._connect(model, chain, contacts, faces)
+        #: (n,) indices of the joints in qvel; `_q` those in qpos
         self._q, self._v = self._coordinates(chain.joint_names)
         if self.drives.flexible is not None:
+            #: (n_a,) indices of the joints' springs in qpos; `_spring_v` those in qvel
             self._springs, self._spring_v = self._coordinates(
                 [f"{name}/{SPRING}" for name in driven]
             )
         self.object_body = model.body("object/root").id
         tips = [model.body(f"{arm.name}/{arm.tip}").id for arm in chain.arms]
+        #: bodies whose poses are the truth: object, then tips
         self._posed_bodies = [self.object_body, *tips]
         self.body_of = np.full(model.ngeom, OBJECT)
         for i in range(len(bodies)):
@@ -165,8 +168,10 @@ class MujocoPlant:
         Args:
             chain: the true arms.
         """
+        #: indices of the arms with a wrist sensor
         self._sensed_arms = [i for i, arm in enumerate(chain.arms) if arm.wrist_sensor is not None]
         first = [self.model.sensor(f"{chain.arms[i].name}/force").adr[0] for i in self._sensed_arms]
+        #: (k, 6) indices of their wrenches in the sensor data
         self._wrench_indices = np.add.outer(np.array(first, dtype=int), np.arange(6))
 
     def _find_guides(self, faces: Faces) -> None:
@@ -177,11 +182,13 @@ class MujocoPlant:
         """
         self.guided = guided_joints(faces.rails)
         guides = [f"face{i}/{GUIDES[k]}" for i, k in zip(*self.guided, strict=True)]
+        #: indices of the guides of moving bodies in qvel; `face_q` those in qpos
         self.face_q, self._face_v = self._coordinates(guides)
         by_drive = np.isin(self.guided[0], list(faces.driven))
+        #: bodies and axes of the guides with a prescribed motion
         self._driven_guides = tuple(x[by_drive] for x in self.guided)
-        self._driven_q = self.face_q[by_drive]
-        self._driven_v = self._face_v[by_drive]
+        self._driven_q = self.face_q[by_drive]  #: indices of these guides in qpos
+        self._driven_v = self._face_v[by_drive]  #: indices of these guides in qvel
 
     def _connect(
         self, model: MjModel, chain: ClosedChain, contacts: Sequence[ContactPair], faces: Faces
@@ -196,20 +203,22 @@ class MujocoPlant:
         """
         import mujoco
 
-        self._mj: ModuleType = mujoco
+        self._mj: ModuleType = mujoco  #: module `mujoco`
         self.model = model
         self.data: MjData = mujoco.MjData(model)
         self.chain = chain
         self.contacts = tuple(contacts)
         self.faces = faces
-        self._qpos = self.data.qpos
-        self._qvel = self.data.qvel
-        self._sensordata = self.data.sensordata
-        self._ctrl = self.data.ctrl
+        self._qpos = self.data.qpos  #: view of MuJoCo's positions
+        self._qvel = self.data.qvel  #: view of MuJoCo's velocities
+        self._sensordata = self.data.sensordata  #: view of MuJoCo's sensor data
+        self._ctrl = self.data.ctrl  #: view of the motor torques (N m, N)
+        #: view of the numbers of MuJoCo's warnings, by kind
         self._warnings = self.data.warning.number
-        self._option = model.opt
-        self._step = model.opt.timestep
-        self._flags = model.opt.disableflags
+        self._option = model.opt  #: MuJoCo's options
+        self._step = model.opt.timestep  #: time step (s)
+        self._flags = model.opt.disableflags  #: disabled parts of a step
+        #: disabled parts of a step whose sensors are not read
         self._flags_without_sensors = self._flags | int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         self.time = 0.0
 

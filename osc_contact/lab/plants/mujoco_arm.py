@@ -116,9 +116,10 @@ class MujocoArm:
             import mujoco
         except ImportError as error:
             raise PlantError(missing(error)) from error
-        self._mj: ModuleType = mujoco
+        self._mj: ModuleType = mujoco  #: module `mujoco`
         self.model = model
         self.data = data
+        #: index of the body with the wrist sensor, of the tip without a sensor
         self._body, _ = self._find_frame("tip", tip)
         _stop_gravity_compensation(model, self._body)
         if wrist_sensor is not None:
@@ -140,8 +141,9 @@ class MujocoArm:
             arm = read_arm(locked={**present, **(locked or {})})
         self.chain = ClosedChain([arm], payload=payload)
         joints = np.array([index_of[joint] for joint in list(arm.model.names)[1:]])
-        self._q = model.jnt_qposadr[joints]
-        self._v = model.jnt_dofadr[joints]
+        self._q = model.jnt_qposadr[joints]  #: (n,) indices of the joints in qpos
+        self._v = model.jnt_dofadr[joints]  #: (n,) indices of the joints in qvel
+        #: actuators that exert the torques of the motors
         self._inputs = TorqueInputs(model, joints[self.chain.actuated])
         self.hold()
 
@@ -187,15 +189,16 @@ class MujocoArm:
             name: name of the site or body of the sensor.
         """
         self._body, site = self._find_frame("wrist_sensor", name)
+        #: (6,) indices of the wrench in the sensor data; None: it is computed
         self._wrench_rows: Array | None = None
-        self._site = site
+        self._site = site  #: index of the site of the sensor; None: it is a body
         if site is not None:
             try:
                 self._wrench_rows = sensor_rows(self.model, name)
             except PlantError:
                 _log.info("site %r has no force and torque sensor; its wrench is computed", name)
         if self._wrench_rows is None:
-            self._scratch = self._mj.MjData(self.model)
+            self._scratch = self._mj.MjData(self.model)  #: state in which the wrench is computed
 
     def measure(self) -> Measurement:
         """Read encoders and wrist sensor; sensors of a site are those of the last step's start."""
@@ -242,7 +245,7 @@ class MujocoArm:
         Raises:
             InvalidInputError: torques of the wrong number, or not finite.
         """
-        self._tau = as_array("tau", tau, (self.chain.n_a,))
+        self._tau = as_array("tau", tau, (self.chain.n_a,))  #: (n_a,) torques that act (N m, N)
 
     @contextmanager
     def driven(self, law: Callable[[Measurement], Array], dt: float) -> Iterator[None]:

@@ -71,10 +71,11 @@ class MujocoTruth(NotedWrenches):
         """
         inertia = plant.chain.reference_inertia(pin.SE3.Identity())
         super().__init__(plant.contacts, plant.faces, inertia)
-        self._plant = plant
+        self._plant = plant  #: plant whose truth is recorded
         data = plant.data
         body = plant.object_body
         root = plant.model.body_rootid[body]
+        #: views of position, rotation, velocity and reference point of the object
         self._object_views = (
             data.xpos[body],
             data.xmat[body],
@@ -83,7 +84,7 @@ class MujocoTruth(NotedWrenches):
         )
         self._contact_count = -1  # in the last call of `note`
         self._contact_layout: np.dtype[np.void] = np.dtype([])  #: of a contact's record
-        self._states: list[Array] = []
+        self._states: list[Array] = []  #: numbers of object and rails at each instant
         self._contact_records: list[Array] = []  #: see `_view_contacts`, of each instant
         self._forces: list[Array] = []  #: constraint forces of each instant (N, N m)
 
@@ -103,6 +104,7 @@ class MujocoTruth(NotedWrenches):
             # steps
             self._contact_count = data.ncon
             if self._contact_count:
+                #: view of the records of MuJoCo's contacts
                 self._contact_layout, self._contact_view = _view_contacts(data.contact)
             else:
                 self._contact_view = _NO_CONTACTS

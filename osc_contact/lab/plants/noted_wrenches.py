@@ -51,8 +51,9 @@ class NotedWrenches:
             faces: bodies of its environment.
             inertia: (6, 6) inertia of the object at its origin, in its axes.
         """
-        self._contacts = contacts
-        self._faces = faces
+        self._contacts = contacts  #: contact pairs of the plant
+        self._faces = faces  #: bodies of the environment
+        #: bodies and axes of the guides, in the order of the positions in a row
         self._guided_joints = guided_joints(faces.rails)
         self._metric_root = np.linalg.cholesky(np.linalg.inv(inertia)).T  #: Φ = rootᵀ root
 

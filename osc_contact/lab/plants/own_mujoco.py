@@ -89,17 +89,18 @@ class MujocoScene:
         self.moved_mass = chain.moved_mass
         self.carried_mass = chain.outboard_mass
         self.loose = loose
-        self._step = float(model.opt.timestep)
-        self._model = model
-        self._data = copy.copy(data)
+        self._step = float(model.opt.timestep)  #: time step (s)
+        self._model = model  #: MuJoCo's model
+        self._data = copy.copy(data)  #: copy of the state
         self.pairs = [(a, b) for a in tool for b in others if _can_touch(model, a, b)]
         self.tool_touches = bool(self.pairs)
-        self._others = sorted({b for _, b in self.pairs})
+        self._others = sorted({b for _, b in self.pairs})  #: geoms that the tool can touch
         # a copy of the model in which a geom of the tool is a small sphere, to measure distances
         if self.pairs:
+            #: geom of the tool that is a small sphere in `_probe`
             self._point = point = self.pairs[0][0]
-            self._probe = copy.copy(model)
-            self._probe_data = copy.copy(data)
+            self._probe = copy.copy(model)  #: model in which this geom measures distances
+            self._probe_data = copy.copy(data)  #: state of `_probe`
             self._probe.geom_type[point] = _SPHERE
             self._probe.geom_size[point] = self._probe.geom_rbound[point] = _POINT_M
 
@@ -284,11 +285,13 @@ class MujocoRobot(MujocoPlant):
         arm = chain.arms[0]
         index_of = {joint_name(mj, j): j for j in range(mj.njnt)}
         joints = np.array([index_of[name] for name in list(arm.model.names)[1:]])
-        self._q = mj.jnt_qposadr[joints]
-        self._v = mj.jnt_dofadr[joints]
+        self._q = mj.jnt_qposadr[joints]  #: (n,) indices of the joints in qpos
+        self._v = mj.jnt_dofadr[joints]  #: (n,) indices of the joints in qvel
+        #: positions of locked joints by their index in qpos (rad, m)
         self._locked = {
             mj.jnt_qposadr[index_of[joint]]: position for joint, position in arm.locked.items()
         }
+        #: actuators that exert the torques of the motors
         self._inputs = TorqueInputs(mj, joints[chain.actuated])
         if arm.tip in [mj.body(b).name for b in range(mj.nbody)]:
             self.object_body = mj.body(arm.tip).id
@@ -296,8 +299,10 @@ class MujocoRobot(MujocoPlant):
             site = mj.site(arm.tip)
             self.object_body = int(site.bodyid[0])
             self.place = pose(site.pos, site.quat)
+        #: bodies whose poses are the truth: object, then tip, which are one
         self._posed_bodies = [self.object_body] * 2
-        self._sensed_arms = []
+        self._sensed_arms = []  #: [0] with a wrist sensor, else empty
+        #: (1, 6) indices of the wrench in the sensor data, (0, 6) without a sensor
         self._wrench_indices = np.zeros((0, 6), dtype=int)
         tool = self.object_body
         if arm.wrist_sensor is not None:
@@ -416,7 +421,7 @@ class MujocoRobot(MujocoPlant):
 
     def _send(self, tau: Array) -> None:
         """Write motor torques tau (n_a,) into MuJoCo's data (N m, N)."""
-        self._tau = as_array("tau", tau, (self.chain.n_a,))
+        self._tau = as_array("tau", tau, (self.chain.n_a,))  #: (n_a,) torques that act (N m, N)
         self._inputs.send(self.data, self._tau)
 
     def _joint_torques(self) -> Array:

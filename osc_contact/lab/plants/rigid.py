@@ -211,14 +211,17 @@ class RigidPlant:
         self.dt = step
         self.time = 0.0
         self.model = chain.model.copy()
+        #: frame of each arm's tip
         self._tip_frames = [self.model.frames[tip] for tip in chain.tips]
         if chain.leader is not None:  # the object rides on its last joint
             tip = self._tip_frames[chain.leader]
             X = tip.placement * chain.grasps[chain.leader].X_TO
             self.model.appendBodyToJoint(tip.parentJoint, chain.payload.inertia, X)
+        #: parts of the model beyond each wrist sensor; None without a sensor
         self._wrist_cuts = [
             None if sensor is None else wrist_cut(chain.model, sensor) for sensor in chain.sensors
         ]
+        #: (n,) speed below which dry friction is regularised (rad/s, m/s)
         self._friction_speed = np.where(
             sliding(self.model), _SLIDING_FRICTION_SPEED, _TURNING_FRICTION_SPEED
         )
@@ -227,10 +230,11 @@ class RigidPlant:
         self.v = np.zeros(chain.nq)
         # pose and twist of the object if no arm leads it
         self._X = pin.SE3.Identity()
-        self._V = np.zeros(6)
-        self._tau = np.zeros(chain.n_a)
+        self._V = np.zeros(6)  #: (6,) twist of the object if no arm leads it; `_X` its pose
+        self._tau = np.zeros(chain.n_a)  #: (n_a,) torques that act (N m, N)
         #: equations, and their solution, with the state that they belong to
         self._cached_equations: tuple[bytes, Equations] | None = None
+        #: solution of these equations under the present torques
         self._cached_solution: tuple[bytes, tuple[Solution, tuple[pin.SE3, Array]]] | None = None
 
     def reset(self, q: Array) -> None:

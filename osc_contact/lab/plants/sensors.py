@@ -193,6 +193,7 @@ class SensedPlant:
     def _update_time(self) -> None:
         """Update the time; the plant is measured once, when the first reading is used."""
         self.time = self.plant.time
+        #: function that measures the plant once at each instant
         self._ideal_measurement = cache(self.plant.measure)
 
     def _make_sensors(self) -> None:
@@ -203,7 +204,7 @@ class SensedPlant:
         """
         self._update_time()
         self._robot_poses = len(self.plant.poses())  # object and arms come before the bodies
-        self._sensors_by_name: dict[str, Sensor] = {}
+        self._sensors_by_name: dict[str, Sensor] = {}  #: sensors by the name of their quantity
         streams = np.random.default_rng([self.seed, 1]).spawn(4)
         for name, rng in zip((*_READ, "vision"), streams, strict=True):
             spec = getattr(self.sensors, name)

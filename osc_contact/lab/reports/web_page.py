@@ -427,9 +427,9 @@ class _Drawn:
             plant: its plant.
             compares: True: plots have curves of a selection law, too.
         """
-        self._compares = compares
-        self._rig = rig
-        self._plant = plant
+        self._compares = compares  #: whether plots have curves of a selection law, too
+        self._rig = rig  #: rig of the scenario
+        self._plant = plant  #: plant of the scene
         first = samples_at(
             run(rig.scenario, duration=2.0 / rig.scenario.control.rate).channels, slice(1)
         )
@@ -441,17 +441,19 @@ class _Drawn:
         channels = {
             name: value for name, value in first.items() if name not in (*_POWER_CHANNELS, *unknown)
         }
-        self._scene = Scene(content_of(rig), channels)
-        self._page_commands = CommandSink()
+        self._scene = Scene(content_of(rig), channels)  #: scene that is drawn
+        self._page_commands = CommandSink()  #: commands that draw the scene in the page
         top = self._page_commands.visualizer()
         self._scene.draw(top)
+        #: state of each moving node at the start, by path
         self._node_states = self._scene.states(channels)
         changes(top, {}, self._node_states)
         # axes of twists are drawn, but hidden until the user shows them
         for path in self._node_states:
             if path.startswith("twists/") and path.count("/") == 1:
                 top[path].set_property("visible", False)
-        self._cameras = self._scene.look(top, channels)
+        self._cameras = self._scene.look(top, channels)  #: view of the scene
+        #: descriptions of the nodes that are fixed to a body
         self._nodes = [
             self._describe_node(path) for path in self._node_states if self._body_of_node(path)
         ]

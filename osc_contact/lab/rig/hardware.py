@@ -285,7 +285,7 @@ class TorqueLoopRobot:
         self.loop = loop
         self.measure = plant.measure
         self.stop = plant.stop
-        self._torque_stamp = -1.0
+        self._torque_stamp = -1.0  #: time at which torque sensors were sampled last (s)
 
     def command(self, tau: Array, duration: float) -> None:
         """Run the loop for one period of the controller.
@@ -346,10 +346,12 @@ class ObservedRobot:
         self._acceleration = np.zeros(chain.nq)
         self.dt = 1.0 / scenario.control.rate
         self._encoder_stamp = -1.0  #: time at which encoders were sampled last (s)
-        self._ticks = 0
+        self._ticks = 0  #: number of measurements so far
         spec = scenario.sensors
         estimate = scenario.control.estimate
+        #: whether estimates include what contact forces accelerate
         self._measured_forces = measured_forces
+        #: estimate of the joint velocities; None: they are read
         self._estimate: VelocityEstimate | None = None
         if spec.encoder is not None:
             limit = chain.model.velocityLimit
@@ -357,17 +359,20 @@ class ObservedRobot:
             period = max(self.dt, 1.0 / spec.encoder.rate)
             #: largest plausible change of a reading in a period (rad, m)
             self._largest_change = scenario.control.safety.plausible_speed * limit * period
-            self._delay = spec.encoder.delay
+            self._delay = spec.encoder.delay  #: delay of the encoders (s)
+            #: (n,) last plausible readings (rad, m)
             self._last_plausible = np.full(chain.nq, np.nan)
-            self._implausible_ticks = np.zeros(chain.nq)
+            self._implausible_ticks = np.zeros(chain.nq)  #: (n,) periods since these readings
             self._estimate, error = joint_estimate(scenario, chain, measured_forces)
-            #: largest noise whose estimate is as fast as the hold of a stopped arm: √(σ_a/σ_n) = ω
             unknown = encoder_errors(scenario, chain)[1]
             rate = scenario.control.safety.hold_rate
+            #: largest noise whose estimate is as fast as the hold of a stopped arm: √(σ_a/σ_n) = ω
             self._largest_noise = np.maximum(unknown / rate**2, error)
+            #: measured noise of the encoders
             self._noise_measure = ReadingNoise(error, 1.0 / spec.encoder.rate)
             noise = _joint_errors(chain, spec.encoder, attrgetter("noise"))
             resolution = _joint_errors(chain, spec.encoder, attrgetter("resolution"))
+            #: detection of encoders without noise
             self._dead_encoders = DeadEncoders(noise, resolution)
         self.vision: VisionFusion | None = None
         if (camera := spec.vision) is not None:

@@ -519,11 +519,11 @@ class SurfaceMotion:
         Raises:
             InvalidInputError: the direction is along the normal.
         """
-        self._pair = pair
-        self._X = X_start
-        self._ball = X_start.act(pair.centre)
+        self._pair = pair  #: contact of the ball with the surface
+        self._X = X_start  #: pose of the object at the start
+        self._ball = X_start.act(pair.centre)  #: (3,) centre of the ball at the start, world (m)
         _, _, normals = pair.nearest(self._ball[:, None])
-        self._normal = normals[:, 0]
+        self._normal = normals[:, 0]  #: (3,) normal of the surface there, world
         requested = as_array("direction", direction, (3,))
         tangent = requested - (requested @ self._normal) * self._normal
         size = norm(tangent)

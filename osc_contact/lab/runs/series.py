@@ -24,9 +24,9 @@ class Series:
         """Begin before the first tick."""
         # of the finite values of each signal (m,): number, sum, sum of squares, largest magnitude
         self._counts = np.zeros(1)
-        self._sums = np.zeros(1)
-        self._squares = np.zeros(1)
-        self._peaks = np.zeros(1)
+        self._sums = np.zeros(1)  #: sum
+        self._squares = np.zeros(1)  #: sum of squares
+        self._peaks = np.zeros(1)  #: largest magnitude
 
     def add(self, values: Array) -> None:
         """Include k further ticks.

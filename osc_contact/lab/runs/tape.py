@@ -44,9 +44,11 @@ class Tape:
     def __init__(self, controller: Controller) -> None:
         """Replace `tick` of a controller by a function that also records inputs and torques."""
         self.count = 0
-        self._encoded_ticks: list[bytes] = []
-        self._controller = controller
+        self._encoded_ticks: list[bytes] = []  #: bytes of each tick
+        self._controller = controller  #: controller whose ticks are recorded
+        #: its own `tick`
         self._controller_tick: Callable[[Measurement, Reference], Array] = controller.tick
+        #: bytes of MEMORY after the last tick
         self._memory_after = controller.records.memory_bytes.copy()
         controller.__dict__["tick"] = self.tick
 

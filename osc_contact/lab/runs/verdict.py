@@ -294,6 +294,7 @@ class _Sums:
         self.off = Series()  # distance (m) from the reference while contacts are settled
         self.closed = Series()  # 1 in ticks in which a contact is closed
         limits = list(meta.get("effort_limits", {}).values())
+        #: (n_a,) torque limits, inf without a limit (N m, N)
         self._effort = np.nan_to_num(np.array(limits, dtype=float), nan=np.inf)
         self.at_limit = np.zeros(len(limits), dtype=int)
         self.status = np.zeros(len(_STATUS_NAMES), dtype=int)

@@ -80,7 +80,7 @@ class Template:
         problems = Problems(str(self.source or "scenario"))
         if len(text) > LARGEST:
             raise ScenarioError(f"{len(text)} characters; scenarios are read up to {LARGEST}")
-        self._document = ScenarioDocument(text, problems)
+        self._document = ScenarioDocument(text, problems)  #: text of the scenario, with its lines
         if not isinstance(self._document.data, dict):
             problems.at_line(1, "expected keys such as name, arms, object; got no group of keys")
             problems.raise_any()

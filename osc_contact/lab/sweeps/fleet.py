@@ -106,12 +106,14 @@ class Fleet:
         first = starts[0]
         self.rows = len(starts)
         self.dt = first.controller.dt
-        self._plant = first.plant
+        self._plant = first.plant  #: plant of the first row, whose structure all have
+        #: steps of physics in a control period
         self._steps_per_tick = first.plant.steps_in(self.dt)
         self.control = BatchController([row_start.controller for row_start in starts], threads)
-        self._models = [row_start.plant.model for row_start in starts]
-        self._plants: Any = Batch(first.plant.model, self.rows, nthread=threads)
+        self._models = [row_start.plant.model for row_start in starts]  #: model of each row
+        self._plants: Any = Batch(first.plant.model, self.rows, nthread=threads)  #: MuJoCo's batch
         names = ("qpos", "qvel", "sensordata", "ctrl", "xpos", "xmat")
+        #: views of the batch: motor torques, after those of the sensed arrays; poses of bodies
         *self._sensed_arrays, self._ctrl, self._xpos, self._xmat = map(self._plants.bind, names)
         self.begin(dict(enumerate(starts)))
 

@@ -85,7 +85,9 @@ class RigBuilder(threading.local):
 
     def __init__(self) -> None:
         """Make empty caches."""
+        #: chains by the parts of a scenario on which they depend
         self._chains: dict[str, ClosedChain] = {}
+        #: judged robots at their tasks, by the parts of a scenario on which they depend
         self._robots: dict[str, RobotAtTask] = {}
 
     def rig(self, scenario: Scenario) -> Rig:

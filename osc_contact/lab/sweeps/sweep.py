@@ -48,7 +48,7 @@ class RowFile:
         self.path = path
         self.done: dict[int, Row] = {}
         path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = path.open("ab")
+        self._file = path.open("ab")  #: open file, to which rows are appended
         try:
             hold(self._file.fileno(), path)
             self._continue(path.read_bytes(), study, laws)

@@ -281,11 +281,13 @@ class _Judge:
         Raises:
             InvalidInputError: unknown columns.
         """
-        self._objective = objective
-        self._limits: Mapping[str, float] = limits or {}
+        self._objective = objective  #: quantity that is to be minimal
+        self._limits: Mapping[str, float] = limits or {}  #: largest values by column
+        #: columns with the errors of the contact forces
         self._force_columns = [
             name for name in shipped[0] if re.fullmatch(r"force\..*\.rms_.*error_rel", name)
         ]
+        #: mean errors with the shipped values
         self._shipped_means = {name: self._mean(shipped, name) for name in ("force", "motion")}
         if objective not in (*self._shipped_means, "both", *shipped[0]):
             columns = [name for name, value in shipped[0].items() if isinstance(value, float)]

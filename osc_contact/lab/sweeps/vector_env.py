@@ -208,12 +208,13 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             "halton" if vary else "random",
             overrides=overrides,
         )
+        #: function that makes the episode of a number
         self._make_episode = episode_maker(study, 1.0 / rate)
-        self._n_episodes = episodes if vary else 1
+        self._n_episodes = episodes if vary else 1  #: number of different episodes
         # the first episode stands for all: they have the same structure and control period
         first = self._make_episode(0)
         control_rate = 1.0 / first.start.controller.dt
-        self._ticks_per_action = round(control_rate / rate)
+        self._ticks_per_action = round(control_rate / rate)  #: control periods in an action
         if (
             num_envs < 1
             or self._ticks_per_action < 1
@@ -225,20 +226,25 @@ class ContactVectorEnv(VectorEnv[Any, Any, Any]):
             )
         self.num_envs = num_envs
         self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
-        self._reward = reward
+        self._reward = reward  #: function that computes the rewards
         verdict = first.start.rig.scenario.verdict
+        #: errors of the pose (m, rad) above which an episode ends
         self._most_error = (verdict.distance, verdict.angle)
-        self._r = first.forces.shape[1]
+        self._r = first.forces.shape[1]  #: r, number of contact forces
         self.move = np.repeat(_default_increments(first.places) if move is None else move, 3)
         largest = 2.0 * float(np.abs(first.forces).max(initial=0.0))
         self.most_force = largest if most_force is None else most_force
         require_below_ceilings(first.start.rig.scenario.control.safety, self.most_force, self._r)
-        self._episodes = [first] * num_envs
+        self._episodes = [first] * num_envs  #: present episode of each environment
         count = available_cores() if threads is None else threads
         self.fleet = Fleet([first.start] * num_envs, min(count, num_envs))
+        #: (B,) number of actions in the present episode
         self._step = np.zeros(num_envs, dtype=int)
+        #: (B, 4, 4) desired poses at the end of the action
         self._target = np.tile(first.places[0], (num_envs, 1, 1))
+        #: (B, r) desired contact forces at the end of the action (N)
         self._forces = np.zeros((num_envs, self._r))
+        #: (B,) whether the episode has ended, so that the next step begins another one
         self._ended = np.zeros(num_envs, dtype=bool)
         self.names = self._name_numbers(first)
         self._make_spaces()

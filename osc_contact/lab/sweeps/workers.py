@@ -56,7 +56,7 @@ class Workers:
 
     def __post_init__(self) -> None:
         """Make the first executor."""
-        self._executor = self.executor()
+        self._executor = self.executor()  #: processes or threads of the runs
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Submit a call to the workers; a broken executor is replaced before.

@@ -273,6 +273,7 @@ class TaskRobot:
         # rms error of a quantised reading is its step / √12
         error = np.full(chain.nq, resolution / np.sqrt(12.0))
         unknown = np.full(chain.nq, EstimateSpec().joint_angular)
+        #: estimate of the joint velocities
         self._velocities = VelocityEstimate.optimal(error, unknown, PERIOD, PERIOD)
         self.largest_sum = 0.0
         self.largest_single = 0.0

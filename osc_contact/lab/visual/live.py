@@ -94,16 +94,17 @@ class Viewer:
             raise InvalidInputError(f"rate = {rate}; give 1 to 60 pictures per second")
         self.error: ViewerError | None = None
         self.browsers = 0
-        self._end_reason = ""
-        self._period = 1.0 / rate
-        self._next_send = 0.0
+        self._end_reason = ""  #: why no more ticks are sent; empty while they are
+        self._period = 1.0 / rate  #: time between pictures (s)
+        self._next_send = 0.0  #: time of the run at which the next picture is due (s)
+        #: time of the run since which the process has accepted nothing (s); inf: it does
         self._stalled_since = float("inf")
         self.stalled = False
         # the scene is sent through the process's standard input, ticks later through the link
         self._link, far_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with tempfile.TemporaryFile() as complaints:
             with far_end:  # closed here, so that the end of the process closes the link
-                self._process = _start_viewer(far_end, complaints)
+                self._process = _start_viewer(far_end, complaints)  #: process that serves the page
             try:
                 with self._process.stdin as scene:  # type: ignore[union-attr]
                     pickle.dump(about, scene)

@@ -58,6 +58,7 @@ class FigureProcess:
     def __enter__(self) -> "FigureProcess":
         """Start the process, which imports its modules and waits for a folder."""
         command = [sys.executable, "-P", "-m", __name__]
+        #: process that draws the figures
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )
