@@ -23,6 +23,8 @@ from osc_contact.contacts.pairs import PAIRS
 from osc_contact.lab.cli.app import app
 from osc_contact.lab.scenarios.contact_keys import contact_types
 from osc_contact.lab.tasks.packaged import TASKS
+from osc_contact.law.agreement import GAP_HORIZON
+from osc_contact.law.reasons import CODES, SENTENCES
 
 PAGES = [
     *(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "SECURITY", "CODE_OF_CONDUCT")),
@@ -291,6 +293,16 @@ def test_each_of_the_thirty_bad_inputs_has_a_test():
         (cited,) = TICKED.findall(row[-1])
         file, name = cited.split("::")
         assert re.search(rf"^def {name}\(", text_of(ROOT / file), re.MULTILINE), cited
+
+
+def test_the_horizon_of_gaps_is_the_one_of_the_law():
+    page = text_of("reliability.md")
+    stated = f"within {GAP_HORIZON:g} s (the horizon of gaps)"
+    assert stated in page
+    assert f"within {GAP_HORIZON:g} s" in SENTENCES[CODES["APART"]]
+    elsewhere = page.replace(stated, "")
+    row = next(line for line in elsewhere.splitlines() if "`closure_error` for 10 ms" in line)
+    assert "within the horizon of gaps" in row
 
 
 def test_each_hazard_has_what_detects_it_a_time_a_limit_and_a_test():

@@ -799,14 +799,14 @@ def test_readings_are_dead_where_a_joint_stops_by_more_than_twice_the_torque_of_
         t.work.joints.M[i, i] = 0.5
     t.memory.still = 0.02
     t.memory.joints.halted[j] = 2.79  # 1.4 N m: twice 0.5 and twice 0.1
-    assert not sensors.stop_at_once(t)
+    assert not sensors.stopped_abruptly(t)
     t.memory.joints.halted[j] = 2.81
-    assert sensors.stop_at_once(t)
+    assert sensors.stopped_abruptly(t)
     t.memory.still = 0.005  # joints read the same now and then
-    assert not sensors.stop_at_once(t)
+    assert not sensors.stopped_abruptly(t)
     t.memory.still = 0.02
     t.model.joints.motor[j] = -1
-    assert not sensors.stop_at_once(t)
+    assert not sensors.stopped_abruptly(t)
 
 
 @parametrize("at_once", [True, False])

@@ -36,12 +36,13 @@ UNBALANCED = declare_reason(
     "{safety.wrist_error:g} of their limits: the sensor's sign, scale, offset, frame or arm is "
     "wrong, or the masses of the links, or a joint rubs",
 )
+GAP_HORIZON = 0.1  #: s ahead for which the gap between arms is extrapolated by its rate
 APART = declare_reason(
     "APART",
     60,
     "arm '{arm}' is more than closure_error = {closure_mm:g} mm away from where the others "
-    "hold the object, or moves so far away within 0.1 s: an encoder is wrong, those of two arms "
-    "are swapped, or a grasp has slipped",
+    f"hold the object, or moves so far away within {GAP_HORIZON:g} s: an encoder is wrong, those "
+    "of two arms are swapped, or a grasp has slipped",
 )
 
 _LAG = 0.02  #: s, time constant of the low-pass of speeds of an approach
@@ -55,8 +56,7 @@ _OUTLIER = 10.0  #: largest unexplained torque of one tick, as a multiple of the
 _RUBBING = 2e-3  #: rad/s, m/s, speed above which a joint has dry friction along its motion
 _RUBS = 0.5  #: possible error of the modelled friction, as a share
 APART_TIME = 0.01  #: s for which arms may place the object differently
-_AHEAD = 0.1  #: s ahead for which the gap between arms is extrapolated by its rate
-_PARTING = 0.01  #: s, time constant of the low-pass of this rate
+_PARTING = 0.01  #: s, time constant of the low-pass of the rate of a gap
 #: share of its part of the object's weight above which a stopped arm holds the object if no other
 #: arm does, or if encoders place the arms apart
 HEAVY = 0.5
@@ -323,18 +323,18 @@ def measure_gap(t, k, X, dt):
 
 @leaf
 def is_apart(t, k):
-    """Determine whether the gap of arm k exceeds `closure_error` (m), or will after `_AHEAD`.
+    """Determine whether the gap of arm k exceeds `closure_error` (m), or will after `GAP_HORIZON`.
 
-    An arm that has let go is accelerated by the torques that carried its part of the object, and
-    the others by its missing ones: before it is `closure_error` away, contact forces have changed,
-    and its light joints are fast.
+    The gap is extrapolated by its rate, if it grows. An arm that has let go is accelerated by the
+    torques that carried its part of the object, and the others by its missing ones: before it is
+    `closure_error` away, contact forces have changed, and its light joints are fast.
 
     Args:
         t: Tick after `measure_gap`.
         k: index of the arm, which is not the leader.
     """
     row = t.memory.arms[k]
-    return row.gap + _AHEAD * max(row.parting, 0.0) > t.model.closure_error
+    return row.gap + GAP_HORIZON * max(row.parting, 0.0) > t.model.closure_error
 
 
 @leaf

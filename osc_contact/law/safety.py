@@ -25,7 +25,7 @@ from osc_contact.law.records import (
     SATURATED,
     WRISTS,
 )
-from osc_contact.law.sensors import exceeds_dry_friction, stop_at_once
+from osc_contact.law.sensors import exceeds_dry_friction, stopped_abruptly
 
 OVERSPEED = declare_reason(
     "OVERSPEED",
@@ -316,7 +316,7 @@ def _note_accelerations(t):
     Args:
         t: Tick.
     """
-    is_dead = stop_at_once(t)
+    is_dead = stopped_abruptly(t)
     for k in range(t.model.n_arms):
         arm = t.model.arms[k]
         for j in range(arm.first, arm.end):

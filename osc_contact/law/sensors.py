@@ -61,7 +61,7 @@ _LATE = 0.01  #: s, possible delay of speeds
 _RESOLUTION = 4e-4  #: rad, m, resolution of a coarse encoder (14 bits)
 _MODEL = 0.1  #: s, time constant of the predictions of speeds from commanded accelerations
 _HELD = 0.05  #: share of a motor's torque limit that dry friction may hold
-_LITTLE = 0.002  #: the same beside twice the friction that a joint's motion has shown
+_LITTLE = 0.002  #: share of it that is added to twice the friction that a joint's motion has shown
 _SLID = 0.1  #: s of motion after which a joint has shown its friction
 _FINE = 1e-9  #: rad, m, change of a position below which it is rounding
 _TURNING = 0.1  #: s, time constant of the share of changes that reverse the one before
@@ -215,9 +215,9 @@ def _check_joints(t, is_new, same_wrenches):
 
     A position is used if it is finite and not barred by a jump, a speed if it is plausible and no
     speeds of several joints jump (`speed_jumps` of WORK). Reads q and v of INPUT, and `barred` and
-    `acceleration` of the joints in MEMORY; updates their last readings `q` and `v`, `pending`
-    (speed commanded since the position was read), `unread_q`, `unread_v` (ticks), and the fields of
-    `_check_joint`, `isolate_joint` and `_note_packet`.
+    `acceleration` of the joints in MEMORY; updates their last speed `v`, the predictions `model_v`
+    and `model_q` at the first reading, `unread_q` and `unread_v` (ticks), and the fields of
+    `_check_position` and `_note_packet`.
 
     Args:
         t: Tick.
@@ -252,22 +252,15 @@ def _check_joints(t, is_new, same_wrenches):
         is_complete = is_complete and is_read
         # the position: change since it was read last, and evidence of faults
         if is_read:
-            step = q[j] - joint_memory.q
-            if elapsed != model.period * (1 + joint_memory.unread_q):
+            if elapsed != model.period * (1 + joint_memory.unread_q):  # else as of the last joint
                 elapsed = model.period * (1 + joint_memory.unread_q)
                 shares = _shares(elapsed)
+            step, joint_reason = _check_position(t, j, is_credible, elapsed, shares)
             changed += 1 if step != 0.0 else 0
             all_same = all_same and step == 0.0 and is_credible and v[j] == joint_memory.v
-            if compared and is_credible:
-                joint_reason = _check_joint(
-                    t, joint_memory, joint.speed_max, step, v[j], elapsed, shares
-                )
-                if joint_reason != NO_REASON:
-                    reason = joint_reason
-                    faulty_joint = j
-                    isolate_joint(t, j)
-            joint_memory.q = q[j]
-            joint_memory.pending = 0.0
+            if joint_reason != NO_REASON:
+                reason = joint_reason
+                faulty_joint = j
         if is_credible:
             joint_memory.v = v[j]
             if not compared:
@@ -280,13 +273,44 @@ def _check_joints(t, is_new, same_wrenches):
 
 
 @inner
+def _check_position(t, j, is_credible, dt, shares):
+    """Check a new position of joint j, and store it as the last one.
+
+    Updates of the joint in MEMORY `q` and `pending` (speed commanded since the position was read,
+    0 now), and the fields of `_check_joint`; `faulty` of the joints if a fault is found.
+
+    Args:
+        t: Tick, of which q and v of INPUT are read.
+        j: index of the joint.
+        is_credible: whether its speed can be used, too; otherwise nothing is compared.
+        dt: time since the position was last read (s).
+        shares: shares of dt in the low-passes, from `_shares`.
+
+    Returns:
+        Change of the position since it was last read (rad, m); and the reason of `_check_joint`,
+        or `NO_REASON`.
+    """
+    joint_memory = t.memory.joints[j]
+    step = t.input.q[j] - joint_memory.q
+    reason = NO_REASON
+    if t.memory.compared != 0 and is_credible:
+        limit = t.model.joints[j].speed_max
+        reason = _check_joint(t, joint_memory, limit, step, t.input.v[j], dt, shares)
+        if reason != NO_REASON:
+            isolate_joint(t, j)
+    joint_memory.q = t.input.q[j]
+    joint_memory.pending = 0.0
+    return step, reason
+
+
+@inner
 def _note_packet(t, all_same, same_wrenches, changed, elapsed):
     """Update the evidence of a repeated packet after a tick in which all positions were read.
 
     Fills in MEMORY `compared` (1), `lively` (share of readings that change a position, low-passed
-    with the time constant `_TURNING`), `still` and `frozen` (s of identical readings, of joints,
-    and of joints and wrists). If the arms are stopped and held at rest, their encoders are tested
-    by small motions.
+    with the time constant `_TURNING`; kept while none does), `still` and `frozen` (s of identical
+    readings, of joints, and of joints and wrists). If the arms are stopped and held at rest, their
+    encoders are tested by small motions (`_test_encoders`).
 
     Args:
         t: Tick.
@@ -311,9 +335,10 @@ def _note_packet(t, all_same, same_wrenches, changed, elapsed):
 def _check_packet(t):
     """Return a reason to stop if the readings of all joints have been identical for too long.
 
-    DISAGREE: a joint has a speed (rad/s, m/s) by which its position would have changed by more than
-    the resolution of encoders in this time. FROZEN: the positions of all joints were noisy before;
-    and either the wrists are constant, too, or noise changed most readings of joints.
+    Too long is more than `frozen_time`. DISAGREE: a joint has a speed (rad/s, m/s) by which its
+    position would have changed by more than the resolution of encoders in this time. FROZEN, which
+    replaces it: the positions of all joints were noisy before; and either the wrists have been
+    identical for as long, too, or noise changed more than `_LIVELY` of the readings of joints.
 
     Args:
         t: Tick after `_note_packet`, of which `still` and `frozen` (s of identical readings of
@@ -341,6 +366,10 @@ def _check_packet(t):
 def _check_joint(t, joint_memory, limit, step, v, dt, shares):
     """Update the evidence of faults of a joint by a new reading of its position and speed.
 
+    Fills of the joint in MEMORY `error` (speed less that of the positions, low-passed; rad/s, m/s),
+    `drift` (its integral with forgetting, less the drift that a small error of the speed's scale
+    explains; rad, m), `stuck`, and the fields of `_note_changes` and `_compare_with_predictions`.
+
     Args:
         t: Tick.
         joint_memory: JOINT_MEMORY, changed.
@@ -352,7 +381,8 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
 
     Returns:
         `STUCK` if the joint does not follow commands, `DISAGREE` if position and speed contradict
-        each other, else `NO_REASON`; this, too, if the speed was estimated from noisy positions.
+        each other, else `NO_REASON`. It is always `NO_REASON` if speeds are estimated from
+        positions that are noisier than expected.
     """
     model = t.model
     slope = step / dt
@@ -368,7 +398,7 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
     _compare_with_predictions(joint_memory, slope, v, dt, shares, forgetting)
     if t.memory.derived == NOISY:
         return NO_REASON
-    # verdict: stuck, a speed read although readings are constant after a stop, a large difference
+    # reasons: stuck; constant readings with a speed after a stop; a large error, or drift of it
     joint_memory.stuck = joint_memory.gained > model.stuck_speed * limit
     if joint_memory.stuck:
         return STUCK
@@ -387,10 +417,13 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
 def _note_changes(t, joint_memory, limit, step, v, dt, share):
     """Update the evidence of a constant position or speed of a joint.
 
-    Fills of the joint in MEMORY the times (s) and displacements since position or speed last
-    changed (`same_speed`, `moved`, `due`, `rested`), `gained` (speed that was commanded meanwhile),
-    `changes`, `halted` (deceleration of a sudden stop), `turning` (share of changes that reverse
-    the one before) and `step` (last change).
+    Fills of the joint in MEMORY, since the speed last changed, the time `same_speed` (s) and the
+    displacement `moved` (rad, m); since the position last changed, the time `rested` (s), the
+    integral of the speed `due` (rad, m) and the speed `gained` that was commanded while friction
+    could not hold the joint (`driven`; rad/s, m/s); the number of changes `changes`; `halted`, the
+    deceleration of a change to a speed of 0 that lasts (rad/s², m/s²); of changes larger than
+    `_FINE` the last one `step` (rad, m), and the low-passed share `turning` of those that reverse
+    the one before.
 
     Args:
         t: Tick.
@@ -429,9 +462,11 @@ def _note_changes(t, joint_memory, limit, step, v, dt, share):
 def _compare_with_predictions(joint_memory, slope, v, dt, shares, forgetting):
     """Compare the changes of a joint's readings with those that the commands predict.
 
-    Both speeds are predicted from commanded accelerations, and follow the readings slowly. `blame`
-    is the integral of the difference of both errors: positive if the speed is predicted worse than
-    the position. Fills `model_v`, `model_q`, `surprise_v`, `surprise_q` and `blame` of the joint.
+    The speed that is read and that of the positions are predicted from commanded accelerations;
+    both predictions (`model_v`, `model_q`) follow the readings with the time constant `_MODEL`.
+    `surprise_v` and `surprise_q` are the low-passed errors of the predictions (all rad/s, m/s), and
+    `blame` (rad, m) is the integral of |surprise_v| − |surprise_q| with forgetting: positive if the
+    speed is predicted worse than the position. Fills these five fields of the joint.
 
     Args:
         joint_memory: JOINT_MEMORY, changed.
@@ -455,7 +490,7 @@ def _compare_with_predictions(joint_memory, slope, v, dt, shares, forgetting):
 def _were_noisy(t):
     """Determine whether the positions of all joints were noisy when they last changed.
 
-    Noise shows in the share of changes that reverse the one before (`turning`).
+    They were if more than the share `_NOISY` of changes reversed the one before (`turning`).
 
     Args:
         t: Tick.
@@ -473,12 +508,16 @@ def _test_encoders(t, dt):
     """Move the holds of stopped joints back and forth, and mark encoders that stop following.
 
     A constant reading alone does not prove a fault, since errors of gravity and friction may keep a
-    joint at rest beside its hold. The encoder of a joint that has followed several moves of the
-    hold, and is constant during the next one, is dead. A joint that is blocked by friction or by a
-    contact never follows; it remains at rest even if its encoder is dead.
+    joint at rest beside its hold. The holds of all joints are moved by `_MOVED` after each
+    `_SETTLES`/`hold_rate` seconds. The encoder of a joint that has followed `_FOLLOWED` moves, and
+    is constant during the next one, is dead. A joint that is blocked by friction or by a contact
+    never follows; it remains at rest even if its encoder is dead.
+
+    Updates in MEMORY `tested` (s since the last move), `above` (side of the holds), and of the
+    joints `hold`, `begun`, `went`, `changes`, `followed` and `faulty`.
 
     Args:
-        t: Tick.
+        t: Tick of stopped arms that are held at rest.
         dt: time since the last readings (s).
     """
     memory = t.memory
@@ -505,14 +544,15 @@ def _test_encoders(t, dt):
 
 
 @inner
-def stop_at_once(t):
+def stopped_abruptly(t):
     """Determine whether constant readings of all joints began with a stop no friction can cause.
 
-    The deceleration of some joint from one packet to the next then needs more than twice the torque
-    of unknown friction (`_HELD` times the motor limit, and its known friction).
+    Readings are constant if they have been identical for more than `DEAD`. The deceleration of a
+    joint with a motor, from one packet to the next, then needed more than twice the torque of dry
+    friction: the bound of its known friction, and `_HELD` times the motor's limit.
 
     Args:
-        t: Tick, of which `still`, and `halted` of the joints in MEMORY are read, and M.
+        t: Tick, of which M is read, and of MEMORY `still` and `halted` of the joints.
     """
     if t.memory.still <= DEAD:
         return False
@@ -549,9 +589,11 @@ def _dry_friction_bound(t, j):
 def exceeds_dry_friction(t, j):
     """Test whether the commanded acceleration of a joint needs more torque than dry friction.
 
-    Unknown friction is assumed to hold `_HELD` times the motor's limit. If the readings of all
-    joints have been constant for `DEAD`, either friction holds the arm or the encoders are dead;
-    for a joint that has moved, friction is then limited to twice the value shown by that motion.
+    Friction is bounded by `_dry_friction_bound` and, for a joint with a motor, unknown friction of
+    `_HELD` times the motor's limit. If the readings of all joints have been constant for `DEAD`,
+    either friction holds the arm or the encoders are dead; then the unknown friction of a joint
+    that has moved for `_SLID` is at most twice the value that the motion has shown (`rubbed`), plus
+    `_LITTLE` times the limit.
 
     Args:
         t: Tick.

@@ -221,7 +221,8 @@ class SafetySettings(OrderedSpec):
     mirrored, scaled, offset or that of another arm"""
     closure_error: LengthLimit = 0.02
     """distance between the places of the held object by the encoders of several arms that stops
-    the arms, also if it will be reached by the present speed within 0.1 s"""
+    the arms, also if it will be reached by the present speed within the
+    [horizon](reliability.md#sensor-fault-detection) of gaps"""
     contact_ceiling: Ceiling = None
     """measured force of a contact that stops the arms after `ceiling_time` for any command; a
     larger command is refused before the start; null: three times the largest command (of a contact
