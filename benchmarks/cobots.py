@@ -56,16 +56,25 @@ MOST_OFF = 0.005
 
 @dataclass
 class Outcome:
-    """How one task ended.
+    """Result of one drawn task.
 
     Attributes:
-        seed, number, without: the task, and the group of errors that was left out ("": none).
-        name: of arm or scenario. words: what was drawn.
-        refused, doubted: sentences of `preflight`.
-        word, why: of the verdict. failed: whether it says so.
-        rms: of the worst contact (share; None: none was judged). window: largest within a second.
-        peak: largest true over commanded force later than 0.35 s after contact was made.
-        landing: the same before. opened: share of the time. off: m off the path.
+        seed: seed of the task.
+        number: number of the task among those of the seed.
+        without: group of errors that was left out; empty: none.
+        name: name of the arm or scenario.
+        words: drawn properties of the task, in words by kind.
+        refused: sentences of `preflight` that refuse the task.
+        doubted: warnings of `preflight`.
+        word: word of the verdict.
+        why: reasons of the verdict.
+        failed: whether the run failed by its verdict.
+        rms: rms force error of the worst contact, as a share of its command; None: not judged.
+        window: largest rms force error within a second, as a share.
+        peak: largest true force over the commanded one, later than 0.35 s after contact was made.
+        landing: largest true force over the commanded one until then.
+        opened: share of the time in which a commanded contact was open.
+        off: largest distance from the path (m).
     """
 
     seed: int
@@ -87,7 +96,7 @@ class Outcome:
 
     @property
     def noticed(self) -> bool:
-        """Whether it was refused or doubted before it ran."""
+        """True if the task was refused or doubted before it ran."""
         return bool(self.refused or self.doubted)
 
     @property
@@ -105,7 +114,7 @@ class Outcome:
 
     @property
     def wanted(self) -> bool:
-        """Whether it neither failed nor ended wrong OK, below 5 %."""
+        """True if the run neither failed nor was wrongly OK, with an rms error below `WANTED`."""
         return not self.failed and not self.wrong_ok and self.rms is not None and self.rms < WANTED
 
 

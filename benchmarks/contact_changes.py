@@ -148,7 +148,11 @@ def change(
 
 
 def misses(row: Data) -> bool:
-    """Whether a row of contacts that leave is above a limit."""
+    """Test whether a step (share) or a dip (N) of the forces that remain is above its limit.
+
+    Args:
+        row: row of `change`; rows in which no contact leaves are not judged.
+    """
     judged = ("step", "dip")
     numbers = {key: row[key] for key in row if key.startswith(judged) and row[key] is not None}
     limits = {key: 100.0 * STEP if key.startswith("step") else DIP for key in numbers}

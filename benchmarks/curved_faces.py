@@ -143,7 +143,7 @@ def foot_on_saddle(p: Array, R: float) -> tuple[Array, Array]:
     """The point (3,) of z = (x² − y²) / 2R nearest to p (3,), and the upward normal there."""
 
     def gradient(at: Array) -> Array:
-        """Of half the squared distance."""
+        """Gradient (2,) of half the squared distance from p to the point above x, y."""
         x, y = at
         e = (x * x - y * y) / (2 * R) - p[2]
         return at - p[:2] + e * np.array([x, -y]) / R

@@ -509,7 +509,7 @@ def contact_response(run: Run) -> Array:
 
 
 def _is_pushed(run: Run) -> bool:
-    """Whether a push of the scenario acts on an arm, or has just acted."""
+    """Test whether a push of the scenario acts on an arm, or began less than `PUSHED_FOR` ago."""
     now = run.k * run.dt
     since = [
         (now - push.start) % push.every if push.every > 0.0 else now - push.start
@@ -520,7 +520,12 @@ def _is_pushed(run: Run) -> bool:
 
 
 def _scenario(name: str, outward: float | None) -> osc.Scenario:
-    """As packaged; or without contacts, both arms drawn to the edge of their reach (m)."""
+    """Load a packaged scenario, or make one of it in which arms reach the edge of their workspace.
+
+    Args:
+        name: name of the packaged scenario.
+        outward: distance (m) of a motion without contacts, to that edge; None: as packaged.
+    """
     scenario = osc.load_scenario(name)
     if outward is None:
         return scenario
@@ -580,7 +585,7 @@ def _places(seed: int, every: int) -> Iterator[Case]:
 
 
 def _can_occur(fault: Fault, case: Case) -> bool:
-    """Whether a scenario has the arms, and a world, that a fault changes."""
+    """Test whether the scenario of a case has the arms, and a world, that a fault changes."""
     scenario = _scenario(PHASES[case.phase][2].get("scenario", case.scenario), None)
     if fault.world is not None and scenario.plant.type != "mujoco":
         return False

@@ -287,7 +287,10 @@ class Done(NamedTuple):
     tick: Array
 
     def rms(self) -> tuple[float, ...]:
-        """Of forces (N), along the wall (mm), of turns (mrad); NaN where the run ended early."""
+        """Rms errors after 100 ticks: force (N), place along the wall (mm), rotation (mrad).
+
+        They are NaN if the run ended early.
+        """
         if len(self.force) < self.planned:
             return (np.nan,) * 3
         off = 1e3 * self.off

@@ -91,7 +91,7 @@ def insert(seed: int, gains: osc.ForceGains | None = None) -> Data:
 
 
 def misses(row: Data) -> bool:
-    """Whether a peg is not in, or was pressed too hard."""
+    """Test whether a peg is not inserted, or was pressed too hard, by its row."""
     return row["depth (mm)"] < 1e3 * END or row["largest force (N)"] > LARGEST
 
 

@@ -142,7 +142,7 @@ def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
 
 
 def goal_times(case: Case) -> list[float]:
-    """When the run is to be at each goal, at rest (s)."""
+    """Times at which the object has to be at rest at each goal (s)."""
     return [(i + 1) * STAY_S + i * case.move_s for i in range(len(case.goals))]
 
 

@@ -28,12 +28,14 @@ LAWS: dict[str, Callable[[], osc.Laws]] = {
 
 
 class Wall(NamedTuple):
-    """What is pressed on.
+    """Wall on which the arm presses.
 
     Attributes:
         surface: MuJoCo's solref and solimp, which make it stiff or soft; empty: the default.
-        motion: of the whole wall, as in a scenario. environment: what the law takes it for.
-        offsets: where references end behind its surface (m). gains: of the decoupled law.
+        motion: motion of the whole wall, as in a scenario; None: it is at rest.
+        environment: kind of environment in the model of the law.
+        offsets: distances behind the surface at which references end (m).
+        gains: gains of the decoupled law.
     """
 
     surface: Mapping[str, Any]

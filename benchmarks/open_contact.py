@@ -1,4 +1,4 @@
-"""How hard an arm presses where its model has nothing.
+"""Forces of an arm that touches a body which its model has elsewhere.
 
     python -m benchmarks.open_contact
 

@@ -127,7 +127,7 @@ class Run:
         return self.verdict
 
     def _is_over(self) -> bool:
-        """Whether the run has gone on for long enough."""
+        """Test whether the run can end: it is wrong, or it has lasted after its stop or fault."""
         if self.verdict.wrong:
             return True
         if self._stopped is not None:

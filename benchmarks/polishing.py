@@ -35,11 +35,13 @@ VARY = {"model_error.object_mass": "uniform(0.9, 1.1)", "model_error.arm_mass": 
 
 
 class Passes(NamedTuple):
-    """What is gauged after the passes of all rows.
+    """Results of the passes of B rows.
 
     Attributes:
-        uneven: (B,) rms of depth − 1. depth: (B, 20) between `EDGES`, 1: as desired; a contact that
-            is lost wears nothing. off: (B,) rms distance of the bar from its path (m).
+        uneven: (B,) rms of depth − 1.
+        depth: (B, 20) depth that was removed between `EDGES`, over the desired one; a contact that
+            is lost removes nothing.
+        off: (B,) rms distance of the bar from its path (m).
     """
 
     uneven: Array

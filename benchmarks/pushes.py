@@ -105,7 +105,13 @@ def _in_contact(name: str, changes: tuple[str, ...]) -> tuple[osc.Rig, float, np
 
 @without_logged_doubts()
 def _run(rig: osc.Rig, duration: float, *pushes: Push) -> osc.Recording:
-    """Of a rig, with these pushes in place of those that its scenario repeats."""
+    """Run a rig with pushes in place of those that its scenario repeats.
+
+    Args:
+        rig: rig with its scenario.
+        duration: duration of the run (s).
+        *pushes: pushes on the arms.
+    """
     plant = rig.scenario.plant
     once = [push for push in plant.pushes if push.every == 0.0]
     plant = plant.model_copy(update={"pushes": (*once, *pushes)})
@@ -114,7 +120,12 @@ def _run(rig: osc.Rig, duration: float, *pushes: Push) -> osc.Recording:
 
 
 def _direction(rig: osc.Rig, word: str) -> np.ndarray:
-    """(3,) unit vector in the world."""
+    """Unit vector (3,) of a push, in world axes.
+
+    Args:
+        rig: rig with its contacts.
+        word: "into" the faces (down without contacts), "off" them, or "along" them.
+    """
     into = rig.contact.N[:3].sum(axis=1) if rig.pairs else np.zeros(3)
     if not np.linalg.norm(into) > 0.1:
         into = np.array([0.0, 0.0, -1.0])

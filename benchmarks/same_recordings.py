@@ -1,4 +1,4 @@
-"""Whether a change of the code leaves the recordings of the packaged scenarios what they were.
+"""Comparison of recordings of the packaged scenarios before and after a change of the code.
 
     python -m benchmarks.same_recordings keep FOLDER [NAME ...]       # before the change
     python -m benchmarks.same_recordings compare FOLDER [NAME ...]    # after it

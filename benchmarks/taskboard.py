@@ -206,7 +206,7 @@ class Episode:
 
     @property
     def rectangular(self) -> bool:
-        """Whether the peg is rectangular; if not, it is round."""
+        """True if the peg is rectangular; if not, it is round."""
         return hasattr(self.peg, "size")
 
     @property
@@ -302,7 +302,7 @@ class Episode:
         return len(self.forces) * float(self.env.model.opt.timestep)
 
     def status(self) -> tuple[bool, bool]:
-        """Whether the peg is inserted, and whether it is seated."""
+        """Read from the task board whether the peg is inserted, and whether it is seated."""
         inserted, seated = self.peg.status(*self.env._rel_pose(self.peg), self.env.data)
         return bool(inserted), bool(seated)
 

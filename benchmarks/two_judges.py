@@ -1,4 +1,4 @@
-"""The same tasks before two judges, MuJoCo and Drake, that share no dynamics with each other or us.
+"""Tasks judged by MuJoCo and by Drake, which share no dynamics with each other or the controller.
 
     make worlds    (or, in its environment: python -m benchmarks.two_judges [--only TEXT])
 
@@ -67,7 +67,7 @@ class Verdict:
 
     @property
     def is_within(self) -> bool:
-        """Whether both errors are within their limits."""
+        """True if both errors are within their limits."""
         force, path = self.limits
         return self.force <= force and self.path <= path
 

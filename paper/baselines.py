@@ -186,7 +186,7 @@ class StepRun:
 def measured_coupling(
     rig: osc.Rig, law: Law, instant: Instant, plant: RigidPlant | None = None, t: float = 0.0
 ) -> Coupling:
-    """The same matrices as `Instant.coupling`, from whole ticks and the rigid plant's answer.
+    """Measure the matrices of `Instant.coupling` by whole ticks and accelerations of the plant.
 
     Steps of force come at once, whatever the scenario's rise time: one tick would not see them.
 

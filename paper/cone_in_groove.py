@@ -82,7 +82,7 @@ class Seat:
         self.from_wall_forces = np.linalg.lstsq(self.contact.N, lines, rcond=None)[0]
 
     def wall_forces(self, X_WO: pin.SE3) -> tuple[Array, Array]:
-        """Where (3, 4) and along which directions (3, 4) the cone presses on the walls.
+        """Points (3, 4; m) at which the cone presses on the walls, and directions (3, 4) of forces.
 
         The lines of contact end where the cone has 35 % and 100 % of its height. Pushes on the two
         ends of both lines are another basis of N, in which a real groove can only push (≥ 0).
@@ -160,7 +160,7 @@ _PROBED = 50  #: ticks from one probe of the coupling to the next
 
 
 class ConeRun(NamedTuple):
-    """What one run gave.
+    """Results of one run.
 
     Attributes:
         recording: of the run.

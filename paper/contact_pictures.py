@@ -1,4 +1,4 @@
-"""What the pictures of contact states, figs. 1 and 2, share: geometry in metres, world axes."""
+"""Geometry that the pictures of contact states, figs. 1 and 2, share, in metres and world axes."""
 
 from typing import Any
 

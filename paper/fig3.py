@@ -299,7 +299,7 @@ def _task(cell: Workcell) -> Shot:
 
 
 def _corners(X_WF: pin.SE3) -> list[Array]:
-    """Of a face's front."""
+    """Four corners (3,) of the front of a face at X_WF, in the world (m)."""
     half = 0.5 * FACE_SIDE
     return [X_WF.act(np.array([a, b, 0.0])) for a in (-half, half) for b in (-half, half)]
 

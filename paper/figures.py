@@ -94,7 +94,12 @@ LOOKS = 21  #: moments of a run at which its constraint frame is looked for
 
 @dataclass(frozen=True)
 class Evidence:
-    """What answers are drawn from: the task as it is built, and a run of it."""
+    """Basis of the answers to the paper's statements.
+
+    Attributes:
+        rig: rig of the task.
+        recording: recording of a run.
+    """
 
     rig: osc.Rig
     recording: osc.Recording

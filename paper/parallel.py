@@ -80,7 +80,11 @@ def done(
 
 
 def _one_by_one(jobs: Sequence[Job]) -> Iterator[tuple[str, Any]]:
-    """As `done`, in this process and in the order given."""
+    """Do jobs in this process, in their order; yield name and result of each.
+
+    Args:
+        jobs: jobs, each after those whose results it needs.
+    """
     results: dict[str, Any] = {}
     status = err.status("")
     for job in jobs:

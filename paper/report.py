@@ -340,7 +340,7 @@ BETWEEN = ": "  #: name of a study and name of its run
 
 
 def _jobs(names: Sequence[str], folder: Path, scenario: osc.Scenario, ask: Ask) -> Iterator[Job]:
-    """What there is to do: the figures of one run, the runs of studies, and the studies.
+    """Yield all jobs: the figures of one run, the runs of studies, and the studies.
 
     Args:
         names, folder, scenario, ask: as of `make`.

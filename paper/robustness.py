@@ -156,7 +156,7 @@ def _candidates(studies: Sequence[SweepStudy], family: Baseline, seed: int) -> l
 
 
 def _nominal(study: SweepStudy) -> SweepStudy:
-    """Where all is as the controllers believe."""
+    """Study of a single run in which the controllers' models are exact."""
     return replace(study, vary=(), samples=1)
 
 

@@ -57,7 +57,10 @@ def selected_before(state: ChainState, selection: Selection) -> tuple[Array, Arr
 
 
 def selected_before_and_after(state: ChainState, selection: Selection) -> tuple[Array, Array]:
-    """The same with X = Λ_S⁻¹SᵀΩᵀP_∅ᵀΛ_S P_W Ω: F = ΩᵀΛΩa + Ω̄f + μ + p."""
+    """Matrices X (d, 6), Y (d, 6) of the law F = ΩᵀΛΩa + Ω̄f + μ + p, which selects twice.
+
+    η̇ = X a − Y σ with X = Λ_S⁻¹SᵀΩᵀP_∅ᵀΛ_S P_W Ω, and Y as of `selected_before`.
+    """
     X, Y = selected_before(state, selection)
     again = state.S.T @ selection.motion.T @ coordinates(state, np.zeros((6, 0))).T
     return np.linalg.solve(state.Lambda_S, again @ state.Lambda_S @ X), Y
@@ -103,7 +106,7 @@ class SelectionLaw:
 
     @property
     def label(self) -> str:
-        """What figures and tables call it."""
+        """Name in figures and tables."""
         return self.baseline.label
 
     def eta(self, state: ChainState, a: Array) -> Array:
@@ -219,7 +222,7 @@ class Coupling(NamedTuple):
 
     @property
     def usable(self) -> bool:
-        """Whether feedback can make up for M and K: real parts of the eigenvalues ≥ 0.1."""
+        """True if feedback can compensate M and K: real parts of eigenvalues ≥ `_LEAST_GAIN`."""
         gains = [np.linalg.eigvals(X).real.min(initial=1.0) for X in (self.M, self.K)]
         return bool(min(gains) >= _LEAST_GAIN)
 
@@ -299,7 +302,11 @@ class Instant:
 
 
 def _radius_of_gyration(inertia: Array) -> float:
-    """Of a body with this 6×6 inertia, about its centre of mass, largest axis (m)."""
+    """Largest radius of gyration of a body about its centre of mass (m).
+
+    Args:
+        inertia: (6, 6) inertia of the body.
+    """
     mass = inertia[0, 0]
     lever = inertia[3:, :3] / mass  # [c]×
     about_centre = inertia[3:, 3:] + mass * lever @ lever
@@ -341,7 +348,7 @@ def selection_of(rig: Rig, restarts: int = 4) -> dict[str, Any]:
 def best_frames(
     instant: Instant, baseline: Baseline, *, restarts: int = 4, seed: int = 0
 ) -> list[SelectionLaw]:
-    """For each selection of r out of six axes with which control is kept, the law of least cost.
+    """Find the law of least cost for each selection of r out of six axes that keeps control.
 
     Args:
         instant: for which it is optimal.

@@ -1,8 +1,8 @@
-"""What the paper's eight figures state, in our words, and the form of an answer to it.
+"""Statements of the paper's eight figures, in our words, and the form of an answer to them.
 
 The paper's text gives no numbers for its plots: statements are compared, not curves. A figure is
-made by `paper.figures` or by the study of the same name; what makes it answers
-the statements by their keys. Statements without an answer are reported as open.
+made by `paper.figures` or by the study of the same name, which answers the statements by their
+keys. Statements without an answer are reported as open.
 """
 
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ class Answer(NamedTuple):
 
 
 class Verdict(StrEnum):
-    """What became of a figure."""
+    """Verdict on a reproduced figure."""
 
     reproduced = "reproduced"
     partly = "partly reproduced"

@@ -1,4 +1,4 @@
-"""What a study is given and what it hands back: figures, a table and its numbers by one name."""
+"""Options and results of a study: figures, a table and its numbers."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,15 +26,16 @@ PANDA: Data = {
 
 @dataclass(frozen=True)
 class Study:
-    """What an experiment found.
+    """Results of a study.
 
     Attributes:
-        figures: by file name, without suffix.
-        table: to print; of a figure there is none. data: the numbers, for JSON.
-        answers: of a study named as a figure of the paper, to what the paper states about it, by
-            the keys of `PAPER`.
-        pages: what writes a page to a path, by file name without suffix.
-        files: what has been written.
+        figures: figures by file name, without suffix.
+        table: table to print; None of a figure of the paper.
+        data: numbers, for JSON.
+        answers: answers to the statements of the paper, by their keys in `PAPER`, if the study has
+            the name of a figure.
+        pages: functions that write a page to a path, by file name without suffix.
+        files: files that have been written.
     """
 
     figures: Mapping[str, Figure]
@@ -46,7 +47,7 @@ class Study:
 
     @property
     def drawn(self) -> bool:
-        """Whether there is a picture among the files; fig. 3 needs a browser for its own."""
+        """True if a picture is among the files; fig. 3 has none without a browser."""
         return any(path.suffix in (".png", ".svg") for path in self.files)
 
 

@@ -89,11 +89,12 @@ VARIANTS: dict[str, Mapping[str, Variant]] = {
 
 
 class Result(NamedTuple):
-    """What is shown of a variant's run.
+    """Run of a variant, as it is shown.
 
     Attributes:
-        recording: with the channels of its force errors. judged: which of its ticks are.
-        verdict: of all of it.
+        recording: recording with the channels of its force errors.
+        judged: ticks that are judged.
+        verdict: verdict on the whole run.
     """
 
     recording: osc.Recording

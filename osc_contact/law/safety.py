@@ -135,24 +135,13 @@ def watch_joints(t):
 def watch_contacts(t):
     """Return a reason if a contact is lost, is overloaded, or takes too much power.
 
-    Each kept column of N counts as a contact. It is lost (or a sensor is faulty) after
-    `contact_loss_time` in which
+    The first two are judged for each kept column of N (`_watch_column`). The power Σ α_k v_k is
+    summed over the columns k that are pressed and move into their faces, with the measured force
+    α_k (N) and the speed v_k = (NᵀV_rel)_k (m/s); more than `contact_power` stops the arms.
 
-    - without contact phases less than `_SHARE` times a command above `_LIGHT` is measured, or
-    - its force integral is within 1 % of its bound (`_FULL`), if a force is commanded. A column
-      without a command, such as one of a hole that holds a peg at zero force, has no force to lose:
-      its integral is at the bound where a force remains that the bound cannot cancel, for example
-      at a wedged peg;
-
-    with contact phases also if it is not regained within `regain_time`. This time counts only in
-    the state RUN or while ticks are missing. It is overloaded after `overforce_time` above
-    `_OVERFORCE` times its command or above `contact_force`, whichever is larger. The power Σ α_k
-    v_k is summed over the columns k that are pressed and move into their faces, with the measured
-    force α_k (N) and the speed v_k = (NᵀV_rel)_k (m/s).
-
-    Reads `alpha_meas`, `alpha_d`, `speed` and the force integrals `force_sum`. Updates in MEMORY
-    `underforce` and `overforce` (s) of the columns, and `powered` (s); fills `culprit` (index of
-    the column) if a contact is lost or overloaded.
+    Reads `alpha_meas` and `speed`. Updates in MEMORY `powered` (s with too much power, less s
+    without), and the fields of `_watch_column`; fills `culprit` (index of the column) if a contact
+    is lost or overloaded.
 
     Args:
         t: Tick.
@@ -164,36 +153,69 @@ def watch_contacts(t):
     work = t.work
     memory = t.memory
     power = 0.0
-    reason = NO_REASON
     dt = model.period * (1 + memory.gap)
     for a in range(work.rank):
         alpha = work.alpha_meas[a]
-        desired = work.alpha_d[a]
         speed = work.speed[a]
         if alpha > 0.0 and speed > 0.0:
             power += alpha * speed
-        row = memory.columns[work.kept[a]]
-        command = abs(desired)
-        pressing = alpha if desired > 0.0 else -alpha  # measured force along the desired one
-        is_missing = command > _LIGHT and pressing < _SHARE * command
-        is_missing = is_missing and model.phased == 0
-        if command > 0.0 and memory.force_rank == work.rank and memory.by_column == 0:
-            integral_limit = _FULL * integral_room(model.integral_force, desired)
-            is_missing = is_missing or abs(memory.force_sum[a]) > integral_limit
-        is_judged = memory.state == RUN or memory.faults > 0
-        row.underforce = collect(row.underforce, dt, is_missing and is_judged)
-        force_limit = max(_OVERFORCE * command, model.contact_force)
-        row.overforce = collect(row.overforce, dt, abs(alpha) > force_limit)
-        if row.underforce > model.contact_loss_time or row.time_since_loss > model.regain_time:
-            reason = CONTACT_LOST
-        elif row.overforce > model.overforce_time:
-            reason = OVERFORCE
+        reason = _watch_column(t, a, dt)
         if reason != NO_REASON:
             memory.culprit = work.kept[a]
             return reason
     memory.powered = collect(memory.powered, dt, power > model.contact_power)
     if memory.powered > max(SURE, 1.5 * model.period):
         return POWERED
+    return NO_REASON
+
+
+@leaf
+def _watch_column(t, a, dt):
+    """Update the evidence of too little and of too much force of a column; return a reason to stop.
+
+    A contact is lost (or a sensor is faulty) after `contact_loss_time` in which less than `_SHARE`
+    times a command above `_LIGHT` is measured (without contact phases), or in which the force
+    integral is above the share `_FULL` of its bound. A column without a command, such as one of a
+    hole that holds a peg at zero force, has no force to lose: its integral is at the bound where a
+    force remains that the bound cannot cancel, for example at a wedged peg. The time counts only in
+    the state RUN or while ticks are missing. With contact phases a contact is also lost if it is
+    not regained within `regain_time`. It is overloaded after `overforce_time` above `_OVERFORCE`
+    times its command or above `contact_force`, whichever is larger.
+
+    Reads `alpha_meas`, `alpha_d`, and in MEMORY the force integral `force_sum` and
+    `time_since_loss` of the column. Updates its `underforce` and `overforce` (s).
+
+    Args:
+        t: Tick.
+        a: index of the column among the kept ones.
+        dt: time since the last computed tick (s).
+
+    Returns:
+        `CONTACT_LOST`, `OVERFORCE` or `NO_REASON`.
+    """
+    model = t.model
+    work = t.work
+    memory = t.memory
+    alpha = work.alpha_meas[a]
+    desired = work.alpha_d[a]
+    row = memory.columns[work.kept[a]]
+    command = abs(desired)
+    # too little force
+    pressing = alpha if desired > 0.0 else -alpha  # measured force along the desired one
+    is_missing = command > _LIGHT and pressing < _SHARE * command
+    is_missing = is_missing and model.phased == 0
+    if command > 0.0 and memory.force_rank == work.rank and memory.by_column == 0:
+        integral_limit = _FULL * integral_room(model.integral_force, desired)
+        is_missing = is_missing or abs(memory.force_sum[a]) > integral_limit
+    is_judged = memory.state == RUN or memory.faults > 0
+    row.underforce = collect(row.underforce, dt, is_missing and is_judged)
+    # too much force
+    force_limit = max(_OVERFORCE * command, model.contact_force)
+    row.overforce = collect(row.overforce, dt, abs(alpha) > force_limit)
+    if row.underforce > model.contact_loss_time or row.time_since_loss > model.regain_time:
+        return CONTACT_LOST
+    if row.overforce > model.overforce_time:
+        return OVERFORCE
     return NO_REASON
 
 

@@ -19,7 +19,7 @@ from osc_contact.spatial import Array, as_array, carry_twist
 
 PARAMETERS = ("x", "y", "z", "rx", "ry", "rz")  #: names of the components of a displacement
 LEARNED = 0.5  #: share of its first standard deviation below which a parameter counts as learned
-_GATE = 4.0  #: standard deviations of a gap beyond which the contact is taken for another one
+_GATE = 4.0  #: standard deviations beyond which a gap is assumed to be of another contact
 
 
 class LearnedPlace:
@@ -108,6 +108,10 @@ class LearnedPlace:
 
     def _correct(self, gap: float, H: Array) -> int:
         """Correct pose and covariance by a gap whose true value is zero; return 1 if it was used.
+
+        This is the update of a Kalman filter: with s = H P Hᵀ + σ², the variance of the gap, the
+        displacement changes by −P Hᵀ g/s, and P by −P Hᵀ H P/s. A gap beyond `_GATE` √s is left
+        out.
 
         Args:
             gap: gap in the present pose (m).

@@ -26,13 +26,14 @@ class Recogniser:
     Args:
         states: candidates.
         period: time between two instants (s).
-        changes: how often the state changes (1/s).
-        lasting: time for which errors last (s).
+        changes: rate at which the state changes (1/s).
+        lasting: time for which errors of poses and friction last (s).
         following: names of the states that may follow each state, other than itself; None, and for
             states that it does not have: all.
 
     Attributes:
-        states, period: as given.
+        states: candidates.
+        period: time between two instants (s).
         probabilities: (n,) probability of each state; equal at first.
 
     Raises:
@@ -104,7 +105,10 @@ class Recogniser:
     def update(self, X_WO: pin.SE3, wrench: ArrayLike, X_WE: pin.SE3 | None = None) -> None:
         """Update the probabilities by the wrench of an instant, one period after the last one.
 
-        A wrench that is not finite changes nothing.
+        The probability p_j of state j becomes p_j ∝ (Σ_i p_i M_ij) L_j^w, with the probability M_ij
+        that state i is followed by state j within a period, the likelihood L_j of the wrench, and
+        the weight w = period/`lasting`, at most 1. A wrench that is not finite changes nothing, nor
+        does a pose in which no state exists.
 
         Args:
             X_WO: pose of the object.
@@ -143,7 +147,10 @@ class Recogniser:
         return self.states.forces(int(self.probabilities.argmax()), self._alpha)
 
     def probability(self, *names: str) -> float:
-        """Probability that the state is one of those named.
+        """Probability that the state is one of several.
+
+        Args:
+            *names: names of states.
 
         Raises:
             InvalidInputError: a state that does not exist.

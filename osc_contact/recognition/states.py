@@ -117,9 +117,11 @@ class ContactStates:
         errors: errors of readings, poses and friction.
 
     Attributes:
-        names: names of the states.
-        pairs: pairs that occur in them, by name.
+        names: names of the n states.
+        pairs: pairs that occur in them, by name; N has their r columns, in this order.
         members: names of the pairs of each state.
+        sizes: (n,) number of columns of N of each state.
+        errors: errors of readings, poses and friction.
 
     Raises:
         InvalidInputError: no states, a pair that does not exist, two states with the same pairs, or
@@ -185,6 +187,7 @@ class ContactStates:
 
         # least force of each column in each state: that of a contact is shared by its columns
         counts = np.bincount(owners, minlength=len(pair_list))
+        #: (n, r) least forces α₀ (N)
         self._least = np.zeros((len(columns), len(owners)))
         for i, indices in enumerate(columns):
             pressing = [k for k in indices if self._pushes[k]]
@@ -220,7 +223,7 @@ class ContactStates:
             try:
                 all_columns = normals_over(pair, here, near)  # (6, own, 7)
             except ContactError:  # edges are parallel
-                N[2, indices] = 1.0
+                N[2, indices] = 1.0  # any column with which Gram matrices are regular
                 continue
             exists[indices] = True
             N[:, indices] = all_columns[:, :, 0]

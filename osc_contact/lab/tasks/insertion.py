@@ -59,10 +59,12 @@ class World:
     """Errors of sensors, joints, masses and geometry.
 
     Attributes:
-        force_noise, torque_noise: standard deviations of the wrist (N, N m).
-        encoder_bits: resolution of the encoders.
+        force_noise: standard deviation of the wrist's forces (N).
+        torque_noise: standard deviation of its torques (N m).
+        encoder_bits: resolution of the encoders, as bits of a turn.
         joint_friction: Coulomb friction of the joints, a share of their torque limits.
         friction: coefficient between peg and hole, unknown to the controller.
+        step: time step of MuJoCo (s).
         masses: largest relative error of the masses of arm and peg.
         clearance_error: largest error of the modelled clearance (m).
         solref, solimp: softness of MuJoCo's contacts.
@@ -86,11 +88,11 @@ class Insertion:
 
     Attributes:
         peg: true peg.
-        clearance: of the true hole (m).
-        seed: of displacement, noise and errors.
+        clearance: width of the true hole less that of the peg (m).
+        seed: seed of displacement, noise and errors.
         offset: largest displacement of the hole along each axis (m).
         tilt: largest displacement of the hole about each axis (rad).
-        world: errors of everything else.
+        world: errors of sensors, joints, masses and geometry.
     """
 
     peg: Peg
@@ -214,12 +216,13 @@ class TaskRobot:
 
     Args:
         task: arms, object, block and errors.
-        start: pose of the object at first.
+        start: pose of the object in the world at the start.
 
     Attributes:
         chain: true arms and object.
         plant: MuJoCo, without errors of sensors.
-        sensed: the same with errors of encoders and wrists, without speeds.
+        sensed: this plant with errors of encoders and wrists, without speeds.
+        q_start: (n,) joint positions at the start (rad).
         largest_sum: largest norm of the sum of contact forces so far (N).
         largest_single: largest force of a single contact so far (N).
     """
@@ -250,7 +253,7 @@ class TaskRobot:
                 ),
                 drives=JointDrives(friction=world.joint_friction * chain.tau_max),
             )
-        self._rub(world.friction)
+        self._set_friction(world.friction)
 
         # sensors: encoders with quantisation, wrists with noise (N, N m)
         clock = Clock(rate=1.0 / PERIOD)
@@ -300,11 +303,14 @@ class TaskRobot:
     def stop(self, reason: str = "") -> None:
         """Do nothing: it is a simulation."""
 
-    def _rub(self, friction: float) -> None:
-        """Set the coefficient of friction of the block, with MuJoCo's own cone.
+    def _set_friction(self, friction: float) -> None:
+        """Set the coefficient of sliding friction of all bodies that touch, with MuJoCo's own cone.
 
-        The friction of `PlantSpec` is made for contacts that slide; a peg wedged between two walls
-        chatters with it at the rate of the steps.
+        The friction of `PlantSpec` is made for contacts that slide; with it a peg that is wedged
+        between two walls oscillates with the period of the time steps.
+
+        Args:
+            friction: coefficient of friction; friction against turning and rolling is 0.
         """
         model = self.plant.model
         touching = model.geom_contype != 0
@@ -341,10 +347,10 @@ class InsertionRobot(TaskRobot):
 
     Args:
         task: peg, hole and errors.
-        start: pose of the peg at first.
+        start: pose of the peg in the world at the start.
 
     Attributes:
-        task: as given.
+        task: peg, hole and errors.
     """
 
     def __init__(self, task: Insertion, start: pin.SE3) -> None:

@@ -249,7 +249,11 @@ def lowest_point(peg: Peg) -> Array:
 
 
 def tilt_of(peg: Peg, hole: Hole) -> float:
-    """Tilt (rad), about 2° more in each plane than that at which the peg would fall in.
+    """Tilt (rad) of the peg at the start, too large for it to fall into the hole.
+
+    In each plane it is about 2° more than acos(w/W), at which the hole of the width W, seen along
+    the axis of the peg, is as wide as the peg of the width w. About a diagonal the tilts in two
+    planes add up to √2 times that in one.
 
     Args:
         peg: peg with its width.
@@ -312,7 +316,10 @@ def _search_stages(peg: Peg, hole: Hole) -> list[Stage]:
 def _found(now: Sensed, peg: Peg, hole: Hole, *, aside: bool) -> pin.SE3:
     """Pose of the hole's body, from the poses in which the peg touched the face and the rims.
 
-    The hole keeps its believed axes.
+    The hole keeps its believed axes. Along them the shift δ (3,; m) of its mouth makes the gap of
+    the face zero at the pose of the stage "find". If both sides touch, it also makes their gaps
+    zero: n_iᵀδ = n_iᵀ(p_i − r_i), with the normals n_i of the sides, a point p_i of each side and a
+    point r_i of its believed rim.
 
     Args:
         now: signals after the stage "find".
@@ -414,7 +421,7 @@ def carried_by_bottom(peg: Peg, into: Array) -> End:
     farthest = float(np.linalg.norm(lowest_point(peg)))
 
     def is_carried(now: Sensed) -> bool:
-        """Whether the couple across the axis is no larger than the bottom's (N m)."""
+        """Test whether the couple across the axis is no larger than the bottom can cause (N m)."""
         across = np.cross(into, now.wrench[3:])
         return float(np.linalg.norm(across)) <= farthest * float(into @ now.wrench[:3])
 
@@ -444,7 +451,7 @@ def has_turned(peg: Peg, hole: Hole) -> End:
     into = hole.pose.rotation[:, 2]
 
     def is_parallel(now: Sensed) -> bool:
-        """Whether the commanded axis of the peg is that of the believed hole."""
+        """Test whether the commanded axis of the peg is parallel to that of the believed hole."""
         return float(now.aim.rotation[:, 2] @ into) > cos(PARALLEL)
 
     is_upright = when(is_parallel, "upright") & deeper_than(peg, hole, 3e-3, "3 mm deep")

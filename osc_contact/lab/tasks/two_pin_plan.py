@@ -66,6 +66,9 @@ SIDEWAYS = BELIEVED.rotation[:, 1]  #: direction of the side +y of the modelled 
 def insert_both(task: TwoPins) -> Inserted:
     """Insert both pins by `two_pin_plan`, from the pose of `bar_start`.
 
+    Robot and scene are not checked before the run: the checks take the sides of a pin above its
+    hole for endless faces, which would press into rims. The plan is checked in any case.
+
     Args:
         task: bar and block of a seed.
     """
@@ -288,7 +291,7 @@ def _entry_stages(task: TwoPins) -> list[Stage]:
         return _found(now, task).rotation[:, 2]
 
     def is_parallel(now: Sensed) -> bool:
-        """Whether the commanded axis of the pins is that of the holes found."""
+        """Test whether the commanded axis of the pins is parallel to that of the holes found."""
         return float(now.aim.rotation[:, 2] @ into_found(now)) > cos(PARALLEL)
 
     def deeper_than(depth: float, words: str) -> End:

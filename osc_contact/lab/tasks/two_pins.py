@@ -53,11 +53,11 @@ class TwoPins:
     """Bar and block of one seed: the true ones, and their models.
 
     Attributes:
-        seed: of displacement, noise and errors.
-        clearance: of the true holes (m).
+        seed: seed of displacement, noise and errors.
+        clearance: width of the true holes less that of the pins (m).
         offset: largest displacement of the block along each axis (m).
         tilt: largest displacement of the block about each axis, through its middle (rad).
-        world: errors of everything else.
+        world: errors of sensors, joints, masses and geometry.
     """
 
     seed: int
