@@ -30,6 +30,7 @@ from test_joint_numbers import DRY, GAINS, ROTORS, VISCOUS, panda
 
 import osc_contact as osc
 from benchmarks.joint_friction import cases
+from benchmarks.random_tasks import draw
 from osc_contact.control.packing import SLIP
 from osc_contact.law.phases import APPROACHING, CLOSED
 from osc_contact.law.records import views
@@ -220,6 +221,48 @@ def test_what_is_not_identified_yet_is_compensated_up_to_its_prior(errors, appli
     assert joint_friction._compensation(t, 0) == 0.0
     t.model.friction_learning = 1
     assert joint_friction._compensation(t, 0) == approx(0.5 * most)
+
+
+EXCESS = {  # speed s, excess of the measured speed over the commanded one, share that is left
+    "as commanded": (0.2, 0.0, 1.0),
+    "within s/2 + 0.05 rad/s": (0.2, 0.149, 1.0),
+    "half as much beyond": (0.2, 0.225, 0.5),
+    "twice": (0.2, 0.31, 0.0),
+    "slower": (0.2, -1.0, 1.0),
+    "hardly commanded": (0.0, 0.075, 0.5),
+    "turns back": (0.2, 1.0, 1.0),
+    "sliding": (0.0, 0.015, 0.5),
+}
+
+
+@parametrize("side", [-1.0, 1.0])
+@parametrize("name", EXCESS)
+def test_a_joint_that_is_faster_than_commanded_is_braked_by_its_friction(name, side):
+    """Where K_d (v − v_c) = ṡ − q̈_c is in the direction of motion and compensation."""
+    s, excess, share = EXCESS[name]
+    t = records(1, 1, friction_share=0.5, wrist_error=1.0, damping=40.0)
+    t.model.joints[0].slides = name == "sliding"
+    t.model.joints.tau_max = 100.0
+    t.model.joints.theta[0, 0] = 8.0
+    joint = t.memory.joints[0]
+    joint.sign = side
+    joint.speed = side * s
+    joint.turn = side * 3.0
+    joint.means[friction_estimate.V] = side * (s + excess) * (-1.0 if name == "turns back" else 1.0)
+    t.work.joints[0].acceleration = side * (3.0 - 40.0 * excess)
+    assert joint_friction._compensation(t, 0) == approx(8.0 * side * share)
+    assert joint.friction == approx(8.0 * side)
+    t.model.damping = 0.0
+    assert joint_friction._compensation(t, 0) == approx(8.0 * side)
+
+
+def test_a_wrist_joint_of_wrong_friction_does_not_run_away_in_the_approach():
+    """The last joint of a UR10, mostly rotor: beyond its limit of 3.2 rad/s the arm stopped."""
+    task = draw(499823, 10)
+    assert task.name == "ur10"
+    recording = osc.run(task.load(), seed=10, duration=0.7)
+    assert largest(recording["v"][:, 5]) < 2.0
+    assert not (recording["status"] == osc.Status.HELD).any()
 
 
 @parametrize("phase", [APPROACHING, CLOSED])

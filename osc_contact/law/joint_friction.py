@@ -36,6 +36,9 @@ wrist sensor enters e, too, so e is zero as long as no friction is modelled or i
 `friction_errors` the bound is wider by 0.3 |h|, so that e also covers errors of the links' masses;
 and, if friction is learned, by the prior's deviation of F as long as it is not identified.
 
+The sum is reduced where it pushes a joint that is faster than its command already, as the residual
+then shows acceleration in place of friction (`_without_excess`).
+
 A delayed wrench is compared with signals of the instant at which it was measured. Without
 `friction_learning` θ is the model's; if `friction_errors` is 0, too, residuals change nothing, and
 e = 0. Friction of passive joints is added to h, because they have no motor to compensate it.
@@ -108,6 +111,10 @@ _ROTOR_LAG = 0.1  #: s, time constant with which the rotor in M follows A
 _SUDDEN = 0.05  #: s; the rate of s is bounded by the speed limit divided by this
 
 _LINKS = 0.3  #: largest torque error by wrong masses, as a share of |h|
+#: Excess of a joint's speed over the commanded one at which compensation begins to be reduced: a
+#: share of the permitted speed, and rad/s, beyond the noise of estimated speeds.
+_EXCESS_SHARE = 0.5
+_EXCESS = 0.05
 
 
 @inner
@@ -536,7 +543,41 @@ def _compensation(t, j):
         row.unlearned = 0.0
     bound = min(bound, t.model.wrist_error * t.model.joints[j].tau_max)
     remainder = min(max(row.unlearned, -bound), bound)
-    return row.friction + t.model.friction_share * remainder
+    return _without_excess(t, j, row.friction + t.model.friction_share * remainder)
+
+
+@leaf
+def _without_excess(t, j, torque):
+    """Reduce the compensation of a joint that is faster than commanded, in the direction of both.
+
+    At a constant acceleration residuals do not distinguish friction from the inertia A q̈ of a
+    rotor that the model lacks: whatever is compensated equals the residual, and is learned. Such a
+    joint is accelerated beyond its command, and gains of accelerations brake it little where its
+    inertia is mostly rotor. So its friction has to brake it. The command of a joint of speed v is
+    q̈_c = ṡ + K_d (v_c − v) with the damping K_d of the motion, where v_c is s and what removes
+    errors of the position. From an excess v − v_c of `_EXCESS` and `_EXCESS_SHARE` of |s| on the
+    torque falls, to 0 at twice this excess; with K_d = 0 it stays.
+
+    Reads of the joint `acceleration` q̈_c (rad/s², m/s²), `speed` s and `turn` ṡ, and its low-passed
+    measured speed.
+
+    Args:
+        t: Tick.
+        j: index of the joint.
+        torque: compensation (N m, N).
+
+    Returns:
+        Torque or force (N m, N).
+    """
+    row = t.memory.joints[j]
+    deceleration = row.turn - t.work.joints[j].acceleration
+    if torque * deceleration <= 0.0 or torque * row.means[V] <= 0.0:
+        return torque
+    excess = _EXCESS * (SLIDES if t.model.joints[j].slides else 1.0)
+    excess = t.model.damping * (excess + _EXCESS_SHARE * abs(row.speed))
+    if not 0.0 < excess < abs(deceleration):
+        return torque
+    return torque * max(2.0 - abs(deceleration) / excess, 0.0)
 
 
 @leaf
