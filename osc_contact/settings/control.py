@@ -481,9 +481,10 @@ class TareSpec(Spec):
     standoff: Positive[Length] = 0.01
     """gap during that time"""
     approach: Positive[Time] = 0.3
-    """time from there to contact; with contact phases, contacts are approached at their own speed.
-    The motion begins when contacts engage (with phases, when the approach begins), and follows its
-    signals fully after three times as long"""
+    """time from there to contact, by default longer where a joint would need more than half of its
+    speed limit; with contact phases, contacts are approached at their own speed. The motion begins
+    when contacts engage (with phases, when the approach begins), and follows its signals fully
+    after three times as long"""
 
 
 class VerdictSpec(Spec):

@@ -48,6 +48,7 @@ from osc_contact.lab.rig.contacts import (
 from osc_contact.lab.rig.dither import least_motion, showing_twist
 from osc_contact.lab.rig.drake_rules import require_bodies_at_rest, require_closed_slip
 from osc_contact.lab.rig.references import References, force_names
+from osc_contact.lab.rig.standoff import within_speed_limits
 from osc_contact.lab.scenarios.bodies import CartSpec, GraspSpec
 from osc_contact.lab.scenarios.hardware import PLANT_TYPES
 from osc_contact.lab.scenarios.named import as_scenario
@@ -561,6 +562,9 @@ def build_rig(scenario: str | Path | Scenario, chains: MakesChain | None = None)
     q_start = q_contact
     if tare is not None:
         q_start = close(chain, reach(chain, q_contact, references.at(0.0).X_WD))
+        limits = chain.model.velocityLimit
+        scenario = within_speed_limits(scenario, q_contact - q_start, limits)
+        references = replace(references, scenario=scenario)
     bodies = environment_bodies(scenario)
     return Rig(
         scenario, chain, model, pairs, bodies, q_contact, q_start, references, X_given, state
