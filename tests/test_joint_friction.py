@@ -256,7 +256,7 @@ def test_a_joint_that_is_faster_than_commanded_is_braked_by_its_friction(name, s
     assert joint_friction._compensation(t, 0) == approx(8.0 * side)
 
 
-def test_a_wrist_joint_of_wrong_friction_does_not_run_away_in_the_approach():
+def test_a_wrist_joint_of_wrong_friction_does_not_run_away_in_the_approach(own_plants):
     """The last joint of a UR10, mostly rotor: beyond its limit of 3.2 rad/s the arm stopped."""
     task = draw(499823, 10)
     assert task.name == "ur10"

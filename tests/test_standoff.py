@@ -29,7 +29,7 @@ def test_an_approach_takes_as_long_as_its_joints_need(changes, most, duration):
     assert (found.tare and found.tare.approach) == (duration and approx(duration))
 
 
-def test_slow_joints_are_not_beyond_their_limits_in_the_approach():
+def test_slow_joints_are_not_beyond_their_limits_in_the_approach(own_plants):
     """Joint 4 of a Kinova, limit 0.84 rad/s, was to reach 0.9 rad/s: preflight refused the task."""
     rig = osc.build_rig(draw(6938295, 15).load())
     tare = rig.scenario.tare
