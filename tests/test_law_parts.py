@@ -135,7 +135,7 @@ def test_logarithm_and_exponential_of_a_motion(seed):
         p = rng.standard_normal(3)
         w *= angle / norm(w)
         M = pin.SE3(pin.exp3(w), p)
-        assert_near(grasps._remaining_part(p, M.rotation), pin.log6(M).vector, atol=1e-9)
+        assert_near(grasps._log_displacement(p, M.rotation), pin.log6(M).vector, atol=1e-9)
         twist = np.append(rng.standard_normal(3), w)
         M = pose_of(rng)
         R = np.full((6, 6), 7.0)

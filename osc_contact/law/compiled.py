@@ -54,7 +54,7 @@ def rows() -> Any:
         np.zeros((0, 28)),
         no_numbers,
     )
-    return _made(law.rows, no_rows.raw, 0, inputs)
+    return _compiled_call(law.rows, no_rows.raw, 0, inputs)
 
 
 @cache
@@ -64,7 +64,7 @@ def operational_space() -> Any:
     It raises a TypeError for arguments of other types than those of this first call, without rows.
     """
     no_numbers = np.zeros(0)
-    return _made(
+    return _compiled_call(
         operational.operational_space,
         Rows(new_model(1, 1, 1)).raw,
         no_numbers,
@@ -73,12 +73,15 @@ def operational_space() -> Any:
     )
 
 
-def _made(call: Any, *nothing: Any) -> Any:
-    """Return the callable of an entry; numba compiles it by a call with empty arguments.
+def _compiled_call(call: Any, *nothing: Any) -> Any:
+    """Return the function that Python calls for an entry of the law, compiled for one signature.
+
+    An entry of the library is compiled already. In numba's usual way it is compiled here, by a call
+    with empty arguments, and for no other types afterwards. In plain Python it is the entry itself.
 
     Args:
-        call: the entry.
-        nothing: arguments of the right types without content.
+        call: entry of the law.
+        *nothing: arguments of the right types without content.
     """
     if isinstance(call, jit.Entry):
         return call.call

@@ -354,7 +354,7 @@ def _miss_of_group(arm, tip, X, out):
     p_O = rotated_back(tip, minus3(origin(X), tip[3]))
     fill3(p, minus3(p_O, rotated(R, arm.X_TO[9:])))
     for _ in range(30):
-        displacement = _remaining_part(p, R)
+        displacement = _log_displacement(p, R)
         largest = 0.0
         step = ZERO
         for a in range(arm.m, 6):
@@ -364,14 +364,15 @@ def _miss_of_group(arm, tip, X, out):
         if largest < 1e-14:
             break
         _displace(R, p, scaled(-1.0, step))
-    fill(out, times6(arm.grasp, _remaining_part(p, R)))
+    fill(out, times6(arm.grasp, _log_displacement(p, R)))
 
 
 @inner
-def _remaining_part(p, R):
-    """Logarithm of a displacement (R, p): the twist that causes it in unit time.
+def _log_displacement(p, R):
+    """Compute the logarithm of a displacement (R, p): the twist that causes it in unit time.
 
-    The reference point of the twist is the tip's origin.
+    With the rotation vector w of R and θ = |w|, the twist is (p − ½ w × p + c w × (w × p), w) with
+    c = (1 − ½ θ sin θ/(1 − cos θ))/θ². Its reference point is the tip's origin.
 
     Args:
         p: (3,) translation (m).
@@ -382,7 +383,7 @@ def _remaining_part(p, R):
     """
     w = rotation_vector(R)
     square = dot3(w, w)
-    c = 1.0 / 12.0 + square / 720.0  # its series near 0
+    c = 1.0 / 12.0 + square / 720.0  # series of c near θ = 0
     if square > 1e-4:
         angle = sqrt(square)
         c = (1.0 - 0.5 * angle * sin(angle) / (1.0 - cos(angle))) / square

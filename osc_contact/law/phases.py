@@ -489,13 +489,13 @@ def slew(tau, last, step, has_last):
         step: (a,) largest changes (N m, N), > 0.
         has_last: whether torques of a last tick exist; without them `tau` is not limited.
     """
-    share = 0.0
+    largest_ratio = 0.0  # of a change to its limit
     if has_last:
         for i in range(len(tau)):
-            share = max(share, abs(tau[i] - last[i]) / step[i])
+            largest_ratio = max(largest_ratio, abs(tau[i] - last[i]) / step[i])
     for i in range(len(tau)):
-        if share > 1.0:
-            tau[i] = last[i] + (tau[i] - last[i]) / share
+        if largest_ratio > 1.0:
+            tau[i] = last[i] + (tau[i] - last[i]) / largest_ratio
         last[i] = tau[i]
 
 

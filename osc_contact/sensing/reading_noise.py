@@ -80,11 +80,12 @@ class ReadingNoise:
     def update(self, measured: Array) -> Array:
         """Return the noise (k,) of the sensors after a new reading, a standard deviation (rad, m).
 
-        It is the measured one where this is far beyond the expected one, else the expected one.
-        Measured is the mean magnitude of the readings' third differences x_k − 3x_{k−1} + 3x_{k−2}
-        − x_{k−3}, low-passed and divided by that of unit normal noise, `_THIRD_OF_UNIT_NOISE`.
-        Motion hardly changes third differences. When this begins, the mean still contains quiet
-        readings: then it is that of the last ones.
+        The measured noise is the low-passed magnitude of the readings' third differences x_k −
+        3x_{k−1} + 3x_{k−2} − x_{k−3}, which motion hardly changes, divided by that of unit normal
+        noise, `_THIRD_OF_UNIT_NOISE`. A sensor whose measured noise is far beyond the expected one
+        (`_largest_expected`) is loud, and has the measured noise; others have the expected one.
+        When a sensor begins to be loud, the low-passed magnitude still contains quiet readings:
+        then it is raised to the mean of the last `_FIRST_MEASURE_LENGTH` ones.
 
         Args:
             measured: (k,) new readings (rad, m). Readings that are not finite are no evidence.
