@@ -3,12 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-from pytest import approx
+from pytest import approx, mark
 from samples import first, parametrize
 
 import osc_contact as osc
 from benchmarks.cobots import Kept, Outcome, judge, summary, window_error
 from benchmarks.random_tasks import GROUPS, PACKAGED, TIPS, draw
+
+pytestmark = mark.usefixtures("own_plants")  # each task enters its plant
 
 FINE = Outcome(0, 0, "", "panda", {}, [], [], "OK", "", False, 0.01)
 

@@ -8,7 +8,7 @@ import pinocchio as pin
 from numpy.linalg import norm, solve
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from pytest import approx
+from pytest import approx, mark
 from rigs import rig_of, vector
 from samples import first, parametrize
 
@@ -19,6 +19,8 @@ from osc_contact.control.accelerations import expected_acceleration
 from osc_contact.lab.checks.preflight import encoders, late_brake
 from osc_contact.sensing.dead_encoders import DeadEncoders
 from osc_contact.sensing.velocity_estimate import VelocityEstimate, smallest_bandwidth
+
+pytestmark = mark.usefixtures("own_plants")  # each drawn task enters its plant
 
 DT = 1e-3
 GAINS = osc.Gains().force

@@ -18,6 +18,7 @@ _SLOPE = 0.005  #: s, time constant of the speed estimate from positions
 #: share of a wrist's reading by which it differs from its load if the posture is wrong: weight
 #: turned by 15°
 _TURNED = 0.25
+_GIVES = 0.5  #: share of `closure_error` by which the gap between two stopped arms may change
 _WEIGHED = 0.1  #: s after a stop in which the wrist of an arm shows that it has let go
 _SPEED_SHARE = 0.2  #: share of the positions' error at which an estimated speed is faulty
 DEAD = 0.01  #: s of identical readings of all joints after which the whole packet is dead
@@ -145,12 +146,14 @@ def isolate_arms(t):
     estimated from encoders, it contradicts none of them, and the arms follow its drift. Arms that
     were stopped for another reason, and are placed apart later, bear more than `HEAVY` times their
     shares of the weight then. After a stop in which arms were only about to be apart, as after a
-    short slip, encoders are sound as long as no gap exceeds `closure_error`.
+    short slip, encoders are sound as long as no gap exceeds `closure_error`, or changes by more
+    than `_GIVES` times that: arms that are held at a rigid object do not move against each other.
 
     Arms without a wrist sensor do not show whether they hold the object: nothing is marked.
 
     Args:
-        t: Tick, of which `apart`, and `let_go`, `load` and `gap` of the arms in MEMORY are read.
+        t: Tick, of which `apart`, and `let_go`, `load` and `gap` of the arms in MEMORY are read;
+            `first_gap` of the arms is filled (m, at `_WEIGHED`).
     """
     model = t.model
     memory = t.memory
@@ -158,18 +161,22 @@ def isolate_arms(t):
         return
     is_cause = memory.cause == APART  # else arms are placed apart only since a later time
     if (memory.age * model.period if is_cause else memory.apart) < _WEIGHED:
+        for k in range(model.n_arms):
+            memory.arms[k].first_gap = memory.arms[k].gap
         return
     heavy = HEAVY * weight_share(t)
-    largest_gap = 0.0
+    gaps_are_small = True
     for k in range(model.n_arms):
         row = memory.arms[k]
-        largest_gap = max(largest_gap, row.gap)
+        change = abs(row.gap - row.first_gap)
+        is_small = row.gap <= model.closure_error and change <= _GIVES * model.closure_error
+        gaps_are_small = gaps_are_small and is_small
         if model.arms[k].sensor_joint < 0 or row.let_go:
             return
         if not is_cause and dot3(row.load, row.load) < heavy * heavy:
             return
     # without a leader gaps of stopped arms are not measured
-    if is_cause and model.leader >= 0 and largest_gap <= model.closure_error:
+    if is_cause and model.leader >= 0 and gaps_are_small:
         return
     for j in range(model.n_joints):
         memory.joints[j].faulty = FAULTY_POSITION | FAULTY_SPEED

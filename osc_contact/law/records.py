@@ -504,7 +504,7 @@ FRICTION = _record(
 #: and its rate (m/s), low-passed.
 ARM_MEMORY = _record(
     whole=("unread", "weighed", "let_go", "holds"),
-    number=("same", "doubtful", "light", "lively", "watched", "gap", "parting"),
+    number=("same", "doubtful", "light", "lively", "watched", "gap", "parting", "first_gap"),
     load=3,
     weighing=3,
     constant=6,

@@ -44,7 +44,8 @@ DISAGREE = declare_reason(
     58,
     "the speed of joint {joint} is not that of its positions: they differ by more than "
     "{safety.speed_error:g} of its speed limit, or positions drift by more than "
-    "{safety.position_drift:g} rad or m from what speeds add up to",
+    "{safety.position_drift:g} rad or m from what speeds add up to, or by a quarter of that while "
+    "they are constant",
 )
 MIXED = declare_reason(
     "MIXED",
@@ -58,6 +59,7 @@ _LAG = 0.02  #: s, time constant of the low-pass of errors of speeds
 _FORGET = 0.5  #: s, time constant with which the drift between positions and speeds is forgotten
 _SCALE = 0.05  #: possible error of a speed's scale
 _LATE = 0.01  #: s, possible delay of speeds
+_OFFSET = 2e-3  #: rad/s, m/s, possible offset of a speed
 _RESOLUTION = 4e-4  #: rad, m, resolution of a coarse encoder (14 bits)
 _MODEL = 0.1  #: s, time constant of the predictions of speeds from commanded accelerations
 _HELD = 0.05  #: share of a motor's torque limit that dry friction may hold
@@ -86,7 +88,7 @@ def check_sensors(t):
     STUCK: a position is constant while the joint is commanded to gain more than a share of its
     speed limit by more torque than dry friction. DISAGREE: the speed error q̇ − Δq/Δt, low-passed,
     exceeds a share of the limit, or its integral d exceeds `position_drift` and the effects of a
-    small error of scale and delay of q̇,
+    small error of scale and delay of q̇, or the joint creeps while its position is constant,
 
         d ← d + (q̇ − Δq/Δt − d/T) Δt
 
@@ -410,7 +412,29 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
         return DISAGREE
     if t.memory.derived == 0 and abs(drift) > model.position_drift + _LATE * abs(v):
         return DISAGREE
+    if t.memory.derived == 0 and _creeps(t, joint_memory, v):
+        return DISAGREE
     return NO_REASON
+
+
+@leaf
+def _creeps(t, joint_memory, v):
+    """Test whether a joint moves by its speeds, though its position is constant.
+
+    Speeds since the position last changed add up to more than `is_constant` permits, and go on. A
+    joint at rest may have such a sum by the offset `_OFFSET` of its speeds, and by their delay or
+    low-pass after a sudden stop, which has ended after five times `_LATE`. A slow joint with a dead
+    encoder is found by this alone, since `drift` forgets.
+
+    Args:
+        t: Tick.
+        joint_memory: JOINT_MEMORY, of which `rested` (s) and `due` (rad, m) are read.
+        v: speed read (rad/s, m/s).
+    """
+    rested = joint_memory.rested
+    goes_on = v * rested / joint_memory.due > 0.5 if joint_memory.due != 0.0 else False
+    is_moving = goes_on and abs(v) > _OFFSET and rested > 5.0 * _LATE
+    return is_moving and is_constant(t, joint_memory)
 
 
 @leaf
