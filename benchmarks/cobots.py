@@ -126,7 +126,8 @@ def judge(seed: int, number: int, without: str = "") -> Outcome:
     """Run a task regardless of the findings of `preflight`.
 
     Args:
-        seed, number: of the task. without: a group of errors that is left out; "": none.
+        seed, number: of the task.
+        without: a group of errors that is left out; "": none.
     """
     task = draw(seed, number)
     if without:
@@ -155,7 +156,8 @@ def _judge_recording(found: Outcome, recording: osc.Recording) -> None:
     """Fill the numbers of an outcome.
 
     Args:
-        found: the outcome. recording: of the run.
+        found: the outcome.
+        recording: of the run.
     """
     verdict = osc.metrics(recording)["task"]
     found.word = verdict["word"]
@@ -291,9 +293,12 @@ def main(
     """Run the tasks and print the table.
 
     Args:
-        count: of tasks. seed: of them; None: drawn and printed. only: tasks whose name contains
-            this. workers: processes. why: run those that are not as wanted without one group of
-            errors after the other. case: number of the one task to run; None: all of them.
+        count: of tasks.
+        seed: of them; None: drawn and printed.
+        only: tasks whose name contains this.
+        workers: processes.
+        why: run those that are not as wanted without one group of errors after the other.
+        case: number of the one task to run; None: all of them.
     """
     if seed is None:
         seed = int(np.random.default_rng().integers(1 << 31))

@@ -88,8 +88,11 @@ def timed_python(
     """Seconds that Python takes in a copy of the package, with all processes that it starts.
 
     Args:
-        words: after the interpreter. copy: folder of the package. cache: folder of what is kept.
-        cores: that it may use; None: all. law: value of OSC_CONTACT_LAW.
+        words: after the interpreter.
+        copy: folder of the package.
+        cache: folder of what is kept.
+        cores: that it may use; None: all.
+        law: value of OSC_CONTACT_LAW.
 
     Raises:
         NotCompiledError: it failed.

@@ -75,7 +75,8 @@ def lifts(scenario: osc.Scenario, leaving: tuple[str, ...]) -> Data:
     """Motion that turns the object off the contacts that leave, about those that stay.
 
     Args:
-        scenario: with three contacts. leaving: one or two of them.
+        scenario: with three contacts.
+        leaving: one or two of them.
     """
     rig = osc.build_rig(scenario)
     points = {pair.name: feet(pair, rig.state.X_WO)[0][0] for pair in rig.pairs}
@@ -101,7 +102,8 @@ def time_of(recording: osc.Recording, at: float) -> Array:
     """Mask (n,) of the ticks from a change of contacts until `WINDOW_S` after the last phase began.
 
     Args:
-        recording: of a run. at: time of the change (s).
+        recording: of a run.
+        at: time of the change (s).
     """
     t = recording["t"]
     phase = recording["contact_phase"]
@@ -118,7 +120,9 @@ def change(
     """A row of the table.
 
     Args:
-        name: of the scenario. leaving: contacts. seed: of the noise.
+        name: of the scenario.
+        leaving: contacts.
+        seed: of the noise.
         joint_friction: of the plant, as a share of each torque limit.
     """
     intervals = f"[[0 s, {RELEASED_S} s], [{BACK_S} s, {END_S + 1.0} s]]"

@@ -166,7 +166,10 @@ def judge(face: str, R: float, changes: Data, duration: float = 5.0) -> Data:
     """The verdict (`metrics`) of the task on a face.
 
     Args:
-        face: of `SHAPES`. R: its radius (m). changes: of the scenario. duration: s.
+        face: of `SHAPES`.
+        R: its radius (m).
+        changes: of the scenario.
+        duration: s.
     """
     with tempfile.TemporaryDirectory() as folder:
         return osc.metrics(osc.run(scenario(Path(folder), face, R, changes), duration=duration))

@@ -65,7 +65,9 @@ class Ended:
     """End of a run.
 
     Attributes:
-        errors: of it. stopped: whether it was; a stop lasts to the end. reason: of the stop.
+        errors: of it.
+        stopped: whether it was; a stop lasts to the end.
+        reason: of the stop.
     """
 
     errors: Errors
@@ -99,7 +101,8 @@ def try_errors(errors: Errors, duration: float | None = None) -> Ended:
     """Run a scenario with these errors.
 
     Args:
-        errors: see there. duration: s; None: the scenario's own.
+        errors: see there.
+        duration: s; None: the scenario's own.
     """
     scenario = osc.load_scenario(errors.scenario, errors.overrides())
     meta = osc.run(scenario, duration=duration).meta
@@ -121,8 +124,10 @@ def main(only: str = "", seed: int = 0, count: int = 0, workers: int = 2) -> Non
     """Run them all; exit with 1 if anything stopped.
 
     Args:
-        only: runs whose name contains this. seed: of those that are drawn.
-        count: of runs drawn from all; 0: all. workers: processes.
+        only: runs whose name contains this.
+        seed: of those that are drawn.
+        count: of runs drawn from all; 0: all.
+        workers: processes.
     """
     wanted = [one for one in runs() if only in str(one)]
     if not wanted:

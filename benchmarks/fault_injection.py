@@ -107,11 +107,17 @@ class Verdict:
     """Findings on a run with a fault.
 
     Attributes:
-        began: s, the moment of the fault. state: at the end. stopped: s from the fault to a stop.
-        force: largest true contact force since (N). rate: of torques (1/s, of their limits).
-        rest_speed: largest later than 0.5 s after a stop. travel: beyond the braking distance.
-        open_s: longest time that an open contact was taken as closed. unbraked: whether brakes
-            were requested. wrong: sentences; none if all was as it should be. reason: of the stop.
+        began: s, the moment of the fault.
+        state: at the end.
+        stopped: s from the fault to a stop.
+        force: largest true contact force since (N).
+        rate: of torques (1/s, of their limits).
+        rest_speed: largest later than 0.5 s after a stop.
+        travel: beyond the braking distance.
+        open_s: longest time that an open contact was taken as closed.
+        unbraked: whether brakes were requested.
+        wrong: sentences; none if all was as it should be.
+        reason: of the stop.
     """
 
     fault: str
@@ -141,8 +147,12 @@ class Run:
     """One run, tick by tick: up to the fault, then with it.
 
     Attributes:
-        references: of the ticks to come. true: the plant behind its sensors. k: ticks done.
-        act: joints with motors; fastest: their speed limits. first: tick at which the fault begins.
+        references: of the ticks to come.
+        true: the plant behind its sensors.
+        k: ticks done.
+        act: joints with motors.
+        fastest: their speed limits.
+        first: tick at which the fault begins.
         lost: (n_a,) the most that each motor has not given of its torque (N m, N).
         received: number of the last packet that came; None: it had none.
         estimated: whether speeds are estimated from positions, and end with them.
@@ -159,7 +169,9 @@ class Run:
         """Build the rig of a case, at the start of its task.
 
         Args:
-            case: see there. fault: its name. begin: s, the moment; None: it is drawn.
+            case: see there.
+            fault: its name.
+            begin: s, the moment; None: it is drawn.
             scenario: in place of the case's own.
         """
         earliest, latest, how = PHASES[case.phase]
@@ -201,7 +213,8 @@ class Run:
         """One tick; returns its reference.
 
         Args:
-            verdict: takes what is wrong. fault: that lasts now; or None.
+            verdict: takes what is wrong.
+            fault: that lasts now; or None.
         """
         k = self.k
         case = self.case
@@ -246,7 +259,8 @@ class Run:
         speeds alone.
 
         Args:
-            reference: of the tick. fault: that lasts now; or None.
+            reference: of the tick.
+            fault: that lasts now; or None.
         """
         if fault is None or fault.change is None:
             return (self.robot.measure(), reference)
@@ -264,8 +278,8 @@ class Run:
         """The run with the fault, from where it begins.
 
         Args:
-            name: of the fault. fault_for, stopped_for: s that the run goes on after the fault and
-                after a stop.
+            name: of the fault.
+            fault_for, stopped_for: s that the run goes on after the fault and after a stop.
         """
         fault = FAULTS[name]
         verdict = Verdict(name, self.case, began=self.first * self.dt)
@@ -301,7 +315,8 @@ class Run:
         and the two until torques fall.
 
         Args:
-            force: N, the ceiling. commanded: N.
+            force: N, the ceiling.
+            commanded: N.
         """
         ticks = 3 if self.case.every else 2
         late = self.controller.settings.safety.ceiling_time + ticks * self.dt
@@ -312,7 +327,9 @@ class Run:
         """Add what is wrong.
 
         Args:
-            verdict: of the run. fault: its fault. most: N, limit of the contact force.
+            verdict: of the run.
+            fault: its fault.
+            most: N, limit of the contact force.
             too_fast: whether a joint that the object has left was too fast for its readings.
         """
         wrong = verdict.wrong
@@ -542,7 +559,9 @@ def try_fault(name: str, case: Case, begin: float | None = None, **how: float) -
     """Run the scenario of a case up to the fault, then with it; judge it.
 
     Args:
-        name: of the fault. case: see there. begin: s, its moment; None: it is drawn.
+        name: of the fault.
+        case: see there.
+        begin: s, its moment; None: it is drawn.
         how: durations of `Run.judge`.
     """
     run = Run(case, name, begin)
@@ -616,8 +635,10 @@ def main(only: str = "", seed: int | None = None, count: int = 0, workers: int =
     """Run them all; exit with 1 if anything was wrong.
 
     Args:
-        only: runs whose name contains this. seed: of moments; None: drawn and printed.
-        count: of runs drawn from all; 0: all. workers: processes.
+        only: runs whose name contains this.
+        seed: of moments; None: drawn and printed.
+        count: of runs drawn from all; 0: all.
+        workers: processes.
     """
     if seed is None:
         seed = int(np.random.default_rng().integers(1 << 31))

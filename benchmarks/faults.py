@@ -33,7 +33,8 @@ class Fault(NamedTuple):
 
     Attributes:
         change: changes a measurement and a reference while it lasts; or None.
-        lasts: s; inf: to the end. ends: states that a run may end in.
+        lasts: s; inf: to the end.
+        ends: states that a run may end in.
         limited: whether contact forces are judged: not where the reference commands a collision.
         torque: changes the torques on their way to the motors; or None.
         world: changes the simulated robot or what acts on it, before each control period; or None.
@@ -69,8 +70,11 @@ class Trial:
     """One run with a fault in it.
 
     Attributes:
-        rng: of the fault. chain: the controller's model. dt: s, a control period.
-        k: ticks since it began. kept: values that the fault remembers.
+        rng: of the fault.
+        chain: the controller's model.
+        dt: s, a control period.
+        k: ticks since it began.
+        kept: values that the fault remembers.
     """
 
     rng: np.random.Generator
@@ -129,9 +133,14 @@ def _reading(
     """A change of numbers of an array of the measurement.
 
     Args:
-        name: of the array. where: index of the numbers. gain: factor. offset: in its unit.
-        drift: of the offset, per second. gain_drift: of the gain, 1/s.
-        noise: standard deviation. stuck: whether they stay as they were at the beginning.
+        name: of the array.
+        where: index of the numbers.
+        gain: factor.
+        offset: in its unit.
+        drift: of the offset, per second.
+        gain_drift: of the gain, 1/s.
+        noise: standard deviation.
+        stuck: whether they stay as they were at the beginning.
     """
 
     def change(t: Trial, m: Measurement, r: Reference) -> tuple[Measurement, Reference]:

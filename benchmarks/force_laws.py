@@ -47,9 +47,17 @@ class Sight:
     """The simulator's arm at one instant; tool: the finger's middle, world axes.
 
     Attributes:
-        q, v: (7,) rad, rad/s. X: of the tool. V: (6,) its twist. J: (6, 7). M: (7, 7).
-        gravity, coriolis: (7,) N m. force: of the contact (N). axis: (3,) into the wall.
-        goal: pose of the tool; V_goal: (6,); force_goal: N.
+        q, v: (7,) rad, rad/s.
+        X: of the tool.
+        V: (6,) its twist.
+        J: (6, 7).
+        M: (7, 7).
+        gravity, coriolis: (7,) N m.
+        force: of the contact (N).
+        axis: (3,) into the wall.
+        goal: pose of the tool.
+        V_goal: (6,).
+        force_goal: N.
         error: (6,) from the tool to its goal (m, rad), world axes.
     """
 
@@ -59,8 +67,10 @@ class Sight:
         """Now, with what is desired.
 
         Args:
-            plant: in MuJoCo. held: model of the arm with its finger, and the tool's frame.
-            axis: into the wall. reference: what is desired.
+            plant: in MuJoCo.
+            held: model of the arm with its finger, and the tool's frame.
+            axis: into the wall.
+            reference: what is desired.
         """
         model, tool = held
         data = model.createData()
@@ -272,10 +282,13 @@ class Done(NamedTuple):
     """Result of a law, tick by tick.
 
     Attributes:
-        planned: ticks of the whole run. force, force_goal: (k,) N.
+        planned: ticks of the whole run.
+        force, force_goal: (k,) N.
         off: (k, 6) from the object to its goal in the axes of the wall, the third one into it (m,
             rad).
-        tau: (k, 7) N m. speed: (k, 7) rad/s. tick: (k,) µs of the law itself.
+        tau: (k, 7) N m.
+        speed: (k, 7) rad/s.
+        tick: (k,) µs of the law itself.
     """
 
     planned: int

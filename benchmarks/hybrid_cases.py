@@ -48,8 +48,11 @@ class Case(NamedTuple):
     """One test.
 
     Attributes:
-        name: of theirs. wall: a point of its front; normal: out of it, towards the robot.
-        goals: one after the other. stiffness: 1/s². damping_ratio.
+        name: of theirs.
+        wall: a point of its front.
+        normal: out of it, towards the robot.
+        goals: one after the other.
+        stiffness: 1/s². damping_ratio.
         posture: (7,) rad, near which the arm reaches all goals away from its joints' limits.
         move_s: from goal to goal (s).
     """
@@ -92,7 +95,8 @@ def scenario_of(case: Case, **changes: Any) -> osc.Scenario:
     """A Panda whose finger starts in contact at the first goal and moves on to the others.
 
     Args:
-        case: one of `CASES`. changes: other keys.
+        case: one of `CASES`.
+        changes: other keys.
     """
     times = goal_times(case)
     pitch = float(np.arctan2(-case.normal[0], -case.normal[2]))  # of the hand's z axis, about y

@@ -119,7 +119,9 @@ def move_on_wall(scenario: str, frequency: float = 0.5, moves: int = 2) -> tuple
     """Changes of a drafted scenario: 10 N at once, and a circle (or a line) in the wall's plane.
 
     Args:
-        scenario: the robot. frequency: Hz. moves: 1: to and fro; 2: a circle.
+        scenario: the robot.
+        frequency: Hz.
+        moves: 1: to and fro; 2: a circle.
     """
     contact: Any = osc.load_scenario(_file(scenario)).contacts[0]
     axes = zip(triad(np.array(contact.face.normal)).T[:moves], (0, 90), strict=False)

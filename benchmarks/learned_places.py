@@ -47,7 +47,8 @@ def learn(seed: int, folder: Path) -> tuple[LearnedPlace, Array]:
     """Learn the place of the hole in one insertion; return it, and the true displacement (6,).
 
     Args:
-        seed: seed of the insertion. folder: folder of the recordings.
+        seed: seed of the insertion.
+        folder: folder of the recordings.
     """
     rows = recorded(seed, folder)
     task = Insertion(Peg("square", WIDTH), CLEARANCE, seed)

@@ -41,7 +41,8 @@ def _row_s(vary: Sequence[str], runs: int) -> float:
     """Least processor time (s) of a row.
 
     Args:
-        vary: what varies. runs: beside the first.
+        vary: what varies.
+        runs: beside the first.
     """
     changes = (f"duration={DURATION!r}",)
     study = SweepStudy.of("two_contact_rod", vary, runs + 1, overrides=changes)

@@ -150,7 +150,9 @@ class SpringGains(NamedTuple):
 
     Attributes:
         stiffness, damping: K, D along (N/m, N s/m) and about (N m, N m s) the axes.
-        integral: k_I (1/s). contact: d (N s/m). posture: stiffness and damping of τ_0 (N m, N m s).
+        integral: k_I (1/s).
+        contact: d (N s/m).
+        posture: stiffness and damping of τ_0 (N m, N m s).
     """
 
     stiffness: tuple[float, float] = (2000.0, 50.0)
@@ -247,9 +249,11 @@ def learn(
 
     Args:
         cost: of policies (rows, m), in episodes of a seed.
-        start: (m,) the first mean. spread: the first standard deviation of each number.
+        start: (m,) the first mean.
+        spread: the first standard deviation of each number.
         rows: policies of a generation; the first is the mean itself.
-        generations: how many. seed: of the draws and of the episodes.
+        generations: how many.
+        seed: of the draws and of the episodes.
 
     Returns:
         (m,) the last mean; (generations,) what each mean cost.

@@ -222,7 +222,9 @@ def scenario(folder: Path, force: float, speed: float) -> osc.Scenario:
     """The task.
 
     Args:
-        folder: of its files. force: N. speed: m/s.
+        folder: of its files.
+        force: N.
+        speed: m/s.
     """
     (folder / "flange.urdf").write_text(TOOL)
     (folder / "ramp.urdf").write_text(RAMP)
@@ -289,7 +291,9 @@ def judged(t: Array, force: Array, command: float, begin: float, end: float) -> 
     """Judge a contact force.
 
     Args:
-        t: (k,) times (s). force: (k,) true force (N); 0: no contact. command: N.
+        t: (k,) times (s).
+        force: (k,) true force (N); 0: no contact.
+        command: N.
         begin, end: of the path (s).
     """
     error = np.abs(force - command)
@@ -315,7 +319,8 @@ def run(force: float, speed: float) -> tuple[Verdict, str]:
     """Verdict and last word of a run.
 
     Args:
-        force: N. speed: m/s.
+        force: N.
+        speed: m/s.
     """
     osc.register_plant(PLANT)(ramp_plant)  # at run time: importing leaves the register as it is
     with tempfile.TemporaryDirectory() as folder:
@@ -331,7 +336,10 @@ def row(speed: float, force: float, found: Verdict, word: str) -> Data:
     """Line of the table: simulated, then measured.
 
     Args:
-        speed: m/s. force: N. found: of the simulation. word: of its verdict.
+        speed: m/s.
+        force: N.
+        found: of the simulation.
+        word: of its verdict.
     """
 
     def text(numbers: tuple[float, float, float] | None) -> str:
@@ -353,7 +361,8 @@ def main(only: str = "", workers: int = 2) -> None:
     """Print the table.
 
     Args:
-        only: cases, such as "35 N, 0.1 m/s", whose name contains this. workers: processes.
+        only: cases, such as "35 N, 0.1 m/s", whose name contains this.
+        workers: processes.
     """
     cases = [(f, v) for v, f in product(SPEEDS, FORCES) if only in f"{f:g} N, {v:g} m/s"]
     found = side_by_side(run, cases, workers)

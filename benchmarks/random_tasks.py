@@ -88,9 +88,13 @@ class RandomTask:
     """One task, and what is wrong in it.
 
     Attributes:
-        seed, number: it is drawn from these alone. name: of arm or scenario.
-        scenario: text of one, or the name of a packaged one. changes: of it, beside those of
-            `wrong`. wrong: group → changes. errors: of the plant. words: what was drawn, by name.
+        seed, number: it is drawn from these alone.
+        name: of arm or scenario.
+        scenario: text of one, or the name of a packaged one.
+        changes: of it, beside those of `wrong`.
+        wrong: group → changes.
+        errors: of the plant.
+        words: what was drawn, by name.
     """
 
     seed: int
@@ -137,7 +141,8 @@ def erring_plant(rig: Rig, seed: int, errors: Errors) -> Any:
     """MuJoCo with falling joint friction, leaning gravity and drifting wrists.
 
     Args:
-        rig, seed: as of `register_plant`. errors: what it does.
+        rig, seed: as of `register_plant`.
+        errors: what it does.
     """
     plant: Any = PLANTS["mujoco"](rig, seed)
     lean = pin.exp3(np.array([*errors.gravity, 0.0]))

@@ -140,7 +140,8 @@ def true_instants(contacts: Array, hole: Hole) -> list[Truth]:
     """True contacts at every instant.
 
     Args:
-        contacts: (ticks, k, 9) true contacts of each millisecond. hole: true hole.
+        contacts: (ticks, k, 9) true contacts of each millisecond.
+        hole: true hole.
     """
     each = [true_forces(rows, hole) for rows in contacts]
     found = []
@@ -172,12 +173,14 @@ class Tally:
 
     Attributes:
         right: whether each instant was right, by the group of its true contacts that are not below
-            the friction of others. strict: the same with all contacts above 0.3 N.
+            the friction of others.
+        strict: the same with all contacts above 0.3 N.
         confused: counts of true and recognised states.
         delays: time from the beginning of a contact that the stage does not assume, and that
             carries 1 N more than friction explains, to the alarm (s); inf: none.
-        alarms: alarms without a touch of such a contact. alarms_by_median: alarms where no such
-            contact had a median force. watched: time of the watch (s).
+        alarms: alarms without a touch of such a contact.
+        alarms_by_median: alarms where no such contact had a median force.
+        watched: time of the watch (s).
         costs: computing times of an instant (s).
     """
 
@@ -194,7 +197,9 @@ class Tally:
         """Compare a recognised state with the truth.
 
         Args:
-            truth: true contacts. recogniser: filter. group: name of the group of each state.
+            truth: true contacts.
+            recogniser: filter.
+            group: name of the group of each state.
         """
         state = recogniser.state
         whole = name_of(truth.contacts)
@@ -246,7 +251,9 @@ def follow(seed: int, folder: Path, tally: Tally) -> None:
     """Recognise the states of one insertion until the peg is in the hole.
 
     Args:
-        seed: seed of the insertion. folder: folder of the recordings. tally: counts, updated.
+        seed: seed of the insertion.
+        folder: folder of the recordings.
+        tally: counts, updated.
     """
     rows = recorded(seed, folder)
     task = Insertion(Peg("square", WIDTH), CLEARANCE, seed)
@@ -282,7 +289,8 @@ class Watch:
     Attributes:
         tally: counts, updated.
         since: time since such a contact with enough force began (s); None: there is none.
-        noticed: whether it was noticed. alarmed: whether the alarm is on.
+        noticed: whether it was noticed.
+        alarmed: whether the alarm is on.
         changed: time since contacts or stage changed (s).
     """
 
@@ -296,7 +304,9 @@ class Watch:
         """Compare the alarm of an instant with the truth.
 
         Args:
-            truth: true contacts. assumed: contacts of the stage. recogniser: filter.
+            truth: true contacts.
+            assumed: contacts of the stage.
+            recogniser: filter.
         """
         period = 1e-3 * EVERY
         pairs = {pair for name in assumed for pair in SEARCH[name]}

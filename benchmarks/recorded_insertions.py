@@ -27,7 +27,8 @@ class InsertionRecorder(Records):
     """Recorder of what a recogniser reads, and of the truth that judges it.
 
     Attributes:
-        robot: simulated robot with the true contacts. controller: controller of the run.
+        robot: simulated robot with the true contacts.
+        controller: controller of the run.
         plan: plan that is run.
         rows: values of each tick by name.
     """
@@ -71,7 +72,8 @@ def recorded(seed: int, folder: Path) -> dict[str, Array]:
     """Columns of the insertion of a seed, from its file, or from a run that makes it.
 
     Args:
-        seed: seed of the task. folder: folder of the files.
+        seed: seed of the task.
+        folder: folder of the files.
     """
     path = folder / f"insertion-{seed}.npz"
     if not path.exists():

@@ -107,8 +107,11 @@ def reversing(
     """The scenario of one entry.
 
     Args:
-        kind: of `KINDS`. stroke: amplitude (mm), frequency (Hz). line: of `LINES`.
-        mu: coefficient of friction. known: whether the controller is given it.
+        kind: of `KINDS`.
+        stroke: amplitude (mm), frequency (Hz).
+        line: of `LINES`.
+        mu: coefficient of friction.
+        known: whether the controller is given it.
     """
     amplitude, frequency = stroke
     sine = {

@@ -55,7 +55,8 @@ def differences(before: osc.Recording, now: osc.Recording, exact: bool) -> dict[
     """Differences of channels and of meta data by name, where there are any.
 
     Args:
-        before, now: of the same scenario. exact: all the meta data, not only the verdict.
+        before, now: of the same scenario.
+        exact: all the meta data, not only the verdict.
     """
     found = dict.fromkeys(set(before.channels) ^ set(now.channels), np.inf)
     for name in set(before.channels) & set(now.channels):

@@ -63,7 +63,9 @@ def measure_known(rig: RandomRig, rounds: int, rng: np.random.Generator) -> Rows
     """Two active contacts, of 2 to 12 that a controller with contact phases is made for, in turns.
 
     Args:
-        rig: of the arms. rounds: of each. rng: random numbers.
+        rig: of the arms.
+        rounds: of each.
+        rng: random numbers.
     """
     faces = faces_of(rig, max(KNOWN), 6, rng)
     calls = {}

@@ -42,10 +42,13 @@ class Verdict:
     """Verdict of one judge on one task.
 
     Attributes:
-        scenario: name of the task. friction: coefficient of the faces. judge: of `JUDGES`.
+        scenario: name of the task.
+        friction: coefficient of the faces.
+        judge: of `JUDGES`.
         force: largest rms error of a contact force (share of its mean command).
         path: rms error along the free directions (m).
-        peak: largest contact force (N). closed: share of the time in contact.
+        peak: largest contact force (N).
+        closed: share of the time in contact.
         status: how the run ended.
     """
 
@@ -76,7 +79,8 @@ def changes(judge: str, friction: float = 0.0) -> list[str]:
     """Changes of a scenario for a judge.
 
     Args:
-        judge: of `JUDGES`. friction: coefficient of the faces.
+        judge: of `JUDGES`.
+        friction: coefficient of the faces.
     """
     common = ["control.force.reading=least_squares", f"plant.friction={friction}"]
     if judge == "mujoco":
@@ -89,7 +93,9 @@ def judged(name: str, friction: float, judge: str, duration: float | None = None
     """Run a scenario before a judge.
 
     Args:
-        name: packaged scenario. friction: coefficient of the faces. judge: of `JUDGES`.
+        name: packaged scenario.
+        friction: coefficient of the faces.
+        judge: of `JUDGES`.
         duration: duration (s); None: the scenario's.
     """
     logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of elements of URDFs
@@ -113,7 +119,8 @@ def cases(only: str = "", duration: float | None = None) -> list[tuple[Any, ...]
     """Arguments of `judged` for all runs whose scenario's name has a text.
 
     Args:
-        only: text. duration: duration (s); None: the scenario's.
+        only: text.
+        duration: duration (s); None: the scenario's.
     """
     return [
         (name, friction, judge, duration)
@@ -129,8 +136,9 @@ def main(only: str = "", duration: float = 0.0, workers: int = 2) -> None:
     """Print the table, the missed limits, and where the judges differ.
 
     Args:
-        only: text that scenarios' names have. duration: duration of each run (s); 0: the
-            scenario's. workers: number of processes.
+        only: text that scenarios' names have.
+        duration: duration of each run (s); 0: the scenario's.
+        workers: number of processes.
     """
     verdicts = list(side_by_side(judged, cases(only, duration or None), workers))
     console = Console(width=150)

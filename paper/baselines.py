@@ -115,11 +115,14 @@ class StepRun:
     soft contact the object also gives way along N, whatever the law).
 
     Attributes:
-        t: (ticks,) s. starts: when the steps happen (s), the first r of them of forces.
-        alpha: (ticks, r) true contact forces (N). alpha_d: (ticks, r) desired.
+        t: (ticks,) s.
+        starts: when the steps happen (s), the first r of them of forces.
+        alpha: (ticks, r) true contact forces (N).
+        alpha_d: (ticks, r) desired.
         motion: (ticks, 6) true displacement from the start, m and rad; `free` part of it.
         ends: (points, 3) points of the object whose displacement counts, from O (m).
-        closed: fraction of the time that all contacts were closed. saturated: ticks.
+        closed: fraction of the time that all contacts were closed.
+        saturated: ticks.
         force_to_motion: (r,) m, largest displacement along the free motions after each force step.
         motion_to_force: (n,) N, largest force error on any contact after each motion step.
     """
@@ -191,8 +194,11 @@ def measured_coupling(
     Steps of force come at once, whatever the scenario's rise time: one tick would not see them.
 
     Args:
-        rig: with the rigid plant's chain. law: to be installed. instant: of the state.
-        plant: in this state; default: at the start. t: of the reference (s).
+        rig: with the rigid plant's chain.
+        law: to be installed.
+        instant: of the state.
+        plant: in this state; default: at the start.
+        t: of the reference (s).
     """
     if plant is None:
         plant = RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step)

@@ -37,15 +37,17 @@ class Seat:
     obliquely, so that turning it moves the whole arm. Its inertia stands in `cone.urdf`.
 
     Attributes:
-        point, direction: (3,) of the groove's line, world (m, unit). yaw: of it, about the vertical
-            (rad).
+        point, direction: (3,) of the groove's line, world (m, unit).
+        yaw: of it, about the vertical (rad).
         normals: (2, 3) unit, of the walls, out of the material.
-        apex, cone_axis: (3,) in the object's frame (m), and unit from apex to base. height: m.
-        inclination, half_angle: φ, θ (rad). axis: (3,) of the cone, in the world.
+        apex, cone_axis: (3,) in the object's frame (m), and unit from apex to base.
+        height: m.
+        inclination, half_angle: φ, θ (rad).
+        axis: (3,) of the cone, in the world.
         X_start: pose of the object with the apex in the middle of the groove.
         generators: (2, 3) unit directions from the apex along which the cone touches the walls.
-        pair, contact: r = 4, at the start. raibert_craig: the nearest constraint frame there,
-            moments over the cone's height about O.
+        pair, contact: r = 4, at the start.
+        raibert_craig: the nearest constraint frame there, moments over the cone's height about O.
         from_wall_forces: R (4, 4), the pair's magnitudes from those at the ends of the lines of
             contact. N R is the same space of forces seen through another basis. The groove carries
             both, so R is constant.

@@ -28,8 +28,10 @@ class Collision(NamedTuple):
     """A contact re-made, in the plant's truth.
 
     Attributes:
-        contact: its number. t: when it was made (s).
-        speed: with which it was met (m/s). power: peak of |V_relᵀΩ_f f_meas| in the next 20 ms (W).
+        contact: its number.
+        t: when it was made (s).
+        speed: with which it was met (m/s).
+        power: peak of |V_relᵀΩ_f f_meas| in the next 20 ms (W).
         flagged: s from t to the flag `collision_seen`; None: not within 20 ms.
     """
 
@@ -131,7 +133,9 @@ def run(scenario: str, changes: Sequence[str], duration: float, seed: int) -> os
     """Run a scenario; of its recording, what fig. 7 is made of.
 
     Args:
-        scenario: with these changes. duration: s. seed: of everything random.
+        scenario: with these changes.
+        duration: s.
+        seed: of everything random.
     """
     recording = osc.run(osc.load_scenario(scenario, changes), duration=duration, seed=seed)
     return osc.Recording(recording.meta, {name: np.array(recording[name]) for name in CHANNELS})

@@ -33,8 +33,10 @@ def draw_force(
     """The i-th contact force: its line, an arrow on it, its name.
 
     Args:
-        ax: three-dimensional axes. i: from 0.
-        point: (3,) of contact, where the arrow ends; arrow: (3,).
+        ax: three-dimensional axes.
+        i: from 0.
+        point: (3,) of contact, where the arrow ends.
+        arrow: (3,).
         line: its ends, beside: place of the name; in lengths of the arrow from the point.
     """
     colour = contact_colour(i)

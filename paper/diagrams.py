@@ -200,7 +200,8 @@ def draw_blocks(blocks: Sequence[Block], title: str) -> Figure:
     """Draw boxes of the loop with every signal that they read and put out.
 
     Args:
-        blocks: some of `LOOP`. title: heading.
+        blocks: some of `LOOP`.
+        title: heading.
     """
     names = [block.name for block in blocks]
     connections = {key: turns for key, turns in CONNECTIONS.items() if key[1] in names}

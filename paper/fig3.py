@@ -43,7 +43,8 @@ class Callout(NamedTuple):
     """A label beside what it names, joined to it by a thin line.
 
     Attributes:
-        text: of the label. feature: (3,) what it names.
+        text: of the label.
+        feature: (3,) what it names.
         beside: to the right and up in the picture, where the label is (m).
     """
 
@@ -77,7 +78,8 @@ def draw_camera(scene: Visualizer, corners: Array) -> None:
     """Make the nodes of the camera and of the pyramid that it sees.
 
     Args:
-        scene: of the page. corners: (4, 3) of the rectangle that is seen, in order.
+        scene: of the page.
+        corners: (4, 3) of the rectangle that is seen, in order.
     """
     from meshcat.geometry import Box
 
@@ -121,9 +123,12 @@ class Shot(NamedTuple):
     """One view of it.
 
     Attributes:
-        title: what it shows. points: (k, 3) that fill it.
-        heading, elevation: of the eye (deg). size: of the picture (CSS pixels).
-        callouts: its labels. whole: with the camera and its view.
+        title: what it shows.
+        points: (k, 3) that fill it.
+        heading, elevation: of the eye (deg).
+        size: of the picture (CSS pixels).
+        callouts: its labels.
+        whole: with the camera and its view.
     """
 
     title: str
@@ -139,8 +144,10 @@ class Workcell:
     """The rig and what it stood like at one tick of a run (channels of the recording).
 
     Attributes:
-        rig, sample: those. frames: X of every frame of the arms, by "arm/frame".
-        seen: (4, 3) corners of what the camera sees. faces: where they are.
+        rig, sample: those.
+        frames: X of every frame of the arms, by "arm/frame".
+        seen: (4, 3) corners of what the camera sees.
+        faces: where they are.
         rings: by path, where a sensor's collar is, its radius and colour.
     """
 
@@ -148,7 +155,8 @@ class Workcell:
         """Place everything.
 
         Args:
-            rig: of the scenario. sample: channels at the tick.
+            rig: of the scenario.
+            sample: channels at the tick.
         """
         self.rig = rig
         self.sample = sample

@@ -73,7 +73,8 @@ def classic_eigenvalues(M: Array, J: Array, selection: Array, K_q: Array) -> Arr
     The n − s others are zero: nothing in this scheme stiffens the force-controlled directions.
 
     Args:
-        M: (n, n) joint-space inertia. J: (n, n) Jacobian of the task coordinates.
+        M: (n, n) joint-space inertia.
+        J: (n, n) Jacobian of the task coordinates.
         selection: (n,) 1 where the coordinate is position-controlled, else 0.
         K_q: (n, n) joint stiffness (N m/rad).
 

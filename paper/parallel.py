@@ -106,7 +106,8 @@ def _result(future: Future[Any], names: str) -> Any:
     """The result of a job.
 
     Args:
-        future: of it, which has ended. names: of the jobs under way.
+        future: of it, which has ended.
+        names: of the jobs under way.
     """
     try:
         return future.result()
@@ -162,7 +163,8 @@ def _do(
     """Do a job in another process.
 
     Args:
-        name, work: of it. needed: results of others.
+        name, work: of it.
+        needed: results of others.
     """
     try:
         with _named(name):

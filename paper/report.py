@@ -234,7 +234,9 @@ class Reproduction(NamedTuple):
     """Everything that one command made.
 
     Attributes:
-        made: by name. options: of the command, as typed. scene: the run's page.
+        made: by name.
+        options: of the command, as typed.
+        scene: the run's page.
         scenario: behind the figures that are not studies, recording: of its run, if there was one.
     """
 
@@ -369,7 +371,9 @@ def _draw_figures(
     """Run the scenario if a figure needs it, report the run, and write the figures.
 
     Args:
-        names: of `FIGURES`. scenario, seed: of the run. folder: for everything that is written.
+        names: of `FIGURES`.
+        scenario, seed: of the run.
+        folder: for everything that is written.
         tell, needed: as of `Job`.
 
     Returns:
@@ -402,7 +406,8 @@ def _make_study(
     """A study, as a job: by its name.
 
     Args:
-        name, folder, ask: as of `write_study`. tell: as of `Job`.
+        name, folder, ask: as of `write_study`.
+        tell: as of `Job`.
         needed: results of its runs, by the names of their jobs.
     """
     tell("")

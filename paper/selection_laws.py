@@ -167,8 +167,9 @@ class Selection:
         """Some of six axes: 0, 1, 2 of forces, 3, 4, 5 of couples.
 
         Args:
-            point: as the attribute. triads: (3, 3) axes, of forces first and of couples last; one
-                constraint frame for both is the Raibert–Craig model.
+            point: as the attribute.
+            triads: (3, 3) axes, of forces first and of couples last; one constraint frame for both
+                is the Raibert–Craig model.
             chosen: the axes that are force controlled.
         """
         forces, couples = ([i % 3 for i in chosen if i // 3 == kind] for kind in (0, 1))
@@ -210,7 +211,10 @@ class Coupling(NamedTuple):
     """The answer of a law to unit commands.
 
     Attributes:
-        M: (r, r) N per N. K: (n, n) m/s² per m/s². G_f: (n, r) m/s² per N. G_m: (r, n) N per m/s².
+        M: (r, r) N per N.
+        K: (n, n) m/s² per m/s².
+        G_f: (n, r) m/s² per N.
+        G_m: (r, n) N per m/s².
         inertia: m, kg.
     """
 

@@ -107,8 +107,9 @@ def table_of(title: str, heads: str, rows: Iterable[str | Iterable[object]]) -> 
     """A table to print.
 
     Args:
-        title: above it. heads: of its columns, separated by "; ". rows: of cells, or one
-            text of cells that are separated like the heads.
+        title: above it.
+        heads: of its columns, separated by "; ".
+        rows: of cells, or one text of cells that are separated like the heads.
     """
     table = Table(*heads.split("; "), title=title)
     for row in rows:

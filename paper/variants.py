@@ -106,7 +106,9 @@ def run(scenario: str, changes: Sequence[str], duration: float, seed: int) -> Re
     """Run a variant.
 
     Args:
-        scenario: with these changes. duration: s. seed: of everything random.
+        scenario: with these changes.
+        duration: s.
+        seed: of everything random.
     """
     recording = osc.run(osc.load_scenario(scenario, changes), duration=duration, seed=seed)
     kept = {name: np.array(recording[name]) for name in ("t", "alpha_cmd", "alpha_true")}

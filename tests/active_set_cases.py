@@ -99,10 +99,11 @@ class Tick:
     """Inputs of a controller in a tick, and the expected effects of its torques.
 
     Attributes:
-        active: (12,) flags of active contacts. state: state of the arms with these contacts.
+        active: (12,) flags of active contacts.
+        state: state of the arms with these contacts.
         measured, reference: inputs of the tick.
-        alpha: (r,) contact forces in the wrist readings (N). forces: (r,) contact forces that the
-            torques have to cause (N).
+        alpha: (r,) contact forces in the wrist readings (N).
+        forces: (r,) contact forces that the torques have to cause (N).
     """
 
     active: np.ndarray
@@ -116,7 +117,8 @@ class Tick:
         """Relative errors of measured forces, and of forces and motion under the torques.
 
         Args:
-            tau: (n_a,) torques of the controller (N m). found: (r,) forces that it measured (N).
+            tau: (n_a,) torques of the controller (N m).
+            found: (r,) forces that it measured (N).
         """
         answer = self.state.answer(tau)
         X_WO = self.state.case.X_WO
@@ -136,8 +138,9 @@ def sequence(seed, count, lasting=4):
     """Scene and ticks whose active sets last for some ticks each.
 
     Args:
-        seed: seed of the random numbers. count: number of ticks. lasting: mean number of ticks of
-            an active set.
+        seed: seed of the random numbers.
+        count: number of ticks.
+        lasting: mean number of ticks of an active set.
     """
     rng = default_rng(seed)
     scene = Scene.random(rng)

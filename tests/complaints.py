@@ -28,7 +28,8 @@ def refusals(expected, calls):
     """Make a test that each call is refused.
 
     Args:
-        expected: function by `expecting`. calls: call by the pattern of its error's sentence.
+        expected: function by `expecting`.
+        calls: call by the pattern of its error's sentence.
     """
 
     @mark.parametrize("words, call", calls.items())

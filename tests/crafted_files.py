@@ -71,7 +71,9 @@ class Base:
     """File of a controller and a recording of the next ticks, in a folder.
 
     Attributes:
-        content: bytes of the file. raw: its records. starts: offset of each record in `raw`.
+        content: bytes of the file.
+        raw: its records.
+        starts: offset of each record in `raw`.
         folder: the folder.
     """
 
@@ -81,9 +83,11 @@ class Base:
         """Run a scenario and save the controller.
 
         Args:
-            folder: folder, which is made. name: name of the scenario. ticks: number of ticks.
-            blind: number of last ticks without joint readings. spline: True: a spline surface
-                replaces the scenario's sphere.
+            folder: folder, which is made.
+            name: name of the scenario.
+            ticks: number of ticks.
+            blind: number of last ticks without joint readings.
+            spline: True: a spline surface replaces the scenario's sphere.
         """
         rig = rig_of(name)
         plant, controller = start(rig)
@@ -149,7 +153,8 @@ class Base:
         """List random patches, each of which replaces one to three words of records.
 
         Args:
-            count: number of patches. seed: seed of the random numbers.
+            count: number of patches.
+            seed: seed of the random numbers.
         """
         rng = default_rng(seed)
         ends = dict(zip(self.starts, [*list(self.starts.values())[1:], len(self.raw)], strict=True))
@@ -194,7 +199,8 @@ class Base:
         """Run the C program for each patch; return its results, see `ENDINGS`.
 
         Args:
-            program: the C program. patches: lists of (offset, word).
+            program: the C program.
+            patches: lists of (offset, word).
         """
         words = []
         for patch in patches:

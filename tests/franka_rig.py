@@ -34,7 +34,10 @@ class FrankaServer:
     """Process of the simulated robot, controlled by lines of JSON.
 
     Attributes:
-        folder: folder of files. urdf: the robot with a hand. process: the process. host: address.
+        folder: folder of files.
+        urdf: the robot with a hand.
+        process: the process.
+        host: address.
     """
 
     def __init__(self, folder):
@@ -108,12 +111,14 @@ class Press:
     """Task: approach a plate, press for 0.7 s, slide 40 mm in 1.3 s, release and retreat.
 
     Attributes:
-        server: process of the robot. force: desired force (N).
+        server: process of the robot.
+        force: desired force (N).
         gap, modelled: gap to the plate at the start, true and in the controller's model (m).
-        slide: length of the slide (m). ticks: largest number of ticks. hold: time from landing to
-            the end (s).
-        scene, faults: arguments of `FrankaServer.begin`. check: True: checks before the first
-            command.
+        slide: length of the slide (m).
+        ticks: largest number of ticks.
+        hold: time from landing to the end (s).
+        scene, faults: arguments of `FrankaServer.begin`.
+        check: True: checks before the first command.
     """
 
     server: FrankaServer

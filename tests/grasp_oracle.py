@@ -28,10 +28,12 @@ class System:
         """Compute the system.
 
         Args:
-            model: merged model of the arms. tips: names of the tips' frames.
-            grasps: (kind, X_TO, axis (3,) in the tip's frame) of each arm. body: inertia of the
-                object.
-            q, v: (n,) state of the joints. X_WO, V_O: pose and twist (6,) of the object.
+            model: merged model of the arms.
+            tips: names of the tips' frames.
+            grasps: (kind, X_TO, axis (3,) in the tip's frame) of each arm.
+            body: inertia of the object.
+            q, v: (n,) state of the joints.
+            X_WO, V_O: pose and twist (6,) of the object.
         """
         data = terms_at(model, q, v)
         self.M = np.array(data.M)
@@ -67,8 +69,9 @@ def derivatives(kind, axis, X, V):
     The second time derivative is that at constant V.
 
     Args:
-        kind: kind of the grasp. axis: (3,) axis in the frame of the tip. X, V: pose and twist of
-            the grasped frame in the frame of the tip.
+        kind: kind of the grasp.
+        axis: (3,) axis in the frame of the tip.
+        X, V: pose and twist of the grasped frame in the frame of the tip.
     """
     p = X.translation
     w = V.angular

@@ -106,7 +106,9 @@ class Case:
     """Closed chain in a posture.
 
     Attributes:
-        chain: the chain. q: (n,) joint positions. X_WO: pose of the object.
+        chain: the chain.
+        q: (n,) joint positions.
+        X_WO: pose of the object.
         grasps: (kind, X_TO, axis) of each arm, for the oracle.
     """
 
@@ -131,9 +133,12 @@ def random_case(arms, kinds, rng, bends=None, angle=1e-3, upright=False, body=BO
     """Random case; the bases are placed so that the random postures reach the object.
 
     Args:
-        arms: kind of each arm, in `ARMS`. kinds: kind of each grasp. rng: random numbers.
+        arms: kind of each arm, in `ARMS`.
+        kinds: kind of each grasp.
+        rng: random numbers.
         bends: angle of each elbow (rad); None: random, far from singular.
-        angle: `angle_tolerance` of the chain (rad). upright: True: all axes are vertical.
+        angle: `angle_tolerance` of the chain (rad).
+        upright: True: all axes are vertical.
         body: inertia of the object; None: no object.
     """
     X_WO = placed(*rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.5, 3))

@@ -44,7 +44,9 @@ def made(copy, store, entries):
     """Compile in a copy of the package; return hash, units and number of parts not in the store.
 
     Args:
-        copy: folder of the copy. store: folder of the store. entries: names of entries; none: all.
+        copy: folder of the copy.
+        store: folder of the store.
+        entries: names of entries; none: all.
     """
     environment = {"OSC_CONTACT_CACHE": store, "OSC_CONTACT_LAW": "compile"}
     environment["NUMBA_DISABLE_JIT"] = "0"
@@ -56,7 +58,9 @@ def edit(source, name, rng):
     """Change a random number or comparison of a function; return the module's source.
 
     Args:
-        source: source of the module. name: name of the function. rng: random numbers.
+        source: source of the module.
+        name: name of the function.
+        rng: random numbers.
 
     Returns:
         The changed source; None if the function has neither numbers nor comparisons.
@@ -85,7 +89,9 @@ def compare(count, seed, entries=()):
     """Edit functions and compare the object files; yield a line of text for each function.
 
     Args:
-        count: number of edits. seed: seed of the random numbers. entries: names; none: all.
+        count: number of edits.
+        seed: seed of the random numbers.
+        entries: names; none: all.
 
     Raises:
         AssertionError: object files differ, or too few functions can be edited.

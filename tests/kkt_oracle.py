@@ -36,9 +36,12 @@ class Body:
     """Mechanism whose last frame is touched, in a state, with the controller's model of it.
 
     Attributes:
-        model: model of the mechanism. q, v: its state. tau: (nv,) generalised forces (N m, N).
+        model: model of the mechanism.
+        q, v: its state.
+        tau: (nv,) generalised forces (N m, N).
         known: body of the package, or function from O (3,) to the `Environment`.
-        prescribed: (nv,) q̈ of its drives, or None. name: kind of the body.
+        prescribed: (nv,) q̈ of its drives, or None.
+        name: kind of the body.
         X, V: pose and twist (6,) of the touched frame, at its origin in world axes.
     """
 
@@ -117,8 +120,11 @@ def on_joint(joint, rng, at, known, prescribed=False):
     """Body on one joint near a point, with a random state and random forces.
 
     Args:
-        joint: joint model of Pinocchio. rng: random numbers. at: (3,) point (m).
-        known: see `Body`. prescribed: True if a drive prescribes the acceleration.
+        joint: joint model of Pinocchio.
+        rng: random numbers.
+        at: (3,) point (m).
+        known: see `Body`.
+        prescribed: True if a drive prescribes the acceleration.
     """
     model = pin.Model()
     model.addJointFrame(model.addJoint(0, joint, random_placement(rng, at), "body"))
@@ -190,7 +196,9 @@ def on_joints(rng, at, *joints, inertia):
     """Mechanism of serial joints at a random point c, whose last frame E is the world's at q = 0.
 
     Args:
-        rng: random numbers. at: (3,) point near which c is (m). *joints: joint models.
+        rng: random numbers.
+        at: (3,) point near which c is (m).
+        *joints: joint models.
         inertia: inertia of each link in the frame of its joint.
 
     Returns:
@@ -258,8 +266,9 @@ def touch(name, rng, X_EO):
     """Random pair of a kind that is in contact with the object at the pose X_EO.
 
     Args:
-        name: key of `pair_kinds.KINDS`. rng: random numbers. X_EO: pose of the object in the
-            touched body's frame.
+        name: key of `pair_kinds.KINDS`.
+        rng: random numbers.
+        X_EO: pose of the object in the touched body's frame.
     """
     while True:
         seed = rng.integers(2**32)
@@ -284,8 +293,10 @@ class Contact:
     """Pair between object and body, with derivatives of its gaps by finite differences.
 
     Attributes:
-        name: kind of the pair. pair: pair of the package. on: touched body. X_WO: pose of the
-            object.
+        name: kind of the pair.
+        pair: pair of the package.
+        on: touched body.
+        X_WO: pose of the object.
         bent: (r,) result of `bend` if it is known; None: it is computed by differences.
         along_object: (r, 6) derivatives of the gaps by displacements of the object at O.
         along_body: (r, nv) derivatives of the gaps by the body's joints.
@@ -339,7 +350,8 @@ class Contact:
         """Coulomb friction on the object (6,) and on the body's joints (nv,), for 1 N of pressure.
 
         Args:
-            V: (6,) twist of the object. mu: coefficient of friction.
+            V: (6,) twist of the object.
+            mu: coefficient of friction.
         """
         slip, arm, far = self.slip(V)
         f = -mu * unit(slip)
@@ -356,8 +368,9 @@ class Answer:
     """Solution of the KKT system.
 
     Attributes:
-        qdd: (n,) accelerations of the joints. a, a_object: (6,) classical and spatial acceleration
-            of the object at O. alpha: (r,) contact forces (N).
+        qdd: (n,) accelerations of the joints.
+        a, a_object: (6,) classical and spatial acceleration of the object at O.
+        alpha: (r,) contact forces (N).
         loops: wrench (6,) of each arm on the object at O.
         a_e: spatial acceleration (6,) of each touched body at O.
         residual: relative residual; not zero if no acceleration keeps all loops closed.
@@ -377,11 +390,14 @@ class State:
     """Arms that hold an object which touches bodies; at rest until `move`.
 
     Attributes:
-        case: arms and object. contacts: contacts of the object. mu: coefficient of friction.
+        case: arms and object.
+        contacts: contacts of the object.
+        mu: coefficient of friction.
         rest: state of the same arms at rest, from which the grasps are taken; None: they are
             computed.
         N: (r, 6) derivatives of all gaps by displacements of the object.
-        S: (6, d) motions of the object that the grasps permit. sigma: (6,) acceleration at η̇ = 0.
+        S: (6, d) motions of the object that the grasps permit.
+        sigma: (6,) acceleration at η̇ = 0.
         Z: rows of permitted accelerations of joints and object.
     """
 
@@ -435,7 +451,8 @@ class State:
         """Solve for the response of arms, object and bodies to motor torques.
 
         Args:
-            tau: (n_a,) motor torques (N m, N). exact: True if a response has to exist.
+            tau: (n_a,) motor torques (N m, N).
+            exact: True if a response has to exist.
         """
         s = self.system
         n = self.n + 6

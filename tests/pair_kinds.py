@@ -29,7 +29,9 @@ class Path:
     At t = 0, ω = w₁, ω̇ = 2w₂, v = p₁, p̈ = 2p₂.
 
     Attributes:
-        R0: (3, 3). p: (3, 3) rows p₀, p₁, p₂. w: (2, 3) rows w₁, w₂.
+        R0: (3, 3).
+        p: (3, 3) rows p₀, p₁, p₂.
+        w: (2, 3) rows w₁, w₂.
     """
 
     R0: np.ndarray
@@ -59,7 +61,8 @@ class Coordinates:
     """Coordinates to which the geometry of a pair is converted: other unit, other frame E′.
 
     Attributes:
-        X_E: pose of E′ in the environment's frame E. per_metre: units of length per metre.
+        X_E: pose of E′ in the environment's frame E.
+        per_metre: units of length per metre.
     """
 
     X_E: pin.SE3 = field(default_factory=pin.SE3.Identity)
@@ -130,7 +133,8 @@ def ball_on_plane(rng, make, rho):
     """Ball of radius rho on a plane, r = 1.
 
     Args:
-        rng: random numbers. make: function from centre, point and normal of the plane to the pair.
+        rng: random numbers.
+        make: function from centre, point and normal of the plane to the pair.
         rho: radius (m).
     """
     centre, point = rng.standard_normal((2, 3))
@@ -200,7 +204,9 @@ def line_on_plane(rng, c, make, rho):
     """Line of the object at the distance rho (m) above a plane, r = 2.
 
     Args:
-        rng: random numbers. c: coordinates. rho: distance (m).
+        rng: random numbers.
+        c: coordinates.
+        rho: distance (m).
         make: function from point and direction of the line, point and normal of the plane to the
             pair.
     """
@@ -270,8 +276,11 @@ def joint(rng, c, make, turns=0.0, slides=0.0):
     """Joint on a random axis of the object, r = 5.
 
     Args:
-        rng: random numbers. c: coordinates. make: class of the pair.
-        turns: turn for q = 1 (rad). slides: shift for q = 1 (m); None: random.
+        rng: random numbers.
+        c: coordinates.
+        make: class of the pair.
+        turns: turn for q = 1 (rad).
+        slides: shift for q = 1 (m); None: random.
     """
     point = rng.standard_normal(3)
     e = direction(rng)
@@ -368,8 +377,10 @@ def rate(f, order=1, h=5e-3, reach=4):
     """Derivative of f at 0 of order 1 or 2, by central differences with an error O(h^(2 reach)).
 
     Args:
-        f: function of a number, which returns an array. order: 1 or 2. h: step. reach: number of
-            steps to either side.
+        f: function of a number, which returns an array.
+        order: 1 or 2.
+        h: step.
+        reach: number of steps to either side.
     """
     k, weights = steps(order, reach)
     return np.tensordot(weights, np.array([f(x * h) for x in k]), 1) / h**order
@@ -399,8 +410,8 @@ class Motion:
     """Pair with motions of both bodies.
 
     Attributes:
-        pair: the pair. body, env: functions from the time to the poses of object and environment in
-            the world.
+        pair: the pair.
+        body, env: functions from the time to the poses of object and environment in the world.
     """
 
     pair: osc.ContactPair
@@ -412,7 +423,9 @@ class Motion:
         """Motion of both bodies that keeps the contact.
 
         Args:
-            name: kind of the pair. turn: seed. per_metre: units of length per metre.
+            name: kind of the pair.
+            turn: seed.
+            per_metre: units of length per metre.
         """
         rng = default_rng([turn, 7])
         pair, pose, r = KINDS[name](rng, Coordinates(per_metre=per_metre))
@@ -430,8 +443,9 @@ class Motion:
         """Motion of both bodies that does not keep the contact.
 
         Args:
-            name: kind of the pair. turn: seed. open_by: size of the displacement from contact at
-                t = 0 (m, rad).
+            name: kind of the pair.
+            turn: seed.
+            open_by: size of the displacement from contact at t = 0 (m, rad).
         """
         rng = default_rng([turn, 8])
         pair, pose, r = KINDS[name](rng, PLAIN)
@@ -466,8 +480,10 @@ def touching(name, X_WO, seed, per_metre=1.0):
     """Random pair of a kind that is in contact at the object's pose X_WO, fixed to the world.
 
     Args:
-        name: kind of the pair. X_WO: pose of the object. seed: seed. per_metre: units of length per
-            metre.
+        name: kind of the pair.
+        X_WO: pose of the object.
+        seed: seed.
+        per_metre: units of length per metre.
     """
     _, pose, r = KINDS[name](default_rng(seed), PLAIN)
     start = pose(0.3 * default_rng(seed).standard_normal(6 - r))

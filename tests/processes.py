@@ -18,8 +18,9 @@ def completed(*words, code=0, **how):
     """Run a command, which has to end with an exit code; return the completed process.
 
     Args:
-        *words: words of the command. code: exit code; None: any. **how: arguments of
-            `subprocess.run`.
+        *words: words of the command.
+        code: exit code; None: any.
+        **how: arguments of `subprocess.run`.
     """
     how = {"capture_output": True, "text": True, "timeout": 500} | how
     done = subprocess.run(list(map(str, words)), **how)
@@ -31,8 +32,11 @@ def python(*words, code=0, cwd=None, timeout=500, **environment):
     """Run Python in a new process that can import the modules of the tests.
 
     Args:
-        *words: arguments of the interpreter. code: exit code; None: any. cwd: working directory.
-        timeout: time limit (s). **environment: environment variables.
+        *words: arguments of the interpreter.
+        code: exit code; None: any.
+        cwd: working directory.
+        timeout: time limit (s).
+        **environment: environment variables.
     """
     path = os.pathsep.join((os.path.dirname(__file__), *sys.path))
     env = {**os.environ, "PYTHONPATH": path, **environment}
@@ -50,8 +54,9 @@ def wait_until(there, seconds=300.0, process=None):
     """Wait until a function returns a true value; return this value.
 
     Args:
-        there: function without arguments. seconds: time limit (s). process: process that must not
-            end before, or None.
+        there: function without arguments.
+        seconds: time limit (s).
+        process: process that must not end before, or None.
     """
     deadline = time.monotonic() + seconds
     while not (found := there()):

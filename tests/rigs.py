@@ -42,7 +42,8 @@ def assert_near(got, expected, *, atol=0.0, rtol=1e-7, name=""):
     """Assert |got − expected| ≤ atol + rtol |expected| element by element.
 
     Args:
-        got, expected: arrays, or nested lists of numbers. name: shown where they differ.
+        got, expected: arrays, or nested lists of numbers.
+        name: shown where they differ.
     """
     assert_allclose(got, expected, rtol=rtol, atol=atol, err_msg=name)
 
@@ -51,7 +52,8 @@ def assert_close(got, expected, *, tolerance=1e-8, name=""):
     """Assert |got − expected| ≤ tolerance max(1, largest |expected|) element by element.
 
     Args:
-        got, expected: arrays, or nested lists of numbers. name: shown where they differ.
+        got, expected: arrays, or nested lists of numbers.
+        name: shown where they differ.
     """
     assert_allclose(
         got, expected, rtol=0, atol=tolerance * max(1.0, largest(expected)), err_msg=name
@@ -135,7 +137,9 @@ def assert_derivatives(at, t, h, *atol):
     """Assert that V_D of a reference is the rate of its pose, and A_D the rate of V_D.
 
     Args:
-        at: function from the time (s) to the reference. t: time (s). h: step of the differences.
+        at: function from the time (s) to the reference.
+        t: time (s).
+        h: step of the differences.
         *atol: tolerances of V_D and of A_D.
 
     Returns:
@@ -292,9 +296,11 @@ def sliding(pairs, X_WO, V_O, V_c, touched, slip):
     v = (1 − w) v_t + w v_c.
 
     Args:
-        pairs: pairs with a point of contact each. X_WO, V_O: pose and twist of the object.
+        pairs: pairs with a point of contact each.
+        X_WO, V_O: pose and twist of the object.
         V_c: (6,) its commanded twist, as far as the contacts permit it.
-        touched: motion of the touched bodies, or None. slip: v_0 (m/s).
+        touched: motion of the touched bodies, or None.
+        slip: v_0 (m/s).
     """
     out = []
     for i, pair in enumerate(pairs):
@@ -364,7 +370,9 @@ def commanded(chain, pairs, q, v, a_u, alpha_u, squeeze=5.0, **how):
     """Run a tick of the law that commands a_u (6,), spatial, and α_u (r,).
 
     Args:
-        chain, pairs: of the controller. q, v: (n,) measured state. squeeze: desired (N).
+        chain, pairs: of the controller.
+        q, v: (n,) measured state.
+        squeeze: desired (N).
         **how: further arguments of the controller.
 
     Returns:

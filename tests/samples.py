@@ -17,7 +17,9 @@ def made_once(tmp_path_factory, name, make):
     """Folder that one worker of pytest fills by `make(folder)`, while the others wait.
 
     Args:
-        tmp_path_factory: fixture of pytest. name: name of the folder. make: function of its path.
+        tmp_path_factory: fixture of pytest.
+        name: name of the folder.
+        make: function of its path.
     """
     root = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
@@ -38,8 +40,9 @@ def parametrize(names, rows, **how):
     """Parametrize a test like `mark.parametrize`; rows of two names may be a dictionary.
 
     Args:
-        names: names of the parameters. rows: list of rows, or dictionary from the first parameter
-            to the second. **how: further arguments of `mark.parametrize`.
+        names: names of the parameters.
+        rows: list of rows, or dictionary from the first parameter to the second.
+        **how: further arguments of `mark.parametrize`.
     """
     table = isinstance(rows, dict) and "," in names
     return mark.parametrize(names, rows.items() if table else rows, **how)

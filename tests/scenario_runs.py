@@ -66,7 +66,8 @@ def assert_same_run(one, other, atol=0.0):
     """Assert that two recordings have equal channels, except the computing time of each tick.
 
     Args:
-        one, other: recordings. atol: tolerance; 0: equal to the bit.
+        one, other: recordings.
+        atol: tolerance; 0: equal to the bit.
     """
     assert one.channels.keys() == other.channels.keys()
     for name in set(one.channels) - {"tick_s"}:
@@ -77,8 +78,9 @@ def judged(scenario, key="rms_error_rel", install=None):
     """Largest error of all forces in a run of 3 s, relative to the mean command, always in contact.
 
     Args:
-        scenario: scenario, or its name. key: name of the error in the verdict. install: see
-            `osc.run`.
+        scenario: scenario, or its name.
+        key: name of the error in the verdict.
+        install: see `osc.run`.
     """
     verdict = verdict_of(scenario, duration=3.0, install=install)
     assert always_closed(verdict)

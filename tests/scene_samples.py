@@ -31,7 +31,8 @@ def make_recording(contacts=2, without=()):
     """Recording of 1 s at 100 Hz: an arm turns, a rod moves, forces rise from 0 to 12 N.
 
     Args:
-        contacts: number of contacts. without: names of channels to leave out.
+        contacts: number of contacts.
+        without: names of channels to leave out.
     """
     t = np.arange(101) / 100.0
     pose = np.tile([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0], (101, 1))
@@ -84,7 +85,9 @@ def write(folder, recording=RECORDING, fps=10, **how):
     """Write the page of a recording into a folder; return its path.
 
     Args:
-        folder: folder of the page. recording: the recording. fps: frames per second.
+        folder: folder of the page.
+        recording: the recording.
+        fps: frames per second.
         **how: further arguments of `write_scene`.
     """
     contacts = recording.meta["contact_names"]
@@ -142,7 +145,9 @@ class Shown:
         """Value of a property of a node at a frame: from its key frames, or as it was set.
 
         Args:
-            path: path of the node. key: name of the property. frame: number of the frame.
+            path: path of the node.
+            key: name of the property.
+            frame: number of the frame.
         """
         keys = self.tracks.get((path, key))
         if keys is not None:

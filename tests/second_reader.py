@@ -37,7 +37,8 @@ def urdf_difference(file, **how):
     """Largest difference between the package's model of a URDF and yourdfpy's.
 
     Args:
-        file: the URDF. **how: further arguments of `robots.load_model`.
+        file: the URDF.
+        **how: further arguments of `robots.load_model`.
     """
     other = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
 

@@ -35,7 +35,9 @@ def growth(rate, late, bits, expected=True):
     """Largest growth (1/s) of a contact's modes: unit mass on an undamped spring of rate² N/m.
 
     Args:
-        rate: √(k/m) (1/s). late: ticks from a force to its reading. bits: of the encoder.
+        rate: √(k/m) (1/s).
+        late: ticks from a force to its reading.
+        bits: of the encoder.
         expected: whether the estimate knows the acceleration by measured forces.
     """
     estimate = VelocityEstimate.learning([noise_of(bits)], [0.8], DT)

@@ -33,7 +33,9 @@ def guarded(content, at_end, writable=True, beyond=0):
     """A copy that begins or ends at a page without access.
 
     Args:
-        content: array. at_end: whether it ends there. writable: or a write is a fault, too.
+        content: array.
+        at_end: whether it ends there.
+        writable: or a write is a fault, too.
         beyond: bytes by which it lies too far.
     """
     content = np.ascontiguousarray(content)

@@ -163,7 +163,8 @@ def names_in(source, module):
     """Names of modules that a source refers to: imports anywhere, import_module, strings.
 
     Args:
-        source: text of the module. module: its name, below which relative names are.
+        source: text of the module.
+        module: its name, below which relative names are.
     """
     tree = ast.parse(source)
     silent = docstrings(tree)
@@ -187,7 +188,9 @@ def upward(source, module, lab):
     """Of the names in a source, those of the lab, and computed ones, which may be anything.
 
     Args:
-        source: text of the module. module: its name. lab: names of all modules of the lab.
+        source: text of the module.
+        module: its name.
+        lab: names of all modules of the lab.
     """
     found = []
     for name in names_in(source, module):

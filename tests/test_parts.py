@@ -100,7 +100,8 @@ class Sources:
     """The law's sources as a graph of names.
 
     Attributes:
-        functions: definitions by module and name. units: those that are translated by themselves.
+        functions: definitions by module and name.
+        units: those that are translated by themselves.
     """
 
     def __init__(self):

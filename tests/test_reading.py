@@ -231,8 +231,10 @@ def read_at_rest(reading, pairs, alpha, rubbing, **how):
     """Contact forces that a controller reads of two Pandas at rest.
 
     Args:
-        pairs: a function of the object's pose. alpha: (r,) true (N). rubbing: a function of the
-            pose, the wrench of friction on the bodies touched, at O in world axes.
+        pairs: a function of the object's pose.
+        alpha: (r,) true (N).
+        rubbing: a function of the pose, the wrench of friction on the bodies touched, at O in world
+            axes.
     """
     chain = panda_pair()
     q, _, X = posed(chain, default_rng(1))

@@ -37,8 +37,10 @@ class Stop(NamedTuple):
     """A run whose wrists die at a moment (s), and what dies so many seconds after the stop.
 
     Attributes:
-        tilt: of gravity against the model's (°). reading: of the encoders, see `READINGS`.
-        friction: of the joints, share of the motors' limits. dies: see `DEATHS`; None: nothing.
+        tilt: of gravity against the model's (°).
+        reading: of the encoders, see `READINGS`.
+        friction: of the joints, share of the motors' limits.
+        dies: see `DEATHS`; None: nothing.
     """
 
     scenario: str

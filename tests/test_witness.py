@@ -19,7 +19,8 @@ def touched(line, tangential, second, ticks=1):
 
     Args:
         line: (3,) where the second line of force, along x, passes, from the first contact (m).
-        tangential: force along x at the first contact (N). second: of the second contact (N).
+        tangential: force along x at the first contact (N).
+        second: of the second contact (N).
         ticks: with these readings.
     """
     chain = panda_pair()

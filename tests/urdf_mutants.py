@@ -113,8 +113,10 @@ def _exchange(rng, text, pattern, by):
     """Replace a random match of a pattern in a text by one of several words.
 
     Args:
-        rng: random numbers. text: the text. pattern: regular expression. by: words; None: the
-            number is multiplied by a random factor.
+        rng: random numbers.
+        text: the text.
+        pattern: regular expression.
+        by: words; None: the number is multiplied by a random factor.
     """
     hits = list(pattern.finditer(text))
     if not hits:
@@ -135,7 +137,9 @@ def mass_matrix(text, names, q):
     """Compute M(q) = Σ JᵀIJ over the links from the text of a URDF.
 
     Args:
-        text: the text. names: names of the moving joints, in the order of q. q: (n,) positions.
+        text: the text.
+        names: names of the moving joints, in the order of q.
+        q: (n,) positions.
     """
     root = ElementTree.fromstring(text)
     links = {link.get("name"): link for link in root.findall("link")}
