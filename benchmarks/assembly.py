@@ -52,8 +52,8 @@ def row_of(seed: int, one: Inserted) -> str:
     """Row of one insertion.
 
     Args:
-        seed: its seed.
-        one: its result.
+        seed: seed of the insertion.
+        one: result of the insertion.
     """
     words = "in" if one.success else f"not in: {one.reason[:60] or 'not seated'}"
     return (

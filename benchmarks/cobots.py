@@ -126,7 +126,7 @@ def judge(seed: int, number: int, without: str = "") -> Outcome:
     """Run a task regardless of the findings of `preflight`.
 
     Args:
-        seed, number: of the task.
+        seed, number: seed and number of the task.
         without: a group of errors that is left out; "": none.
     """
     task = draw(seed, number)
@@ -157,7 +157,7 @@ def _judge_recording(found: Outcome, recording: osc.Recording) -> None:
 
     Args:
         found: the outcome.
-        recording: of the run.
+        recording: recording of the run.
     """
     verdict = osc.metrics(recording)["task"]
     found.word = verdict["word"]
@@ -293,8 +293,8 @@ def main(
     """Run the tasks and print the table.
 
     Args:
-        count: of tasks.
-        seed: of them; None: drawn and printed.
+        count: number of tasks.
+        seed: seed of the tasks; None: drawn and printed.
         only: tasks whose name contains this.
         workers: processes.
         why: run those that are not as wanted without one group of errors after the other.

@@ -39,7 +39,7 @@ def judge(name: str, mass: float, side: float, duration: float = 4.0, dither: bo
     """The verdict (`metrics`) of a scenario with all errors.
 
     Args:
-        name: of the scenario.
+        name: name of the scenario.
         mass: factor on the controller's masses.
         side: deg, of the axis about which faces are turned.
         duration: s.

@@ -91,7 +91,7 @@ def timed_python(
         words: after the interpreter.
         copy: folder of the package.
         cache: folder of what is kept.
-        cores: that it may use; None: all.
+        cores: number of cores that it may use; None: all.
         law: value of OSC_CONTACT_LAW.
 
     Raises:

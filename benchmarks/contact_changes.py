@@ -75,7 +75,7 @@ def lifts(scenario: osc.Scenario, leaving: tuple[str, ...]) -> Data:
     """Motion that turns the object off the contacts that leave, about those that stay.
 
     Args:
-        scenario: with three contacts.
+        scenario: scenario with three contacts.
         leaving: one or two of them.
     """
     rig = osc.build_rig(scenario)
@@ -102,7 +102,7 @@ def time_of(recording: osc.Recording, at: float) -> Array:
     """Mask (n,) of the ticks from a change of contacts until `WINDOW_S` after the last phase began.
 
     Args:
-        recording: of a run.
+        recording: recording of a run.
         at: time of the change (s).
     """
     t = recording["t"]
@@ -120,10 +120,10 @@ def change(
     """A row of the table.
 
     Args:
-        name: of the scenario.
+        name: name of the scenario.
         leaving: contacts.
-        seed: of the noise.
-        joint_friction: of the plant, as a share of each torque limit.
+        seed: seed of the noise.
+        joint_friction: friction of the plant's joints, as a share of each torque limit.
     """
     intervals = f"[[0 s, {RELEASED_S} s], [{BACK_S} s, {END_S + 1.0} s]]"
     changes = [*ERRORS, f"plant.joint_friction={joint_friction}", f"duration={END_S} s"]

@@ -166,9 +166,9 @@ def judge(face: str, R: float, changes: Data, duration: float = 5.0) -> Data:
     """The verdict (`metrics`) of the task on a face.
 
     Args:
-        face: of `SHAPES`.
-        R: its radius (m).
-        changes: of the scenario.
+        face: name in `SHAPES`.
+        R: radius of the face (m).
+        changes: overrides of the scenario.
         duration: s.
     """
     with tempfile.TemporaryDirectory() as folder:

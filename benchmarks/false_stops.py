@@ -67,7 +67,7 @@ class Ended:
     Attributes:
         errors: of it.
         stopped: whether it was; a stop lasts to the end.
-        reason: of the stop.
+        reason: reason of the stop.
     """
 
     errors: Errors
@@ -125,8 +125,8 @@ def main(only: str = "", seed: int = 0, count: int = 0, workers: int = 2) -> Non
 
     Args:
         only: runs whose name contains this.
-        seed: of those that are drawn.
-        count: of runs drawn from all; 0: all.
+        seed: seed of the runs that are drawn.
+        count: number of runs drawn from all; 0: all.
         workers: processes.
     """
     wanted = [one for one in runs() if only in str(one)]

@@ -108,16 +108,16 @@ class Verdict:
 
     Attributes:
         began: s, the moment of the fault.
-        state: at the end.
+        state: state of the controller at the end.
         stopped: s from the fault to a stop.
         force: largest true contact force since (N).
-        rate: of torques (1/s, of their limits).
+        rate: largest rate of torques (1/s, in torque limits).
         rest_speed: largest later than 0.5 s after a stop.
         travel: beyond the braking distance.
         open_s: longest time that an open contact was taken as closed.
         unbraked: whether brakes were requested.
         wrong: sentences; none if all was as it should be.
-        reason: of the stop.
+        reason: reason of the stop.
     """
 
     fault: str
@@ -147,11 +147,11 @@ class Run:
     """One run, tick by tick: up to the fault, then with it.
 
     Attributes:
-        references: of the ticks to come.
+        references: references of the ticks to come.
         true: the plant behind its sensors.
         k: ticks done.
         act: joints with motors.
-        fastest: their speed limits.
+        fastest: speed limits of these joints.
         first: tick at which the fault begins.
         lost: (n_a,) the most that each motor has not given of its torque (N m, N).
         received: number of the last packet that came; None: it had none.
@@ -169,10 +169,10 @@ class Run:
         """Build the rig of a case, at the start of its task.
 
         Args:
-            case: see there.
-            fault: its name.
+            case: case of the run.
+            fault: name of the fault.
             begin: s, the moment; None: it is drawn.
-            scenario: in place of the case's own.
+            scenario: scenario in place of the case's own; None: that.
         """
         earliest, latest, how = PHASES[case.phase]
         self.case = case
@@ -214,7 +214,7 @@ class Run:
 
         Args:
             verdict: takes what is wrong.
-            fault: that lasts now; or None.
+            fault: fault that lasts now, or None.
         """
         k = self.k
         case = self.case
@@ -259,8 +259,8 @@ class Run:
         speeds alone.
 
         Args:
-            reference: of the tick.
-            fault: that lasts now; or None.
+            reference: reference of the tick.
+            fault: fault that lasts now, or None.
         """
         if fault is None or fault.change is None:
             return (self.robot.measure(), reference)
@@ -278,7 +278,7 @@ class Run:
         """The run with the fault, from where it begins.
 
         Args:
-            name: of the fault.
+            name: name of the fault.
             fault_for, stopped_for: s that the run goes on after the fault and after a stop.
         """
         fault = FAULTS[name]
@@ -327,8 +327,8 @@ class Run:
         """Add what is wrong.
 
         Args:
-            verdict: of the run.
-            fault: its fault.
+            verdict: verdict on the run, changed.
+            fault: fault of the run.
             most: N, limit of the contact force.
             too_fast: whether a joint that the object has left was too fast for its readings.
         """
@@ -409,7 +409,7 @@ class Watch:
         """After a tick.
 
         Args:
-            reference: of the tick.
+            reference: reference of the tick.
         """
         run = self._run
         verdict = self._verdict
@@ -470,7 +470,7 @@ class Watch:
         critically.
 
         Args:
-            truth: of this tick.
+            truth: truth of this tick.
         """
         before, self._truth = self._truth, truth
         plant = self._run.rig.scenario.plant
@@ -559,8 +559,8 @@ def try_fault(name: str, case: Case, begin: float | None = None, **how: float) -
     """Run the scenario of a case up to the fault, then with it; judge it.
 
     Args:
-        name: of the fault.
-        case: see there.
+        name: name of the fault.
+        case: case of the run.
         begin: s, its moment; None: it is drawn.
         how: durations of `Run.judge`.
     """
@@ -636,8 +636,8 @@ def main(only: str = "", seed: int | None = None, count: int = 0, workers: int =
 
     Args:
         only: runs whose name contains this.
-        seed: of moments; None: drawn and printed.
-        count: of runs drawn from all; 0: all.
+        seed: seed of the moments; None: drawn and printed.
+        count: number of runs drawn from all; 0: all.
         workers: processes.
     """
     if seed is None:

@@ -70,7 +70,7 @@ class Trial:
     """One run with a fault in it.
 
     Attributes:
-        rng: of the fault.
+        rng: generator of the fault's random numbers.
         chain: the controller's model.
         dt: s, a control period.
         k: ticks since it began.
@@ -133,12 +133,12 @@ def _reading(
     """A change of numbers of an array of the measurement.
 
     Args:
-        name: of the array.
+        name: name of the array.
         where: index of the numbers.
         gain: factor.
         offset: in its unit.
-        drift: of the offset, per second.
-        gain_drift: of the gain, 1/s.
+        drift: drift of the offset, per second.
+        gain_drift: drift of the gain (1/s).
         noise: standard deviation.
         stuck: whether they stay as they were at the beginning.
     """

@@ -48,12 +48,12 @@ class Sight:
 
     Attributes:
         q, v: (7,) rad, rad/s.
-        X: of the tool.
+        X: pose of the tool.
         V: (6,) its twist.
         J: (6, 7).
         M: (7, 7).
         gravity, coriolis: (7,) N m.
-        force: of the contact (N).
+        force: force of the contact (N).
         axis: (3,) into the wall.
         goal: pose of the tool.
         V_goal: (6,).
@@ -70,7 +70,7 @@ class Sight:
             plant: in MuJoCo.
             held: model of the arm with its finger, and the tool's frame.
             axis: into the wall.
-            reference: what is desired.
+            reference: desired motion and forces.
         """
         model, tool = held
         data = model.createData()
@@ -156,7 +156,7 @@ def isaac_lab(start: Sight, case: Case, thresholds: tuple[float, float] | None) 
     """Isaac Lab's `OperationalSpaceController`, rebuilt; full decoupling and posture control.
 
     Args:
-        start, case: of the run.
+        start, case: start and case of the run.
         thresholds: of Isaac Lab 3: eigenvalues of J M⁻¹Jᵀ relative to the largest, below which
             directions are damped (pull request 7903); None: the plain inverse of before.
     """

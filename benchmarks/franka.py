@@ -22,7 +22,7 @@ def measure(ticks: int) -> Data:
     its posture, and every tick is recorded.
 
     Args:
-        ticks: of each loop.
+        ticks: number of ticks of each loop.
     """
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     FrankaServer = import_module("franka_rig").FrankaServer

@@ -199,7 +199,7 @@ def row_of(tip: Tip, side: float, friction: float, seconds: float, seed: int) ->
 
     Args:
         tip: the second tip.
-        side: its commanded force (N).
+        side: commanded force of this tip (N).
         friction: coefficient of floor and wall.
         seconds: duration of the run (s).
         seed: seed of the noise.

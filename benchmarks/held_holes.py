@@ -53,8 +53,8 @@ def insert(seed: int, gains: osc.ForceGains | None = None) -> Data:
     """A row of the table.
 
     Args:
-        seed: of directions, noise and masses.
-        gains: of the force loop; None: the default ones.
+        seed: seed of directions, noise and masses.
+        gains: gains of the force loop; None: the default ones.
     """
     task = Beside(osc.Peg("square", WIDTH), CLEARANCE, seed)
     start = task.true_hole.pose * pin.SE3(np.eye(3), np.array([0.0, 0.0, BEGIN]))

@@ -48,13 +48,13 @@ class Case(NamedTuple):
     """One test.
 
     Attributes:
-        name: of theirs.
+        name: name of the case in the other software.
         wall: a point of its front.
         normal: out of it, towards the robot.
         goals: one after the other.
         stiffness: 1/s². damping_ratio.
         posture: (7,) rad, near which the arm reaches all goals away from its joints' limits.
-        move_s: from goal to goal (s).
+        move_s: time from goal to goal (s).
     """
 
     name: str

@@ -61,9 +61,9 @@ def run(law: Callable[[], osc.Laws], wall: Wall, offset: float) -> osc.Recording
     """From 5 mm off the wall onto it, 10 N, then along it and back at 0.5 Hz.
 
     Args:
-        law: of `LAWS`.
-        wall: of `WALLS`.
-        offset: where the reference ends behind its surface (m).
+        law: name in `LAWS`.
+        wall: name in `WALLS`.
+        offset: distance behind its surface at which the reference ends (m).
     """
     onto = {"type": "minimum_jerk", "start": 0.3, "value": offset, "duration": 0.5}
     along = {"type": "sine", "amplitude": 0.06, "frequency": 0.5, "start": SLIDES_FROM, "ramp": 0.5}
@@ -97,8 +97,8 @@ def draw(seen: Mapping[tuple[str, float], Mapping[str, osc.Recording]], path: Pa
     """Forces over time, on some of the walls.
 
     Args:
-        seen: by wall and offset, then by law.
-        path: of the picture.
+        seen: results by wall and offset, then by law.
+        path: path of the picture.
     """
     shown = {
         ("hard", 0.0): "hard wall, reference on it",

@@ -28,7 +28,7 @@ def measure(runs: int) -> Data:
     """Least processor time of a row of a sweep, into which other programs do not count.
 
     Args:
-        runs: of the sweep, beside a first one, which finds nothing made.
+        runs: number of runs of the sweep, after a first run, for which nothing is compiled yet.
     """
     row_s = _row_s(VARY, runs)
     cores = available_cores()
@@ -41,7 +41,7 @@ def _row_s(vary: Sequence[str], runs: int) -> float:
     """Least processor time (s) of a row.
 
     Args:
-        vary: what varies.
+        vary: keys that vary.
         runs: beside the first.
     """
     changes = (f"duration={DURATION!r}",)

@@ -62,7 +62,7 @@ def measure(rounds: int, tsid_python: Path | None = None) -> Data:
     process; then the tick alternates with its floor alone: their ratio is the last row.
 
     Args:
-        rounds: of the peer in Python; compiled ones have ten times as many.
+        rounds: rounds of the peer in Python; compiled ones have ten times as many.
         tsid_python: interpreter of TSID's environment.
 
     Raises:

@@ -247,7 +247,7 @@ def main(seed: int | None = None, only: str = "", count: int = 0) -> None:
     """Run the faults; exit with 1 if anything was wrong.
 
     Args:
-        seed: of insertions, stages and moments; None: drawn and printed.
+        seed: seed of insertions, stages and moments; None: drawn and printed.
         only: faults whose name contains this.
         count: number of faults that are drawn from all; 0: all.
     """

@@ -98,7 +98,7 @@ def polish(env: ContactVectorEnv, policies: Array, seed: int) -> Passes:
 
     Args:
         policies: (B, m) forces (N) at m places, evenly spread over the pass, linear in between.
-        seed: of the masses.
+        seed: seed of the masses.
     """
     observed, _ = env.reset(seed=seed)
     first, then = (env.names.index(f"{whose} x") for whose in ("set point", "scenario"))
@@ -248,12 +248,12 @@ def learn(
     """The cross-entropy method: draw policies, keep the best quarter, draw around them.
 
     Args:
-        cost: of policies (rows, m), in episodes of a seed.
+        cost: function that returns the costs of policies (rows, m) in episodes of a seed.
         start: (m,) the first mean.
         spread: the first standard deviation of each number.
         rows: policies of a generation; the first is the mean itself.
-        generations: how many.
-        seed: of the draws and of the episodes.
+        generations: number of generations.
+        seed: seed of the draws and of the episodes.
 
     Returns:
         (m,) the last mean; (generations,) what each mean cost.

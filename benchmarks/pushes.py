@@ -48,7 +48,7 @@ def push_arm(
     """Push once, at rest in contact; look at the seconds behind it.
 
     Args:
-        changes: of the scenario, as `load_scenario` takes them.
+        changes: overrides of the scenario, as `load_scenario` takes them.
 
     Returns:
         A row of the table: what is wrong; when all forces were back to stay, and when a joint was

@@ -76,7 +76,7 @@ class Piece(NamedTuple):
     """Arc or level part of the profile.
 
     Attributes:
-        first, last: its ends along the ramp (m).
+        first, last: ends of the path along the ramp (m).
         centre: (2,) along the ramp and up (m); of a level part its first end.
         radius: m, > 0: hollow, < 0: a crest, inf: level.
     """
@@ -222,7 +222,7 @@ def scenario(folder: Path, force: float, speed: float) -> osc.Scenario:
     """The task.
 
     Args:
-        folder: of its files.
+        folder: folder of its files.
         force: N.
         speed: m/s.
     """
@@ -294,7 +294,7 @@ def judged(t: Array, force: Array, command: float, begin: float, end: float) -> 
         t: (k,) times (s).
         force: (k,) true force (N); 0: no contact.
         command: N.
-        begin, end: of the path (s).
+        begin, end: times at which the path begins and ends (s).
     """
     error = np.abs(force - command)
     stands = t < begin
@@ -338,8 +338,8 @@ def row(speed: float, force: float, found: Verdict, word: str) -> Data:
     Args:
         speed: m/s.
         force: N.
-        found: of the simulation.
-        word: of its verdict.
+        found: results of the simulation.
+        word: word of its verdict.
     """
 
     def text(numbers: tuple[float, float, float] | None) -> str:

@@ -89,12 +89,12 @@ class RandomTask:
 
     Attributes:
         seed, number: it is drawn from these alone.
-        name: of arm or scenario.
+        name: name of the arm or scenario.
         scenario: text of one, or the name of a packaged one.
-        changes: of it, beside those of `wrong`.
+        changes: overrides of the scenario, beside those of `wrong`.
         wrong: group → changes.
-        errors: of the plant.
-        words: what was drawn, by name.
+        errors: errors of the plant.
+        words: drawn properties in words, by name.
     """
 
     seed: int

@@ -107,9 +107,9 @@ def reversing(
     """The scenario of one entry.
 
     Args:
-        kind: of `KINDS`.
+        kind: name in `KINDS`.
         stroke: amplitude (mm), frequency (Hz).
-        line: of `LINES`.
+        line: name in `LINES`.
         mu: coefficient of friction.
         known: whether the controller is given it.
     """

@@ -55,7 +55,7 @@ def differences(before: osc.Recording, now: osc.Recording, exact: bool) -> dict[
     """Differences of channels and of meta data by name, where there are any.
 
     Args:
-        before, now: of the same scenario.
+        before, now: recordings of the same scenario.
         exact: all the meta data, not only the verdict.
     """
     found = dict.fromkeys(set(before.channels) ^ set(now.channels), np.inf)

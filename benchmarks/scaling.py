@@ -23,7 +23,7 @@ def measure(rounds: int) -> dict[str, Rows]:
     see `measure_known`.
 
     Args:
-        rounds: of each rig.
+        rounds: number of rounds of each rig.
     """
     rng = np.random.default_rng(0)
     kinds = {kind: [kind] for kind in KINDS} | {"mixed": ["ur5", "scara"]}
@@ -63,8 +63,8 @@ def measure_known(rig: RandomRig, rounds: int, rng: np.random.Generator) -> Rows
     """Two active contacts, of 2 to 12 that a controller with contact phases is made for, in turns.
 
     Args:
-        rig: of the arms.
-        rounds: of each.
+        rig: rig of the arms.
+        rounds: number of rounds of each function.
         rng: random numbers.
     """
     faces = faces_of(rig, max(KNOWN), 6, rng)

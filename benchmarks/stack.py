@@ -97,7 +97,7 @@ def stack_of(case: TickCase, call: Any) -> int:
     """Number of bytes of the stack that a tick uses, after a tick that sets the initial state.
 
     Args:
-        case: with one controller.
+        case: case with one controller.
         call: from `harness`.
     """
     controller = case.controller()

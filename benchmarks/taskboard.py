@@ -106,7 +106,7 @@ class Tried:
         peak: largest force between the peg and all but the robot (N).
         slip: displacement of the peg's middle in the hand at the end (mm).
         turned: rotation of the peg in the hand at the end (degrees).
-        end: how the plan ended; empty for the servos.
+        end: words on the end of the plan; empty for the servos.
     """
 
     name: str
@@ -313,7 +313,7 @@ class Episode:
             name: controller.
             off: distance of the hole from its modelled place (mm).
             seed: seed of the episode.
-            end: how the plan ended.
+            end: words on the end of the plan.
         """
         slip = self._held.actInv(self.in_hand())
         angle = float(np.degrees(np.linalg.norm(pin.log3(slip.rotation))))

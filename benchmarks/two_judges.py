@@ -44,12 +44,12 @@ class Verdict:
     Attributes:
         scenario: name of the task.
         friction: coefficient of the faces.
-        judge: of `JUDGES`.
+        judge: name in `JUDGES`.
         force: largest rms error of a contact force (share of its mean command).
         path: rms error along the free directions (m).
         peak: largest contact force (N).
         closed: share of the time in contact.
-        status: how the run ended.
+        status: words on the end of the run.
     """
 
     scenario: str
@@ -79,7 +79,7 @@ def changes(judge: str, friction: float = 0.0) -> list[str]:
     """Changes of a scenario for a judge.
 
     Args:
-        judge: of `JUDGES`.
+        judge: name in `JUDGES`.
         friction: coefficient of the faces.
     """
     common = ["control.force.reading=least_squares", f"plant.friction={friction}"]
@@ -95,7 +95,7 @@ def judged(name: str, friction: float, judge: str, duration: float | None = None
     Args:
         name: packaged scenario.
         friction: coefficient of the faces.
-        judge: of `JUDGES`.
+        judge: name in `JUDGES`.
         duration: duration (s); None: the scenario's.
     """
     logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of elements of URDFs

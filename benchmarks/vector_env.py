@@ -22,7 +22,7 @@ def measure(steps: int) -> dict[str, Rows]:
     computed.
 
     Args:
-        steps: of the environment.
+        steps: number of steps of the environment.
     """
     return {"rates": [_case(threads, steps) for threads in sorted({1, available_cores()})]}
 

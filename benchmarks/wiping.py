@@ -59,7 +59,7 @@ class Rival(Protocol):
         """Return the action that leads the tool to a pose on or above the table.
 
         Args:
-            goal: of the grip site; on the table where a force is given.
+            goal: goal of the grip site; on the table where a force is given.
             force: to press with (N).
         """
 
@@ -86,7 +86,7 @@ class OscPose:
 
     Attributes:
         kp: stiffness (1/s²); damping is critical.
-        depth: of the goal below the table as its model has it (m).
+        depth: depth of the goal below the table as its model has it (m).
     """
 
     kp: float
@@ -118,14 +118,14 @@ class Wiped:
     """Verdict of one episode; forces are the true normal forces between gripper and table.
 
     Attributes:
-        name: of the rival.
-        seed: of markers, height and friction.
+        name: name of the rival.
+        seed: seed of markers, height and friction.
         markers: wiped, of 100.
         mean: force on the path (N).
         raw, smooth: rms of force errors of each step, and of their means over 20 ms (N).
         peak, landing: largest force on the path, and before it (N).
         aside: rms distance of the tool from the path (mm).
-        success: as the environment judges.
+        success: True if the environment judges so.
         end: last status of our controller; empty for others.
     """
 
@@ -151,8 +151,8 @@ class Wiping:
     """One episode of the task.
 
     Args:
-        rival: its controller.
-        seed: of markers, height and friction.
+        rival: controller of the rival.
+        seed: seed of markers, height and friction.
         force: command (N).
         options: further arguments of `robosuite.make`.
 
@@ -272,9 +272,9 @@ def try_wiping(name: str, rival: Rival, seed: int, force: float = FORCE) -> Wipe
     """Run one episode.
 
     Args:
-        name: of the rival.
-        rival: its controller.
-        seed: of markers, height and friction.
+        name: name of the rival.
+        rival: controller of the rival.
+        seed: seed of markers, height and friction.
         force: command (N).
     """
     episode = Wiping(rival, seed, force)

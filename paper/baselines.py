@@ -116,7 +116,7 @@ class StepRun:
 
     Attributes:
         t: (ticks,) s.
-        starts: when the steps happen (s), the first r of them of forces.
+        starts: times at which the steps happen (s), the first r of them of forces.
         alpha: (ticks, r) true contact forces (N).
         alpha_d: (ticks, r) desired.
         motion: (ticks, 6) true displacement from the start, m and rad; `free` part of it.
@@ -131,8 +131,8 @@ class StepRun:
         """Run it.
 
         Args:
-            rig: with the plant.
-            law: to be installed.
+            rig: rig of the plant.
+            law: law to be installed.
             instant: the start, whose free motions are stepped along.
         """
         r = instant.contact.r
@@ -194,11 +194,11 @@ def measured_coupling(
     Steps of force come at once, whatever the scenario's rise time: one tick would not see them.
 
     Args:
-        rig: with the rigid plant's chain.
-        law: to be installed.
-        instant: of the state.
+        rig: rig with the rigid plant's chain.
+        law: law to be installed.
+        instant: state at which steps are made.
         plant: in this state; default: at the start.
-        t: of the reference (s).
+        t: time of the reference (s).
     """
     if plant is None:
         plant = RigidPlant(rig.chain, rig.pairs, rig.scenario.plant.step)
@@ -270,7 +270,7 @@ def draw(result: Data, runs: Sequence[StepRun]) -> Figure:
     """On MuJoCo, step after step: what one of a force does to the motion, and the other way round.
 
     Args:
-        result, runs: of `compare`.
+        result, runs: results and runs of `compare`.
     """
     look = zip(("blue", "vermillion", "orange"), ("-", "--", ":"), strict=True)
     with style():

@@ -38,7 +38,7 @@ class Seat:
 
     Attributes:
         point, direction: (3,) of the groove's line, world (m, unit).
-        yaw: of it, about the vertical (rad).
+        yaw: yaw of the groove, about the vertical (rad).
         normals: (2, 3) unit, of the walls, out of the material.
         apex, cone_axis: (3,) in the object's frame (m), and unit from apex to base.
         height: m.
@@ -120,7 +120,7 @@ def cone_scenario(
     """A Panda turns and slides the cone at once while its pushes on the walls step.
 
     Args:
-        seat: where the cone lies.
+        seat: groove, and the cone that lies in it.
         duration: s.
         step_times: of the wall forces, one after the other (s); at most four.
     """
@@ -165,7 +165,7 @@ class ConeRun(NamedTuple):
     """Results of one run.
 
     Attributes:
-        recording: of the run.
+        recording: recording of the run.
         walls: of it, but with desired, read and true pushes at the ends of the lines of contact
             (N) as its forces, each just before the torques change: true minus desired is what the
             arm's motion makes of them within a period (it halves with the period), and the integral
@@ -186,7 +186,7 @@ def run(duration: float = 5.0, step_times: tuple[float, ...] = STEP_TIMES) -> Co
     """Run the task on the rigid plant at 1 kHz, probing the coupling 20 times per second.
 
     Args:
-        duration, step_times: as in `cone_scenario`.
+        duration, step_times: arguments of `cone_scenario`.
 
     Raises:
         InvalidInputError: too short to be judged.

@@ -28,9 +28,9 @@ class Collision(NamedTuple):
     """A contact re-made, in the plant's truth.
 
     Attributes:
-        contact: its number.
-        t: when it was made (s).
-        speed: with which it was met (m/s).
+        contact: number of the contact.
+        t: time at which it was made (s).
+        speed: speed with which it was met (m/s).
         power: peak of |V_relᵀΩ_f f_meas| in the next 20 ms (W).
         flagged: s from t to the flag `collision_seen`; None: not within 20 ms.
     """
@@ -133,7 +133,7 @@ def run(scenario: str, changes: Sequence[str], duration: float, seed: int) -> os
     """Run a scenario; of its recording, what fig. 7 is made of.
 
     Args:
-        scenario: with these changes.
+        scenario: scenario with these changes.
         duration: s.
         seed: of everything random.
     """

@@ -34,7 +34,7 @@ def draw_force(
 
     Args:
         ax: three-dimensional axes.
-        i: from 0.
+        i: number of the contact, from 0.
         point: (3,) of contact, where the arrow ends.
         arrow: (3,).
         line: its ends, beside: place of the name; in lengths of the arrow from the point.

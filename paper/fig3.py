@@ -43,7 +43,7 @@ class Callout(NamedTuple):
     """A label beside what it names, joined to it by a thin line.
 
     Attributes:
-        text: of the label.
+        text: text of the label.
         feature: (3,) what it names.
         beside: to the right and up in the picture, where the label is (m).
     """
@@ -57,7 +57,7 @@ class Callout(NamedTuple):
         """Make the nodes; axes: (2, 3) right and up. Returns the label for the page's scripts.
 
         Args:
-            scene: of the page.
+            scene: scene of the page.
             path: under which the nodes stand.
             axes: (2, 3) directions of the picture: right and up.
         """
@@ -78,7 +78,7 @@ def draw_camera(scene: Visualizer, corners: Array) -> None:
     """Make the nodes of the camera and of the pyramid that it sees.
 
     Args:
-        scene: of the page.
+        scene: scene of the page.
         corners: (4, 3) of the rectangle that is seen, in order.
     """
     from meshcat.geometry import Box
@@ -123,11 +123,11 @@ class Shot(NamedTuple):
     """One view of it.
 
     Attributes:
-        title: what it shows.
+        title: title of the picture.
         points: (k, 3) that fill it.
-        heading, elevation: of the eye (deg).
-        size: of the picture (CSS pixels).
-        callouts: its labels.
+        heading, elevation: angles of the eye (deg).
+        size: width and height of the picture (CSS pixels).
+        callouts: labels of the picture.
         whole: with the camera and its view.
     """
 
@@ -147,7 +147,7 @@ class Workcell:
         rig, sample: those.
         frames: X of every frame of the arms, by "arm/frame".
         seen: (4, 3) corners of what the camera sees.
-        faces: where they are.
+        faces: poses of the faces.
         rings: by path, where a sensor's collar is, its radius and colour.
     """
 
@@ -155,7 +155,7 @@ class Workcell:
         """Place everything.
 
         Args:
-            rig: of the scenario.
+            rig: rig of the scenario.
             sample: channels at the tick.
         """
         self.rig = rig

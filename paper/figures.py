@@ -33,7 +33,7 @@ def reproduce(
     Args:
         name: see `FIGURES`.
         scenario: what fig. 1 shows (default: `two_contact_rod`).
-        recording: of a run of it; needed by figs. 6 and 8.
+        recording: recording of a run of it; needed by figs. 6 and 8.
 
     Raises:
         InvalidInputError: a recording is needed.

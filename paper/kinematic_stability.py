@@ -111,8 +111,8 @@ def search(seed: int = 0, postures: int = 2000, regular: float = 0.5) -> tuple[A
     """Draw uniformly random postures and examine the most regular of them.
 
     Args:
-        seed: of the draw.
-        postures: how many to draw, each joint from −π to π.
+        seed: seed of the draw.
+        postures: number of postures to draw, each joint from −π to π.
         regular: share of them that is examined, the most regular first (`regularity`): an
             instability next to a singularity would prove little.
 
@@ -164,7 +164,7 @@ def draw(found: Data) -> Figure:
     """The least real part of both schemes in each posture examined, the smallest first.
 
     Args:
-        found: of `search`.
+        found: result of `search`.
     """
     with style():
         figure = Figure(figsize=(8.0, 3.6))

@@ -47,9 +47,9 @@ def done(
     """Names and results of all jobs, in the order in which they end.
 
     Args:
-        jobs: with different names, behind those that they need.
+        jobs: jobs with different names, behind those that they need.
         first: names of jobs that take long: these begin first where there are several cores.
-        cores: to be used; None: all that this process may use.
+        cores: number of cores to be used; None: all that this process may use.
 
     Raises:
         OscContactError, ImportError, OSError: of the job that fails first, with its name; the
@@ -106,8 +106,8 @@ def _result(future: Future[Any], names: str) -> Any:
     """The result of a job.
 
     Args:
-        future: of it, which has ended.
-        names: of the jobs under way.
+        future: call of the job, which has ended.
+        names: names of the jobs under way.
     """
     try:
         return future.result()
@@ -163,7 +163,7 @@ def _do(
     """Do a job in another process.
 
     Args:
-        name, work: of it.
+        name, work: name and work of the job.
         needed: results of others.
     """
     try:

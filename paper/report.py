@@ -58,7 +58,7 @@ def write_paper_report(reproduction: Reproduction, path: Path) -> Path:
 
     Args:
         reproduction: what was made. Studies that are no figures of the paper come last.
-        path: of the page.
+        path: path of the page.
     """
     verdicts = reproduction.verdicts()
     shown = [(figure, verdicts[figure.name]) for figure in PAPER if figure.name in verdicts]
@@ -234,8 +234,8 @@ class Reproduction(NamedTuple):
     """Everything that one command made.
 
     Attributes:
-        made: by name.
-        options: of the command, as typed.
+        made: results by name.
+        options: options of the command, as typed.
         scene: the run's page.
         scenario: behind the figures that are not studies, recording: of its run, if there was one.
     """
@@ -291,10 +291,10 @@ def typed(plant: str | None, duration: float | None, seed: int, changes: Sequenc
     """The options of a command as they are typed.
 
     Args:
-        plant: of `--plant`, None if it was not given.
-        duration: of `--duration` (s), None if it was not given.
-        seed: of `--seed`; 0 is left out.
-        changes: of `--set`.
+        plant: value of `--plant`; None if it was not given.
+        duration: value of `--duration` (s); None if it was not given.
+        seed: value of `--seed`; 0 is left out.
+        changes: values of `--set`.
     """
     given = {"--plant": plant, "--duration": duration and f"{duration:g}", "--seed": seed or None}
     words = [word for pair in given.items() if pair[1] is not None for word in map(str, pair)]
@@ -307,11 +307,11 @@ def make(
     """Make figures and studies on all cores; their tables are printed in the order of the names.
 
     Args:
-        names: of `FIGURES` and `STUDIES`.
+        names: names in `FIGURES` and `STUDIES`.
         folder: for everything that is written.
         scenario: behind the figures that are not studies; run if one of them needs it.
-        ask: of the studies, and the seed of that run.
-        options: of the command, as typed; shown in the report.
+        ask: options of the studies, and the seed of that run.
+        options: options of the command, as typed; shown in the report.
     """
     drawn = [name for name in names if name not in STUDIES]
     needs_run = bool(figures.NEED_RUN.intersection(drawn))
@@ -345,7 +345,7 @@ def _jobs(names: Sequence[str], folder: Path, scenario: osc.Scenario, ask: Ask) 
     """Yield all jobs: the figures of one run, the runs of studies, and the studies.
 
     Args:
-        names, folder, scenario, ask: as of `make`.
+        names, folder, scenario, ask: arguments of `make`.
     """
     drawn = [name for name in names if name not in STUDIES]
     if drawn:
@@ -371,10 +371,10 @@ def _draw_figures(
     """Run the scenario if a figure needs it, report the run, and write the figures.
 
     Args:
-        names: of `FIGURES`.
-        scenario, seed: of the run.
+        names: names in `FIGURES`.
+        scenario, seed: scenario and seed of the run.
         folder: for everything that is written.
-        tell, needed: as of `Job`.
+        tell, needed: arguments of the work of a `Job`.
 
     Returns:
         By name; the run, by the name of its scenario, is a study without figures.
@@ -406,8 +406,8 @@ def _make_study(
     """A study, as a job: by its name.
 
     Args:
-        name, folder, ask: as of `write_study`.
-        tell: as of `Job`.
+        name, folder, ask: arguments of `write_study`.
+        tell: function that shows a step, see `Job`.
         needed: results of its runs, by the names of their jobs.
     """
     tell("")

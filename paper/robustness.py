@@ -52,9 +52,9 @@ def errors(rows: Sequence[Data], law: str, quantity: str) -> Array:
     """(samples,) sorted, in the units of `QUANTITIES`; infinite where the task failed.
 
     Args:
-        rows: of a case.
-        law: of `LAWS`.
-        quantity: of `QUANTITIES`.
+        rows: rows of a case.
+        law: name in `LAWS`.
+        quantity: name in `QUANTITIES`.
     """
     found = [np.inf if r[f"{law}.failed"] else r[f"{law}.{quantity}"] for r in rows]
     return np.sort(_SCALE[quantity] * np.array(found, dtype=float))
@@ -64,8 +64,8 @@ def quantiles(rows: Sequence[Data], law: str) -> Data:
     """Share of tasks done, and the errors below which `SHARES` of the runs are.
 
     Args:
-        rows: of a case.
-        law: of `LAWS`.
+        rows: rows of a case.
+        law: name in `LAWS`.
     """
     summary: Data = {"success_rate": sum(not row[f"{law}.failed"] for row in rows) / len(rows)}
     for quantity in QUANTITIES:

@@ -70,7 +70,7 @@ def structure(state: ChainState, eta_dot: Array, f: Array) -> Array:
     """(d,) Λ_S η̇ + b_S + Sᵀf, the equation of motion that all of them cancel.
 
     Args:
-        state: of the closed chain.
+        state: state of the closed chain.
         eta_dot: (d,) commanded acceleration, in the coordinates of S.
         f: (6,) commanded contact wrench at O (N, N m).
     """
@@ -81,7 +81,7 @@ class Baseline(NamedTuple):
     """A family of selection laws; publications and software: docs/baselines.md.
 
     Attributes:
-        label: what figures and tables call it.
+        label: name in figures and tables.
         rule: (state, selection) → X, Y with η̇ = X a − Y σ.
         triads: 1: forces and couples are selected on the axes of one frame; 2: each on its own.
     """
@@ -262,7 +262,7 @@ class Instant:
     """Chain and contact at one instant, and what a force f_S does there.
 
     Attributes:
-        state, contact: at this instant.
+        state, contact: chain state and contact at this instant.
         size: largest radius of gyration of the object (m).
         free: (6, n) free motions, orthonormal with angles counted in `size`: the principal ones of
             the chain's inertia, lightest first.
@@ -358,7 +358,7 @@ def best_frames(
         instant: for which it is optimal.
         baseline: family of laws.
         restarts: random starts for each selection of axes, besides that of `as_raibert_craig`.
-        seed: of the random starts.
+        seed: seed of the random starts.
 
     Raises:
         ContactError: there is none.

@@ -15,8 +15,8 @@ class PaperFigure(NamedTuple):
 
     Attributes:
         name: "fig1" …, also of what reproduces it.
-        shows: its caption.
-        states: what caption and text say about it, by key.
+        shows: caption of the figure.
+        states: statements of caption and text about it, by key.
     """
 
     name: str
@@ -50,7 +50,7 @@ def judge(figure: PaperFigure, answers: Mapping[str, Answer], drawn: bool = True
     """The verdict on one figure.
 
     Args:
-        figure: of the paper.
+        figure: figure of the paper.
         answers: by the keys of its statements; those that fail outweigh those that lack.
         drawn: whether there is a picture of ours; without one nothing counts as reproduced.
     """

@@ -60,8 +60,8 @@ class Ask:
     """Options of a study.
 
     Attributes:
-        seed: of everything random.
-        duration: of simulated runs (s); default: the study's own.
+        seed: seed of everything random.
+        duration: duration of simulated runs (s); default: the study's own.
         changes: "key=value" of its scenario, where it has one.
         samples: of what varies, where something does; default: the study's own.
         folder: for what a study keeps while it runs.
@@ -81,7 +81,7 @@ class Ask:
         """The results of all runs of a study, by name; those not made yet are made one by one.
 
         Args:
-            runs: by name, independent of each other.
+            runs: runs by name, independent of each other.
         """
         found = {}
         for name, run in runs.items():
@@ -93,7 +93,7 @@ class Ask:
         """The duration of its runs (s).
 
         Args:
-            usual: where none is given (s).
+            usual: duration if none is given (s).
         """
         return usual if self.duration is None else self.duration
 
@@ -108,8 +108,8 @@ def table_of(title: str, heads: str, rows: Iterable[str | Iterable[object]]) -> 
 
     Args:
         title: above it.
-        heads: of its columns, separated by "; ".
-        rows: of cells, or one text of cells that are separated like the heads.
+        heads: heads of the columns, separated by "; ".
+        rows: rows of cells, or one text of cells that are separated like the heads.
     """
     table = Table(*heads.split("; "), title=title)
     for row in rows:
@@ -135,8 +135,8 @@ def ticks(
     Rigid contacts answer torques at once; a `Recorder` notes what was true just before.
 
     Args:
-        plant: to be moved.
-        controller: of it, which is at the tick.
+        plant: plant to be moved.
+        controller: its controller, which is at the tick.
         references: one for each tick.
     """
     for reference in references:

@@ -22,7 +22,7 @@ class Variant(NamedTuple):
     """A run of a study.
 
     Attributes:
-        changes: of the scenario.
+        changes: overrides of the scenario.
         limit: of the largest force error (rms, of the mean command); None: the run shows a cost.
     """
 
@@ -106,7 +106,7 @@ def run(scenario: str, changes: Sequence[str], duration: float, seed: int) -> Re
     """Run a variant.
 
     Args:
-        scenario: with these changes.
+        scenario: scenario with these changes.
         duration: s.
         seed: of everything random.
     """
@@ -128,7 +128,7 @@ def compare(scenario: str, ask: Ask) -> Study:
     """Force errors of every variant of a scenario, the larger of both ends, and contact kept.
 
     Args:
-        scenario: of `VARIANTS`.
+        scenario: name in `VARIANTS`.
         ask: duration (default: 8 s) and seed of every run; further changes of the scenario.
     """
     results = ask.results(runs(scenario, ask))
