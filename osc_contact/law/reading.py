@@ -599,19 +599,17 @@ def _sum_tangential(t, f_t, accelerations):
 
 @inner
 def _find_tangential(t, column, index, last_force):
-    """Low-pass the tangential force of a contact beyond the friction that is assumed in α.
+    """Low-pass the tangential force β (3,; N) of a contact beyond the friction assumed in α.
 
-    Its value β (3,; N) of this tick is, by the least squares of `weigh_magnitudes`,
+        β = C TᵀR⁻¹(f − Hα),   C = w²(σ_t²(1 − n nᵀ) + (σ_s² − σ_t²) s sᵀ)
 
-        β = C TᵀR⁻¹(f − Hα),   C = w²(σ_t²(1 − n nᵀ) + (σ_s² − σ_t²) s sᵀ),
-
-    and `tangential` follows β with the time constant `_TANGENTIAL_LAG`. R⁻¹(f − Hα) (6,) =
+    `tangential` follows β with the time constant `_TANGENTIAL_LAG`. R⁻¹(f − Hα) (6,) =
     `reading_rest` is the weighted part of the wrist readings that the measured contact forces α do
     not explain, each of which acts with its friction by the identified coefficient. T (6, 3) is the
     reading of a force at the contact, C (3, 3; N²) the covariance of tangential forces, with the
-    typical force w (N), the normal n (3,), the direction of slip s (3,), which is across n, and the
-    typical coefficients of friction σ_s = `_ALONG` along the slip and σ_t = `_ACROSS` across it.
-    Reads `goal`, `reading_rest` and `dt`; fills `tangential` of the column (3,; N, world axes).
+    typical force w (N), normal n and direction of slip s (3,), and typical coefficients of friction
+    σ_s = `_ALONG` along the slip and σ_t = `_ACROSS` across it. Reads `goal`, `reading_rest` and
+    `dt`; fills `tangential` of the column (3,; N, world axes).
 
     Args:
         t: Tick.

@@ -234,10 +234,18 @@ JOINT = _record(
     placement=12,  # frame in the joint before it, or in the world: rotation by rows, then point
     link=13,  # mass, centre of mass, inertia about it by rows
 )
-#: Prior of θ of a joint: noise and rounding of residuals (N m, N); number of standard deviations by
-#: which θ must differ from the model; standard deviations at the start, their largest values;
-#: bounds.
-PRIOR = _record(number=("noise", "rounding", "sure"), doubt=5, spread=5, low=5, high=5)
+#: Prior of θ of a joint, see `friction_estimate`.
+PRIOR = _record(
+    number=(
+        "noise",  # noise of residuals (N m, N)
+        "rounding",  # rounding errors of residuals (N m, N)
+        "sure",  # number of standard deviations by which θ must differ from the model
+    ),
+    doubt=5,  # standard deviations at the start
+    spread=5,  # largest standard deviations
+    low=5,  # lower bounds
+    high=5,  # upper bounds
+)
 PAIR = _record(
     whole=(
         "kind",  # POINTS … FUNCTION
@@ -494,20 +502,27 @@ FRICTION = _record(
     P=(5, 5),
     smooth=6,
 )
-#: State of an arm: ticks since its wrist was read; of a stopped arm (see `holding`), 1 once the
-#: load of its wrist was read, 1 if it has let go of the object, 1 if it alone holds the object; s
-#: of identical readings of its wrist, s for which motor torques contradict the wrist, s for which
-#: the load of a stopped arm contradicts that it has, or has not, let go; force by which its gripper
-#: carries the object (N), low-passed; the state of this low-pass (N); s for which each of the six
-#: numbers of its wrist has been identical, the share of them that change with a reading, and s for
-#: which this share has been observed; distance between where it and the leader have the object (m),
-#: and its rate (m/s), low-passed.
 ARM_MEMORY = _record(
-    whole=("unread", "weighed", "let_go", "holds"),
-    number=("same", "doubtful", "light", "lively", "watched", "gap", "parting", "first_gap"),
-    load=3,
-    weighing=3,
-    constant=6,
+    whole=(
+        "unread",  # ticks since its wrist was read
+        # of a stopped arm, see `holding`
+        "weighed",  # 1 once the load of its wrist was read
+        "let_go",  # 1 if it has let go of the object
+        "holds",  # 1 if it alone holds the object
+    ),
+    number=(
+        "same",  # s of identical readings of its wrist
+        "doubtful",  # s of unexplained motor torques above half of their bound, see `agreement`
+        "light",  # s for which the load of a stopped arm contradicts `let_go`
+        "lively",  # share of the wrist's numbers that change with a reading, low-passed
+        "watched",  # s for which this share has been observed
+        "gap",  # m, distance between the places where it and the leader have the object
+        "parting",  # m/s, rate of `gap`, low-passed
+        "first_gap",  # m, `gap` when loads are first judged after a stop, see `isolation`
+    ),
+    load=3,  # N, force by which its gripper carries the object, low-passed
+    weighing=3,  # N, state of this low-pass
+    constant=6,  # s for which each of the six numbers of its wrist has been identical
 )
 
 # Intermediate results of a tick -----------------------------------------------------------------
