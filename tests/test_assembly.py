@@ -147,29 +147,51 @@ def test_a_tip_slides_on_one_box_of_a_round_hole():
     assert on_axis.sum() == 4 and len(around) == SECTORS
 
 
-def test_a_tip_that_hardly_sinks_in_is_pressed_straight_out():
-    """By some micrometres or less: contacts have the normal of the face, and the true depth."""
+def overlap(peg, box, n):
+    """Overlap (m) of a round peg and a box along a direction from the peg into the box.
+
+    Args:
+        peg: pose of the peg, in the frame of the block.
+        box: solid of the block.
+        n: (3,) direction, in the frame of the block.
+    """
+    along = peg.rotation.T @ n
+    rim = 0.5 * WIDTH * np.hypot(along[0], along[1]) - min(LENGTH * along[2], 0.0)
+    half = 0.5 * np.abs(pin.exp3(np.array([0.0, 0.0, box.turn])).T @ n) @ box.edges
+    return n @ (peg.translation - box.centre) + rim + half
+
+
+@parametrize("place", ["face", "rims"])
+def test_depths_of_contacts_are_overlaps_along_their_normals(place):
+    """Of a round tip that sinks in by no more than some micrometres, or lies on several rims."""
     task = task_of(shape="round")
     robot = task.robot(peg_start(task.peg, task.hole))
     plant, hole = robot.plant, task.true_hole.pose
-    n = hole.rotation[:, 2]  # into the block
-    (tip,) = np.flatnonzero(plant.model.geom_bodyid == plant.object_body)
-    lowest = np.array([0.5 * WIDTH, 0.0, 0.0])
+    model, contacts = plant.model, plant.data.contact
+    (tip,) = np.flatnonzero(model.geom_bodyid == plant.object_body)
+    first = np.flatnonzero(model.geom_bodyid == model.body("face0/root").id)[0]
+    boxes = hole_solids(task.true_hole)
     rng = np.random.default_rng(0)
-    for _ in range(150):
-        turn = pin.exp3(np.array([0.0, -rng.uniform(0.1, 0.2), 0.0]))
-        beside = np.array([rng.uniform(1e-3, 3e-3), rng.uniform(-2e-3, 2e-3), 0.0])
-        depth = 10.0 ** rng.uniform(-8.0, -5.5) * np.array([0.0, 0.0, 1.0])
-        place = pin.SE3(turn, lowest + beside + depth - turn @ lowest)
-        plant.reset(reach(robot.chain, task.scene.posture, hole * place))
-        axis = plant.data.geom_xmat[tip].reshape(3, 3)[:, 2]
-        middle = n @ (plant.data.geom_xpos[tip] - hole.translation)
-        rim = 0.5 * LENGTH * (n @ axis) + 0.5 * WIDTH * np.linalg.norm(np.cross(n, axis))
-        contacts = plant.data.contact
-        assert len(contacts.dist) >= 1
-        from_tip = np.where(contacts.geom[:, :1] == tip, 1.0, -1.0) * contacts.frame[:, :3]
-        assert_allclose(from_tip @ n, 1.0, atol=1e-4)
-        assert (-contacts.dist <= middle + rim + 1e-9).all()
+    for _ in range(100):
+        if place == "face":
+            depth = 10.0 ** rng.uniform(-8.0, -5.5)
+            lowest = np.array([0.011 + rng.uniform(0, 2e-3), rng.uniform(-2e-3, 2e-3), depth])
+            turn = pin.exp3(np.array([0.0, -rng.uniform(0.1, 0.2), 0.0]))
+        else:
+            lowest = np.array([7.393e-3, 3.0e-3, 6.82e-4]) + rng.uniform(-2e-5, 2e-5, 3)
+            turn = pin.exp3(np.array([0.026, -0.172, -0.009]) + rng.uniform(-1e-3, 1e-3, 3))
+        point = turn.T @ [0.0, 0.0, 1.0] * [1.0, 1.0, 0.0]
+        point *= 0.5 * WIDTH / np.linalg.norm(point)
+        placed = hole * pin.SE3(turn, lowest - turn @ point)
+        plant.reset(reach(robot.chain, task.scene.posture, placed))
+        peg = hole.actInv(pin.SE3(plant.poses()[0]))
+        for pair, depth, frame in zip(contacts.geom, -contacts.dist, contacts.frame, strict=True):
+            box = boxes[pair.sum() - tip - first]
+            n = hole.rotation.T @ frame[:3] * (1.0 if pair[0] == tip else -1.0)
+            assert overlap(peg, box, n) == approx(depth, abs=1e-8), n
+            if place == "face":
+                assert n[2] == approx(1.0, abs=1e-4)
+        assert len(contacts.dist) >= (1 if place == "face" else 2)
 
 
 # --- two arms, two pins ---------------------------------------------------------------------------
