@@ -32,7 +32,7 @@ interrupted.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
@@ -46,11 +46,22 @@ from rich.console import Console
 from rich.table import Table
 
 import osc_contact as osc
-from benchmarks.faults import FAULTS, HOLD, NAN, POST_SEEN_AFTER, SAFE_STOP, Fault, Trial
+from benchmarks.fault_judge import (
+    REST_AFTER,
+    REST_SPEED,
+    FaultySensors,
+    JointWatch,
+    disturb,
+    is_beyond_limits,
+    may_brake,
+    obstacle_force,
+    read,
+)
+from benchmarks.faults import FAULTS, HOLD, NAN, SAFE_STOP, Fault, Trial
 from benchmarks.kept import ROOT, Kept
 from benchmarks.measuring import side_by_side
 from osc_contact.control.status import Phase, SafetyState
-from osc_contact.interface import Measurement, Reference, Robot
+from osc_contact.interface import Reference
 from osc_contact.lab.rig.hardware import ObservedRobot
 from osc_contact.lab.runs.run import Taring, start
 from osc_contact.loop.judge import Truth
@@ -58,13 +69,10 @@ from osc_contact.spatial import Array
 from paper.study import table_of
 
 KEPT = ROOT / "out/fault_injection"
-STOP_WITHIN = 0.3  #: s
 UNNOTICED = 0.3  #: s that a contact may be open and taken as closed
 FAULT_FOR = 5.0  #: s from the beginning of a fault that a run goes on
 STOPPED_FOR = 15.0  #: s from a stop
-REST_AFTER = 0.5  #: s after a stop, when the arms are at rest
-#: rad/s or m/s; rad or m since the stop, beside what braking from the speed at the stop takes
-REST_SPEED = 0.1
+#: rad or m since the stop, beside what braking from the speed at the stop takes
 REST_TRAVEL = 0.1
 #: s from the beginning of a push in which it moves a stopped arm: it lasts 0.08 s, and a hold that
 #: is critically damped at ω = 20/s leaves (ωt − 1) e^(−ωt) = 4 % of its speed after 0.22 s more
@@ -221,7 +229,7 @@ class Run:
         trial = self.trial
         trial.k = k - self.first
         reference = next(self.references)
-        measurement, reference = self._read(reference, fault)
+        measurement, reference = read(self.robot, self._sensors, trial, reference, fault)
         self.estimated = measurement.estimated
         if self.hold and 8 < self.first - k <= 16:
             measurement = replace(measurement, wrenches=np.full_like(measurement.wrenches, NAN))
@@ -231,18 +239,14 @@ class Run:
             measurement = replace(measurement, sequence=self.received)
         self.received = measurement.sequence
         tau = self.tick(measurement, reference)
-        if not np.isfinite(tau).all() or (np.abs(tau) > self.limit * (1 + 1e-9)).any():
+        if is_beyond_limits(tau, self.limit):
             verdict.wrong.append(f"tick {k}: torques {tau}")
         if self.before is not None:
             change = float((np.abs(tau - self.before) / self.limit).max() / self.dt)
             verdict.rate = max(verdict.rate, change)
         self.before = tau
-        sent = tau
-        if fault is not None and fault.torque is not None:
-            sent = fault.torque(trial, tau.copy())
-            self.lost = np.maximum(self.lost, np.abs(tau - sent))
-        if fault is not None and fault.world is not None:
-            fault.world(trial, self.true)
+        sent = disturb(fault, trial, tau, self.true)
+        self.lost = np.maximum(self.lost, np.abs(tau - sent))
         try:
             self.robot.command(sent, self.dt)
         except osc.PlantError as error:
@@ -251,26 +255,6 @@ class Run:
                 verdict.wrong.append(f"tick {k}: {error}"[:90])
         self.k += 1
         return reference
-
-    def _read(self, reference: Reference, fault: Fault | None) -> tuple[Measurement, Reference]:
-        """Measurement and reference of this tick, changed by a fault.
-
-        Speeds are estimated from readings that the fault has changed already, unless it changes
-        speeds alone.
-
-        Args:
-            reference: reference of the tick.
-            fault: fault that lasts now, or None.
-        """
-        if fault is None or fault.change is None:
-            return (self.robot.measure(), reference)
-        change = fault.change
-        if self._sensors is None or fault.of_speeds:
-            return change(self.trial, self.robot.measure(), reference)
-        self._sensors.change = lambda measurement: change(self.trial, measurement, reference)
-        measurement = self.robot.measure()
-        self._sensors.change = None
-        return (measurement, self._sensors.reference)
 
     def judge(
         self, name: str, fault_for: float = FAULT_FOR, stopped_for: float = STOPPED_FOR
@@ -301,7 +285,7 @@ class Run:
             lost = lost + watch.impacts
         most = max(watch.highest + float(lost.max(initial=0.0)), 3.0 * watch.highest)
         most += sum(float(np.linalg.norm(push.force)) for push in pushes)
-        most += fault.stiffness * self.trial.kept.get("speed", 0.0) * POST_SEEN_AFTER
+        most += obstacle_force(fault, self.trial)
         if fault.mirrors:
             most = self._grown(most, watch.highest)
         self._judge_end(verdict, fault, most, fault.hangs and watch.too_fast)
@@ -345,8 +329,7 @@ class Run:
         if verdict.state not in ends:
             wrong.append(f"ended in {verdict.state.name}: {verdict.reason[:60]}")
         if verdict.unbraked:
-            unsound = {*fault.unsound, *(["v"] if self.estimated else [])}
-            if not ({"q", "v"} <= unsound or "tau" in unsound or too_fast):
+            if not (may_brake(fault, self.estimated) or too_fast):
                 wrong.append(f"brakes requested with sound sensors: {verdict.reason[:60]}")
             return
         if "tau" in fault.unsound:  # without its torque, gravity or a spring moves the joint
@@ -355,30 +338,6 @@ class Run:
             wrong.append(f"{verdict.rest_speed:.2f} rad/s (m/s) later than {REST_AFTER:g} s")
         if verdict.travel > REST_TRAVEL and not fault.pulls:
             wrong.append(f"moved by {verdict.travel:.2f} rad (m) since the stop")
-
-
-class FaultySensors:
-    """A robot whose readings a fault changes before velocities are estimated from them.
-
-    Attributes:
-        change: returns a measurement and a reference that are changed; None: no fault lasts.
-        reference: the last one that was changed.
-    """
-
-    reference: Reference
-
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-        self.command = robot.command
-        self.stop = robot.stop
-        self.change: Callable[[Measurement], tuple[Measurement, Reference]] | None = None
-
-    def measure(self) -> Measurement:
-        """Measurement of the robot, changed while a fault lasts."""
-        measurement = self._robot.measure()
-        if self.change is not None:
-            measurement, self.reference = self.change(measurement)
-        return measurement
 
 
 class Watch:
@@ -396,7 +355,7 @@ class Watch:
         self._bears = _bearing(run) if hangs else np.ones(len(run.act), dtype=bool)
         self._stop_q = self._braking = np.zeros(0)
         self._stop_k = 0
-        self._beyond = self._outside = 0
+        self._joints = JointWatch(run.rig.model, run.dt)
         self._open = np.zeros(len(run.rig.pairs))
         self._made = np.array(run.plant.truth().closed, dtype=bool)
         self._truth = run.plant.truth()
@@ -425,7 +384,6 @@ class Watch:
     def _look_at_joints(self, q: np.ndarray, speeds: np.ndarray, stopped: bool) -> None:
         run = self._run
         verdict = self._verdict
-        model = run.rig.model.model
         if stopped and verdict.stopped is None:
             verdict.stopped = (run.k - 1 - run.first) * run.dt
             self._stop_k = run.k
@@ -437,12 +395,10 @@ class Watch:
             verdict.travel = max(verdict.travel, float(travel.max()))
             if (run.k - self._stop_k) * run.dt > REST_AFTER and not _is_pushed(run):
                 verdict.rest_speed = max(verdict.rest_speed, float(speeds[self._bears].max()))
-        inside = (q >= model.lowerPositionLimit[run.act]) & (q <= model.upperPositionLimit[run.act])
-        self._beyond = self._beyond + 1 if (speeds > run.fastest).any() else 0
+        self._joints.look(q, speeds)
         believed = run.controller.settings.safety.plausible_speed * run.fastest
         self.too_fast |= bool((speeds > believed).any())
-        self._outside = 0 if inside.all() else self._outside + 1
-        if not stopped and max(self._beyond, self._outside) * run.dt > STOP_WITHIN:
+        if not stopped and self._joints.needs_stop:
             verdict.wrong.append(f"tick {run.k - 1}: joints beyond their limits and no stop")
 
     def _look_at_contacts(self, commanded: np.ndarray, stopped: bool) -> None:

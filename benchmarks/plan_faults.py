@@ -30,11 +30,20 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from benchmarks.fault_injection import REST_AFTER, REST_SPEED, STOP_WITHIN, FaultySensors
-from benchmarks.faults import FAULTS, POST_SEEN_AFTER, Fault, Trial
+from benchmarks.fault_judge import (
+    REST_AFTER,
+    REST_SPEED,
+    FaultySensors,
+    JointWatch,
+    disturb,
+    is_beyond_limits,
+    may_brake,
+    obstacle_force,
+    read,
+)
+from benchmarks.faults import FAULTS, Trial
 from osc_contact.contacts.insertion import Peg
 from osc_contact.control.status import SafetyState
-from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.tasks import pegs
 from osc_contact.lab.tasks.insertion import CLEARANCE, PERIOD, WIDTH, Insertion
 from osc_contact.plan.plan import Outcome
@@ -112,7 +121,7 @@ class Run:
         self._trial = Trial(rng, task.model, PERIOD)
         self._began: int | None = None  # tick at which the fault began
         self._stopped: int | None = None  # tick of the stop
-        self._beyond = 0  # ticks for which a joint has been beyond its limits
+        self._joints = JointWatch(self._robot.chain, PERIOD)
         self._k = 0
         self.verdict = Verdict(name, seed)
 
@@ -154,35 +163,13 @@ class Run:
         if self._began is not None:
             self._trial.k = self._k - self._began
             fault = self._fault if self._trial.k * PERIOD <= self._fault.lasts else None
-        measurement, reference = self._read(self._plan.step(), fault)
+        reference = self._plan.step()
+        measurement, reference = read(self._robot, self._sensors, self._trial, reference, fault)
         tau = self._controller.tick(self._plan.placed(measurement), reference)
-        sent = tau
-        if fault is not None and fault.torque is not None:
-            sent = fault.torque(self._trial, tau.copy())
-        if fault is not None and fault.world is not None:
-            fault.world(self._trial, self._robot.plant)
+        sent = disturb(fault, self._trial, tau, self._robot.plant)
         self._robot.command(sent, PERIOD)
         if self._began is not None:
             self._look(tau)
-
-    def _read(self, reference: Reference, fault: Fault | None) -> tuple[Measurement, Reference]:
-        """Measurement and reference of a tick, changed by a fault.
-
-        Speeds are estimated from changed readings, unless the fault changes speeds alone.
-
-        Args:
-            reference: reference of the plan.
-            fault: fault that lasts; None: there is none.
-        """
-        if fault is None or fault.change is None:
-            return self._robot.measure(), reference
-        change = fault.change
-        if fault.of_speeds:
-            return change(self._trial, self._robot.measure(), reference)
-        self._sensors.change = lambda measurement: change(self._trial, measurement, reference)
-        measurement = self._robot.measure()
-        self._sensors.change = None
-        return measurement, self._sensors.reference
 
     def _look(self, tau: Array) -> None:
         """Compare torques, joints and forces with their limits after a tick.
@@ -191,18 +178,15 @@ class Run:
             tau: (n_a,) commanded torques (N m).
         """
         verdict = self.verdict
-        limit = self._robot.chain.tau_max
-        if not np.isfinite(tau).all() or (np.abs(tau) > limit * (1.0 + 1e-9)).any():
+        if is_beyond_limits(tau, self._robot.chain.tau_max):
             verdict.wrong.append(f"torques {tau}")
         verdict.force = self._robot.largest_single
         verdict.unbraked |= self._controller.unbraked is not None
         true = self._robot.plant.measure()
-        chain = self._robot.chain.model
-        inside = (true.q >= chain.lowerPositionLimit) & (true.q <= chain.upperPositionLimit)
-        is_legal = inside.all() and (np.abs(true.v) <= chain.velocityLimit).all()
-        self._beyond = 0 if is_legal else self._beyond + 1
+        motors = self._robot.chain.actuated
+        self._joints.look(true.q[motors], np.abs(true.v[motors]))
         if self._controller.state is not SafetyState.SAFE_STOP:
-            if self._beyond * PERIOD > STOP_WITHIN:
+            if self._joints.needs_stop:
                 verdict.wrong.append("joints beyond their limits, and no stop")
             return
         if self._stopped is None:
@@ -222,7 +206,7 @@ class Run:
             verdict.wrong.append(f"not tried: stage {self._stage!r} was not reached")
             return
         most = pegs.LARGEST * (3.0 if fault.mirrors else 1.0)
-        most += fault.stiffness * self._trial.kept.get("speed", 0.0) * POST_SEEN_AFTER
+        most += obstacle_force(fault, self._trial)
         if fault.limited and not verdict.unbraked and verdict.force > most:
             verdict.wrong.append(f"contact force {verdict.force:.0f} N, at most {most:.0f} N")
         if verdict.state not in fault.ends:
@@ -231,8 +215,7 @@ class Run:
         if verdict.stopped is not None and not named:
             verdict.wrong.append("no stage in the reason of the plan")
         if verdict.unbraked:
-            unsound = {*fault.unsound, "v"}  # speeds are estimated from positions
-            if not ({"q", "v"} <= unsound or "tau" in unsound):
+            if not may_brake(fault, estimated=True):
                 verdict.wrong.append("brakes requested with sound sensors")
         elif verdict.rest_speed > REST_SPEED and "tau" not in fault.unsound and not fault.pulls:
             verdict.wrong.append(f"{verdict.rest_speed:.2f} rad/s after the stop")

@@ -1,5 +1,7 @@
 """Programs that judge insertions: other laws, faults in stages, a peg that slips; ends at rest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 from numpy.testing import assert_allclose
@@ -7,6 +9,7 @@ from pytest import approx, fixture
 from samples import parametrize
 
 import osc_contact as osc
+from benchmarks.fault_judge import FaultySensors
 from benchmarks.peg_rivals import PEG, RIVALS, SELECTION, selected_axes
 from benchmarks.plan_faults import Run, possible
 from benchmarks.slipping_peg import SlippingPeg
@@ -130,6 +133,30 @@ def test_a_fault_in_a_stage_stops_the_plan_with_its_name():
     assert verdict.stopped is not None and verdict.stopped < 0.1
     assert f"stage {verdict.stage!r}" in verdict.reason
     assert 20 < len(possible()) < 60
+
+
+def test_readings_of_a_task_are_checked_as_those_of_scenarios(robot):
+    """A spike was believed: the estimated speed was above its limit for 20 ms, and the arm stopped.
+
+    An encoder that jumps by one degree seemed to move; a stopped arm braked this by 147 N.
+    """
+    robot.sensed = sensors = FaultySensors(robot.sensed)
+    model = robot.chain.model
+    weight = pin.computeGeneralizedGravity(model, model.createData(), robot.q_start)
+
+    def read(offset):
+        sensors.change = lambda m: (replace(m, q=m.q + offset * np.eye(7)[3]), None)
+        robot.command(weight, PERIOD)
+        return robot.measure()
+
+    for _ in range(30):
+        read(0.0)
+    spike = read(1.0)
+    assert np.flatnonzero(np.isnan(spike.q)).tolist() == [3]
+    for offset in (0.0, np.deg2rad(1.0)):
+        read(offset)
+        for _ in range(20):
+            assert np.abs(read(offset).v).max() < 0.02
 
 
 def test_a_fault_that_does_not_begin_is_not_as_it_should_be():

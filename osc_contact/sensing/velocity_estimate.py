@@ -39,6 +39,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from osc_contact.errors import InvalidInputError
 from osc_contact.spatial import Array
@@ -245,6 +246,16 @@ class VelocityEstimate:
             for _, arguments in past:
                 self.update(*arguments)
 
+    def repeat_last(self, displaced: NDArray[np.bool_]) -> None:
+        """Repeat the last update, of which some readings turn out to have been displaced.
+
+        Args:
+            displaced: (k,) whether something else than motion displaced the last reading.
+        """
+        state, (measured, acceleration, fresh) = self._replayable.pop()
+        self._restore(state)
+        self.update(measured, acceleration, fresh, displaced)
+
     def _snapshot(self) -> tuple[Any, ...]:
         """Everything that an update changes."""
         return (
@@ -296,7 +307,11 @@ class VelocityEstimate:
         return cls(1.0 - pole**2, (1.0 - pole) ** 2, dt)
 
     def update(
-        self, measured: Array, acceleration: Array | float = 0.0, fresh: bool = True
+        self,
+        measured: Array,
+        acceleration: Array | float = 0.0,
+        fresh: bool = True,
+        displaced: NDArray[np.bool_] | None = None,
     ) -> tuple[Array, Array]:
         """Advance the estimate by one period; return position and velocity, (k,) each.
 
@@ -307,6 +322,9 @@ class VelocityEstimate:
                 must not be changed later.
             fresh: False if the reading is an old one (slower sensor, lost sample): all channels
                 are only predicted.
+            displaced: (k,) whether the reading was displaced by something else than motion: then
+                the position is, too, and the velocity continues; None: none was. An update that
+                `expect_noise` repeats takes all for motion and noise.
         """
         if self.x is None:
             self.x = np.array(measured, dtype=float)
@@ -331,6 +349,9 @@ class VelocityEstimate:
         # correction by a new reading
         if fresh:
             innovation = np.where(np.isfinite(measured), measured - self.x, 0.0)
+            if displaced is not None:
+                self.x = self.x + np.where(displaced, innovation, 0.0)
+                innovation = np.where(displaced, 0.0, innovation)
             self._correct_states(self._gains * innovation)
             if self._learns_share:
                 self._learn_share(innovation)

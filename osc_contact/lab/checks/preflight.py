@@ -563,7 +563,9 @@ def encoders(rig: Rig) -> Values:
     brake = getattr(rig.gains.force, "brake", 0.0)
     if rig.scenario.sensors.encoder is None or not rig.pairs or not brake:
         return
-    estimate, error = hardware.joint_estimate(rig.scenario, rig.chain, rig.measured_forces)
+    known = hardware.encoders(rig.scenario, rig.chain)
+    error = known.error
+    estimate = known.estimate(1.0 / rig.scenario.control.rate, learning=rig.measured_forces)
     N = rig.contact.N
     if N.shape[1] != len(rig.force_names):  # dependent contacts share their forces
         return
@@ -615,12 +617,12 @@ def late_brake(rig: Rig) -> Values:
     carts = [body.motion for body in rig.bodies if isinstance(body.motion, CartSpec)]
     if not any(cart.stiffness > 0.0 for cart in carts):
         return
-    error, unknown = hardware.encoder_errors(rig.scenario, rig.chain)
+    known = hardware.encoders(rig.scenario, rig.chain)
     needed = rig.needed_bandwidth
     words = {
         "hertz": rig.fastest_mode / (2.0 * np.pi),
-        "step": error.max(),
-        "enough": (unknown / needed**2).min(),
+        "step": known.error.max(),
+        "enough": (known.unknown / needed**2).min(),
         "rate": needed,
     }
     yield needed / hardware.encoder_bandwidth(rig.scenario, rig.chain), words

@@ -3,14 +3,9 @@
 A `TorqueLoopRobot` keeps `_torque_stamp`, time at which the joint torques were sampled last (s). An
 `ObservedRobot` has, beside its public attributes:
 
-* `_estimate`: estimator of joint velocities; None: the encoders are ideal;
+* `_joints`: checks and estimates of the joints' readings; None: the encoders are ideal;
 * `_acceleration`, `_measured_forces`: (n,) accelerations of the joints that the last command causes
   (rad/s², m/s²), and whether they include those by measured contact forces;
-* `_encoder_stamp`, `_delay`: time at which encoders were sampled last, and their delay (s);
-* `_last_plausible`, `_implausible_ticks`, `_largest_change`: (n,) last plausible readings (rad, m),
-  number of implausible ones since, largest plausible change in a period (rad, m);
-* `_noise_measure`, `_largest_noise`, `_dead_encoders`: measure of the encoders' noise, (n,) largest
-  noise for which gains are designed (rad, m), detector of dead encoders;
 * `_ticks`: number of measurements.
 """
 
@@ -21,7 +16,6 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from osc_contact.control.accelerations import expected_acceleration
 from osc_contact.control.controller import Controller
@@ -37,14 +31,9 @@ from osc_contact.lab.scenarios.hardware import Clock, EncoderSpec, SensorsSpec
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.loop.judge import Plant
 from osc_contact.robots.model import sliding
-from osc_contact.sensing.dead_encoders import DeadEncoders
-from osc_contact.sensing.reading_noise import ReadingNoise
-from osc_contact.sensing.velocity_estimate import VelocityEstimate
+from osc_contact.sensing.joint_readings import Encoders, JointReadings, speed_limits
 from osc_contact.sensing.vision_fusion import Registration, VisionFusion
 from osc_contact.spatial import Array
-
-_QUIET_JUMP = 0.02  #: jump of an encoder's reading that counts as plausible without motion (rad, m)
-
 
 #: Function that reads one error (noise, bias or resolution) from the description of a quantity.
 ReadsError = Callable[[Any], float]
@@ -208,25 +197,23 @@ def torque_loop(
     return JointTorqueLoop(joints.stiffness, joints.motor_inertia, chain.tau_max, spec)
 
 
-def encoder_errors(scenario: Scenario, chain: ClosedChain) -> tuple[Array, Array]:
-    """Rms errors of the encoders and unmodelled accelerations of the joints of a scenario.
+def encoders(scenario: Scenario, chain: ClosedChain) -> Encoders:
+    """Encoders of a scenario that has them, and unmodelled accelerations of its joints.
 
     Args:
         scenario: scenario with encoders.
         chain: model of the arms.
-
-    Returns:
-        Rms error (n,) of a reading: noise, and resolution as a uniform distribution (rad, m); rms
-        unmodelled acceleration (n,) (rad/s², m/s²).
     """
     spec = scenario.sensors.encoder
     assert spec is not None
     estimate = scenario.control.estimate
-    noise = _joint_errors(chain, spec, attrgetter("noise"))
-    resolution = _joint_errors(chain, spec, attrgetter("resolution"))
-    error = np.maximum(np.hypot(noise, resolution / np.sqrt(12.0)), 1e-9)
-    unknown = np.where(sliding(chain.model), estimate.joint_linear, estimate.joint_angular)
-    return error, unknown
+    return Encoders(
+        noise=_joint_errors(chain, spec, attrgetter("noise")),
+        resolution=_joint_errors(chain, spec, attrgetter("resolution")),
+        unknown=np.where(sliding(chain.model), estimate.joint_linear, estimate.joint_angular),
+        sample=1.0 / spec.rate,
+        delay=spec.delay,
+    )
 
 
 def encoder_bandwidth(scenario: Scenario, chain: ClosedChain) -> float:
@@ -240,30 +227,9 @@ def encoder_bandwidth(scenario: Scenario, chain: ClosedChain) -> float:
     """
     spec = scenario.sensors.encoder
     assert spec is not None
-    error, unknown = encoder_errors(scenario, chain)
+    known = encoders(scenario, chain)
     rate = min(spec.rate, scenario.control.rate)
-    return float(min(np.sqrt(unknown / error).min(), rate))
-
-
-def joint_estimate(
-    scenario: Scenario, chain: ClosedChain, measured_forces: bool
-) -> tuple[VelocityEstimate, Array]:
-    """Make the estimator of joint velocities of a scenario.
-
-    Args:
-        scenario: scenario with encoders.
-        chain: model of the arms.
-        measured_forces: whether the known accelerations include those by measured contact forces.
-
-    Returns:
-        Estimator, and rms error (n,) of the encoders' readings (rad, m).
-    """
-    spec = scenario.sensors.encoder
-    assert spec is not None
-    error, unknown = encoder_errors(scenario, chain)
-    dt = 1.0 / scenario.control.rate
-    make = VelocityEstimate.learning if measured_forces else VelocityEstimate.optimal
-    return make(error, unknown, dt, 1.0 / spec.rate), error
+    return float(min(np.sqrt(known.unknown / known.error).min(), rate))
 
 
 class TorqueLoopRobot:
@@ -345,35 +311,22 @@ class ObservedRobot:
         #: accelerations of the joints that the last command causes (rad/s², m/s²)
         self._acceleration = np.zeros(chain.nq)
         self.dt = 1.0 / scenario.control.rate
-        self._encoder_stamp = -1.0  #: time at which encoders were sampled last (s)
         self._ticks = 0  #: number of measurements so far
         spec = scenario.sensors
         estimate = scenario.control.estimate
         #: whether estimates include what contact forces accelerate
         self._measured_forces = measured_forces
-        #: estimate of the joint velocities; None: they are read
-        self._estimate: VelocityEstimate | None = None
+        #: checks and estimates of the joints' readings; None: they are ideal
+        self._joints: JointReadings | None = None
         if spec.encoder is not None:
-            limit = chain.model.velocityLimit
-            limit = np.where(limit > 0.0, limit, np.inf)
-            period = max(self.dt, 1.0 / spec.encoder.rate)
-            #: largest plausible change of a reading in a period (rad, m)
-            self._largest_change = scenario.control.safety.plausible_speed * limit * period
-            self._delay = spec.encoder.delay  #: delay of the encoders (s)
-            #: (n,) last plausible readings (rad, m)
-            self._last_plausible = np.full(chain.nq, np.nan)
-            self._implausible_ticks = np.zeros(chain.nq)  #: (n,) periods since these readings
-            self._estimate, error = joint_estimate(scenario, chain, measured_forces)
-            unknown = encoder_errors(scenario, chain)[1]
-            rate = scenario.control.safety.hold_rate
-            #: largest noise whose estimate is as fast as the hold of a stopped arm: √(σ_a/σ_n) = ω
-            self._largest_noise = np.maximum(unknown / rate**2, error)
-            #: measured noise of the encoders
-            self._noise_measure = ReadingNoise(error, 1.0 / spec.encoder.rate)
-            noise = _joint_errors(chain, spec.encoder, attrgetter("noise"))
-            resolution = _joint_errors(chain, spec.encoder, attrgetter("resolution"))
-            #: detection of encoders without noise
-            self._dead_encoders = DeadEncoders(noise, resolution)
+            safety = scenario.control.safety
+            self._joints = JointReadings(
+                encoders(scenario, chain),
+                safety.plausible_speed * speed_limits(chain),
+                safety.hold_rate,
+                self.dt,
+                learning=measured_forces,
+            )
         self.vision: VisionFusion | None = None
         if (camera := spec.vision) is not None:
             self.vision = VisionFusion(
@@ -385,20 +338,6 @@ class ObservedRobot:
                 delay=camera.delay,
                 markers=markers,
             )
-
-    def _implausible(self, q: Array) -> NDArray[np.bool_]:
-        """Mask (n,) of readings that are not finite or changed faster than the joint can move.
-
-        A plausible reading becomes the one that later readings are compared with.
-
-        Args:
-            q: (n,) readings of the encoders (rad, m).
-        """
-        largest_change = _QUIET_JUMP + self._largest_change * (1.0 + self._implausible_ticks)
-        implausible = ~np.isfinite(q) | (np.abs(q - self._last_plausible) > largest_change)
-        self._implausible_ticks = np.where(implausible, self._implausible_ticks + 1.0, 0.0)
-        self._last_plausible = np.where(implausible, self._last_plausible, q)
-        return implausible
 
     def measure(self) -> Measurement:
         """Measurement for a controller, with estimates of the velocities that are not measured.
@@ -413,20 +352,11 @@ class ObservedRobot:
         stamps = measurement.stamps
         if stamps is None:
             return measurement
-        if self._estimate is not None:
-            implausible = self._implausible(measurement.q)
-            if implausible.any() and self._estimate.x is None:  # the estimate has not begun
+        if self._joints is not None:
+            completed = self._joints.complete(measurement, self._acceleration)
+            if completed is measurement:  # the estimate has not begun
                 return measurement
-            fresh = stamps.encoders > self._encoder_stamp
-            q = np.where(implausible, np.nan, measurement.q)
-            dead = self._dead_encoders.update(measurement.q, fresh)
-            if fresh:
-                self._expect_noise(self._estimate, q)
-            q, v = self._estimate.update(np.where(dead, np.nan, q), self._acceleration, fresh)
-            q = np.where(implausible | dead, np.nan, q + self._delay * v)
-            v = np.where(dead, np.nan, v)  # only predicted
-            noisy = self._noise_measure.is_loud
-            measurement = replace(measurement, q=q, v=v, estimated=True, noisy=noisy)
+            measurement = completed
         if self.vision is not None and measurement.touched is not None:
             touched = self.vision.update(
                 self._ticks * self.dt,
@@ -437,25 +367,7 @@ class ObservedRobot:
             )
             measurement = replace(measurement, touched=touched)
         self._ticks += 1
-        self._encoder_stamp = stamps.encoders
         return measurement
-
-    def _expect_noise(self, estimate: VelocityEstimate, q: Array) -> None:
-        """Change the gains of the estimated velocities while encoders are noisier than expected.
-
-        When this is found of an encoder, its last readings were noisy, too. Estimates are not
-        slower than the hold of a stopped arm, which would oscillate.
-
-        Args:
-            estimate: of the joints.
-            q: (n,) new readings (rad, m); NaN: implausible.
-        """
-        was_loud = self._noise_measure.is_loud
-        noise = self._noise_measure.update(q)
-        if was_loud or self._noise_measure.is_loud:
-            estimate.expect_noise(
-                np.minimum(noise, self._largest_noise), revises=self._noise_measure.begins
-            )
 
     def command(self, tau: Array, duration: float) -> None:
         """Command the robot, and store the joint accelerations that the next estimate expects.
@@ -464,7 +376,7 @@ class ObservedRobot:
             tau: (n_a,) motor torques (N m, N).
             duration: control period (s).
         """
-        if self._estimate is not None:
+        if self._joints is not None:
             if self._measured_forces:
                 self._acceleration = expected_acceleration(self.controller)
             else:

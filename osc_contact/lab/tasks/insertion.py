@@ -7,7 +7,7 @@ displacement drawn for each seed. Sensors, joints and masses err as `World` stat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import pi
 from pathlib import Path
@@ -30,8 +30,8 @@ from osc_contact.lab.plants.mujoco import MujocoPlant
 from osc_contact.lab.plants.sensors import SensedPlant, SensorErrors, Sensors
 from osc_contact.lab.scenarios.hardware import Clock, PlantSpec
 from osc_contact.lab.tasks.solids import Solid, body_urdf
-from osc_contact.sensing.velocity_estimate import VelocityEstimate
-from osc_contact.settings.control import EstimateSpec
+from osc_contact.sensing.joint_readings import Encoders, JointReadings, speed_limits
+from osc_contact.settings.control import EstimateSpec, SafetySettings
 from osc_contact.spatial import Array
 
 PERIOD = 1e-3  #: control period (s)
@@ -273,19 +273,23 @@ class TaskRobot:
         sensed.hold(weight[chain.actuated])
         self.sensed: Robot = sensed
 
-        # rms error of a quantised reading is its step / √12
-        error = np.full(chain.nq, resolution / np.sqrt(12.0))
-        unknown = np.full(chain.nq, EstimateSpec().joint_angular)
-        #: estimate of the joint velocities
-        self._velocities = VelocityEstimate.optimal(error, unknown, PERIOD, PERIOD)
+        safety = SafetySettings()
+        encoders = Encoders(
+            noise=np.zeros(chain.nq),
+            resolution=np.full(chain.nq, resolution),
+            unknown=np.full(chain.nq, EstimateSpec().joint_angular),
+            sample=PERIOD,
+        )
+        #: checks and estimates of the joints' readings
+        self._joints = JointReadings(
+            encoders, safety.plausible_speed * speed_limits(chain), safety.hold_rate, PERIOD
+        )
         self.largest_sum = 0.0
         self.largest_single = 0.0
 
     def measure(self) -> Measurement:
-        """Read encoders and wrists; velocities are estimated."""
-        measurement = self.sensed.measure()
-        q, v = self._velocities.update(measurement.q)
-        return replace(measurement, q=np.array(q), v=np.array(v), estimated=True)
+        """Read encoders and wrists; readings are checked, and velocities estimated from them."""
+        return self._joints.complete(self.sensed.measure())
 
     def command(self, tau: Array, duration: float) -> None:
         """Apply torques for a period, and note the true forces at its end.
