@@ -16,8 +16,8 @@ _SHARE = 0.5
 def within_speed_limits(scenario: Scenario, displacement: Array, limits: Array) -> Scenario:
     """Lengthen the approach after a tare so that no joint needs half of its speed limit.
 
-    A duration that the scenario gives is kept, and so is that of a scenario with contact phases,
-    whose contacts are approached at their own speed.
+    A duration that the scenario gives is kept. With contact phases the references, by which a
+    motion is checked before a run, still move as without them.
 
     Args:
         scenario: scenario, with or without a tare.
@@ -28,7 +28,7 @@ def within_speed_limits(scenario: Scenario, displacement: Array, limits: Array) 
         The scenario, or a copy with a longer approach.
     """
     tare = scenario.tare
-    if tare is None or scenario.control.life is not None or "approach" in tare.model_fields_set:
+    if tare is None or "approach" in tare.model_fields_set:
         return scenario
     limited = np.isfinite(limits) & (limits > 0.0)
     speeds = _PEAK * np.abs(displacement[limited])
