@@ -4,12 +4,6 @@ The frames of peg and hole coincide when the peg's tip is in the mouth of the ho
 the peg is the middle of its tip, that of the hole the middle of its mouth, and both z axes point
 into the hole. Sides are named by their directions in these frames, "+x", "-x", "+y" and "-y", and
 corners by two of them, "+x+y".
-
-Attributes of `_Pairs`, which makes the pairs: `_peg_half` and `_hole_half`, half widths (m);
-`_depth`, depth of the hole (m); `_peg_pose` and `_hole_pose`, poses of peg and hole in the object
-and in the body that has the hole; `_to_object`, `_turn_to_object`, `_to_body`, `_turn_to_body`,
-functions that transform points and directions from the common frame to object and body; `_prefix`,
-beginning of all names.
 """
 
 from __future__ import annotations

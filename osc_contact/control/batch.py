@@ -1,19 +1,4 @@
-"""Many controllers at once: the rows of one batch, each with a separate model and memory.
-
-Attributes of `BatchController` that its methods share; B rows:
-
-* `_records`: MODEL and MEMORY of all rows as bytes, one row each, with WORK and INPUT of each
-  thread;
-* `_start_memory`: (B, bytes) MEMORY with which the rows began;
-* `_structure`: sizes and switches that all rows have in common, by name;
-* `_settings`: settings of the controller of each row;
-* `_memories`, `_statuses`, `_columns`, `_torques`, `_squeeze`: views of all rows' MEMORY: the heads
-  (B,), their status (B,), states of the columns of N (B, r), motor torques (B, n_a) (N m, N),
-  desired internal forces (B, bars) (N);
-* `_jobs`: JOB record of each thread: rows to be computed, and switches of the law;
-* `_limits`: solvers for torques at the motor limits by row, made at the first saturation;
-* `_pool`: threads.
-"""
+"""Many controllers at once: the rows of one batch, each with a separate model and memory."""
 
 from __future__ import annotations
 
@@ -79,6 +64,7 @@ class BatchController:
         self.threads = threads
         #: settings of the controller of each row
         self._settings = [c.settings for c in controllers]
+        #: MODEL and MEMORY of all rows, WORK and INPUT of each thread
         self._records = Rows(
             np.stack([c.records.model_bytes for c in controllers]),
             np.stack([c.records.memory_bytes for c in controllers]),
@@ -131,13 +117,14 @@ class BatchController:
             rows = getattr(first, name)
             return memory[:, starts[name] :][:, : rows.nbytes].view(rows.dtype)
 
+        #: (B,) heads of the MEMORY records
         self._memories = memory[:, : law_records.MEMORY.dtype.itemsize].view(
             law_records.MEMORY.dtype
         )[:, 0]
-        self._statuses = self._memories["status"]
-        self._columns = view_table("columns")
-        self._torques = view_table("torques")
-        self._squeeze = view_table("squeeze")
+        self._statuses = self._memories["status"]  #: (B,) status of the last tick
+        self._columns = view_table("columns")  #: (B, r) states of the columns of N
+        self._torques = view_table("torques")  #: (B, n_a) motor torques (N m, N)
+        self._squeeze = view_table("squeeze")  #: (B, bars) desired internal forces (N)
         #: JOB of each thread
         self._jobs = [law_records.JOB.view(raw) for raw in self._records.jobs]
 

@@ -1,13 +1,4 @@
-"""Changes of a controller from one tick to the next, as events for a log.
-
-Attributes of `Changes`: `_controller`, which is watched, and `_records`, in which the fields were
-found; `_words`, its records as words of 64 bits, and `_word_indices`, those of the watched fields;
-`_buffer`, copy of these words, and `_last_bytes`, their bytes at the last look;
-`_largest_commands`, view of the buffer with the largest command of each kind of ceiling (N);
-`_headroom`, `_set_ceilings`, `_noted_ceilings`: by kind the ceiling over the largest command, the
-ceiling that the user set and the one that was noted last (N); `_noted_joint`, joint without a brake
-that was noted last.
-"""
+"""Changes of a controller from one tick to the next, as events for a log."""
 
 from __future__ import annotations
 

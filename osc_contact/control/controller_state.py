@@ -61,7 +61,7 @@ class ControllerState:
     ended: TickEnd
     freshness: Freshness
     idle: Idle
-    _result: TickResult | None = None
+    _result: TickResult | None = None  #: views of the results in `records`; None: not made yet
 
     @property
     def status(self) -> Status:

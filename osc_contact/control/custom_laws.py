@@ -1,8 +1,4 @@
-"""Laws, pairs and bodies in Python, evaluated between the compiled parts of a tick.
-
-`CustomParts` has `_pairs` and `_bodies`, index and object of each pair and of each touched body
-that only Python can evaluate.
-"""
+"""Laws, pairs and bodies in Python, evaluated between the compiled parts of a tick."""
 
 from __future__ import annotations
 

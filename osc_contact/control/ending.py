@@ -1,9 +1,4 @@
-"""End of a tick that is not OK: cause of the status, and losses by the motor limits.
-
-A `TickEnd` has `_limit_program`, solver for torques at the motor limits (None: none was needed
-yet), and `_known_loss`, loss of the last saturated tick (None: it follows from the solver, or there
-is none).
-"""
+"""End of a tick that is not OK: cause of the status, and losses by the motor limits."""
 
 from __future__ import annotations
 
@@ -25,7 +20,9 @@ class TickEnd:
 
     inputs: tuple[Measurement, Reference] | None = None
     failure: Exception | None = None
+    #: loss of the last saturated tick; None: it follows from the program, or there is none
     _known_loss: LimitLoss | None = None
+    #: program for torques at the motors' limits; None until it is needed
     _limit_program: MotorLimits | None = None
 
     def note(

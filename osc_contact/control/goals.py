@@ -1,9 +1,4 @@
-"""References towards goals that arrive more rarely than control periods.
-
-A `GoalFollower` has `_pose` and `_force`, set points of pose and forces (None: there are no
-contacts); `_goal` and `_alpha_d`, pose and (r,) contact forces (N) to which they move; `_names` and
-`_owners`, names of the contacts, and (r,) index of the contact of each column of N.
-"""
+"""References towards goals that arrive more rarely than control periods."""
 
 from __future__ import annotations
 

@@ -8,8 +8,6 @@ reaches the link. With the motor's inertia J_m and the spring K,
 moves the resonance from ω = √(K/J_m) to ω√(1 + k_p) and reduces the effects of motor inertia, bias,
 ripple and friction by the factor 1 + k_p. There is no integral: the remaining errors are small, and
 it would wind up in every contact loss. The loop runs at a higher rate than the controller.
-
-A `JointTorqueLoop` has `_torque_rate`, the estimate of τ̇ from torque readings.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,4 @@
-"""Records of one controller: views of all its bytes, and calls of the law with them.
-
-`TickRecords` keeps in `_job` the JOB record of its thread as 64-bit words, the first three of which
-are the switches of the law, the first part to run and the part before which to stop.
-"""
+"""Records of one controller: views of all its bytes, and calls of the law with them."""
 
 from __future__ import annotations
 
@@ -99,7 +95,8 @@ class TickRecords:
         self.model_bytes: Bytes = rows.model[index]
         self.memory_bytes: Bytes = rows.memory[index]
         self.work_bytes: Bytes = rows.work[thread]
-        self._job = rows.jobs[thread].view(np.int64)  # `switches`, `begin` and `stop` first
+        #: JOB of the thread as 64-bit words, of which the first are `switches`, `begin` and `stop`
+        self._job = rows.jobs[thread].view(np.int64)
         self.model, self.memory, self.work, _ = views(rows, index, thread)
         self.torques: Array = self.memory.torques
         self.squeeze: Array = self.memory.squeeze

@@ -1,11 +1,4 @@
-"""Set points whose goals may change at any time: one state within the limits each period.
-
-Attributes: `_trajectory`, way from the present state to the goal; `_bounds`, limits of velocity,
-acceleration and jerk of each coordinate; `_dt`, period (s). A `SetPoint` has `_shape`, shape of its
-values; a `PoseSetPoint` has `_goal`, pose of the goal, and `_R_0`, rotation (3, 3) when the goal
-last changed. The coordinates of the latter are the position (m), then the rotation vector w from
-`_R_0` (rad).
-"""
+"""Set points whose goals may change at any time: one state within the limits each period."""
 
 from __future__ import annotations
 

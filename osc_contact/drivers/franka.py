@@ -3,22 +3,6 @@
 The robot adds torques against the weight of its model and of its load to the commanded ones, but
 no Coriolis torques. Therefore gravity is subtracted from the controller's torques. The wrench that
 the robot estimates lacks the weight beyond the wrist, which is added.
-
-Attributes of `FrankaRobot` beside the public ones:
-
-* `_lib`, `_robot`, `_control`: client library, its connection, its torque control (None: not
-  begun);
-* `_wrench`: function that reads a mounted force-torque sensor; None: the robot's estimate is used;
-* `_model`, `_data`: Pinocchio's model with the load, and its memory at the last reading; `_sensor`,
-  `_tip`: indices of the frames of wrist sensor and tip;
-* `_base`, `_base_rotation`: pose of the robot's base in the world, and its rotation alone;
-* `_load`: inertia beyond the wrist sensor, in its frame; `_lift_force`: force that carries its
-  weight, in world axes (N); `_K_in_EE`: (4,) origin of the stiffness frame in the end effector (m);
-* `_brake_speed`, `_brake`, `_tau_max`: (7,) speeds above which joints are braked (rad/s), gain of
-  the braking torque (N m s/rad), torque limits (N m);
-* `_q`, `_v`, `_read_at`: (7,) last positions (rad) and velocities (rad/s), and when they came (s);
-* `_sent_torques`: torques sent last; `_stopped`: nothing is sent any more;
-* `_translation`: pose without rotation that `_estimate_wrench` reuses.
 """
 
 from __future__ import annotations
@@ -148,12 +132,14 @@ class FrankaRobot:
             hangs = hangs + load
         self._load = sensor.placement.actInv(hangs)  # in axes of the sensor
         # force against its weight, in world axes
+        #: force that carries the weight of `_load`, in world axes (N)
         self._lift_force = pin.Force(-self._load.mass * model.gravity.linear, np.zeros(3))
         self._data = model.createData()  #: results of `_model`
         self._translation = pin.SE3.Identity()  #: buffer of translations of wrenches
         self._brake_speed = SPEED_SHARE * np.array(model.upperVelocityLimit)
         self._tau_max = np.array(chain.tau_max)  #: (7,) torque limits (N m)
         # the braking torque rises from 0 at `_brake_speed` to the motor's limit at the speed limit
+        #: (7,) gain of the braking torques (N m s/rad)
         self._brake = self._tau_max / (np.array(model.upperVelocityLimit) - self._brake_speed)
         self._base = chain.arms[0].base  #: pose of the arm's base in the world
         #: rotation of the base, as a pose at the origin

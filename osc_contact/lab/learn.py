@@ -5,19 +5,6 @@ of all environments is one call of a `BatchController` for each control period; 
 processor, so states and torques are copied from and to the device.
 
 mjlab and torch come with mjlab; nothing else in the package imports this module.
-
-Attributes of `ContactAction` beside `batch`; B environments, r contact forces (`_n_forces`):
-
-* `_env`, `_entity`, `device`: environments of mjlab, their entity with the arms, device of its
-  tensors;
-* `_joints`, `_motors`: the simulator's numbers of the joints (n,) and of those with motors (n_a,);
-* `_wrists`: names of the force and of the torque sensor of each arm;
-* `_steps_per_tick`, `_ticks_per_action`: physics steps in a control period, these in an action;
-* `_raw_actions`: (B, 6 + r) last actions; `_target`, `_forces`: (B, 4, 4) set points, (B, r) forces
-  (N) at the end of the last action; `_was_reset`: (B,) environments that begin with the next
-  action;
-* `_action_course`: set points (ticks, B, 4, 4), twists (B, 6) (m/s, rad/s) and forces (ticks, B, r)
-  (N) of the present action; `_step`: physics steps since its beginning.
 """
 
 from __future__ import annotations
@@ -165,6 +152,7 @@ class ContactAction(ActionTerm):  # type: ignore[misc]
         self._n_forces = self.batch.alpha_meas.shape[1]  #: r, number of contact forces
         require_below_ceilings(cfg.controller.settings.safety, cfg.most_force, self._n_forces)
         # last actions, targets and forces of all environments; `_was_reset` marks those to be reset
+        #: (B, 6 + r) last actions
         self._raw_actions = torch.zeros(self.num_envs, 6 + self._n_forces, device=self.device)
         #: (B, 4, 4) desired poses of the objects at the end of the action
         self._target = np.tile(np.eye(4), (self.num_envs, 1, 1))

@@ -6,11 +6,6 @@ By numba's calling convention a C program declares the entries as
 
 with uint64_t for addresses, even if a pointer has 32 bits. Sizes of arrays are those of MODEL; they
 are not checked.
-
-`Progress` has `_show`, function that shows the completed share; `_began`, instant of the start;
-`_translated`, time until the last part was ready (s); `_shown`, largest share shown. `_Assistant`
-has `_process`, a second process that translates parts (None: not started); `_new_parts`, number of
-parts that were not cached; `_errors`, file of its error output.
 """
 
 from __future__ import annotations

@@ -5,9 +5,6 @@ takes a tenth of its translation time. This module generates the array of a tabl
 attribute is read. It uses numba's templates of attributes and `numba.np.arrayobj`, which are not
 public; if one of them is missing, `jit` does without `units`, and `nested_type` uses the public
 interface.
-
-A `_Table` has `_item`, size of an element (bytes); `_start`, index of the word of the layout with
-the offset of the table; `_sizes`, for each axis a constant or the index of the word with its size.
 """
 
 from __future__ import annotations
@@ -80,6 +77,7 @@ class _Table:
         #: index of the layout's word with the offset of the table
         self._start = record_layout.start(name)
         # each size is the index of a word of the layout, or a constant
+        #: each size: index of a word of the layout, or a constant
         self._sizes = [
             record_layout.slot(size) if isinstance(size, str) else WORD(size) for size in sizes
         ]

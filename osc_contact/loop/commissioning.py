@@ -1,8 +1,4 @@
-"""Commissioning of a robot up to its first contact, in steps that are confirmed one by one.
-
-A `Commissioning` has, after `run` began, `_chain`, model of the arm; `_model`, its Pinocchio model;
-and `_holder`, which reads the robot and holds it at rest.
-"""
+"""Commissioning of a robot up to its first contact, in steps that are confirmed one by one."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

@@ -60,7 +60,7 @@ class LoopReport:
     largest: float = 0.0
     notes: list[str] = field(default_factory=list)
     shadow: ShadowReport | None = None
-    _last_read: float = inf
+    _last_read: float = inf  #: clock at the last measurement (s)
 
     def note(self, read: float, seconds: float) -> None:
         """Count a tick and check its deadlines.

@@ -1,26 +1,4 @@
-"""Recorder of the control loop.
-
-Attributes of `Recorder` beside the public ones. A row has `_blank` or its values, then torques,
-`_numbers`, `_normal_std` and `_integers`:
-
-* `_rows`: (block, numbers) rows, of which the first `_pending` are not in the journal yet;
-  `_fields`: name, type and shape of the parts of a row; `_flushed`: time of the last write (s);
-* `_controller`: controller whose ticks are recorded; `_rest_poses`: unit matrices as poses of
-  bodies at rest; `_write_interval`: longest time between writes to the journal (s);
-* `_blank`: NaN in place of the numbers that a tick without a result lacks;
-* `_numbers`: computing time, status, then three views: `_squeezes` (bars,) desired internal forces
-  (N), `_given_up` (r,) forces given up at motor limits (N), `_named` (contacts,) 1 for contacts
-  that the reference names; `_noted_squeeze`: the squeeze that `_squeezes` has, None: it has to be
-  written;
-* `_words`: words of 64 bits copied from the controller's records `_record_words`, at the indices
-  `_positions`; views of them: `_results` (α, speeds, results of names `_result_names`),
-  `_normal_std`, and `_integers` (active contacts, phases); `_located_result`: result whose
-  `_positions` are known;
-* `_meta`, `_events`, `_changes`: meta data, log of events, detector of events in the results;
-* `_first_reason`: why the first tick that failed could not be computed, with its time;
-* `_survives`: True for a named journal, which is kept; `_error_logged`: the error of the journal
-  was logged; `_start_times`: wall-clock and processor time at the start (s).
-"""
+"""Recorder of the control loop."""
 
 from __future__ import annotations
 

@@ -1,12 +1,4 @@
-"""Control loop that the caller steps once for each control period.
-
-Attributes of `SteppedLoop` beside `controller`: `_recorder`, `_drawing`, `_plan` and `_scene`, its
-parts (a missing one is None, a drawing without a viewer draws nothing); `_stops`, calls of the
-robot's `stop`; `_checks_next`, True until the checks of the first call were made; `_plan_begun`,
-`_ended`, progress of plan and loop. `StopCalls` has `_stop`, the robot's function; `_stopped`,
-whether the controller was in SAFE_STOP in the last tick; and `_needs_brakes`, whether mechanical
-brakes have been asked for since.
-"""
+"""Control loop that the caller steps once for each control period."""
 
 from __future__ import annotations
 

@@ -1,24 +1,4 @@
-"""Plan: a sequence of stages that gives the reference of each tick, and follows what happens.
-
-State of a running `Plan`, beside its public attributes:
-
-* `_controller`, `_log`, `_senses`: controller, function for events, reader of the signals of a
-  tick;
-* `_names`, `_owners`: names of all contacts of the controller; (r,) index of the contact of each
-  column of N;
-* `_stage_index`, `_time`, `_ended_for`: index of the present stage in `stages`; time since the plan
-  began (s); time since it ended or paused (s);
-* `_aim`, `_V_D`: pose of the object and twist (6,) (m/s, rad/s) that the plan commands;
-* `_alpha_d`, `_active`: (r,) desired contact forces (N) and (contacts,) mask of active contacts;
-* `_places`: poses of touched bodies that stages have set, by name of the contact;
-* `_course`, `_until_watch`, `_unless_watch`: motion of the present stage, condition that ends it,
-  and condition by which it fails (None: none), as functions of the signals and the period;
-* `_verdict`: verdict on the present stage; `_failures`: number of failures of all stages;
-* `_squared_force_errors`: sum of the squared force errors (N²) of `_ticks` ticks of the stage;
-* `_residual_sum`: (6,) sum of the residual wrenches (N, N m) of `_residual_ticks` ticks of the
-  stage, from whose mean the tare is set;
-* `_ticks_to_instant`: ticks until the recogniser is updated again.
-"""
+"""Plan: a sequence of stages that gives the reference of each tick, and follows what happens."""
 
 from __future__ import annotations
 

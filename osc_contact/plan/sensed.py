@@ -1,9 +1,4 @@
-"""Signals of a tick on which motions and conditions of a plan depend.
-
-`Senses` has `_controller`, whose results are read; `_names` and `_owners`, names of its contacts,
-and (r,) index of the contact of each column of N; `_alpha`, (r,) low-passed forces of the columns
-(N); `_share`, part of the distance to a new value by which low-passed signals move in a tick.
-"""
+"""Signals of a tick on which motions and conditions of a plan depend."""
 
 from __future__ import annotations
 
@@ -106,6 +101,7 @@ class Senses:
         self._names = [pair.name for pair in controller.settings.contacts]
         #: (r,) index of the contact of each column of N
         self._owners = force_owners(controller.settings.contacts)
+        #: share of a tick in the low-pass of the wrench
         self._share = controller.dt / (SMOOTHING + controller.dt)
         self._alpha = np.zeros(len(self._owners))  #: (r,) measured contact forces (N)
         self.signals = Sensed(

@@ -3,11 +3,6 @@
 The file is MCAP, an open container for logs of robots (mcap.dev): a header, then chunks, each with
 its own checksum. A chunk holds one message, some rows with their layout, so that it can be read
 without the others. A chunk is handed to the operating system as a whole, before the next begins.
-
-A `JournalFile` has `_descriptor`, number of the open file; `_complete_bytes`, size of the file up
-to the last complete chunk; `_bytes_before_end`, that before the end was written; `_ended`, whether
-the end has been written; `_row_count`, number of rows. A `Journal` has `_file`, the mapped bytes,
-and `_shown_name`, for messages.
 """
 
 from __future__ import annotations

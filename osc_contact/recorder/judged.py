@@ -4,10 +4,6 @@ The phases of a contact are approach, landing and closed contact. A force is jud
 one; the approach has no force, and the landing is judged by its overshoot. After the landing all
 ticks count, even if the contact is lost, until no force is commanded and the contact is not active.
 A contact that is active but not named any more is unloaded: it alone is not judged.
-
-`JudgedTicks` keeps `_blanks`, (begin, end) of the times after force steps that are not judged (s),
-and `_since`, for each contact the time at which it closed under its present command (s; None: it
-has not).
 """
 
 from collections.abc import Iterator, Mapping

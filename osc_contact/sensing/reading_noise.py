@@ -1,11 +1,4 @@
-"""Noise of readings, measured by their third differences: sensors noisier than expected.
-
-A `ReadingNoise` has, for k sensors (rad, m): `_readings`, (4, k) last readings; `_last_thirds`,
-magnitudes of their last third differences; `_mean_third`, (k,) low-passed mean of these, which
-moves by `_low_pass_share` of the distance to a new value; `_cap`, largest value in the mean as a
-multiple of the mean; `_largest_expected`, (k,) noise from which on a sensor is noisier than
-expected; `_was_loud`, (k,) whether it was so before.
-"""
+"""Noise of readings, measured by their third differences: sensors noisier than expected."""
 
 from __future__ import annotations
 

@@ -22,12 +22,6 @@ be its derivatives by c, which a drives through the same filter. Then innovation
 variance σ_n²/(1 − α) plus x_c times the error of c, from which c is estimated as a random walk, and
 x̂, v̂ are corrected by x_c, v_c times the change of c (B. Friedland, Treatment of bias in recursive
 filtering, IEEE Trans. Automatic Control 14, 1969).
-
-Attributes of `VelocityEstimate` beside the public ones: `_gains`, (3, k) gains of position,
-velocity (1/s) and unknown acceleration (1/s²); `_design`, function by which they were designed
-(None: they were given); `_learns_share`, whether the share c is estimated; `_share_variance`, (k,)
-its variance; `_share_derivatives`, (3, k) derivatives of x, v and the unknown acceleration by c;
-`_replayable`, the last updates, each with the states before it and its arguments.
 """
 
 from __future__ import annotations
@@ -138,6 +132,7 @@ class VelocityEstimate:
         self.share = np.ones(len(self.alpha))
         #: (k,) variance of the share, and (3, k) derivatives of x, v and unknown by it
         self._share_variance = np.full(len(self.alpha), _SHARE_DEVIATION**2)
+        #: (3, k) derivatives of x, v and the unknown acceleration by the share
         self._share_derivatives = np.zeros((3, len(self.alpha)))
         self._gains = self._scaled_gains()  #: gains of the filter, scaled to the period
         #: function that designs α, β and γ for a noise; None: they were given

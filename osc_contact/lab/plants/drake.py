@@ -1,13 +1,6 @@
 """A second, independent judge: Drake, with its own dynamics, contacts and closed loops.
 
 Nothing of the toolkit's dynamics is used here: the URDFs are read by Drake's own parser.
-
-Attributes of `DrakePlant` beside the public ones: `_simulator` and its `_root_context`, the state
-of the whole diagram; `_torque_port`, input of motor torques; `_reaction_port`, output of the
-wrenches in all joints; `_q` and `_v`, (n,) indices of the chain's joints in Drake's state; `_tau`,
-(n_a,) torques applied last (N m, N); `_step`, Drake's step (s), and `_steps`, steps since the last
-reset. `DrakeTruth` has `_plant`, the plant that it records; `_contact_port`, output of the
-contacts; and `_rows`, the recorded rows.
 """
 
 from __future__ import annotations
@@ -86,6 +79,7 @@ class DrakePlant:
         self._step = options.step  #: time step (s)
         plant = self.scene.plant
         # indices of the chain's joints in Drake's state vectors
+        #: (n,) indices of the joint positions
         self._q = np.array([joint.position_start() for joint in self.scene.joints])
         #: (n,) indices of the joint velocities
         self._v = np.array([joint.velocity_start() for joint in self.scene.joints])

@@ -1,21 +1,6 @@
 """The judging plant: MuJoCo with unilateral contacts, built from the same URDFs as the model.
 
 Nothing of the toolkit's dynamics is used here: the URDFs are read by MuJoCo's own parser.
-
-Attributes of `MujocoPlant` beside the public ones:
-
-* `_mj`: module `mujoco`; `_qpos`, `_qvel`, `_sensordata`, `_ctrl`, `_warnings`: MuJoCo's arrays in
-  `data`; `_option`: its options; `_step`: its step (s);
-* `_flags`, `_flags_without_sensors`: its disable flags, as they are and without sensors;
-* `_q`, `_v`: (n,) indices of the arms' joints in qpos and qvel, in the order of the chain;
-* `_springs`, `_spring_v`: (n_a,) indices of the springs of flexible joints in qpos and qvel; empty
-  if the joints are stiff;
-* `_posed_bodies`: indices of the bodies of the object and of the tips;
-* `_sensed_arms`, `_wrench_indices`: arms with a wrist sensor, and (sensors, 6) indices of their
-  wrenches in the sensor data;
-* `_face_v`: (k,) indices in qvel of the joints of moving bodies, as `face_q` in qpos;
-* `_driven_guides`, `_driven_q`, `_driven_v`: parts of `guided`, `face_q` and `_face_v` for bodies
-  with a prescribed motion.
 """
 
 from __future__ import annotations

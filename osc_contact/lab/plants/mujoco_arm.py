@@ -1,11 +1,4 @@
-"""One arm of a MuJoCo simulation that the caller, or an environment of others, steps.
-
-Attributes of `MujocoArm` beside the public ones: `_mj`, the module `mujoco`; `_q` and `_v`, (n,)
-indices of the arm's joints in qpos and qvel; `_inputs`, writer of motor torques; `_tau`, (n_a,)
-torques applied last (N m, N); `_body`, index of the body of the wrist sensor, or of the tip without
-one; `_site`, index of the sensor's site (None: the sensor is a body); `_wrench_rows`, (6,) indices
-of the wrench in the sensor data (None: it is computed, in the copy `_scratch` of the state).
-"""
+"""One arm of a MuJoCo simulation that the caller, or an environment of others, steps."""
 
 from __future__ import annotations
 

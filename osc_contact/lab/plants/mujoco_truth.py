@@ -1,11 +1,4 @@
-"""True state of object and contacts in MuJoCo: raw numbers of each tick, evaluated afterwards.
-
-A `MujocoTruth` has `_plant`, which is recorded; `_object_views`, views of MuJoCo's position,
-rotation, velocity and centre of mass of the object; `_contact_view`, view of MuJoCo's contacts as
-words, whose records have the type `_contact_layout`, made for `_contact_count` contacts; and of
-each recorded instant `_states` (object and rails), `_contact_records` (bytes of the contacts) and
-`_forces` (of all constraints; N, N m).
-"""
+"""True state of object and contacts in MuJoCo: raw numbers of each tick, evaluated afterwards."""
 
 from __future__ import annotations
 

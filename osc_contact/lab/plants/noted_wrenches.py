@@ -1,10 +1,4 @@
-"""True contact forces of plants with compliant contacts, from the wrenches at their points.
-
-`NotedWrenches` has `_contacts`, contact pairs; `_faces`, bodies of the environment;
-`_guided_joints`, for each joint of moving bodies the index of the body and 0 for travel, 1 for an
-angle; `_metric_root`, (6, 6) matrix W with Φ = WᵀW, the inverse inertia of the object in its own
-frame.
-"""
+"""True contact forces of plants with compliant contacts, from the wrenches at their points."""
 
 from __future__ import annotations
 

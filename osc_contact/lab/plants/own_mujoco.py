@@ -1,12 +1,4 @@
-"""The user's MuJoCo scene as robot and judge: arm, tool and sensor are found by name.
-
-Attributes of `MujocoScene`: `_model` and a copy `_data` of the state; `_others`, indices of the
-geoms that the tool can touch; `_probe` and `_probe_data`, copies of model and state in which the
-geom with the index `_point` is a small sphere; `_step`, MuJoCo's step (s). `MujocoRobot` adds to
-the attributes of `MujocoPlant`: `_keyframe`, index of the keyframe at which the scene begins (None:
-the initial state of the file); `_locked`, positions of locked joints by their indices in qpos;
-`_inputs`, writer of motor torques; `_tau`, (n_a,) the torques written last (N m, N).
-"""
+"""The user's MuJoCo scene as robot and judge: arm, tool and sensor are found by name."""
 
 from __future__ import annotations
 
@@ -207,6 +199,7 @@ class MujocoRobot(MujocoPlant):
         [0.3]
     """
 
+    #: index of the keyframe at which the scene begins; None: the initial state of the file
     _keyframe: int | None
 
     @classmethod

@@ -1,13 +1,4 @@
-"""The exact plant: joint-space dynamics, bilateral rigid contacts, loops by multipliers.
-
-Attributes of `RigidPlant`: `q` and `v`, (n,) joint positions and velocities (rad, m; rad/s, m/s);
-`model` and `data`, Pinocchio's, with the object in the last link of the arm that leads it; `_X` and
-`_V`, pose of the object and its twist (6,) at O if no arm leads it; `_tau`, (n_a,) torques applied
-last (N m, N); `_tip_frames`, frames of the tips; `_wrist_cuts`, sections at the wrist sensors
-(None: no sensor); `_friction_speed`, (n,) speeds at which dry friction is developed;
-`_cached_equations` and `_cached_solution`, (key, result) of the state computed last (None: none
-yet).
-"""
+"""The exact plant: joint-space dynamics, bilateral rigid contacts, loops by multipliers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -2,12 +2,6 @@
 
 `SensedPlant` is a plant around another plant: it replaces ideal readings by those of sensors with
 errors. All random numbers follow from one seed.
-
-A sensor keeps `_queue`, its samples (time in s, reading) that have not been replaced yet, the
-oldest first, and `_next_sample`, the number of the next one. A `SensedPlant` has
-`_sensors_by_name`, sensors by the name of their stamp; `_ideal_measurement`, function that measures
-the plant once per instant; and `_robot_poses`, number of poses of object and arms, which precede
-those of touched bodies.
 """
 
 from collections import deque

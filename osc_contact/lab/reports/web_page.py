@@ -3,12 +3,6 @@
 The plant is MuJoCo's official WebAssembly build, the law is law.wasm, the picture is the scene of
 the live view. References are sampled into a table that the page plays. Features of a scenario that
 Python computes in every step are refused.
-
-Attributes of `_Drawn`: `_rig`, `_plant`, rig of the scenario and its plant at the start;
-`_compares`, whether a selection law is shown, too; `_force_descriptions`, descriptions of the
-forces; `_scene`, the picture, and `_page_commands`, the commands that draw it in a page;
-`_node_states`, state at the start of each node that may move, by its path; `_nodes`, descriptions
-of those that move with a body; `_cameras`, views.
 """
 
 from __future__ import annotations
@@ -433,7 +427,7 @@ class _Drawn:
         first = samples_at(
             run(rig.scenario, duration=2.0 / rig.scenario.control.rate).channels, slice(1)
         )
-        self._force_descriptions = _force_descriptions(rig)
+        self._force_descriptions = _force_descriptions(rig)  #: descriptions of the forces
         # true forces are known only if a wall of the plant measures them
         unknown = (
             () if any(force["wall"] >= 0 for force in self._force_descriptions) else ("alpha_true",)

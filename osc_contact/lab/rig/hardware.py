@@ -1,13 +1,4 @@
-"""Drives and sensors of a rig, made from a scenario, and the robot between plant and controller.
-
-A `TorqueLoopRobot` keeps `_torque_stamp`, time at which the joint torques were sampled last (s). An
-`ObservedRobot` has, beside its public attributes:
-
-* `_joints`: checks and estimates of the joints' readings; None: the encoders are ideal;
-* `_acceleration`, `_measured_forces`: (n,) accelerations of the joints that the last command causes
-  (rad/s², m/s²), and whether they include those by measured contact forces;
-* `_ticks`: number of measurements.
-"""
+"""Drives and sensors of a rig, made from a scenario, and the robot between plant and controller."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

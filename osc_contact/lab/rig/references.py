@@ -1,9 +1,4 @@
-"""References of a run at any time, from the signals of a scenario.
-
-A `SurfaceMotion` has `_pair`, the contact of the ball with the surface; `_X`, the pose of the
-object at the start; `_ball` and `_normal`, (3,) centre of the ball (m) and normal of the surface at
-the start, in the world.
-"""
+"""References of a run at any time, from the signals of a scenario."""
 
 from __future__ import annotations
 

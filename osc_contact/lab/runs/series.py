@@ -1,10 +1,4 @@
-"""Sums over the ticks of a run, piece after piece: means, rms, peaks, the worst second.
-
-A `Series` has (m,) of the finite values of each signal: `_counts`, `_sums`, `_squares` (sums of
-squares) and `_peaks` (largest magnitudes). A `WorstSecond` has one entry for each tenth of a
-second: `_squares`, sums (r,) of squared errors, `_counts`, numbers (r,) of finite ones, `_ticks`,
-number of ticks.
-"""
+"""Sums over the ticks of a run, piece after piece: means, rms, peaks, the worst second."""
 
 from __future__ import annotations
 

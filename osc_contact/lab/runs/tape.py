@@ -1,8 +1,4 @@
-"""A controller for programs without Python, with a recording of ticks to replay there.
-
-A `Tape` has `_controller`, which is recorded; `_controller_tick`, its own function `tick`;
-`_memory_after`, bytes of MEMORY after the last tick; `_encoded_ticks`, bytes of each tick.
-"""
+"""A controller for programs without Python, with a recording of ticks to replay there."""
 
 from collections.abc import Callable
 from pathlib import Path

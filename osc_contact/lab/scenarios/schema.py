@@ -283,7 +283,7 @@ class Scenario(Spec):
     laws: Annotated[Any, PlainValidator(_take_laws), Field(exclude=True)] = None
     """custom laws, in [scenarios made in Python](extend.md#a-scenario-made-in-python) only"""
 
-    _source: Path | None = None
+    _source: Path | None = None  #: file of the scenario; None: made in Python
 
     @property
     def source(self) -> Path | None:

@@ -1,10 +1,4 @@
-"""Plants and controllers that advance together, as rows of two batches.
-
-A `Fleet` has `_plants`, batch of MuJoCo, and `_models`, model of each row; `_plant`, plant of the
-first row, which knows the places of joints and sensors; arrays of all rows in the batch:
-`_sensed_arrays` (positions, velocities, sensor data), `_ctrl` (motor torques), `_xpos` and `_xmat`
-(positions and rotations of bodies); `_steps_per_tick`, MuJoCo's steps in a control period.
-"""
+"""Plants and controllers that advance together, as rows of two batches."""
 
 from __future__ import annotations
 
@@ -113,7 +107,7 @@ class Fleet:
         self._models = [row_start.plant.model for row_start in starts]  #: model of each row
         self._plants: Any = Batch(first.plant.model, self.rows, nthread=threads)  #: MuJoCo's batch
         names = ("qpos", "qvel", "sensordata", "ctrl", "xpos", "xmat")
-        #: views of the batch: motor torques, after those of the sensed arrays; poses of bodies
+        #: arrays of all rows: positions, velocities, sensor data; motor torques; poses of bodies
         *self._sensed_arrays, self._ctrl, self._xpos, self._xmat = map(self._plants.bind, names)
         self.begin(dict(enumerate(starts)))
 

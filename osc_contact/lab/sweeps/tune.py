@@ -1,9 +1,4 @@
-"""Tuning of keys of a scenario by Optuna, under limits, compared with the shipped values.
-
-A `_Judge` has `_objective`, quantity to be minimal; `_limits`, largest value by column;
-`_force_columns`, columns with relative rms errors of forces; `_shipped_means`, means of "force" and
-"motion" over the rows with the shipped values.
-"""
+"""Tuning of keys of a scenario by Optuna, under limits, compared with the shipped values."""
 
 from __future__ import annotations
 

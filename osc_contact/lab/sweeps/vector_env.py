@@ -1,16 +1,6 @@
 """Gymnasium vector environment whose actions are pose increments and contact forces.
 
 Episodes are samples of a study: they begin at the start of a scenario with different values.
-
-Attributes of `ContactVectorEnv` beside the public ones; B rows, r contact forces (`_r`):
-
-* `_make_episode`, `_n_episodes`: function that returns an episode by its number, and their number;
-* `_episodes`, `_step`, `_ended`: episode of each row; (B,) its steps so far; (B,) whether it has
-  ended;
-* `_target`, `_forces`: (B, 4, 4) set points, and (B, r) contact forces (N) of the last action;
-* `_last_steps`: (B,) number of the last step of each row's episode;
-* `_ticks_per_action`: control periods of an action; `_reward`: function of the rewards;
-* `_most_error`: distance (m) and angle (rad) from the reference at which an episode has failed.
 """
 
 from __future__ import annotations

@@ -4,12 +4,6 @@ The other process draws and serves. The control loop makes one call that copies 
 into a socket to that process without waiting: a tick is dropped if the socket is full, so a slow,
 stopped or ended viewer costs the loop microseconds. As the viewer is another process, it does not
 compete for the interpreter lock.
-
-Attributes of `Viewer` beside the public ones: `_process`, the viewer's process; `_link`, socket to
-it; `_period`, least time between two pictures (s); `_next_send`, time by `monotonic` before which
-no tick is sent (s); `_stalled_since`, time since which the process has taken no tick (s; inf: it
-takes them); `_end_reason`, error by which the process says that it ends; `browsers`, number of
-browsers last reported.
 """
 
 from __future__ import annotations
@@ -96,11 +90,12 @@ class Viewer:
         self.browsers = 0
         self._end_reason = ""  #: why no more ticks are sent; empty while they are
         self._period = 1.0 / rate  #: time between pictures (s)
-        self._next_send = 0.0  #: time of the run at which the next picture is due (s)
-        #: time of the run since which the process has accepted nothing (s); inf: it does
+        self._next_send = 0.0  #: clock before which no tick is sent (s)
+        #: clock since which the process has accepted no tick (s); inf: it accepts them
         self._stalled_since = float("inf")
         self.stalled = False
         # the scene is sent through the process's standard input, ticks later through the link
+        #: socket to the process
         self._link, far_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with tempfile.TemporaryFile() as complaints:
             with far_end:  # closed here, so that the end of the process closes the link
