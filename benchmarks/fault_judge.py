@@ -1,4 +1,4 @@
-"""What the judges of faults share: changed readings and torques, limits of joints, rest, brakes."""
+"""Parts that judges of faults share: changed readings and torques, limits of joints, rest, brakes."""
 
 from __future__ import annotations
 
