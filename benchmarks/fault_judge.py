@@ -1,4 +1,4 @@
-"""Parts that judges of faults share: changed readings and torques, limits of joints, rest, brakes."""
+"""Parts that judges of faults share: changed readings, torques, limits of joints, rest, brakes."""
 
 from __future__ import annotations
 
