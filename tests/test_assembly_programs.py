@@ -116,6 +116,27 @@ def test_every_rival_begins(name, robot):
     assert plan.stage.name == "weigh"
 
 
+@parametrize("name", [SELECTION, "position"])
+def test_rivals_press_on_the_face_that_they_find(name):
+    """From a start 2 mm above the modelled face: by a selected axis, and by a motion that yields."""
+    rival = RIVALS[name]
+    into = TASK.hole.pose.rotation[:, 2]
+    lower = peg_start(PEG, TASK.hole)
+    lower.translation += 4e-3 * into
+    robot = TASK.robot(lower)
+    plan = rival.plan(TASK.hole)
+    pairs = {**osc.pairs_between(PEG, TASK.hole), **selected_axes(TASK.hole)}
+    controller = rival.controller(controller_for(TASK.model, pairs, plan, robot))
+    with osc.SteppedLoop(controller, plan=plan, check=False) as loop:
+        for _ in range(3000):
+            robot.command(loop.step(robot.measure()), PERIOD)
+            if plan.stage.name == "slide":
+                break
+    assert [verdict.failed for verdict in plan.verdicts] == [False, False], plan.reason
+    force = robot.contact_forces().sum(axis=0) @ into
+    assert 2.0 < abs(force) < 12.0
+
+
 def test_guided_stages_press_with_half_of_our_forces_before_they_end(robot):
     plan = RIVALS["position"].plan(TASK.hole)
     into = TASK.hole.pose.rotation[:, 2]
