@@ -118,7 +118,7 @@ def test_every_rival_begins(name, robot):
 
 @parametrize("name", [SELECTION, "position"])
 def test_rivals_press_on_the_face_that_they_find(name):
-    """From a start 2 mm above the modelled face: by a selected axis, and by a motion that yields."""
+    """From 2 mm above the modelled face: by a selected axis, and by a motion that yields."""
     rival = RIVALS[name]
     into = TASK.hole.pose.rotation[:, 2]
     lower = peg_start(PEG, TASK.hole)
