@@ -175,7 +175,10 @@ def test_rotors_that_the_model_lacks_do_not_make_a_contact_on_a_spring_oscillate
     task = replace(task, changes=[*task.changes, "duration=3 s"])
     scenario = task.load()
     recording = osc.run(scenario, seed=1, check=lambda rig: [])
-    assert recording.meta["end_state"] == "RUN"
+    assert recording.meta["end_state"] in ("RUN", "DEGRADED")  # its posture is nearly singular
+    assert not (recording["status"] == osc.Status.HELD).any()
+    landed = recording["t"] > 1.0
+    assert recording["alpha_true"][landed].max() < 3.0 * recording["alpha_cmd"][landed].max()
     late = recording["t"] > 2.0
     command = recording["alpha_cmd"][late, 0]
     error = recording["alpha_true"][late, 0] - command

@@ -36,8 +36,9 @@ wrist sensor enters e, too, so e is zero as long as no friction is modelled or i
 `friction_errors` the bound is wider by 0.3 |h|, so that e also covers errors of the links' masses;
 and, if friction is learned, by the prior's deviation of F as long as it is not identified.
 
-The sum is reduced where it pushes a joint that is faster than its command already, as the residual
-then shows acceleration in place of friction (`_without_excess`).
+What residuals have made of the sum, e and learned f, is reduced where it pushes a joint that is
+faster than its command already, as the residual then shows acceleration in place of friction
+(`_without_excess`).
 
 A delayed wrench is compared with signals of the instant at which it was measured. Without
 `friction_learning` θ is the model's; if `friction_errors` is 0, too, residuals change nothing, and
@@ -542,8 +543,10 @@ def _compensation(t, j):
     elif last_friction * row.friction < 0.0 and row.friction * row.unlearned > 0.0:
         row.unlearned = 0.0
     bound = min(bound, t.model.wrist_error * t.model.joints[j].tau_max)
-    remainder = min(max(row.unlearned, -bound), bound)
-    return _without_excess(t, j, row.friction + t.model.friction_share * remainder)
+    remainder = t.model.friction_share * min(max(row.unlearned, -bound), bound)
+    if t.memory.friction_known[j] == LEARNED:  # f is made of residuals, as e is
+        return _without_excess(t, j, row.friction + remainder)
+    return row.friction + _without_excess(t, j, remainder)
 
 
 @leaf
