@@ -1143,6 +1143,24 @@ def test_an_arm_that_is_apart_from_the_object_has_let_go_below_half_of_its_share
     assert t.memory.arms[1].let_go == gone
 
 
+@parametrize("share, leader, ticks", [(0.55, 0, 21), (0.45, 0, 0), (0.55, -1, 0)])
+def test_an_arm_that_bears_a_load_beside_the_object_has_not_let_go(share, leader, ticks):
+    """As after an encoder that jumped, while braking unloaded it; where its gap is measured."""
+    t = two_at_a_rod(shift=0.01)
+    write(t.model, leader=leader)
+    t.memory.arms.weighed = 1
+    t.memory.arms.let_go[1] = 1
+    t.memory.wrenches[1, :3] = (0.0, 0.0, share * 9.81)
+    t.memory.arms.weighing[1] = t.memory.wrenches[1, :3]
+    found = 0
+    for tick in range(1, 60):
+        holding._compare_places(t, np.eye(4))
+        holding._weigh(t, 1, np.zeros(3))
+        if not t.memory.arms[1].let_go and not found:
+            found = tick
+    assert abs(found - ticks) <= 1
+
+
 @parametrize("turn, period, ticks", [(0.1, 1e-3, 6), (0.1, 1e-2, 2), (0.0, 1e-3, 21)])
 def test_an_arm_without_load_has_let_go_after_5_ms_where_it_is_apart(turn, period, ticks):
     """After two readings at least; where encoders agree, after 20 ms."""

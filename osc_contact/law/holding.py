@@ -360,12 +360,14 @@ def _weigh(t, k, world):
 
     An arm whose load is below `_LIGHT` times its share of the object's weight for `LET_GO_TIME` has
     let go: in an oscillation that braking excites, the load of an arm that holds the object passes
-    zero for a few milliseconds only. This is not revoked until the next stop as long as other arms
-    hold the object, because vibrations or errors of the sensor may look like a load later; except
-    where encoders place the arm and the object apart (`is_apart`). There `HEAVY` times the share is
-    the bound in
-    both directions, because a bias of the sensor may exceed the lower one, and arms that hold a
-    rigid object apart bear more; and a load below it for `_AWAY_TIME` is enough.
+    zero for a few milliseconds only. Where encoders place the arm and the object apart
+    (`is_apart`), the bound is `HEAVY` times the share, because a bias of the sensor may exceed the
+    lower one, and arms that hold a rigid object apart bear more; and a load below it for
+    `_AWAY_TIME` is enough. A load above `HEAVY` times the share for `LET_GO_TIME` revokes that an
+    arm has let go, if its distance from the object is measured: braking unloads an arm for a
+    moment, and an encoder that jumps seems to move it away. Without this measurement it is not
+    revoked until the next stop as long as other arms hold the object, because vibrations or errors
+    of the sensor may look like a load later.
 
     A wrist is no evidence if motor torques contradict one of the wrists, as an error of scale,
     range or wiring may affect all, or if its reading repeats. Fills `load` (3,; f), `weighing` (3,;
@@ -398,11 +400,11 @@ def _weigh(t, k, world):
     is_frozen = memory.cause == WRIST_FROZEN and memory.culprit == k
     if is_frozen or memory.cause == UNBALANCED:
         return
-    may_be_apart = memory.apart > APART_TIME and model.leader >= 0 and k != model.leader
-    is_away = may_be_apart and is_apart(t, k)
-    bound = (HEAVY if is_away else _LIGHT) * weight_share(t)
+    is_measured = model.leader >= 0 and k != model.leader
+    is_away = is_measured and memory.apart > APART_TIME and is_apart(t, k)
+    bound = (HEAVY if is_away or row.let_go else _LIGHT) * weight_share(t)
     is_light = dot3(row.load, row.load) < bound * bound
-    contradicts = is_away and not is_light if row.let_go else row.holds == 0 and is_light
+    contradicts = is_measured and not is_light if row.let_go else row.holds == 0 and is_light
     row.light = row.light + model.period if contradicts else 0.0
     away_time = max(_AWAY_TIME, 1.5 * model.period)  # two readings at least
     if row.light > (away_time if is_away and not row.let_go else LET_GO_TIME):
