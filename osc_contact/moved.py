@@ -148,12 +148,12 @@ class MovedModules(MetaPathFinder, Loader):
     def exec_module(self, module: ModuleType) -> None:
         """Replace an empty module with an old name by the module with the new name, and warn."""
         old = module.__name__
-        new = str(new_name(old))
+        new = str(new_name(old))  # never None: `find_spec` has found it
         present = import_module(new)
         warnings.warn(
             f"{old} is now {new}; the old name goes with the next release",
             FutureWarning,
-            stacklevel=2,
+            stacklevel=2,  # the import: `warnings` does not count the frames of Python's importer
         )
         sys.modules[old] = present
 

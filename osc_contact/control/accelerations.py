@@ -16,10 +16,12 @@ def expected_acceleration(controller: Controller) -> Array:
     """Predict the joint accelerations (n,) after a tick (rad/s², m/s²), for a velocity estimate.
 
     The law commands η̇_c and assumes the contact forces α_u. If the measured forces α_meas differ
-    from them, the object accelerates by η̇_c + Λ_S⁻¹SᵀN_μ(α_u − α_meas) instead; the second term
-    follows oscillations of a contact. It is omitted if no contact force was commanded, if the tick
-    was held, and near singular postures. Accelerations by friction and model errors are not
-    included; the velocity estimate has to track them.
+    from them, the object accelerates by η̇_c + (Λ_S + SᵀJ̄ᵀD J̄S)⁻¹SᵀN_μ(α_u − α_meas) instead; the
+    second term follows oscillations of a contact. D (n, n) is the diagonal matrix of
+    `_friction_inertia`: identified friction of the joints slows an oscillation as additional
+    inertias of the joints would. The term is omitted if no contact is in N, if the tick was held,
+    and near singular postures. Other accelerations by friction and model errors are not included;
+    the velocity estimate has to track them.
 
     See docs/tuning.md#estimated-velocities.
 
@@ -45,8 +47,9 @@ def expected_acceleration(controller: Controller) -> Array:
         v = work.reflectors[k]
         from_locked_axes -= work.beta[k] * np.outer(v, v @ from_locked_axes)
     free_axes = from_locked_axes[:, locked:]
-    J_bar_free = work.joints.J_bar @ free_axes
+    J_bar_free = work.joints.J_bar @ free_axes  # J̄S
     friction = _friction_inertia(controller)
+    # Λ_S + SᵀJ̄ᵀD J̄S
     inertia = work.Lambda[locked:, locked:] + J_bar_free.T @ (friction * J_bar_free.T).T
     push = (work.alpha_u[:r] - work.alpha_meas[:r]) @ work.pushed_t[:r]
     return commanded + np.asarray(J_bar_free @ np.linalg.solve(inertia, push[locked:]))

@@ -28,7 +28,8 @@ class TickResult:
 
     Attributes:
         records: records of the controller.
-        f_meas, bias_out: (6,) sum of the wrist readings less tare; its prediction without contact.
+        f_meas, bias_out: (6,) sum of the wrist readings less tare; what it would be without contact
+            at zero acceleration of the object (a = 0).
         f_c: (6,) measured contact wrench.
         V_O: (6,) twist of the object.
         X_WO: (4, 4) its pose.

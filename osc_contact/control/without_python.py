@@ -346,9 +346,9 @@ def _structure_lines() -> list[str]:
     The library checks with them that the bytes of a file have the layout that its header declares.
 
     Returns:
-        Lines of C with the tables HEADS (bytes), TABLES (bytes of an element, rows, columns) and
-        COUNTS
-        (record, slot of its layout, offset of the same count in MODEL).
+        Lines of C with the tables HEADS (bytes), TABLES (record, bytes of an element, rows,
+        columns; a size < 0 is −1 − the slot of the layout that has it) and COUNTS (record, slot of
+        its layout, offset of the same count in MODEL), of the counts that `COUNTED` names.
     """
     heads = ", ".join(str(kind.dtype.itemsize) for kind in RECORDS.values())
     fields = _fields_of(records.MODEL.dtype)

@@ -28,10 +28,11 @@ class RigidObject:
     """Rigid body held by the arms; the origin of its frame is the operational point.
 
     Attributes:
-        inertia: spatial inertia in the object frame (kg, m).
+        inertia: spatial inertia in the object frame (kg, m, kg m²).
 
     Raises:
-        ModelError: mass or rotational inertia not positive, or not finite.
+        ModelError: mass or a principal inertia not positive or not finite, or the largest principal
+            inertia exceeds the sum of the others.
 
     Example:
         >>> ball = osc.RigidObject(pin.Inertia.FromSphere(0.3, 0.02))  # 0.3 kg, 20 mm
@@ -45,8 +46,8 @@ class RigidObject:
         """Refuse an inertia that no rigid body has.
 
         Raises:
-            ModelError: NaN, mass or a principal inertia not positive, or triangle inequality
-                violated.
+            ModelError: a NaN or inf, mass or a principal inertia not positive, or triangle
+                inequality violated.
         """
         matrix = self.inertia.matrix()
         if not np.isfinite(matrix).all():

@@ -41,12 +41,14 @@ def update_contacts(t):
 
     Contacts are active (in N) unless their phase is OPEN. Phases follow from measured forces
     (`advance_phases`, with contact phases) and from the contacts that the user names active
-    (`_take_set`). If the set of contacts in N changes, `hand_over` of MEMORY is set, so that the
-    motion integral is converted to a wrench, and `by_column`, so that force integrals are taken by
-    column.
+    (`_take_set`). If the set of contacts in N changes, `hand_over` of MEMORY is set to 1, so that
+    the motion integral is converted to a wrench, and `by_column`, so that force integrals are taken
+    by column.
 
     Reads `chosen_set` (1: active contacts are named) of INPUT. Fills `here` of the columns (1: it
-    remains in N), `active` of the contacts, and the fields of the functions called here.
+    remains in N), `active` of the contacts, `chosen_set` of MEMORY (that of this tick) and, with
+    contact phases, `fresh` (0: the measured forces have been evaluated), and the fields that
+    `advance_phases`, `_take_set`, `separate_integrals` and `set_goals` name.
 
     Args:
         t: Tick.
@@ -160,8 +162,9 @@ def _begin_columns(t, c, phase):
     """Reset the contact detection of a contact's columns when it becomes active or inactive.
 
     Sets of the columns in MEMORY `closed` (1 if the new phase is CLOSED) and, to zero, `collision`,
-    and the times (s) of low and high force and of too little and too much force; `here` of WORK
-    becomes 0: the column does not remain in N from the last tick.
+    the times of low and high force `low_for` and `high_for` (s), and those of too little and too
+    much force `underforce` and `overforce` (s); `here` of WORK becomes 0: the column does not
+    remain in N from the last tick.
 
     Args:
         t: Tick.

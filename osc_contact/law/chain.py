@@ -368,10 +368,10 @@ def _add_object(t):
     """Add the inertia and the bias of the object to those of the chain and of the outboard bodies.
 
     In energy coordinates the inertia Λ_o is the identity, and the wrench that moves the object at
-    η̇ = 0 is, along its principal axes, [√m (ω × v − g); (ω × Iω)/√I] with its mass m, principal
-    moments I, twist (v, ω) and gravity g. Without an object only the bias of the bodies beyond the
-    wrist sensors is added. Reads `axes`, `V_C`, `bias_links`. Adds to `Lambda`, `chain_bias`,
-    `out_T`, `bias_e`; fills `bias_out`.
+    the spatial acceleration a = 0 is, along its principal axes, [√m (ω × v − g); (ω × Iω)/√I] with
+    its mass m, principal moments I, twist (v, ω) and gravity g. Without an object only the bias of
+    the bodies beyond the wrist sensors is added. Reads `axes`, `V_C`, `bias_links`. Adds to
+    `Lambda`, `chain_bias`, `out_T`, `bias_e`; fills `bias_out`.
 
     Args:
         t: Tick.

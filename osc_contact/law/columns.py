@@ -82,8 +82,8 @@ def keep_columns(t):
     Reads `chosen`, `count`, and N and n_γ of the active columns. Fills in WORK `rank` (r), `kept`
     (indices of the independent columns), their `n_gamma`, and in energy coordinates, with the
     columns of N as rows, N = `N_e` and its factors `N_e` = `N_factor` `N_basis`; for each active
-    column its `energy` (N in energy coordinates), `extent` (its norm) and `share` (the magnitudes
-    of the kept columns that have the same wrench as a unit of this one).
+    column its `energy` (N in energy coordinates), `extent` (its norm) and `share` (the wrench of
+    its unit force as a combination of the kept columns).
 
     Args:
         t: Tick.
@@ -130,8 +130,9 @@ def _select_independent(t):
     Each step selects the first column whose part outside the span of the selected ones is at least
     `_PREFERRED_SHARE` times the largest such part; it ends when all these parts are below
     `DEPENDENT`. Reads `energy` and `extent` of the columns. Fills `rank`, `kept` (in ascending
-    order), and `rest` (6,; the part outside the span) and `share` (r,; magnitudes of the kept
-    columns with the same wrench) of the columns.
+    order), and `rest` (6,; the part outside the span) and `share` (r,; the wrench of a unit force
+    as a combination of the kept columns) of the columns, and what `_n_gamma_is_consistent` and
+    `_require_same_body` name.
 
     Args:
         t: Tick.
@@ -227,8 +228,9 @@ def _remove_direction(t, first):
 def _express_columns(t):
     """Express each active column of N as a combination of the kept ones, `energy` = Σ share_a N_a.
 
-    `share` (r,) has the magnitudes of the r kept columns N_a with the same wrench as a unit of the
-    column. Reads `rank`, `kept`, and `energy` and `extent` of the columns; fills `share` of each.
+    `share` (r,) are the coefficients: magnitudes of the r kept columns N_a whose wrenches add up to
+    that of a unit force of the column. Reads `rank`, `kept`, and `energy` and `extent` of the
+    columns; fills `share` of each.
 
     Args:
         t: Tick.
@@ -263,15 +265,17 @@ def _n_gamma_is_consistent(t):
 
     n_γ is the normal acceleration (m/s², rad/s²) that keeps the contact. A column that is the sum Σ
     share_a N_a of kept columns needs Σ share_a n_γa. Reads `n_gamma`, `share`, `extent` (norm in
-    energy coordinates) of the columns. If one does not agree, fills `where` (the column) and
-    `reason_amount` (n_γ of this column as implied by the others).
+    energy coordinates) of the columns. The tolerance of a column is in proportion to its `extent`,
+    as its n_γ is, times the largest of the sums |n_γ| + Σ |share_a n_γa| per extent: the size of
+    what is subtracted, of which rounding leaves a share. If one does not agree, fills `where` (the
+    column) and `reason_amount` (n_γ of this column as implied by the others).
 
     Args:
         t: Tick.
     """
     work = t.work
     columns = work.columns
-    # size of the summands, relative to which rounding errors are judged
+    # size of the summands per extent, relative to which rounding errors are judged
     largest = 0.0
     for j in range(work.count):
         column = columns[work.chosen[j]]
@@ -325,11 +329,10 @@ def _require_same_body(t):
 def spread_magnitudes(t):
     """Distribute forces and speeds of the kept columns to all columns; inactive ones get zero.
 
-    R (r, count) has in each column the magnitudes (`share`) of the r kept columns with the same
-    wrench as a unit of one active column. Of the forces α_all with R α_all = α, those with the
-    least sum of squares are α_all = Rᵀ(RRᵀ)⁻¹α; the speeds are Rᵀ times those of the kept columns.
-    Reads `alpha_meas` (α), `speed` and `share`; fills `alpha` (N) and `speeds` (m/s) for all
-    columns.
+    R (r, count) has the `share` of each active column as a column: its wrench as a combination of
+    the r kept columns. Of the forces α_all with R α_all = α, those with the least sum of squares
+    are α_all = Rᵀ(RRᵀ)⁻¹α; the speeds are Rᵀ times those of the kept columns. Reads `alpha_meas`
+    (α), `speed` and `share`; fills `alpha` (N) and `speeds` (m/s) for all columns.
 
     Args:
         t: Tick.
@@ -355,8 +358,8 @@ def spread_magnitudes(t):
 def square_shares(work, out):
     """Compute RRᵀ (r, r), where R (r, count) has the shares of the active columns.
 
-    A column of R has the magnitudes of the r kept columns of N with the same wrench as a unit of
-    one of the `count` active columns.
+    The share of one of the `count` active columns is the wrench of its unit force as a combination
+    of the r kept columns of N.
 
     Args:
         work: WORK, of which `rank` r, `count`, `chosen` and `share` of the columns are read.

@@ -104,9 +104,9 @@ def command_motion(t):
 # When another step follows before T has passed, a, b and c continue the value, slope and curvature
 # of w. Slow changes of α_d pass unchanged. A contact that becomes active starts from its measured
 # force; in the very first tick it starts from zero, because no force has been measured under
-# control yet. While |w| is a large part of the force the integral is paused: it would treat w as
-# an error. It goes on while a contact is unloaded that leaves the active set, and while the force
-# of a new one rises, because the forces of those that stay are wanted as before.
+# control yet. While |w| is a large part of the force the integral is slowed, then paused: it would
+# treat w as an error. It goes on while a contact is unloaded that leaves the active set, and while
+# the force of a new one rises, because the forces of those that stay are wanted as before.
 #
 # Internal forces are shaped in the same way with a timer of their own, so that tightening a grasp
 # leaves the contact forces unchanged. In the very first tick they equal the desired ones, because
@@ -134,7 +134,8 @@ _SUDDEN_RATE = 20.0  #: 1/s; a desired force that changes faster than this times
 _FADING_RATE = 0.5  #: 1/s; rate at which the size of a former force is forgotten
 #: Share of its desired force from which on a contact shows the tilt of its face.
 _PRESSING_SHARE = 0.3
-#: Share of a force's size; with a larger remainder of a step the integral pauses.
+#: Share of a force's size; with a larger remainder of a step the integral pauses, with a smaller
+#: one it is slowed in proportion.
 _PAUSING_SHARE = 0.1
 _RATE_LAG = 0.01  #: s, time constant of the low-pass of α̈_s
 _COMPLIANCE_MEMORY = 2.0  #: s, time constant of forgetting in the estimate of s
@@ -152,8 +153,9 @@ def shape_steps(t, is_custom):
 
     Fills of the columns `goal` (N), `scale` (size of the force, N), `shaped`, `to_come` (a, b, c of
     w, N); of WORK `step_left` (remaining share of the rise time), `step_time` (s), and
-    `integral_scale` (0 … 1), the factor of the integral gain, 0 while w is a large part of some
-    force. Contacts that unload, or that the user has just made active, do not reduce it.
+    `integral_scale` (0 … 1), the factor of the integral gain. It is 1 − x/`_PAUSING_SHARE`, at
+    least 0, with the largest |w| as a share x of the size of its force. Contacts that unload, or
+    that the user has just made active, do not count.
 
     Args:
         t: Tick.
@@ -546,13 +548,14 @@ def keep_steps(t):
     Columns that are not in N are reset; where active contacts are named by the user, the turn and
     its covariance are retained for the next contact with the same face. The lasting speed v̄
     (`drift`) is a low-pass of NᵀV_rel; of a contact that presses, of the part 1 − `slides` of it
-    that is not attributed to an error of the normal. During a step (`integral_scale` = 0) neither
-    v̄ nor the turn of the normal changes; `integral_cut` of MEMORY reduces both rates with K_i.
+    that is not attributed to an error of the normal. The rates of v̄ and of the turn of the normal
+    are multiplied by `integral_scale` and 1 − `integral_cut`, as K_i is: in the large part of a
+    step neither changes.
 
     Reads of the columns in WORK `here` (1 if in N), `goal` (N; of the column α_s, of the table
     α_d), `scale` (size of the force, N), `shaped`, `to_come` (part of the step that is still to
     come), `alpha` (measured force, N), `speeds` (NᵀV_rel, m/s), `slides` and `turned` (see
-    `follow_face`), and `integral_scale` (0 during a step). Changes of the columns in MEMORY
+    `follow_face`), `integral_scale`, and `integral_cut` of MEMORY. Changes of the columns in MEMORY
     `has_desired`, `desired` and `scale` (last desired force and its size, N), `predicted` (force to
     be expected, N), `drift` (v̄, m/s), `to_come`, `turn` (of the normal), the fields that
     `learn_normal` and `_keep_deflections` change, `step_left` (share of the rise time) and

@@ -208,10 +208,14 @@ def _set_torques(t, arm, share, rate):
     """Set torques, their largest steps and the commanded accelerations of an arm that is braked.
 
     Fills `tau` and `step` of the motors (N m, N), and of the joints in MEMORY `acceleration`
-    (rad/s², m/s²), `driven` (0) and, if braking torques are reduced, `hold` (rad, m).
+    (rad/s², m/s²), `driven` and, if braking torques are reduced, `hold` (rad, m). `driven` is 0:
+    nothing shows that a joint must move, so a constant position counts as one at rest, not as a
+    fault. A motor whose torque is not finite keeps the last one, without a reason of its own: the
+    tick was not computed anyway.
 
     Args:
-        t: Tick, with the torques of `_split_torques` in `tau` (carrying) and `rest` (braking).
+        t: Tick, with the torques of `_split_torques` in `tau` (carrying) and `rest` (braking) of
+            the joints, and `acceleration`, which `rest` gives them.
         arm: ARM row.
         share: part of the braking torques that the motors can exert; below 1 the positions to be
             held follow the joints.
@@ -223,7 +227,7 @@ def _set_torques(t, arm, share, rate):
     joints = work.joints
     for j in range(arm.first, arm.end):
         memory.joints[j].acceleration = share * joints[j].acceleration
-        memory.joints[j].driven = 0  # errors of gravity or friction may keep it at rest
+        memory.joints[j].driven = 0  # friction or an error of its weight may keep it at rest
         if share < 1.0:
             memory.joints[j].hold = memory.q[j]
         motor = model.joints[j].motor

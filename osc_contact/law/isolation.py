@@ -22,7 +22,7 @@ _GIVES = 0.5  #: share of `closure_error` by which the gap between two stopped a
 _WEIGHED = 0.1  #: s after a stop in which the wrist of an arm shows that it has let go
 _SPEED_SHARE = 0.2  #: share of the positions' error at which an estimated speed is faulty
 DEAD = 0.01  #: s of identical readings of all joints after which the whole packet is dead
-BLIND = 0.01  #: s without a sound reading after which a joint cannot be braked
+BLIND_TIME = 0.01  #: s without a sound reading after which a joint cannot be braked
 
 
 @inner
@@ -32,10 +32,12 @@ def isolate_joint(t, j):
     1. A reading that stays constant while the joint must have moved is faulty (`is_constant`, and
        for the speed `same_speed` and `moved`).
     2. Otherwise the reading is faulty whose changes the commanded accelerations predicted with the
-       larger error, integrated with forgetting (`blame`; see `sensors`).
-    3. In place of rule 2, speeds that are estimated from positions (`derived`) are faulty if their
-       error exceeds `_SPEED_SHARE` times that of the position, because they follow the predictions
-       more closely than positions do; else the position is.
+       larger error: the speed if `blame` > 0, else the position. `blame` is the integral, with
+       forgetting, of |`surprise_v`| − |`surprise_q`|: these are the errors of the predicted speed
+       against the speed read and against that of the positions (rad/s, m/s; see `sensors`).
+    3. In place of rule 2, a speed that is estimated from positions (`derived`) is faulty if
+       |`surprise_v`| exceeds `_SPEED_SHARE` times |`surprise_q`|, because it follows the
+       predictions more closely than positions do; else the position is.
 
     If the position is constant, joint j alone is marked; a speed that is estimated from a constant
     position is faulty, too. Otherwise nothing is done if the joint has a mark already; and if its
@@ -108,7 +110,8 @@ def isolate_posture(t):
     of such arms is marked. Reads in MEMORY `residual` of the joints (torque that neither model nor
     wrist explains; N m, N) and `centre_rate` (acceleration of the object's centre, m/s²), `net` of
     the arm in WORK (its reading at C less weight and inertia beyond the sensor; N, N m), and its
-    wrench in INPUT. Fills `faulty` of the joints in MEMORY.
+    wrench in INPUT. Nor is any marked while speeds are not estimated from positions (`derived` =
+    0). Fills `faulty` of the joints in MEMORY.
 
     Args:
         t: Tick of a contradiction between motors and the wrist of an arm, the `culprit` of MEMORY.
@@ -152,8 +155,9 @@ def isolate_arms(t):
     Arms without a wrist sensor do not show whether they hold the object: nothing is marked.
 
     Args:
-        t: Tick, of which `apart`, and `let_go`, `load` and `gap` of the arms in MEMORY are read;
-            `first_gap` of the arms is filled (m, at `_WEIGHED`).
+        t: Tick, of which `state`, `derived`, `cause`, `age` and `apart`, and `let_go`, `load` and
+            `gap` of the arms in MEMORY are read; of the arms `first_gap` (m) follows `gap` until
+            `_WEIGHED`, and `faulty` of the joints is changed.
     """
     model = t.model
     memory = t.memory
@@ -189,7 +193,7 @@ def estimate_joints(t):
     A missing or faulty position is integrated from the speed; a missing or faulty speed is
     estimated from positions and commanded accelerations. Without either reading both are predicted
     from the commands. A joint with a motor cannot be braked reliably if neither reading was sound
-    for `BLIND`; `unbraked` of MEMORY is set to the last such joint, or −1. Before the first
+    for `BLIND_TIME`; `unbraked` of MEMORY is set to the last such joint, or −1. Before the first
     computed tick positions are those last read, and a missing or faulty speed counts as 0.
 
     Args:
@@ -220,8 +224,8 @@ def estimate_joints(t):
         v = clamped(v, model.plausible_speed * table[j].rated)
         memory.q[j] = joint.q if new_q else memory.q[j] + v * dt
         memory.v[j] = v
-        # without a sound reading of either for `BLIND` the joint cannot be braked
-        blind_q = not sound_q or joint.unread_q * dt > BLIND
-        blind_v = not sound_v or joint.unread_v * dt > BLIND
+        # without a sound reading of either for `BLIND_TIME` the joint cannot be braked
+        blind_q = not sound_q or joint.unread_q * dt > BLIND_TIME
+        blind_v = not sound_v or joint.unread_v * dt > BLIND_TIME
         if blind_q and blind_v and table[j].motor >= 0:
             memory.unbraked = j

@@ -274,7 +274,8 @@ def _learn(t, j, sound, rate, inertial, dt):
     Reads of the joint in MEMORY `residual` and the low-passed friction in `means` (N m, N),
     `unbalanced` (s for which motor torques contradict the wrist). Changes `unlearned` (N m, N),
     `rotor` (kg m², kg), the state `friction_known`, and of FRICTION `applied` (share of θ that is
-    compensated), `smooth` (regressors) and the fields of the functions called here.
+    compensated; 0 after a contradiction, as are `evidence` and `unlearned`), `smooth` (regressors)
+    and the fields of the functions called here.
 
     Args:
         t: Tick.
@@ -290,7 +291,7 @@ def _learn(t, j, sound, rate, inertial, dt):
     state = begin_estimate(t, j, missing, dt)
     if state == LEARNED and friction_row.applied < 1.0:
         friction_row.applied = min(
-            friction_row.applied + (dt / _RISE if _all_closed(t) else 1.0), 1.0
+            friction_row.applied + (dt / _RISE if _none_approaching(t) else 1.0), 1.0
         )
     if state == LEARNED or (state == SUSPECTED and t.model.friction_errors):
         aim = missing if row.unbalanced == 0.0 else 0.0  # an error of the wrist sensor is suspected
@@ -426,16 +427,16 @@ def _is_contradicted(t, j, missing, moves, dt):
 
 
 @leaf
-def _all_closed(t):
-    """Determine whether no contact is being approached, which a step of friction would disturb.
+def _none_approaching(t):
+    """Determine whether no contact is being approached: a step of friction would disturb it.
 
     Args:
         t: Tick, of which `phase` of the contacts in MEMORY is read.
     """
-    all_closed = True
+    none_approaching = True
     for c in range(t.model.n_contacts):
-        all_closed = all_closed and t.memory.contacts[c].phase != APPROACHING
-    return all_closed
+        none_approaching = none_approaching and t.memory.contacts[c].phase != APPROACHING
+    return none_approaching
 
 
 @inner

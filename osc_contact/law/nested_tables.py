@@ -35,6 +35,7 @@ def lower_tables(record: type[Type], record_layout: Layout) -> None:
     """
     tables = {name: _Table(record_layout, name) for name in record_layout.tables}
 
+    # the decorator registers the class with numba, which calls it from then on; nothing is returned
     @infer_getattr
     class Tables(AttributeTemplate):
         """Types of the tables."""
@@ -76,7 +77,6 @@ class _Table:
         self._item = dtype.itemsize  #: size of an element (bytes)
         #: index of the layout's word with the offset of the table
         self._start = record_layout.start(name)
-        # each size is the index of a word of the layout, or a constant
         #: each size: index of a word of the layout, or a constant
         self._sizes = [
             record_layout.slot(size) if isinstance(size, str) else WORD(size) for size in sizes

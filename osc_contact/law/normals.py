@@ -80,20 +80,24 @@ def load_normal_estimates(t):
 def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
     """Turn the assumed normal n of a face by the speed along it while a point slides.
 
-        n ← n − κ (NᵀV_rel − v̄) v_t / v_t²,   σ = v_t⁴ / (v_t⁴ + v_1⁴)
+        n ← n − κ (NᵀV_rel − v̄)/|N| g/|g|²,   κ = c dt σ λ,   σ = |g|⁴ / (|g|⁴ + v_1⁴)
 
     NᵀV_rel (m/s) is the measured speed along the normal, v̄ its lasting part, which an error of the
-    normal does not explain, κ the gain of this tick with the factor σ, and v_1 =
-    `_HALF_SLIDING_SPEED`. v_t (3,) is the desired velocity of the point along the face, so neither
-    measurement noise nor a point at rest turns the normal. n stays within the angle `tilt` of the
-    declared normal, in the axes of the object or body that carries the face; a larger deviation
-    changes v̄ instead. On a curved face n is the normal at the point touched: an error δ of a
-    ball's position turns it by −δ/R everywhere.
+    normal does not explain, |N| the length of the column's force. g (3,; m/s) is v_t, the desired
+    velocity of the point along the face; of crossed EDGES the sensitivity of `_shown_by_edges`. κ
+    is the gain of this tick: c dt = `drift_share`, λ (0 … 1) is the share of the speed that an
+    error of the normal explains, and v_1 = `_HALF_SLIDING_SPEED`. So a point at rest does not turn
+    the normal, and the direction in which it is turned has no measurement noise; noise of NᵀV_rel
+    enters with the gain κ. n stays within the angle `tilt` of the declared normal, in the axes of
+    the object or body that carries the face; a larger deviation changes v̄ instead (`slides` = 0).
+    On a curved face n is the normal at the point touched: an error δ of a ball's position turns it
+    by −δ/R everywhere.
 
     Fills of the column `turned` (the normal after this tick less the declared one, `believed`),
-    `slides` (σλ, 0 … 1: share of the speed that turns the normal), `shown` (v_t/|v_t|, in axes of
-    the body that carries the face), `lever` (v_t²; m²/s²), `prior` (3, 3; rad²: covariance of an
-    unknown normal) and `unexplained` (NᵀV_rel − v̄, m/s).
+    `slides` (σλ, 0 … 1: share of the speed that turns the normal), `shown` (g/|g|, in axes of the
+    body that carries the face), `lever` (|g|²; m²/s²), `prior` (3, 3; rad²: covariance of an
+    unknown normal) and `unexplained` ((NᵀV_rel − v̄)/|N|, m/s). Reads `drift_share` and `tilt` of
+    MODEL, and `covariance` and `residual` of the column in MEMORY.
 
     Args:
         t: Tick.
@@ -127,14 +131,14 @@ def follow_face(t, pair, X_WO, X_WE, V_rel, V_goal):
     # σ, reduced by λ: the share of the speed that an error of the normal explains
     expected = square * _quadratic(last.covariance, column.shown)
     column.slides = square * square / (square * square + _HALF_SLIDING_SPEED**4)
-    if expected > 0.0:
+    if expected > 0.0:  # else λ = 1: no estimate yet
         column.slides *= expected / (expected + last.residual)
     # the turned normal, within `tilt` of the declared one
     gain = model.drift_share * column.slides * column.unexplained / max(square, _LEAST_SQUARE)
     normal = add3(plus3(column.believed, column.turn), -gain, v)
     turn = minus3(divided3(normal, sqrt(dot3(normal, normal))), column.believed)
     angle = sqrt(dot3(turn, turn))
-    if angle > model.tilt:
+    if angle > model.tilt:  # at the bound the whole speed changes v̄
         column.slides = 0.0
         turn = scaled3(model.tilt / angle, turn)
     fill3(column.turned, turn)

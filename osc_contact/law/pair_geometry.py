@@ -109,7 +109,7 @@ def _point_on_plane(row, motion, column):
             (3:6), distance of the plane from the body's origin along it (6).
         motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
             and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
-        column: COLUMN_WORK, filled.
+        column: COLUMN_WORK, of which `turn` is read and N and `n_gamma` are filled.
     """
     p = rotated(motion.X_WO, row)
     n = plus3(row[3:], column.turn)
@@ -196,8 +196,8 @@ def _on_surface(shapes, at, motion, column):
         at: index of the first SHAPE row of this surface, see `surfaces`.
         motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
             and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
-        column: COLUMN_WORK, filled: N, n_γ, and `believed`, the declared normal in the axes of the
-            body.
+        column: COLUMN_WORK, of which `turn` is read and N, `n_gamma` and `believed`, the declared
+            normal in the axes of the body, are filled.
     """
     X_WO, _, X_WE, _, V_rel, _ = motion
     p = rotated(X_WO, shapes[at].row)
@@ -231,15 +231,19 @@ def vertex(row, X_WO, X_WE):
 def _face_on_vertex(row, motion, column):
     """Fill N and n_γ of a face of the object on a vertex of the touched body.
 
+    The outward normal n of the object's face points into the body: the force of the object acts
+    along it. N = [n; p × n] through the centre p of a rounded vertex is the same line as through
+    the point of contact, which lies on it, before p by the radius.
+
     Args:
-        row: (16,) unit normal of the face in the object's axes (0:3), vertex in the body's frame
-            (3:6, m), its radius (6, m).
+        row: (16,) outward unit normal of the face in the object's axes (0:3), centre of the rounded
+            vertex in the body's frame (3:6, m), its radius (6, m; not read here).
         motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
             and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
-        column: COLUMN_WORK, filled.
+        column: COLUMN_WORK, of which `turn` is read and N and `n_gamma` are filled.
     """
     X_WO, V_O, X_WE, V_E, V_rel, _ = motion
-    n = rotated(X_WO, plus3(row, column.turn))
+    n = rotated(X_WO, plus3(row, column.turn))  # outward of the object: into the body
     p = vertex(row, X_WO, X_WE)
     fill_line(column.N, p, n)
     rate = _rate(p, n, velocity_at(V_E, p), cross(V_O[3:], n))
@@ -313,7 +317,7 @@ def _edges(row, motion, column):
             ±e × f; with 0 the outward normal determines it.
         motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
             and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
-        column: COLUMN_WORK, filled.
+        column: COLUMN_WORK, of which `turn` is read and N and `n_gamma` are filled.
     """
     X_WO, V_O, X_WE, V_E, V_rel, _ = motion
     e = rotated(X_WO, row[3:])
@@ -375,7 +379,7 @@ def _tangents(pair, shapes, motion, columns):
             object's axis, 10 the pitch (m/rad) and cos the cosine between both axes.
         motion: `Motion`: poses X_WO, X_WE (4, 4) of object and touched body, twists V_O, V_E (6,)
             and V_rel = V_O − V_E at O, and whether motions of touched bodies are measured.
-        columns: COLUMN_WORK rows, filled.
+        columns: COLUMN_WORK rows, of which N and `n_gamma` are filled.
     """
     X_WO, V_O, X_WE, V_E, V_rel, _ = motion
     # Ṫβ: slides turn with the body, axes of rotation with the object

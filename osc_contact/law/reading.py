@@ -69,9 +69,9 @@ def add_friction(t):
     """Add friction to the r kept columns of N, the wrenches of unit contact forces: N_μ.
 
     Column a of N_μ is that of N plus Σ_j share_ja F_j, where F_j is the friction wrench of a unit
-    force of the active column j, and share_ja the magnitude of the kept column a in a unit of j.
-    Reads `N_e`, and `share` and `friction_wrench` of the active columns. Fills `friction_wrenches`
-    (r, 6; at O, in world axes) and `pushed`, N_μ in energy coordinates (r, 6).
+    force of the active column j, and share_ja the coefficient of the kept column a in the wrench of
+    j. Reads `N_e`, and `share` and `friction_wrench` of the active columns. Fills
+    `friction_wrenches` (r, 6; at O, in world axes) and `pushed`, N_μ in energy coordinates (r, 6).
 
     Args:
         t: Tick.
@@ -123,9 +123,10 @@ def object_wrench(t, k, reading):
 def sum_readings(t):
     """Sum the wrenches that all wrists read, and subtract tare and bias.
 
-    The bias is the wrench that moves the bodies beyond the sensors at q̈ = 0. Reads `wrenches` of
-    INPUT, `filter` of the arms and `bias_e`. Fills `f_meas` (the sum less tare, at O, in world
-    axes; N, N m) and `reading_e`, f_meas less bias in energy coordinates.
+    The bias is the wrench that moves the bodies beyond the sensors at a = 0 of the object
+    (`bias_out` of `records`). Reads `wrenches` of INPUT, `f_tare` of MEMORY, `filter` of the arms,
+    `axes`, `p_C`, `p_O` and `bias_e`. Fills `f_meas` (the sum less tare, at O, in world axes; N, N
+    m) and `reading_e`, f_meas less bias in energy coordinates.
 
     Args:
         t: Tick.
@@ -157,7 +158,7 @@ def measure_magnitudes(t):
         t: Tick.
 
     Returns:
-        False if Λ_out is singular.
+        False if Λ_out or D is singular.
     """
     work = t.work
     r = work.rank
@@ -174,6 +175,7 @@ def measure_magnitudes(t):
         return False
     bias_acceleration = local(6)  # Qᵀσ, zero of a held object
     bias_acceleration[:] = 0.0
+    # 1.0: bodies beyond the sensors have inertia
     return _solve_magnitudes(t, response, six(work.reading_e), bias_acceleration, 1.0)
 
 
@@ -238,16 +240,18 @@ def _measure_at_tip(t):
     """Compute α (r,; N) of an arm that holds no object, from the motions S of its tip alone.
 
     The tip accelerates by a = Sη̇ + σ, where S (6, d) are its free motions and σ (6,) the
-    acceleration by the rotation of S. Hence S(SᵀΛ_outS)⁻¹Sᵀ takes the place of Λ_out⁻¹ in
-    `measure_magnitudes`, and f − Λ_outσ that of the wrench f, with the inertia Λ_out beyond the
-    sensor. Without inertia there, the reading is the contact wrench. Reads `sigma` and `locked`,
-    and the fields that `measure_magnitudes` reads; fills the same fields.
+    acceleration by the rotation of S. With the inertia Λ_out beyond the sensor and the reading f
+    less bias, `_solve_magnitudes` is called with S(SᵀΛ_outS)⁻¹Sᵀ in place of Λ_out⁻¹, f − Λ_outσ in
+    place of f, and Qᵀσ, where Q (6, r) is the basis of the contact forces. Without inertia beyond
+    the sensor the reading is the contact wrench. Reads `sigma` and `locked`, and the fields that
+    `measure_magnitudes` reads; fills the same fields, of which the caller has set `weightless` to
+    0.
 
     Args:
         t: Tick.
 
     Returns:
-        False if the outboard inertia along S, or D, is singular.
+        False if SᵀΛ_outS is singular, or the mobility D of `_solve_magnitudes` is.
     """
     work = t.work
     r = work.rank
@@ -262,6 +266,7 @@ def _measure_at_tip(t):
         for a in range(r):
             bias_acceleration[a] = 0.0
             fill(response[a], work.N_basis[a])
+        # 0.0: without inertia accelerations do not matter
         return _solve_magnitudes(t, response, six(work.reading_e), bias_acceleration, 0.0)
     # S by rows, the inertia SᵀΛ_outS, and QᵀS(SᵀΛ_outS)⁻¹ with the basis Q of the contact forces
     S = local(6, 6)

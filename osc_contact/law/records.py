@@ -560,11 +560,14 @@ _WORK = _record(
         "step_time",  # s, its rise time
         "squeeze_left",  # the same of internal forces
         "squeeze_time",
-        "integral_scale",  # factor of the gain of force integrals, 0 during a step
+        "integral_scale",  # 0 … 1, factor of K_i during a step, see `commands.shape_steps`
     ),
     # contiguous, as recordings copy them together
     f_meas=6,  # sum of the wrist readings less tare
-    bias_out=6,  # wrench that moves the bodies beyond the wrist sensors at η̈ = 0
+    # wrench that moves the bodies beyond the wrist sensors at a = 0, a the spatial acceleration of
+    # the object: their weight and velocity products. Joints accelerate by `offset` then, q̈ is not
+    # 0. Without contact the readings are Λ_out a + bias_out.
+    bias_out=6,
     V_O=6,  # twist of the object at O
     X_WO=(4, 4),  # pose of the object
     f_c=6,  # N α_meas
@@ -579,7 +582,7 @@ _WORK = _record(
         "V_D",  # reference of the last computed tick, with X_WD and A_D
         "A_D",
         "V_C",  # twist of the object at C
-        "bias_links",  # wrench of the bodies beyond the wrist sensors at q̈ = 0, at C
+        "bias_links",  # sum of `bias` of the arms that are not `filtered`, at C
         "bias_e",  # bias_out _e
         "chain_bias",  # μ + p of object and arms, _e, then _t
         "sigma",  # σ, acceleration of the object at η̇ = 0; _e, then _t
@@ -635,7 +638,7 @@ ARM_WORK = _record(
         "reading",  # of its wrist
         "V",  # twist of the tip at C
         "drift",  # of the tip at C
-        "bias",  # wrench of the outboard bodies at q̈ = 0, at C
+        "bias",  # wrench of the outboard bodies at q̈ = 0, at C; overwritten if `filtered`
         "gamma",  # drift, _e
         # of lost directions, see `singular.find_lost`
         "chi",  # χ, distance from the singular posture
@@ -658,7 +661,7 @@ JOINT_WORK = _record(
         "q",  # rad, m
         "v",  # rad/s, m/s
         "h",  # C v + g (N m, N)
-        "tau",  # commanded torque (N m, N)
+        "tau",  # commanded torque (N m, N); of a hold the one that carries arm and object
         "rest",  # τ_0, torque without command; of a hold the braking torque
         "offset",  # −J̄ᵀγ, acceleration of the joint at a = 0
         "acceleration",  # q̈ under the command
@@ -709,7 +712,7 @@ COLUMN_WORK = _record(
         "friction_wrench",  # μ [s; p × s], at O
         "energy",  # N _e
         "rest",  # part outside the span of the columns that are kept so far, _e
-        "share",  # magnitudes of the kept columns with the same wrench
+        "share",  # the wrench of its unit force as a combination of the kept columns
     ),
 )
 BAR_WORK = _record(number=("goal", "scale"), to_come=3)  #: commanded force (N), size, step

@@ -13,14 +13,20 @@ _ROOM = 1e-7  # relative tolerance of the bounds for a refined solution
 def refine(p, slack):
     """Compute the solution `point` again, with the active limits as equations.
 
-    The program is min |rowsᵀz|² with lower ≤ (z, A z) ≤ upper, with v variables z, of which `rows`
-    (v, w) and A (k, v) have the coefficients. This least-squares problem has the square root of the
-    condition number of the Hessian H = rows rowsᵀ, so `point` is more accurate than the solver's z.
-    Limits are active where the solver's multipliers are not 0. Variables at a limit are fixed,
-    active limits of A z are eliminated one by one by a reflection of the free variables, and the
-    rest is solved by QR. `_eliminate_limits` fills `y` with the values of eliminated variables, and
-    `normals` and `bend` with the reflections. Fills `point` (v,); the other tables that this module
-    fills are scratch.
+    The program is min |rowsᵀz|² with lower ≤ (z, A z) ≤ upper. z are v variables: changes of the
+    motors' torques, then the slack variables; `rows` (v, w) are their coefficients in the w
+    residuals, A (k, v) those in the k contact forces that have limits. This least-squares problem
+    has the square root of the condition number of the Hessian rows rowsᵀ, so `point` is more
+    accurate than the solver's z. Limits are active where the solver's multipliers are not 0:
+
+    1. Variables at a limit are fixed, which leaves f free ones, with the coefficients `reduced`;
+       the constant part of residuals and forces is `offset` (`_fix_variables`).
+    2. Each active limit of A z determines one more variable after a reflection of the free ones
+       (`_eliminate_limits`).
+    3. The rest is solved by QR, and the reflections are reversed.
+
+    Reads `rows`, A, `lower`, `upper` and `lam`. Fills `point` (v,); the other tables that this
+    module fills are scratch.
 
     Args:
         p: PROGRAM with the solver's multipliers `lam` (v + k,) of z and A z: > 0 at an upper bound,
@@ -38,7 +44,7 @@ def refine(p, slack):
     A = matrix(p.A, 0, k, v)
     y = p.y
     target = p.offset
-    f = _fix_variables(p, A, v, w)  # number of free variables
+    f = _fix_variables(p, A, v, w)  # number of free variables; `offset` is that of the residuals
     eliminated = _eliminate_limits(p, v, w, f)
     remaining = p.reduced[eliminated:]
     if not qr_rows(remaining, f - eliminated, w, p.diagonal, p.beta):
@@ -103,7 +109,8 @@ def _eliminate_limits(p, v, w, f):
     limit to the first of the remaining variables, whose value then follows from the bound alone.
     Dependent limits are skipped. Fills `normals` (rows n, each followed by scratch) and `bend` (β)
     of the reflectors, and `y` (values of the eliminated variables); applies the reflectors to
-    `reduced` (f, w + k), and adds the products of the eliminated values to `offset` (w + k,).
+    `reduced` (f, w + k), and adds the products of the eliminated values to `offset` (w + k,). `mix`
+    and `diagonal` are scratch.
 
     Args:
         p: PROGRAM after `_fix_variables`.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from math import isfinite
 
-from osc_contact.law.isolation import BLIND, DEAD, is_constant, isolate_joint
+from osc_contact.law.isolation import BLIND_TIME, DEAD, is_constant, isolate_joint
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.plausibility import find_jumps
 from osc_contact.law.reasons import NO_REASON, declare_reason
@@ -96,7 +96,7 @@ def check_sensors(t):
     integral is not checked if speeds are estimated from positions, because it would contain lasting
     errors of the model. WRIST_FROZEN: a wrist in contact is constant for too long;
     WRIST_SATURATED: one of its six numbers is. FROZEN: the readings of all joints are, which were
-    noisy before (`_check_packet`). MIXED: several joints jump in each packet for `BLIND`.
+    noisy before (`_check_packet`). MIXED: several joints jump in each packet for `BLIND_TIME`.
 
     A later reason replaces an earlier one: wrists, jumps, joints, packet. If a joint is at fault
     while all joints have read the same for `DEAD`, the packet is dead, and all joints are faulty.
@@ -144,7 +144,7 @@ def check_sensors(t):
 
 @inner
 def _check_jumps(t):
-    """Return MIXED if positions or speeds of several joints have jumped in each packet for `BLIND`.
+    """Return MIXED if readings of several joints have jumped in each packet for `BLIND_TIME`.
 
     Calls `find_jumps` if that was not called in this tick; sets `looked` of WORK to 0.
 
@@ -158,7 +158,7 @@ def _check_jumps(t):
     if work.looked == 0:
         find_jumps(t)
     work.looked = 0
-    if max(work.jumps, work.speed_jumps) > 1 and t.memory.mixed > BLIND:
+    if max(work.jumps, work.speed_jumps) > 1 and t.memory.mixed > BLIND_TIME:
         return MIXED, work.jumped if work.jumps > 1 else work.speed_jumped
     return NO_REASON, -1
 

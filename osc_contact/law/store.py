@@ -29,7 +29,9 @@ def _digest(key: str, content: bytes) -> bytes:
 
 
 class Store:
-    """Cached results by key; empty if the folder is not writable, or writable by other users.
+    """Cached results by key; empty if other users may write to the folder.
+
+    A folder that is not writable is read; nothing is added to it.
 
     Attributes:
         folder: folder of the files, made when the first result is stored.
@@ -86,9 +88,9 @@ class Store:
         require_private(self.folder)
 
     def remove_old(self, limit: int) -> None:
-        """Remove the least recently used results, by the times at which their files changed.
+        """Remove the least recently used results, by the times of their files, which `find` renews.
 
-        Errors are ignored: another process may remove the same files.
+        An error ends the removal silently: another process may remove the same files.
 
         Args:
             limit: number of results that remain.

@@ -324,12 +324,21 @@ def measure(t):
 def set_desired_forces(t, flags):
     """Compute the desired forces of the kept columns from the goals of all columns.
 
-    Steps are shaped and oscillating contacts braked, except with a force law of the user. Gains are
-    reduced by `integral_cut` of MEMORY, except those of holds at zero force. Fills `alpha_d` (r,)
-    and `felt` (r,), the measured force that the integral compares with it (of an approaching
-    contact the force K_a NᵀV_rel of its speed law); changes `gain` (K_i, 1/s), `brake` (m/s²) and
-    `damping` (K_v, N s/m). Reads `goal` (N) and `share` (r,; magnitudes of the kept
-    columns with the same wrench) of the active columns, and `alpha_meas` (r,; N).
+    Steps of contact forces are shaped, and the brake decelerates contacts, except with a force law
+    of the user. Steps of internal forces are always shaped, and `brake_contacts` is always called,
+    because it also determines on which faces the normal is not turned.
+
+    Gains K_i are multiplied by `integral_scale` and, except those of holds at zero force, by 1 −
+    `integral_cut` of MEMORY. Of a contact that is being approached, while the active columns of N
+    are independent, K_i is `APPROACH_GAIN` instead, and the integral compares the force K_a
+    NᵀV_rel of its speed law with the desired force in place of the measured one.
+
+    Reads `goal` (N) and `share` (r,; the wrench of a unit force as a combination of the kept
+    columns) of the active columns, `alpha_meas` (r,; N), `speed` (r,; m/s), `integral_scale`, and
+    `phase` of the contacts. Fills `alpha_d` (r,; N) and `felt` (r,; N), the force that the
+    integral compares with it; changes `gain` (K_i, 1/s), `brake` (to m/s²; 0 with a force law of
+    the user) and `damping` (K_v, N s/m; 0 with a force law of the user, except in approaches), and
+    the fields that `shape_steps`, `shape_squeeze` and `brake_contacts` name.
 
     Args:
         t: Tick.
@@ -341,9 +350,9 @@ def set_desired_forces(t, flags):
     shape_steps(t, users_own)
     shape_squeeze(t)
     brake_contacts(t)
-    are_independent = work.rank == work.count
+    are_independent = work.rank == work.count  # else no column is that of one contact alone
     for a in range(work.rank):
-        s = 0.0
+        s = 0.0  # α_d of this column: Σ_j share_ja goal_j
         for j in range(work.count):
             column = columns[work.chosen[j]]
             s += column.share[a] * column.goal
@@ -351,10 +360,10 @@ def set_desired_forces(t, flags):
         work.gain[a] *= work.integral_scale
         if not holds_at_zero(t, work.kept[a]):  # its gains have their own margin
             work.gain[a] *= 1.0 - t.memory.integral_cut
-        work.brake[a] = 0.0 if users_own else work.brake[a]
+        work.brake[a] = 0.0 if users_own else work.brake[a]  # the user's law has its own brake
         is_approached = contact_of(t, work.kept[a]).phase == phases.APPROACHING
         work.felt[a] = work.alpha_meas[a]
-        if is_approached and are_independent:
+        if is_approached and are_independent:  # its integral controls the speed of the approach
             work.gain[a] = phases.APPROACH_GAIN
             work.felt[a] = work.damping[a] * work.speed[a]
         if users_own and not is_approached:  # the user's force law includes its own damping

@@ -138,9 +138,8 @@ class Watched(NotedTruths):
     def note(self) -> None:
         """Append the judge's present truth as a row of numbers.
 
-        The row has the poses of the object and of each touched body (3×4, by rows), the twist of
-        the object (6), 1 if bodies move, then for each contact 1 if closed, and the contact forces
-        (N).
+        The row has X_WO and the X_WE of each contact (3×4 by rows; the identity if no body moves),
+        V_O (6), 1 if bodies move else 0, `closed` (contacts,; 1 or 0) and α (r,; N).
         """
         truth = self._judge.truth()
         faces = truth.X_WE or (pin.SE3.Identity(),) * len(self._contacts)

@@ -31,8 +31,9 @@ class Sensed:
         V: (6,) its twist (m/s, rad/s).
         aim: pose that the plan commands.
         V_D: (6,) twist that it commanded in the last tick.
-        wrench: (6,) measured wrench of the object on what it touches, low-passed with 5 ms (N,
-            N m).
+        wrench: (6,) wrist readings less tare and less `bias_out`, low-passed with 5 ms (N, N m):
+            the wrench of the object on what it touches, and the inertial force Λ_out a of all
+            bodies beyond the wrist sensors.
         forces: measured force of each contact of the controller by name, the sum over its columns
             of N, low-passed with 5 ms (N); 0 where it is not active.
         phases: phase of each contact by name.
@@ -118,9 +119,11 @@ class Senses:
     def read(self) -> Sensed:
         """Update the signals from the controller's last tick, and return them.
 
-        The wrench is the wrist readings less their prediction without contact, at O in world axes
-        (N, N m); it and the forces (N) are low-passed: a signal moves by `_share` of its distance
-        to the new value. They are unchanged if no tick has been computed yet.
+        Updated are X, V, `wrench`, `forces`, `phases` and N; the other signals belong to the plan,
+        which sets them. The wrench is f_meas − bias_out, at O in world axes (N, N m): readings less
+        those without contact at zero acceleration of the object, so that inertial forces remain. It
+        and the forces (N) are low-passed: a signal moves by `_share` of its distance to the new
+        value. Nothing is updated if no tick has been computed yet.
         """
         controller = self._controller
         if not controller.records.memory.ticked:

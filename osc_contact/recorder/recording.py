@@ -514,15 +514,18 @@ class Recording:
 
     @classmethod
     def load(cls, path: StrPath) -> Recording:
-        """Read a file written by `save`, and the files of its times and events if they are there.
+        """Read a file written by `save`, and those of its times and events beside it.
 
-        Checksums are verified, nothing is unpickled; large channels stay in the file.
+        Checksums are verified, nothing is unpickled; large channels stay in the file. Files of
+        times and events may be missing, and are ignored if they belong to another recording; a
+        damaged file of events is ignored, too.
 
         Args:
             path: path of the file.
 
         Raises:
-            RecordingError: there is no such file, or it is damaged or not a recording.
+            RecordingError: there is no such file, it is damaged or not a recording, or the file of
+                its times is damaged.
         """
         source = Path(path)
         if source.suffix == ".mcap":
@@ -532,15 +535,19 @@ class Recording:
             )
         content, columns = _read(source)
         meta = content["meta"]
+        # all channels in their order before `save` set those of the clock apart
         order = content.get("order", list(columns))
         times_file = _times_file(source)
         if times_file.is_file():
             times_content, times = _read(times_file)
+            # else it has the times of another recording, beside which this file was copied
             if times_content.get("of") == checksum(source):
                 columns |= times
                 if isinstance(meta, dict):
+                    # measured times only: no other entry of `meta` is replaced
                     meta_times = times_content["meta"].items()
                     meta |= {key: value for key, value in meta_times if key in _CLOCK_META}
+        # `order` may name times that are missing; a later duplicate in `names` has no effect
         names = [*(name for name in order if name in columns), *columns]
         recording = cls(meta, {name: columns[name] for name in names})
         recording.events = _read_events(source)

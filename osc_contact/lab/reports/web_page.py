@@ -410,7 +410,8 @@ class _Drawn:
     """Scene at the start, with the body of MuJoCo that each moving node is fixed to.
 
     Attributes:
-        bodies: name of the body of each moving node.
+        bodies: {"body": name} for each node that moves with a body of MuJoCo; nodes at rest, and
+            those that move otherwise, such as the axes of twists, have no entry.
     """
 
     def __init__(self, rig: Rig, plant: MujocoPlant, compares: bool) -> None:
@@ -424,6 +425,7 @@ class _Drawn:
         self._compares = compares  #: whether plots have curves of a selection law, too
         self._rig = rig  #: rig of the scenario
         self._plant = plant  #: plant of the scene
+        # channels at the start: the first tick of a run of two
         first = samples_at(
             run(rig.scenario, duration=2.0 / rig.scenario.control.rate).channels, slice(1)
         )
@@ -454,11 +456,11 @@ class _Drawn:
         self.bodies = [{"body": node["body"]} for node in self._nodes]
 
     def _body_of_node(self, path: str) -> str:
-        """Name of the body of MuJoCo that a node moves with; empty for a node at rest.
+        """Name of the body of MuJoCo that a node moves with; empty if there is none.
 
-        Nodes that move are bodies/NAME/base of the object and of each body, which MuJoCo names
-        object and face0, face1, …, and arms/ARM/JOINT of links, whose body is that of the joint
-        ARM/JOINT.
+        Nodes that move with bodies are bodies/NAME/base of the object and of each body, which
+        MuJoCo names object and face0, face1, …, and arms/ARM/JOINT of links, whose body is that of
+        the joint ARM/JOINT. Nodes at rest and all others, such as the axes of twists, have none.
 
         Args:
             path: path of the node in the scene.

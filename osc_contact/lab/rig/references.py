@@ -57,7 +57,9 @@ def force_names(scenario: Scenario) -> list[str]:
 def force_steps(scenario: Scenario) -> list[float]:
     """Times at which a desired contact force jumps (s), in order; forces settle after them.
 
-    The engagement of contacts after a tare is such a step, too.
+    Without contact phases (`control.life`) the engagement of contacts after a tare is such a step,
+    too: all desired forces begin at once. With phases a force begins when its contact closes, which
+    the run decides.
 
     Args:
         scenario: scenario with the signals of its forces.

@@ -468,7 +468,10 @@ def _rigid_plant(rig: Rig, seed: int) -> Plant:
 def _noted_wrenches(scenario: Scenario, pairs: Sequence[ContactPair]) -> ReadsTruth:
     """Make the reader of rows of wrenches that a plant of a scenario recorded.
 
-    The reader needs the rails of the faces and the inertia of the object in its own frame.
+    The reader needs the rails of the faces and, in its own frame, the inertia of the object: a
+    wrench is distributed over the columns of the contacts by least squares in the accelerations
+    that they would cause of the free object. The inertia is that of the plant, which of all model
+    errors has only the hidden mass.
 
     Args:
         scenario: scenario of the run.
