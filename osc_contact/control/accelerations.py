@@ -18,10 +18,10 @@ def expected_acceleration(controller: Controller) -> Array:
     The law commands η̇_c and assumes the contact forces α_u. If the measured forces α_meas differ
     from them, the object accelerates by η̇_c + (Λ_S + SᵀJ̄ᵀD J̄S)⁻¹SᵀN_μ(α_u − α_meas) instead; the
     second term follows oscillations of a contact. D (n, n) is the diagonal matrix of
-    `_friction_inertia`: identified friction of the joints slows an oscillation as additional
-    inertias of the joints would. The term is omitted if no contact is in N, if the tick was held,
-    and near singular postures. Other accelerations by friction and model errors are not included;
-    the velocity estimate has to track them.
+    `_friction_inertia`: friction of the joints slows an oscillation as additional inertias of the
+    joints would. The term is omitted if no contact is in N, if the tick was held, and near singular
+    postures. Other accelerations by friction and model errors are not included; the velocity
+    estimate has to track them.
 
     See docs/tuning.md#estimated-velocities.
 
@@ -56,10 +56,10 @@ def expected_acceleration(controller: Controller) -> Array:
 
 
 def _friction_inertia(controller: Controller) -> Array:
-    """Express the identified joint friction as an additional inertia (n,) (kg m², kg).
+    """Express friction of the joints as an additional inertia (n,) (kg m², kg).
 
     A joint that oscillates with a contact at the time constant `_SWINGS` and the speed `_SLOW` is
-    slowed by friction as by this inertia.
+    slowed by friction as by this inertia. The friction is the identified one, or the model's.
     """
     dry, viscous = controller.joint_friction.T
     return np.asarray((viscous + dry / _SLOW) * _SWINGS)

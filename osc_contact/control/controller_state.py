@@ -179,10 +179,11 @@ class ControllerState:
         return np.array(self.records.work.joints.acceleration)
 
     def residual_wrench(self) -> Array:
-        """Wrist reading (6,) of the last tick, without tare, minus the model's prediction at rest.
+        """Wrist reading (6,) of the last tick, without tare, less `bias_out`.
 
-        It is at O in world axes (N, N m). Its mean at rest without contact is the tare, to be
-        stored in `f_tare`: once contact is made, weight errors cannot be distinguished from contact
+        It is at O in world axes (N, N m); `bias_out` is what the model predicts without contact at
+        zero acceleration of the object. Its mean at rest without contact is the tare, to be stored
+        in `f_tare`: once contact is made, weight errors cannot be distinguished from contact
         forces.
         """
         result = self.result()
@@ -205,8 +206,9 @@ class ControllerState:
 
     @property
     def joint_friction(self) -> Array:
-        """Identified Coulomb (N m; N) and viscous friction (N m s/rad; N s/m) of joints, (n, 2).
+        """Coulomb (N m; N) and viscous friction (N m s/rad; N s/m) of joints, (n, 2).
 
+        It is the identified friction, of a joint whose identification has not begun the model's.
         The columns are arguments of `Arm`, friction and damping, for the start of another session.
         """
         model = self.settings.chain.model

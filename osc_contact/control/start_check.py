@@ -35,8 +35,9 @@ class StartCheck:
         done: True once all checks are completed.
         refused: sentence on a failed check, because of which the controller does not run; else
             empty.
-        readings: (6,) wrist readings less the model's prediction, at O (N, N m), one for each tick.
-        expected: (6,) prediction of the model in the last tick (N, N m).
+        readings: (6,) wrist readings less `bias_out` and less the inertial force of the desired
+            acceleration, at O (N, N m), one for each tick.
+        expected: (6,) `bias_out` of the last tick (N, N m).
     """
 
     def __init__(self) -> None:

@@ -38,7 +38,8 @@ class Idle:
     def count(self, settings: Settings, alpha_d: Array) -> bool:
         """Count a tick without engaged contacts; return True if the warning is to be logged now.
 
-        A tick without a desired force sets the count to zero.
+        A tick without a desired force sets `ticks`, the count, to zero. The warning is due once,
+        after `PATIENCE_S`.
 
         Args:
             settings: settings of the controller.

@@ -135,7 +135,9 @@ def _refine_pivot(t, e):
     E are the conditions on the torques that are appended to G τ = f_S, the one on the object's
     force; a pivot is the square, in the metric R⁻¹, of the part of a condition that the conditions
     before it do not determine. This part (`rest`, n numbers) is computed itself, and projected once
-    more on the conditions before it, so that the pivot is not a difference of large numbers.
+    more on the conditions before it, so that the pivot is not a difference of large numbers. Fills
+    `rest` of WORK; corrects row 6 − m + e of `factor`, with m `locked` axes; `multipliers` and
+    `rest_weighed` are scratch.
 
     Args:
         t: Tick.

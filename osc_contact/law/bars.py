@@ -407,10 +407,10 @@ def internal_rows(t, d):
     E_e (n,) is the force of the e-th combination of bars, a column of `basis` (bars, s), per torque
     of each joint; the side is the commanded force plus E_e(h + M q̈), with the torques `inertial`
     that move the arms, less E_e τ_0, where τ_0 = `rest` are the torques without command. Reads
-    `commanded`, R and p of the joints, `resisted` of the arms, `inertial` and `rest` of the joints,
-    `goal` of the internal forces (N). Fills `points` (k, 3; m), the forces `carried` by structures
-    of the arms (rows of three) and their arms `owners`, the fields of `settable_bars`, rows of
-    `extra` (E) and of `sides`.
+    `commanded`, `axes`, R and p of the joints, `resisted` of the arms, `inertial` and `rest` of the
+    joints, `goal` of the internal forces (N). Fills `points` (k, 3; m), the forces `carried` by
+    structures of the arms (rows of three) and their arms `owners`, the fields of `settable_bars`,
+    rows of `extra` (E) and of `sides`.
 
     Args:
         t: Tick.

@@ -193,7 +193,8 @@ def _follow_centre(t):
     """Acceleration (three numbers, m/s²) of the object's centre of mass, low-passed.
 
     It is the difference quotient of the velocity, with the low-pass of the joint accelerations in
-    `joint_friction`.
+    `joint_friction`. Updates in MEMORY `centre_rate` (the result) and `centre_speed` (velocity of
+    this tick, m/s).
 
     Args:
         t: Tick.

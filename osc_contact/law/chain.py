@@ -71,11 +71,12 @@ _GEOMETRY = 0.1  #: error of a twist by the arms' geometry, relative to that by 
 def solve_chain(t):
     """Solve kinematics and dynamics of the closed chain of object and arms; return a reason.
 
-    Reads q and v of INPUT, and the last pose of the object in MEMORY if no arm holds it rigidly.
-    Fills of the object `X_WO`, `p_O`, `p_C`, `axes`, `V_C`, `V_O`; of object and arms, in energy
-    coordinates that are turned if `locked` > 0, `Lambda`, `effort`, `chain_bias`, `sigma`,
-    `reflectors`, `beta`, `locked`; of all bodies beyond the wrist sensors `out_T`, `bias_e`,
-    `bias_out`; `n_lost`; and ARM_WORK and JOINT_WORK of all arms.
+    Reads q and v of INPUT, and in MEMORY `given` and, if no arm holds the object rigidly, its last
+    pose `X_WO`, or twist `V_O` if that is an input. Fills of the object `X_WO`, `p_O`, `p_C`,
+    `axes`, `V_C`, `V_O`; of object and arms, in energy coordinates that are turned if `locked` > 0,
+    `Lambda`, `effort`, `chain_bias`, `sigma`, `reflectors`, `beta`, `locked`; of all bodies beyond
+    the wrist sensors `out_T`, `bias_links`, `bias_e`, `bias_out`; `n_lost` (lost directions of all
+    arms); `locked_rows`; and ARM_WORK and JOINT_WORK of all arms.
 
     Args:
         t: Tick.
@@ -158,8 +159,8 @@ def _move_object(t, is_input):
     """Compute the twist of the object, `V_C` at C and `V_O` at O (m/s, rad/s, world axes).
 
     If no grasp permits motions it is that of the first arm's tip, else it follows from the velocity
-    conditions of all grasps (`find_twist`). Reads V of the arms, and `V_O` of MEMORY if the twist
-    is an input.
+    conditions of all grasps (`find_twist`). Reads V of the arms, `p_C` and `p_O`, and `V_O` of
+    MEMORY if the twist is an input.
 
     Args:
         t: Tick after `move_arm` of all arms.
@@ -191,8 +192,8 @@ def _combine_twists(t):
 
         K = P (P + G_i)⁻¹,   V ← V + K (V_i − V),   P ← P − K P
 
-    All are in energy coordinates. Reads `axes`, V of the arms and J of the joints. Updates `V_C`
-    and `V_O`.
+    All are in energy coordinates. Reads `axes`, `p_C`, `p_O`, V of the arms and J of the joints.
+    Updates `V_C` and `V_O`.
 
     Args:
         t: Tick.
@@ -257,10 +258,11 @@ def _add_arm(t, arm, arm_work, row):
     tip at q̈ = 0. All are in energy coordinates.
 
     Reads `axes` and `V_C`. Fills of ARM_WORK `gamma` (γ; `drift` is γ in world axes), `resisted`
-    (its locked wrenches), `wide` (1 with redundant joints), and the fields of the functions called
-    here; J, J̄, `offset` −J̄γ and `h` of its joints; `locked_rows` (each a locked wrench, then the
-    acceleration γ along it). Adds to `Lambda`, `effort`, `chain_bias`, and for the bodies beyond
-    its wrist sensor to `out_T`, `bias_e` and `bias_links`.
+    (its locked wrenches), `wide` (1 with redundant joints), `n_lost` (0 unless `find_lost` is
+    called), and the fields of the functions called here; J, J̄, `offset` −J̄γ and `h` of its
+    joints; `locked_rows` (each a locked wrench, then the acceleration γ along it). Adds to
+    `Lambda`, `effort`, `chain_bias`, and for the bodies beyond its wrist sensor to `out_T`,
+    `bias_e` and `bias_links`.
 
     Args:
         t: Tick.
@@ -343,8 +345,8 @@ def _add_outboard(t, arm, arm_work):
 
     I J (6, n) has the wrench of these bodies per acceleration of each joint: their inertia I times
     the Jacobian J. With the inertia-weighted inverse J̄ (n, 6) of the Jacobian and the drift γ (6,)
-    of the tip, the inertia Λ_out increases by I J J̄, and the bias by −I J J̄ γ. Reads `bias` and
-    `gamma` of the arm, J̄ and `outboard` (I J) of its joints; I J is converted to energy
+    of the tip, the inertia Λ_out increases by I J J̄, and the bias by −I J J̄ γ. Reads `axes`,
+    `bias` and `gamma` of the arm, J̄ and `outboard` (I J) of its joints; I J is converted to energy
     coordinates in place. Adds to `out_T` (Λ_out transposed), `bias_links` and `bias_e`.
 
     Args:

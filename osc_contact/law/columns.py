@@ -429,9 +429,9 @@ def compute_body_responses(t):
     """Compute inverse inertia Φ_e, bias b_e and twist V_e at O of every touched body.
 
     The acceleration of a body is Φ_e f + b_e with the wrench f on it. Bodies that several contacts
-    touch are computed once, in the row of the first contact. Reads `p_O`, and `touched` of INPUT
-    (pose, twist and acceleration of each body); fills `answer` of the bodies: Φ_e by rows (36), b_e
-    (6), V_e (6), in world axes.
+    touch are computed once, in the row of the first contact. Reads `kind` and `same` of BODY,
+    `p_O`, and `touched` of INPUT (pose, twist and acceleration of each body); fills `answer` of the
+    bodies: Φ_e by rows (36), b_e (6), V_e (6), in world axes.
 
     Args:
         t: Tick.
@@ -451,8 +451,8 @@ def project_bodies(t):
     without contact, V_e (6,) its twist; N (6, r) are the kept columns, N_μ the same with friction.
     A force on one body does not move another one. Reads `answer` of the bodies and
     `friction_wrenches`. Fills `Phi_mu` = NᵀΦ_eN_μ (r, r), `b_N` = Nᵀb_e (r,; m/s²), `V_N` = NᵀV_e
-    (r,; m/s) and `yields` = NᵀΦ_e (r, 6) at O. Without measured motions of bodies the first three
-    are zero.
+    (r,; m/s) and `yields` = NᵀΦ_e (r, 6) at O. Without measured motions of bodies (`moving` = 0)
+    the first three are zero, and `yields` is not filled.
 
     Args:
         t: Tick.

@@ -175,12 +175,12 @@ def _judge_reach(t):
 def permit_error(t):
     """Project the pose error at O on the motions that the contacts permit (4).
 
-    Reads `error`, the factors of `N_e` and `N_t`, and `B_inv_t`. Fills `motion_next`, the error
-    over all six axes projected by Ω_m(B), the projection on the motions without normal components
-    that changes least in the metric B⁻¹ (m, rad); and `free_error`, the part that both contacts and
-    arms permit, projected in the metric of the object. For `free_error` the locked axes are removed
-    first, because Ω_m would turn a displacement along N (a yielding contact) into motions that the
-    arms cannot execute.
+    Reads `error`, the factors of `N_e` (`N_basis`) and of `N_t` (`N_basis_t`), and `B_inv_t`. Fills
+    `motion_next`, the error over all six axes projected by Ω_m(B), the projection on the motions
+    without normal components that changes least in the metric B⁻¹ (m, rad); and `free_error`, the
+    part that both contacts and arms permit, projected in the metric of the object. For `free_error`
+    the locked axes are removed first, because Ω_m would turn a displacement along N (a yielding
+    contact) into motions that the arms cannot execute.
 
     Args:
         t: Tick.

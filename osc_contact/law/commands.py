@@ -381,8 +381,10 @@ def brake_contacts(t):
     is braked. On a yielding face it is κ(u + (K_i − w) p) − s α̈_s, with the unexplained speed u
     (m/s) and its integral p (m) from `_deflection`, the force gain K_i and the rate w of
     `_washout_rate` (1/s), the compliance s (m/N) and the second derivative of the commanded force
-    α_s. Reads `speed`, and `drift` (v̄) of the columns in MEMORY. On a yielding face whose motion
-    is not measured, the normal is not turned in this tick (`slides`, `turned`).
+    α_s. On a yielding face whose motion is not measured (`V_N` = 0), the normal is not turned in
+    this tick: `slides` becomes 0 and `turned` equal to `turn`. Reads `speed`, `V_N`, and in MEMORY
+    `drift` (v̄) and `eased_rate` (low-passed α̇_s) of the columns, and the fields that
+    `_deflection`, `_compliance` and `holds_at_zero` read.
 
     Args:
         t: Tick.
@@ -450,8 +452,9 @@ def _deflection(t, a, j):
     integral of u, with forgetting. While the contact is approached, u is NᵀV_rel and p is 0.
 
     Reads `speed` (NᵀV_rel), `V_N` (speed of the face along N, m/s) and `alpha_meas` (N), `goal`
-    (α_s, N) of the column, and of the column in MEMORY `driven` (state of v̂, m/s), `deflection`
-    (p), `eased` (last α_s, N), `eased_rate` (N/s) and `alpha_mean` (low-passed α_meas, N).
+    (α_s, N) and `shaped` (0 during an approach) of the column, and of the column in MEMORY `driven`
+    (state of v̂, m/s), `deflection` (p), `has_desired`, `eased` (last α_s, N), `eased_rate` (N/s)
+    and `alpha_mean` (low-passed α_meas, N).
 
     Args:
         t: Tick.
@@ -523,8 +526,8 @@ def _keep_deflections(t):
 def _keep_squeeze(t):
     """Store the steps of the internal forces in MEMORY for the next tick.
 
-    Reads `squeeze_left`, `squeeze_time`, and `scale` and `to_come` of `internal`; fills the fields
-    of the same names in MEMORY, and `desired` (N).
+    Copies `squeeze_left`, `squeeze_time`, and `scale` and `to_come` of `internal` from WORK to the
+    fields of the same names in MEMORY, and there `squeeze` (N) to `desired` of `internal`.
 
     Args:
         t: Tick.
@@ -555,11 +558,11 @@ def keep_steps(t):
     Reads of the columns in WORK `here` (1 if in N), `goal` (N; of the column α_s, of the table
     α_d), `scale` (size of the force, N), `shaped`, `to_come` (part of the step that is still to
     come), `alpha` (measured force, N), `speeds` (NᵀV_rel, m/s), `slides` and `turned` (see
-    `follow_face`), `integral_scale`, and `integral_cut` of MEMORY. Changes of the columns in MEMORY
-    `has_desired`, `desired` and `scale` (last desired force and its size, N), `predicted` (force to
-    be expected, N), `drift` (v̄, m/s), `to_come`, `turn` (of the normal), the fields that
-    `learn_normal` and `_keep_deflections` change, `step_left` (share of the rise time) and
-    `step_time` (s).
+    `follow_face`), `integral_scale`, `integral_cut` of MEMORY, and `chosen_set` of INPUT. Changes
+    of the columns in MEMORY `has_desired`, `desired` and `scale` (last desired force and its size,
+    N), `predicted` (force to be expected, N), `drift` (v̄, m/s), `to_come`, `turn` (of the normal),
+    the fields that `learn_normal` and `_keep_deflections` change, `step_left` (share of the rise
+    time) and `step_time` (s).
 
     Args:
         t: Tick whose torques have been computed.

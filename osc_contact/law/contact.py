@@ -48,8 +48,8 @@ def place_contacts(t):
     pair with a single point of contact is turned by the estimate of its normal, which `follow_face`
     updates if `tilt` > 0.
 
-    Reads `X_WO`, `V_O`, `V_D`, and `touched` of INPUT. Fills of the columns `N` (6,), `n_gamma`
-    (m/s²), `point` (3,; m, from O) and the fields of `follow_face`; without friction yet.
+    Reads `X_WO`, `V_O`, `V_D`, `moving`, and `touched` of INPUT. Fills of the columns `N` (6,),
+    `n_gamma` (m/s²), `point` (3,; m, from O) and the fields of `follow_face`; without friction yet.
 
     Args:
         t: Tick.
@@ -103,9 +103,11 @@ def place_contacts(t):
 
 @inner
 def _place_points(t, pair, X_WE):
-    """Fill the points of contact of a pair's columns (m, from O); of pairs without, no friction.
+    """Fill the points of contact of a pair's columns (m, from O), and reset their friction.
 
-    The points of GIVEN and FUNCTION pairs are filled elsewhere.
+    Fills `point` of pairs that touch at known points (`has_friction`), except GIVEN and FUNCTION
+    pairs, whose points are filled elsewhere. `rests`, `slip` and `friction_wrench` of all columns
+    become 0; `predict_friction` fills them where friction acts.
 
     Args:
         t: Tick.
@@ -171,8 +173,9 @@ def predict_friction(t):
     the measured twist V and the commanded one, which is the desired twist V_D projected on the
     motions that the contacts permit; both are extrapolated with the desired acceleration A_D.
 
-    Reads `V_O`, `V_D`, `A_D`, `mu`, `chosen`, `kept`, `N` and `point` of the columns, `N_factor`,
-    `N_basis`, and `touched` of INPUT. Fills of the columns `slip` (3,; direction of sliding, at
+    Nothing is filled if neither friction is assumed nor forces are found by least squares. Reads
+    `V_O`, `V_D`, `A_D`, `mu`, `chosen`, `kept`, `N` and `point` of the columns, `N_factor`,
+    `N_basis`, and `moving` and `touched`. Fills of the columns `slip` (3,; direction of sliding, at
     most 1 long), `rests` (1 at rest … 0) and `friction_wrench` (6,; per unit force, at O).
 
     Args:

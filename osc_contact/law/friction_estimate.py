@@ -47,7 +47,9 @@ def begin_estimate(t, j, missing, dt):
     LEARNED.
 
     Reads of PRIOR `noise` and `rounding` (N m, N: standard deviation of the residual, and its
-    largest value with an exact model) and `doubt` (5,; standard deviations of θ at the start).
+    largest value with an exact model) and `doubt` (5,; standard deviations of θ at the start), and
+    `h` of the joint. Fills at the start `noise` (variance of the residual), `theta`, `estimate` and
+    `P` of FRICTION; updates its `evidence` (s of residuals above rounding, less s below).
 
     Args:
         t: Tick.
@@ -91,8 +93,8 @@ def update_estimate(t, j, moves, k, dt):
 
     Reads of FRICTION `smooth` (low-passed residual and regressors), `noise` (variance of the
     residual), `P` (covariance of θ), `rested` (s at rest) and `stuck` (s at rest although commanded
-    to move fast); of PRIOR the upper bounds `high` of θ. Changes `estimate`, `theta`, `P`, `noise`,
-    and the state `friction_known` to LEARNED.
+    to move fast); of PRIOR the upper bounds `high` of θ; and the permitted `speed` of the joint.
+    Changes `estimate`, `theta`, `P`, `noise`, and the state `friction_known` to LEARNED.
 
     Args:
         t: Tick.

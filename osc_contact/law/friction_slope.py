@@ -85,8 +85,8 @@ def _add_joint(t, j):
 
     It is Σ_a σ (J̄V_a)²/(V_aᵀΛ_S V_a) over the kept columns a, with V_a = N_a: in energy
     coordinates Λ_o is the identity. Reads F and D that are compensated, the standard deviation of F
-    where friction is suspected, the permitted `speed` s and J̄ of the joint, and `N_t` of the
-    columns.
+    (of `P`) where friction is suspected (`friction_known`), the permitted `speed` s and J̄ of the
+    joint, and `N_t` of the columns.
 
     Args:
         t: Tick.

@@ -299,7 +299,8 @@ def _count_holding(t):
     If all arms have let go (`let_go` of MEMORY), all count as holding, because contacts may carry
     the object; unless the wrist of the arm with the largest load bears more than `HEAVY` times its
     share of the weight. Then this arm holds the object: its `let_go` is revoked and its `holds`
-    set. Before a stop, and of a single arm, all arms count. Reads `load` of the arms (3,; N).
+    set. Before a stop, and of a single arm, all arms count. Reads `state` of MEMORY, and `load` of
+    the arms (3,; N).
 
     Args:
         t: Tick.

@@ -35,7 +35,8 @@ def watch_hops(t):
     and falls at least `hop_rate` times a second. A contact that phases have lost counts as gone
     until it presses again. Updates of the columns in MEMORY `pressing` (no force yet, gone or
     pressing), `hop_share` and `hop_rate` (1/s), and `hopping` of MEMORY: 1 plus the hopping column
-    with the largest share, 0 if none hops.
+    with the largest share, 0 if none hops. Fills `culprit` (index of this column) if a reason is
+    returned.
 
     Args:
         t: Tick, with `alpha_meas` and `alpha_d` (N) of the kept columns in WORK.

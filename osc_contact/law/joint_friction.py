@@ -272,10 +272,10 @@ def _learn(t, j, sound, rate, inertial, dt):
     Contradicted friction is discarded.
 
     Reads of the joint in MEMORY `residual` and the low-passed friction in `means` (N m, N),
-    `unbalanced` (s for which motor torques contradict the wrist). Changes `unlearned` (N m, N),
-    `rotor` (kg m², kg), the state `friction_known`, and of FRICTION `applied` (share of θ that is
-    compensated; 0 after a contradiction, as are `evidence` and `unlearned`), `smooth` (regressors)
-    and the fields of the functions called here.
+    `speed`, and `unbalanced` (s for which motor torques contradict the wrist), and `balanced` of
+    MEMORY. Changes `unlearned` (N m, N), `rotor` (kg m², kg), the state `friction_known`, and of
+    FRICTION `applied` (share of θ that is compensated; 0 after a contradiction, as are `evidence`
+    and `unlearned`), `smooth` (regressors) and the fields of the functions called here.
 
     Args:
         t: Tick.
@@ -452,9 +452,9 @@ def permit_speeds(t):
 
     Reads the desired twist `V_D`, the speeds `V_N` of the faces (m/s), `alpha_d` (N) and `damping`
     (N s/m), whose quotient is the speed of an approach, the factors `N_factor_t` and `N_basis_t` of
-    N, and J̄ of the joints; `rated` (speed limit) and `slip` (s_0) of the joints. Fills in MEMORY
-    of each joint `speed` s, its rate `turn` since the last tick, and its mean sign `sign`; of each
-    kept column `approach`, the low-passed speed of its approach (m/s).
+    N, and J̄ of the joints; `phase` of the contacts; `rated` (speed limit) and `slip` (s_0) of the
+    joints. Fills in MEMORY of each joint `speed` s, its rate `turn` since the last tick, and its
+    mean sign `sign`; of each kept column `approach`, the low-passed speed of its approach (m/s).
 
     Args:
         t: Tick.
@@ -562,8 +562,8 @@ def _without_excess(t, j, torque):
     errors of the position. From an excess v − v_c of `_EXCESS` and `_EXCESS_SHARE` of |s| on the
     torque falls, to 0 at twice this excess; with K_d = 0 it stays.
 
-    Reads of the joint `acceleration` q̈_c (rad/s², m/s²), `speed` s and `turn` ṡ, and its low-passed
-    measured speed.
+    Reads of the joint `acceleration` q̈_c (rad/s², m/s²), `speed` s and `turn` ṡ, and its
+    low-passed measured speed in `means`.
 
     Args:
         t: Tick.

@@ -26,8 +26,9 @@ def level_approaches(t):
 
     The mean of the commands is kept; shares are such that all columns get the same acceleration.
     While a column begins to touch, the commands return to equal ones, because each column then has
-    to press by itself. Reads `N_t`, `Lambda`, and `net` of MEMORY. Changes `alpha_u` of contacts
-    with two columns or more, all of which are kept.
+    to press by itself. Nothing is changed while the active columns are dependent. Reads `N_t`,
+    `Lambda`, `phase` of the contacts, and `net` of the columns in MEMORY. Changes `alpha_u` of
+    contacts with two columns or more, all of which are kept.
 
     Args:
         t: Tick.

@@ -506,7 +506,9 @@ def _arm_at_tip(t, n, q, v, out):
     They are the inertia Λ (6, 6) and its inverse Φ, the Jacobian J (6, n) and its inertia-weighted
     inverse J̄ (n, 6), the wrenches μ and p (6,) of velocity and weight, J̇v (6,), the torques h
     (n,) of velocity and gravity, and the rank. The rank is determined in energy coordinates of the
-    reference object of the model, whose principal axes are taken along the world's.
+    reference object of the model, whose principal axes are taken along the world's. `Lambda` of the
+    arm and J̄ of the joints are converted to world axes in place, and `drift` to the classical
+    acceleration J̇v; J of the joints remains in energy coordinates.
 
     Args:
         t: Tick.

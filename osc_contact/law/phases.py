@@ -219,7 +219,8 @@ def _monitor_contact(t, c):
 
     Reads `goal` (N), `predicted` (N), `speed` (NᵀV_rel, m/s), `high_for` (s of high force) and the
     fields of `_certain_force` of the columns; changes their fields of `monitor`, and `held` of the
-    contact, which is 1 once a steady force was measured since it was OPEN.
+    contact, which is 1 once a steady force was measured since it was OPEN. Of an OPEN contact
+    `held`, and `closed` and `collision` of the columns, become 0.
 
     Args:
         t: Tick.

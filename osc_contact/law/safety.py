@@ -182,8 +182,10 @@ def _watch_column(t, a, dt):
     not regained within `regain_time`. It is overloaded after `overforce_time` above `_OVERFORCE`
     times its command or above `contact_force`, whichever is larger.
 
-    Reads `alpha_meas`, `alpha_d`, and in MEMORY the force integral `force_sum` and
-    `time_since_loss` of the column. Updates its `underforce` and `overforce` (s).
+    The integral is judged only while the kept columns are those of the last tick (`force_rank`,
+    `by_column`). Reads `alpha_meas`, `alpha_d`, and in MEMORY the force integral `force_sum`,
+    `state`, `faults`, and `time_since_loss` of the column. Updates its `underforce` and `overforce`
+    (s).
 
     Args:
         t: Tick.
@@ -237,9 +239,10 @@ def guard(t, reason, sensor_reason):
 
     Joint states are estimated from sound readings in every tick. Of a tick that was not computed
     the torques are those of the last tick, in the state DEGRADED or as long as joints were never
-    read; else those of `hold_posture`. Updates in MEMORY the ages of readings, q and v, `missed`
-    (share of ticks that were not computed), `state`, `cause`, and the counts that belong to them;
-    fills `tau` of WORK in a tick that was not computed.
+    read; else those of `hold_posture`. Updates in MEMORY the ages of readings `wrench_age`,
+    `old_joints` and `old_wrists` (ticks), q and v, `missed` (share of ticks that were not
+    computed), `gap` (ticks since the last computed one), and the fields of the functions called
+    here, among them `state` and `cause`; fills `tau` of WORK in a tick that was not computed.
 
     Args:
         t: Tick after `check_sensors`.
@@ -276,7 +279,9 @@ def guard(t, reason, sensor_reason):
 def _note_computed(t):
     """Update counts and state after a computed tick: RUN, or DEGRADED.
 
-    The state is RUN if the status is OK or HOPPING and the tick had wrenches.
+    The state is RUN if the status is OK or HOPPING and the tick had wrenches. Fills in MEMORY `gap`
+    (0), `has_wrench` (1), and `repeats`, the number of ticks for which torques may be repeated now
+    (0 after a saturated tick), and the fields of the functions called here.
 
     Args:
         t: Tick.
@@ -368,7 +373,9 @@ def _enter(t, state):
 
     `age` of MEMORY counts the ticks in the state. At a change from RUN or DEGRADED to HOLD or
     SAFE_STOP the holds are no longer settled, the load of each arm is weighed anew, and the gaps
-    between arms count as not measured: their next change is not that of a single tick.
+    between arms count as not measured: their next change is not that of a single tick. Fills in
+    MEMORY `state` and `age`; in this change `settled`, and `weighed` and `gap` of the arms, become
+    0.
 
     Args:
         t: Tick.

@@ -103,7 +103,8 @@ def check_sensors(t):
 
     Δt is the time since the position was last read. Missing, repeated and implausible readings do
     not change the evidence. If positions of several joints jump in one packet, none of its readings
-    is used; if speeds do, none of its speeds.
+    is used; if speeds do, none of its speeds. Fills `culprit` of MEMORY (arm or joint), except in a
+    stop, whose cause keeps its own.
 
     Args:
         t: Tick.
@@ -216,9 +217,10 @@ def _check_joints(t, is_new, same_wrenches):
     """Update the evidence of faults of all joints by the readings of this tick.
 
     A position is used if it is finite and not barred by a jump, a speed if it is plausible and no
-    speeds of several joints jump (`speed_jumps` of WORK). Reads q and v of INPUT, and `barred` and
-    `acceleration` of the joints in MEMORY; updates their last speed `v`, the predictions `model_v`
-    and `model_q` at the first reading, `unread_q` and `unread_v` (ticks), and the fields of
+    speeds of several joints jump (`speed_jumps` of WORK). Reads q and v of INPUT, and in MEMORY
+    `compared`, and `barred` and `acceleration` of the joints; updates their last speed `v`,
+    `pending` (speed that was commanded since the position was read), the predictions `model_v` and
+    `model_q` at the first reading, `unread_q` and `unread_v` (ticks), and the fields of
     `_check_position` and `_note_packet`.
 
     Args:

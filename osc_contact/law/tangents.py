@@ -89,7 +89,7 @@ def reading_of_wrench(t, f, index):
     It is the wrench f; if the body can move, the inertial force Λ_out N⁺ NᵀΦ_e f is added that the
     object exerts when it moves with the body: NᵀΦ_e f (r,; m/s²) is the acceleration of the body
     along the r kept columns N, Φ_e its inverse inertia, Λ_out the inertia beyond the sensors. Reads
-    `yields` (rows of NᵀΦ_e at O), and the fields that `add_yield` reads.
+    `moving`, `yields` (rows of NᵀΦ_e at O), and the fields that `add_yield` reads.
 
     Args:
         t: Tick.

@@ -151,7 +151,8 @@ def look(t, flags):
     controller (`guarded`), not in a chain without control. Fills `status` (OK; the caller changes
     it after a reason), `dt` (s; with at most `MOST_LOST` lost ticks), `commanded` (1 for two arms,
     whose squeeze is 0 unless given, and if internal forces are given), `moving` (1 if bodies move),
-    and the fields that `take_in`, `choose_columns` and `solve_chain` fill.
+    `rank` and `count` (0 until columns are chosen), and the fields of `check_readings`, `take_in`,
+    `update_contacts`, `choose_columns` and `solve_chain`.
 
     Args:
         t: Tick.
@@ -263,10 +264,11 @@ def measure(t):
     """Compute geometry and measured forces of the contacts.
 
     Reads the measured state and wrist readings of INPUT, and the active contacts (`chosen`,
-    `count`). Fills in WORK the coefficient of friction `mu`, `more_friction` and `slid` of MEMORY,
-    `speed` (NᵀV_rel of the kept columns; m/s, rad/s) and `f_c` = N α_meas (at O, world axes; N, N
-    m). The functions called here state the fields that they fill: N and n_γ of each column, the
-    kept columns, motion of the touched bodies along N, readings, and α_meas.
+    `count`). Without active columns no force is computed. Fills in WORK the coefficient of friction
+    `mu`, `more_friction` and `slid` of MEMORY, `speed` (NᵀV_rel of the kept columns; m/s, rad/s)
+    and `f_c` = N α_meas (at O, world axes; N, N m). The functions called here state the fields that
+    they fill: N and n_γ of each column, the kept columns, motion of the touched bodies along N,
+    readings, and α_meas.
 
     Args:
         t: Tick.
@@ -437,9 +439,10 @@ def command(t, flags):
 
     Changes `motion_next` from the permitted error (m, rad) to the motion integral after this tick
     (m s, rad s), whose bound is `integral_motion` (m/s², rad/s²) divided by the gain. Without new
-    wrenches (`wrench_missing`) the force integrals stay. `hand_over` of MEMORY converts the motion
-    integral once to a constant wrench. Fills `alpha_u` (N), `force_next` (N), `a_u`,
-    `acceleration_t`, `f_S` and the other fields that the functions called here fill.
+    wrenches (`wrench_missing`) the force integrals stay: K_i (`gain`) becomes 0. `hand_over` of
+    MEMORY converts the motion integral once to a constant wrench. Fills `alpha_u` (N), `force_next`
+    (N), `a_u`, `acceleration_t`, `reaction` (N; 0 except with least squares), `f_S` and the other
+    fields that the functions called here fill.
 
     Args:
         t: Tick.
@@ -608,7 +611,8 @@ def run_parts(t, flags, begin, stop):
     computes torques that hold the arms. Sensors are checked in any case, by the readings of the
     tick, before the torques: those of a faulty reading are not sent. Between parts that are called
     one by one (custom laws in Python) the reason is kept in WORK. Fills `status` and `reason` of
-    WORK, and `reason` of MEMORY.
+    WORK, and `reason` of MEMORY; after a complete tick `wrench_missing`, `repeated` and `derived`
+    of MEMORY, marks of its input, become 0.
 
     Args:
         t: Tick.

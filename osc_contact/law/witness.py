@@ -58,12 +58,12 @@ _SURE_DEVIATIONS = 3.0  #: standard deviations of α_n that noise hardly ever ex
 def measure_approached_forces(t):
     """Compute the measured force of each approached column, and the part that other forces explain.
 
-    Reads `alpha_meas`, `reading_e`, `N`, `pushed`, `V_O`, `out_T`, `filtered_twist`, and the fields
-    that `reading_of_force` reads. Fills the fields of `_estimate_approached_forces` (N) of the
-    active columns: `touch`, the force by the reading alone; `touch_inertia`, the inertial force in
-    it; and `explained`, the part that friction of other contacts or noise may cause. All are 0
-    unless one contact is approached while friction may act at another one, and all columns are
-    independent.
+    Reads `phase` of the contacts, `alpha_meas`, `reading_e`, `N`, `pushed`, `V_O`, `out_T`,
+    `filtered_twist`, and the fields that `reading_of_force` reads. Fills the fields of
+    `_estimate_approached_forces` (N) of the active columns: `touch`, the force by the reading
+    alone; `touch_inertia`, the inertial force in it; and `explained`, the part that friction of
+    other contacts or noise may cause. All are 0 unless one contact is approached while friction may
+    act at another one, and all columns are independent.
 
     Args:
         t: Tick.

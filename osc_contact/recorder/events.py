@@ -82,7 +82,8 @@ class EventLog:
         """Append an event; errors of the file do not raise, see `error`.
 
         Without a file `_descriptor` is −1, and the event is kept in `events` only. Beyond `MOST`
-        events only the kinds in `ALWAYS` and changes to SAFE_STOP are kept; others are counted.
+        events only the kinds in `ALWAYS` and changes to SAFE_STOP are kept; others are counted in
+        `omitted`.
 
         Args:
             t: time in the run (s).

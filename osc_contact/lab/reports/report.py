@@ -144,8 +144,8 @@ def _step_rows(steps: Sequence[Json], limit: int = 3) -> Iterator[tuple[str, str
 
     Args:
         steps: `steps` of the metrics.
-        limit: number of steps of one force; of more, only the step with the largest overshoot has a
-            row.
+        limit: number of steps of one force; of a force with more steps, only the one with the
+            largest overshoot has a row.
 
     Yields:
         Label and text of a row.

@@ -74,7 +74,8 @@ def posture_of(scenario: Scenario, chain: ClosedChain) -> Array:
     """Postures of all arms in a scenario, as joint positions (n,) (m, rad).
 
     Args:
-        chain: chain of the scenario's arms.
+        scenario: scenario with its arms.
+        chain: chain of these arms.
 
     Raises:
         ScenarioError: the number of positions differs from that of the joints.
