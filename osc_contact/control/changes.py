@@ -150,7 +150,8 @@ class Changes:
     def _raised_ceilings(self) -> Iterator[Event]:
         """Yield an event for each force ceiling (N) that has risen by the factor `RISE`.
 
-        Ceilings that are not set by the user follow the largest command: headroom × command.
+        A ceiling is the one that is set or headroom × largest command, whichever is larger; the
+        event is only for the latter, while it is the larger one.
         """
         for key, command in zip(_CEILINGS, self._largest_commands.tolist(), strict=True):
             ceiling = self._headroom[key] * command

@@ -14,7 +14,8 @@ from osc_contact.law.saturation import fill_program, settle
 def apply_least_loss(program: TorqueLimits, rows: TickRecords) -> None:
     """Replace the torques of a saturated tick by those within the limits that lose least.
 
-    Writes the torques and the corrected force integral to MEMORY.
+    Changes the fields of `settle`: torques and internal forces of WORK; torques, force integrals
+    and counts of ticks that were not computed in MEMORY.
 
     Args:
         program: quadratic program of the controller, which is filled and solved.
@@ -87,7 +88,8 @@ class MotorLimits:
 def scale_torques(rows: TickRecords, chain: ClosedChain) -> LimitLoss:
     """Scale all torques by one factor, so that none exceeds its limit.
 
-    For custom control structures, of which nothing is known.
+    For custom control structures, of which nothing is known. After the first tick the change of the
+    torques is limited to `torque_rate`, too. Changes `torques`, `faults` and `lost` of MEMORY.
 
     Args:
         rows: records of the tick.

@@ -86,7 +86,8 @@ def _take_set(t):
 
     Reads `chosen_set` and `active` of INPUT, and `dt` (s). Updates of the contacts in MEMORY
     `phase`, `since` (s in this phase), `held` (1 once a steady force was measured in it) and
-    `unloading` (s), and `goal` (N) of the columns, 0 for those that are unloaded.
+    `unloading` (s), `goal` (N) of the columns, 0 for those that are unloaded, and the fields of
+    `_begin_columns`.
 
     Args:
         t: Tick.

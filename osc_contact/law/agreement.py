@@ -107,7 +107,8 @@ def check_arms(t):
     stay near its long-term mean and near zero (`_balance_arm`). The arms must place the object
     alike (`is_apart`); a difference that lasts for more than `APART_TIME` stops them. Wrists are
     not compared in ticks without wrenches. Updates in MEMORY `apart` (s), `balanced` (number of
-    ticks with this comparison) and `instant` (the same, lost ticks included).
+    ticks with this comparison), `instant` (the same, lost ticks included), and the fields of
+    `measure_gap` and `_balance_arm`.
 
     Args:
         t: Tick after `solve_chain`.
@@ -145,9 +146,10 @@ def _balance_arm(t, k, dt):
     friction for up to `_DOUBTED`, longer than the detection of a fault takes.
 
     Of the joints in MEMORY `residual` (torque that neither model nor wrist explains; N m, N) and
-    `means` (low-passed speed, …) are updated first. Updates further `unexplained`, `usual` (N m,
-    N), `rubbed` (mean magnitude of the residual in motion; N m, N) and `unbalanced` (s above the
-    bound), and `doubtful` of the arm (s above half of the bound).
+    `means` (low-passed speed, …) are updated first, with the other fields of `observe_arm`, among
+    them the estimate of friction. Updates further `unexplained`, `usual` (N m, N), `rubbed` (mean
+    magnitude of the residual in motion; N m, N), `slid` (s of motion), `trusted` (F, D, |A|) and
+    `unbalanced` (s above the bound), and `doubtful` of the arm (s above half of the bound).
 
     Args:
         t: Tick.

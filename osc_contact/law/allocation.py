@@ -74,7 +74,7 @@ def add_row(t, e):
     A has the rows of G (d, n), the wrench on the object per torque, and of E, further conditions; R
     is the metric of the motors' effort. Reads `extra` (E) and J̄ of the joints. Fills row e of
     `weighed` (R⁻¹ times the row of E) and row d + e of `factor`, with the reciprocal pivot on the
-    diagonal.
+    diagonal; where it is small, `_refine_pivot` fills its fields.
 
     Args:
         t: Tick.
@@ -289,7 +289,8 @@ def allocate_torques(t):
     They satisfy A τ = b: G (d, n) maps torques to the wrench on the object along its d free axes,
     which has to be f_S; E has rows for internal forces and for motions of single arms. τ_0 (n,) are
     torques without command: of the posture law of redundant arms, else 0. R is the metric of the
-    motors' effort. A single redundant arm has no such rows, and τ = τ_0 + Jᵀf with the wrench f.
+    motors' effort. A single redundant arm in a regular posture has no such rows, and τ = τ_0 + Jᵀf
+    with the wrench f; only `rest`, `tau` and `n_internal` are filled then.
 
     Reads `f_S`, `effort`, `locked`, `n_lost`, and the terms of arms and joints. Fills `rest` (τ_0)
     and `tau` of the joints (N m, N), `n_internal` (number of rows of E for internal forces),
@@ -388,7 +389,8 @@ def _append_own_motions(t, d, n_internal):
 def _fill_rest(t):
     """Fill `rest` of all joints with τ_0 (N m, N), the torques without command.
 
-    They are those of the posture law for arms with redundant joints (`wide`), else 0.
+    They are those of the posture law for arms with redundant joints (`wide`), whose `tau` it
+    changes, too; else 0.
 
     Args:
         t: Tick.

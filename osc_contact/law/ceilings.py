@@ -69,10 +69,10 @@ def watch_ceilings(t):
     (s) while no contact is active (`_is_pressed_while_free`). Time below a ceiling is subtracted
     from the time above it, as for the limits of `safety`. If wrists were not read in this tick,
     their time does not change. Updates in MEMORY `over_contact`, `over_wrist`, `over_free`,
-    `over_tip` (s) and the largest commands `largest_force`, `largest_sum` (N); fills `culprit`
-    (column or arm concerned), `reached` and `ceiling` (N, m/s). A ceiling of force is
-    `contact_ceiling` or `wrist_ceiling` (N), at least the headroom times the largest command so
-    far.
+    `over_tip` (s), the largest commands `largest_force`, `largest_sum` (N), and the fields of
+    `_follow_centre`; fills `culprit` (column or arm concerned), `reached` and `ceiling` (N, m/s). A
+    ceiling of force is `contact_ceiling` or `wrist_ceiling` (N), at least the headroom times the
+    largest command so far.
 
     Args:
         t: Tick after `command`.

@@ -83,7 +83,8 @@ def keep_columns(t):
     (indices of the independent columns), their `n_gamma`, and in energy coordinates, with the
     columns of N as rows, N = `N_e` and its factors `N_e` = `N_factor` `N_basis`; for each active
     column its `energy` (N in energy coordinates), `extent` (its norm) and `share` (the wrench of
-    its unit force as a combination of the kept columns).
+    its unit force as a combination of the kept columns). With a reason it fills what
+    `_select_independent` names.
 
     Args:
         t: Tick.
@@ -267,8 +268,9 @@ def _n_gamma_is_consistent(t):
     share_a N_a of kept columns needs Σ share_a n_γa. Reads `n_gamma`, `share`, `extent` (norm in
     energy coordinates) of the columns. The tolerance of a column is in proportion to its `extent`,
     as its n_γ is, times the largest of the sums |n_γ| + Σ |share_a n_γa| per extent: the size of
-    what is subtracted, of which rounding leaves a share. If one does not agree, fills `where` (the
-    column) and `reason_amount` (n_γ of this column as implied by the others).
+    what is subtracted, of which rounding leaves a share. If one does not agree, fills `where`
+    (index of the column among all) and `reason_amount` (n_γ of this column as implied by the
+    others).
 
     Args:
         t: Tick.

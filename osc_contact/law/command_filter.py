@@ -94,7 +94,7 @@ def require_reachable(t):
     = Λ_S⁻¹ of the chain there. With an object 1 ≤ Λ_S ≤ trace(Λ_S) in energy coordinates, so the
     mobility is between NᵀN / trace and NᵀN, and for most contacts N alone is sufficient. Reads
     `N_t`, `locked` (m), `Lambda`. Fills `N_factor_t` and `N_basis_t` of N_t, over the elements m …
-    5.
+    5, and the fields of `_judge_reach` where N alone is not sufficient.
 
     Args:
         t: Tick.
@@ -131,9 +131,9 @@ def _judge_reach(t):
     """Determine from the mobility NᵀΦ₀N whether the arms can push along every column of N.
 
     N (6, r) are the columns, Φ₀ = Λ_S⁻¹ is the inverse inertia of the chain along its free axes.
-    Reads `N_t`, `locked`, `Lambda`. Fills `where` (the column) and `reason_amount` (its mobility
-    relative to that of the free object, or the least part of a column outside the span of the
-    others).
+    Reads `N_t`, `locked`, `Lambda`. Fills `reason_amount`, the mobility of the last column that was
+    judged, relative to that of the free object, or the least part of a column outside the span of
+    the others; with UNREACHABLE `where`, the index of the column among the kept ones.
 
     Args:
         t: Tick.

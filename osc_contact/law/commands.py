@@ -561,8 +561,8 @@ def keep_steps(t):
     `follow_face`), `integral_scale`, `integral_cut` of MEMORY, and `chosen_set` of INPUT. Changes
     of the columns in MEMORY `has_desired`, `desired` and `scale` (last desired force and its size,
     N), `predicted` (force to be expected, N), `drift` (v̄, m/s), `to_come`, `turn` (of the normal),
-    the fields that `learn_normal` and `_keep_deflections` change, `step_left` (share of the rise
-    time) and `step_time` (s).
+    the fields that `learn_normal`, `_keep_deflections` and `_keep_squeeze` change, `step_left`
+    (share of the rise time) and `step_time` (s).
 
     Args:
         t: Tick whose torques have been computed.

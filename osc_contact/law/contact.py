@@ -49,7 +49,8 @@ def place_contacts(t):
     updates if `tilt` > 0.
 
     Reads `X_WO`, `V_O`, `V_D`, `moving`, and `touched` of INPUT. Fills of the columns `N` (6,),
-    `n_gamma` (m/s²), `point` (3,; m, from O) and the fields of `follow_face`; without friction yet.
+    `n_gamma` (m/s²), `point` (3,; m, from O) and the fields of `follow_face`; `_place_points`
+    resets friction, which `predict_friction` fills later.
 
     Args:
         t: Tick.

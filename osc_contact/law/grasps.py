@@ -174,9 +174,9 @@ def filter_outboard(t, arm, arm_work, bias):
     J (6, n) and its inertia-weighted inverse J̄ (n, 6). The filter F = 1 − E(T E)⁺T (6, 6) removes
     it, where singular values of T E exceed `_MOVES` times the largest element of P: T (6 − m, 6)
     are the motions that the grasp permits beside m forces, along which no force of the object acts.
-    The object has no acceleration at q̈ = −J̄ gamma. Reads `passed` (T behind m rows), `gamma`, J,
-    J̄ and `outboard` (P, at C in world axes, changed to energy coordinates as all other operands).
-    Fills `filter` (F); adds to `out_T`, `bias_e`.
+    The bias becomes that at a = 0 of the object, where q̈ = −J̄ γ with the drift γ = `gamma`. Reads
+    `passed` (T behind m rows), `gamma`, J, J̄ and `outboard` (P, at C in world axes, changed to
+    energy coordinates as all other operands). Fills `filter` (F); adds to `out_T`, `bias_e`.
 
     Args:
         t: Tick.

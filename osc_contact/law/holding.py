@@ -85,7 +85,8 @@ def hold_posture(t):
 
     Reads q and v of MEMORY. Fills `tau` (N m, N) and `step` (their largest changes) of the motors,
     `torques` of MEMORY with the same, and of the joints in MEMORY `hold`, `acceleration`, `driven`;
-    of the arms the evidence of `_weigh` and `_compare_places`.
+    of the arms the evidence of `_weigh` and `_compare_places`; and the fields of `_move_holds`,
+    `_observe_arms` and `_count_holding`.
 
     Args:
         t: Tick that was not computed, after `estimate_joints`.

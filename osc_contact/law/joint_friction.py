@@ -179,7 +179,8 @@ def _observe_joint(t, arm, j, wrench, bias, inertia_force, k, dt):
     wrench in this tick. A single wrong reading changes the residual by no more than `_OUTLIER`
     torque limits. Reads h, M and `column` of the joint in WORK, of MEMORY the rates of the arm's
     joints and the motor's torque, and the joint's former signals if wrenches have time stamps
-    (`stamped`). Updates `past_weight`, too (torque of h less that of the bias, of the last tick).
+    (`stamped`). Updates `past_weight`, too (torque of h less that of the bias, of the last tick),
+    and with time stamps `history` of PAST.
 
     Args:
         t: Tick.
@@ -497,7 +498,8 @@ def permit_speeds(t):
 def compensate_friction(t):
     """Add the compensated friction of `_compensation` (N m, N) to `tau` of the joints with motors.
 
-    Fills `friction` of these joints, and `speed`, `turn` and `sign` of all joints in MEMORY.
+    Fills `friction` of these joints, and the fields of `permit_speeds` and `_compensation`, among
+    them `speed`, `turn` and `sign` of all joints in MEMORY.
 
     Args:
         t: Tick, with the torques of `allocate_torques` in `tau` of the joints.

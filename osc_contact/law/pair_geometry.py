@@ -71,7 +71,8 @@ def place_pair(pair, shapes, columns, motion):
     """Fill N and n_γ of one pair's columns.
 
     N (6,) is the wrench at O of a unit contact force, n_γ (m/s², rad/s²) the normal acceleration by
-    the rotation of N, both by the rule for the kind of the pair.
+    the rotation of N, both by the rule for the kind of the pair. Of SURFACE pairs `believed` is
+    filled, too.
 
     Args:
         pair: PAIR row.

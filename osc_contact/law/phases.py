@@ -178,7 +178,7 @@ def advance_phases(t):
     all contacts that are not open.
 
     Fills `phase` and `since` of the contacts, `here` of the columns in WORK, `gap` and
-    `time_since_loss` of the columns in MEMORY.
+    `time_since_loss` of the columns in MEMORY, and the fields of `_monitor_contact`.
 
     Args:
         t: Tick.
@@ -429,11 +429,11 @@ def max_speed_ratio(t):
 def torque_rate(t, share):
     """Compute the largest rate of the motor torques (1/s, as a multiple of the torque limits).
 
-    It is `torque_rate`. For `_CHANGES` (s) after a change of phase, and while a contact is
-    unloaded, it is reduced to `phase_rate`, times `_GENTLER` if the user names the active contacts;
-    each over x², but not more than `torque_rate`, where x falls from 1 at the share `_SLOW` of the
-    speed limits to 0 at the limit: a delayed torque would make fast joints deviate from their
-    paths.
+    It is `torque_rate`. With contact phases or named active contacts it is reduced, for `_CHANGES`
+    (s) after a change of phase and while a contact is unloaded, to `phase_rate`, times `_GENTLER`
+    if the user names the active contacts; each over x², but not more than `torque_rate`, where x
+    falls from 1 at the share `_SLOW` of the speed limits to 0 at the limit: a delayed torque would
+    make fast joints deviate from their paths.
 
     Args:
         t: Tick.

@@ -541,9 +541,9 @@ _WORK = _record(
         "rank",  # r, number of independent columns of N
         "locked",  # m, number of motions of the object that the arms cannot make
         "count",  # number of active columns of N
-        "status",  # OK, SATURATED, HELD or DEGRADED
+        "status",  # OK, SATURATED, HELD, DEGRADED or HOPPING
         "reason",
-        "where",  # column that the reason concerns
+        "where",  # column that the reason concerns: index among all, of UNREACHABLE among the kept
         "n_lost",  # number of lost directions of all arms near singular postures
         "n_internal",  # number of rows of E for internal forces
         "commanded",  # 1 if internal forces are commanded

@@ -161,8 +161,8 @@ def settle(raw, at, i, program):
     are limited in their rate; the lost force is excluded from the integral of the force law. Reads
     `tau` (n_a; N m, N), `lost_force` (r; N) and `lost_squeeze` (s; N) of PROGRAM, the gains `gain`
     (1/s), the integrals `force_next` (N) and `basis` (columns: settable combinations of bar
-    forces). Changes `tau` and `bars` (internal forces, N) of WORK, and in MEMORY `torques`,
-    `force_sum` and the fields of `count_computed` and `keep_integrals`.
+    forces). Changes `tau` and `bars` (internal forces, N) of WORK, `step` of the motors, and in
+    MEMORY `torques`, `force_sum` and the fields of `count_computed` and `keep_integrals`.
 
     Args:
         raw: bytes of `records.Rows`.

@@ -103,8 +103,8 @@ def check_sensors(t):
 
     Δt is the time since the position was last read. Missing, repeated and implausible readings do
     not change the evidence. If positions of several joints jump in one packet, none of its readings
-    is used; if speeds do, none of its speeds. Fills `culprit` of MEMORY (arm or joint), except in a
-    stop, whose cause keeps its own.
+    is used; if speeds do, none of its speeds. Updates the fields of the functions called here;
+    fills `culprit` of MEMORY (arm or joint), except in a stop, whose cause keeps its own.
 
     Args:
         t: Tick.

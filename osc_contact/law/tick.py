@@ -621,7 +621,7 @@ def run_parts(t, flags, begin, stop):
         stop: part before which to stop, or END.
 
     Returns:
-        Status of the tick: OK, SATURATED, HELD or DEGRADED.
+        Status of the tick: OK, SATURATED, HELD, DEGRADED or HOPPING.
     """
     memory = t.memory
     work = t.work

@@ -222,11 +222,12 @@ def _process_context(
     """Context of a loop with `realtime`: the process and a thread for side work.
 
     On exit it waits for the side work, adds the report to the recording, and raises an error of the
-    side work.
+    side work unless the loop has ended by another one.
 
     Args:
         realtime: argument of `run_loop`; False: the context changes nothing.
-        recorder: recorder of the loop or None; its writes are handed to the thread.
+        recorder: recorder of the loop or None; its writes are handed to the thread, and it gets the
+            report, if it has `hand_over` and `note`.
         report: timing of the loop; receives notes on requests that the system refused.
 
     Yields:

@@ -65,7 +65,9 @@ class LoopReport:
     def note(self, read: float, seconds: float) -> None:
         """Count a tick and check its deadlines.
 
-        The first measurement is not late, since the time of the last one is infinite before it.
+        A tick is late if its torques took more than the share `LATE_SHARE` of a period, or if its
+        measurement came more than `LATE_CYCLES` periods after the last one. The first measurement
+        is not late, since the time of the last one is infinite before it.
 
         Args:
             read: time of its measurement (s).

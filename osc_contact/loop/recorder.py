@@ -186,7 +186,6 @@ class Recorder:
         #: views of `_numbers`: desired internal forces (N), forces given up (N), named contacts
         self._squeezes, self._given_up, self._named = parts
         self._noted_squeeze: float | None = None  #: of the last tick, if `_squeezes` still has it
-        # words copied from the controller's records: α, speeds, results, normal_std, then integers
         results_end = 2 * r + sum(results.values())
         #: words copied from the records: α, speeds, results, normal_std, then integers
         self._words = np.zeros(results_end + r + sum(integers.values()), np.int64)
@@ -212,6 +211,9 @@ class Recorder:
         self, measurement: Measurement, reference: Reference, tau: Array, seconds: float
     ) -> None:
         """Store a tick before its torques act.
+
+        A tick without a result, or with input of wrong sizes, has NaN in the fields that depend on
+        them. Rows are written when the buffer is full or `_write_interval` has passed.
 
         Args:
             measurement, reference: input of the tick.

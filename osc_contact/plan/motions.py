@@ -287,7 +287,8 @@ def through(points: Points, speed: Velocity, *, relative: bool = False) -> Motio
     Args:
         points: (k, 3) points in the world, or relative to the beginning of the stage (m).
         speed: largest speed (m/s).
-        relative: True: points are relative to the place of the origin when the stage begins.
+        relative: True: points are relative to the commanded place of the origin when the stage
+            begins.
 
     Raises:
         InvalidInputError: points have another shape, or the speed is not positive.

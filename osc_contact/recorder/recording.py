@@ -460,7 +460,8 @@ class Recording:
 
         Two runs of the same seed make the same bytes. Times that were measured (`tick_s`; `wall_s`,
         `cpu_s` and `date` of the meta) are written to another file, run.times.npz for run.npz, and
-        the events to run.events.jsonl.
+        the events to run.events.jsonl. Older files of these names are removed if there is nothing
+        to write to them.
 
         Args:
             path: path of the file, which ends in .npz.

@@ -54,8 +54,8 @@ def opposed(pairs: Sequence[ContactPair], state: ChainState) -> tuple[Array, Arr
         state: state of the arms, with the pose of the object.
 
     Returns:
-        Unit vector u (3,) of the line, the two points (2, 3) (m), and their directions of force
-        (2, 3), in world axes; None: there are no two such points.
+        Unit vector u (3,) of the line, the two points (2, 3) (m), and their directions of force (2,
+        3), in world axes; None: there are no two such points, or they coincide.
     """
     lines_of_force = []  # point and direction of force of each contact with one point
     for pair in pairs:
@@ -117,6 +117,8 @@ def least_motion(state: ChainState, F: Array, power: Array) -> Array:
 
 def known_to(pairs: Sequence[ContactPair], state: ChainState, std: float) -> float:
     """Standard deviation of the forces of two opposed contacts, as a share of these forces.
+
+    It is 0 where `opposed` finds no line.
 
     Args:
         pairs: contacts.

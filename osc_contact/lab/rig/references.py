@@ -171,7 +171,7 @@ class References:
             )
 
     def forces(self, t: Array) -> Array:
-        """Desired force magnitudes (r, k) at times t (k,) (s), in N."""
+        """Desired forces (r, k) at times t (k,) (s), in N; with a plan those of its stages."""
         if self.planned is not None:
             return self.planned[0][self._stage_at(t)].T
         names = force_names(self.scenario)
@@ -212,7 +212,7 @@ class References:
 
     @cached_property
     def stages(self) -> list[tuple[float, Array]]:
-        """Sets of active contacts of the key `active` of the scenario, in the order of time.
+        """Sets of active contacts in the order of time: of the key `active`, or of a plan's stages.
 
         Returns:
             For each set the time (s) from which it is active, and (contacts,) 1 for an active
@@ -235,7 +235,8 @@ class References:
     def active(self, t: Array) -> Array | None:
         """Matrix (k, contacts) with 1 for contacts that are active at times t (k,) (s), else 0.
 
-        None: the scenario states no times, so that all contacts are active.
+        With a plan they are those of its stages (`planned`). None: the scenario has no plan and
+        states no times, so that all contacts are active.
         """
         if self.planned is not None:  # active sets (stages, contacts) of the plan's stages
             return self.planned[1][self._stage_at(t)]
