@@ -354,7 +354,7 @@ def _compare_places(t, X):
 
 @inner
 def _weigh(t, k, world):
-    """Low-pass the load on the wrist of a stopped arm k, and detect whether it has let go.
+    """Low-pass the load on the wrist of a stopped arm k, and judge by it whether it has let go.
 
     The load f is the force by which the gripper carries the object: the reading F less weight and
     inertial force of the gripper, F + m g − ṗ with its mass m, gravity g (3,; m/s²) and momentum p.
@@ -364,20 +364,8 @@ def _weigh(t, k, world):
 
     gives the low-pass f of the load without a difference of speeds.
 
-    An arm whose load is below `_LIGHT` times its share of the object's weight for `LET_GO_TIME` has
-    let go: in an oscillation that braking excites, the load of an arm that holds the object passes
-    zero for a few milliseconds only. Where encoders place the arm and the object apart
-    (`is_apart`), the bound is `HEAVY` times the share, because a bias of the sensor may exceed the
-    lower one, and arms that hold a rigid object apart bear more; and a load below it for
-    `_AWAY_TIME` is enough. A load above `HEAVY` times the share for `LET_GO_TIME` revokes that an
-    arm has let go, if its distance from the object is measured: braking unloads an arm for a
-    moment, and an encoder that jumps seems to move it away. Without this measurement it is not
-    revoked until the next stop as long as other arms hold the object, because vibrations or errors
-    of the sensor may look like a load later.
-
-    A wrist is no evidence if motor torques contradict one of the wrists, as an error of scale,
-    range or wiring may affect all, or if its reading repeats. Fills `load` (3,; f), `weighing` (3,;
-    s), both in N, `light` (s of such evidence), `weighed` and `let_go` of the arm in MEMORY.
+    Fills `load` (3,; f) and `weighing` (3,; s), both in N, `weighed`, and what `_judge_load` fills,
+    of the arm in MEMORY. At the first call after a stop `let_go` and `holds` are reset.
 
     Args:
         t: Tick after `move_arm` and `_compare_places`.
@@ -402,7 +390,35 @@ def _weigh(t, k, world):
     force = plus3(add3(wrench, _gripper_mass(t, arm), model.gravity), inertial)
     fill3(row.weighing, add3(row.weighing, share, minus3(force, row.weighing)))
     fill3(row.load, minus3(row.weighing, inertial))
-    # evidence that the arm has let go, or that it has not; none by a wrist that may be faulty
+    _judge_load(t, k)
+
+
+@inner
+def _judge_load(t, k):
+    """Determine by the load of its wrist whether a stopped arm has let go of the object.
+
+    An arm whose load is below `_LIGHT` times its share of the object's weight for `LET_GO_TIME` has
+    let go: in an oscillation that braking excites, the load of an arm that holds the object passes
+    zero for a few milliseconds only. Where encoders place the arm and the object apart
+    (`is_apart`), the bound is `HEAVY` times the share, because a bias of the sensor may exceed the
+    lower one, and arms that hold a rigid object apart bear more; and a load below it for
+    `_AWAY_TIME` is enough. A load above `HEAVY` times the share for `LET_GO_TIME` revokes that an
+    arm has let go, if its distance from the object is measured: braking unloads an arm for a
+    moment, and an encoder that jumps seems to move it away. Without this measurement it is not
+    revoked until the next stop as long as other arms hold the object, because vibrations or errors
+    of the sensor may look like a load later.
+
+    A wrist is no evidence if motor torques contradict one of the wrists, as an error of scale,
+    range or wiring may affect all, or if its reading repeats. Fills `light` (s of evidence against
+    `let_go`) and `let_go` of the arm in MEMORY.
+
+    Args:
+        t: Tick after `_compare_places`.
+        k: index of the arm, of which `load` (3,; N) of MEMORY is read.
+    """
+    model = t.model
+    memory = t.memory
+    row = memory.arms[k]
     is_frozen = memory.cause == WRIST_FROZEN and memory.culprit == k
     if is_frozen or memory.cause == UNBALANCED:
         return
