@@ -176,7 +176,7 @@ def test_rotors_that_the_model_lacks_do_not_make_a_contact_on_a_spring_oscillate
     scenario = task.load()
     recording = osc.run(scenario, seed=1, check=lambda rig: [])
     assert recording.meta["end_state"] in ("RUN", "DEGRADED")  # its posture is nearly singular
-    assert not (recording["status"] == osc.Status.HELD).any()
+    assert set(recording["status"].tolist()) <= {osc.Status.OK, osc.Status.DEGRADED}
     landed = recording["t"] > 1.0
     assert recording["alpha_true"][landed].max() < 3.0 * recording["alpha_cmd"][landed].max()
     late = recording["t"] > 2.0

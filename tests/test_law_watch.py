@@ -468,6 +468,17 @@ def test_an_encoder_that_dies_in_a_slow_joint_is_found(speed, found):
     assert sensors.joints.faulty.tolist() == [0, at.FAULTY_POSITION if found else 0]
 
 
+@parametrize("offset", [0.0, 0.0019])
+def test_noisy_speeds_of_a_joint_at_rest_are_no_motion(offset):
+    """Their sum is 19 mrad after 10 s, nearly four times the bound of moving joints."""
+    sensors = Sensors(frozen_time=np.inf, position_drift=0.02)
+    sensors.joints.driven[:] = 0
+    rng = np.random.default_rng(3)
+    for _ in range(10_000):
+        v = np.array([0.3, offset]) + 0.01 * rng.standard_normal(2)
+        assert sensors.tick(v=v, true=(0.3, 0.0)) == NO_REASON
+
+
 @parametrize("late", ["low-pass", "delay"])
 def test_late_speeds_of_a_joint_that_stops_suddenly_are_no_motion(late):
     sensors = Sensors(frozen_time=np.inf, position_drift=0.02, speed_error=1.0)

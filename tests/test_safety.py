@@ -80,7 +80,7 @@ def test_it_runs_on_after_19_lost_ticks_and_stops_at_20(case, lost):
 @parametrize("lost, running", [(1, 40), (2, 18)])
 def test_lost_ticks_between_others_add_up_where_they_are_more(case, lost, running):
     """Two out of three: the 20th more than were computed stops the arms."""
-    controller = case.controller()
+    controller = repeatable(case.controller())
     states = []
     for _ in range(40):
         for _ in range(lost):

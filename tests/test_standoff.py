@@ -11,6 +11,7 @@ import osc_contact as osc
 from benchmarks.random_tasks import draw
 from osc_contact.lab.checks.preflight import preflight
 from osc_contact.lab.rig.standoff import within_speed_limits
+from osc_contact.lab.sweeps.rows import RigBuilder
 
 
 @parametrize(
@@ -42,3 +43,12 @@ def test_slow_joints_are_not_beyond_their_limits_in_the_approach(changes, own_pl
     speeds = solve(rig.state.arms[0].J, fastest)
     assert largest(speeds / rig.chain.model.velocityLimit) < 0.55
     assert not [one.text for one in preflight(rig) if one.refused]
+
+
+def test_a_row_of_a_sweep_has_the_approach_of_a_single_run(own_plants):
+    """Its scenario, which is recorded and run again, as its references."""
+    scenario = draw(6938295, 15).load()
+    tare = osc.build_rig(scenario).scenario.tare
+    assert tare is not None and tare.approach > 0.31
+    rig = RigBuilder().rig(scenario)
+    assert rig.scenario.tare == tare == rig.references.scenario.tare

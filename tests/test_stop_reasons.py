@@ -174,9 +174,11 @@ def test_the_torques_of_the_tick_that_finds_a_fault_are_not_those_of_the_law(cas
         assert {controller.state is SAFE_STOP for controller in controllers} == {found}
 
 
-def test_a_fault_known_beforehand_is_refused_at_the_start(case):
-    with raises(osc.InvalidInputError, match="the encoder of joint"):
-        osc.run_loop(Robot(case.measurement), prepared(case, "stuck"), [case.reference] * 5)
+@parametrize("fault", FAULTS)
+def test_a_fault_known_beforehand_is_refused_at_the_start(case, fault):
+    with raises(osc.InvalidInputError) as refusal:
+        osc.run_loop(Robot(case.measurement), prepared(case, fault), [case.reference] * 5)
+    assert first_words(FAULTS[fault][0]) in str(refusal.value)
 
 
 def test_a_dead_packet_stops_with_the_request_for_brakes_at_once(case):

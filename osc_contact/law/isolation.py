@@ -120,9 +120,9 @@ def isolate_posture(t):
     memory = t.memory
     if memory.derived == 0 or model.n_arms != 1 or t.work.rank > 0:
         return
-    arm = model.arms[memory.culprit]
-    net = t.work.arms[memory.culprit].net
-    reading = t.input.wrenches[memory.culprit]
+    arm = model.arms[0]
+    net = t.work.arms[0].net
+    reading = t.input.wrenches[0]
     # the wrist's load at C less the one by weight and inertia; a small difference is as predicted
     force = minus3(net, carried_force(t, memory.centre_rate))
     if dot3(force, force) < _TURNED**2 * dot3(reading, reading):
@@ -161,12 +161,14 @@ def isolate_arms(t):
     """
     model = t.model
     memory = t.memory
-    if memory.state != SAFE_STOP or memory.derived == 0:
+    if memory.state != SAFE_STOP:
         return
     is_cause = memory.cause == APART  # else arms are placed apart only since a later time
     if (memory.age * model.period if is_cause else memory.apart) < _WEIGHED:
         for k in range(model.n_arms):
             memory.arms[k].first_gap = memory.arms[k].gap
+        return
+    if memory.derived == 0:
         return
     heavy = HEAVY * weight_share(t)
     gaps_are_small = True

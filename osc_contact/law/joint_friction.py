@@ -36,9 +36,9 @@ wrist sensor enters e, too, so e is zero as long as no friction is modelled or i
 `friction_errors` the bound is wider by 0.3 |h|, so that e also covers errors of the links' masses;
 and, if friction is learned, by the prior's deviation of F as long as it is not identified.
 
-What residuals have made of the sum, e and learned f, is reduced where it pushes a joint that is
-faster than its command already, as the residual then shows acceleration in place of friction
-(`_without_excess`).
+Where the sum drives a joint that is faster than commanded it is reduced, since residuals then show
+acceleration in place of friction (`_without_excess`): all of it once residuals have contradicted
+the model's friction, before only e.
 
 A delayed wrench is compared with signals of the instant at which it was measured. Without
 `friction_learning` θ is the model's; if `friction_errors` is 0, too, residuals change nothing, and
@@ -400,10 +400,11 @@ def _update_rotor(row, friction_row, prior, is_learned, dt):
 def _is_contradicted(t, j, missing, moves, dt):
     """Test whether residuals have long shown less than half of the friction beyond the model's.
 
-    The friction beyond the model is `friction` of the joint, which is compensated in this tick,
-    less that of the model's parameters F, D, A. Friction of a joint is permanent, but an object
-    that drags at the arm may be released: then the caller discards the whole estimate. Updates
-    `contradicted` (s) of FRICTION, the time of contradiction less that without.
+    The friction beyond the model is `friction` of the joint less that of the model's parameters F,
+    D, A. It is compensated in this tick, unless the joint is faster than commanded. Friction of a
+    joint is permanent, but an object that drags at the arm may be released: then the caller
+    discards the whole estimate. Updates `contradicted` (s) of FRICTION, the time of contradiction
+    less that without.
 
     Args:
         t: Tick.
@@ -547,22 +548,25 @@ def _compensation(t, j):
         row.unlearned = 0.0
     bound = min(bound, t.model.wrist_error * t.model.joints[j].tau_max)
     remainder = t.model.friction_share * min(max(row.unlearned, -bound), bound)
-    if t.memory.friction_known[j] == LEARNED:  # f is made of residuals, as e is
+    if t.memory.friction_known[j] == LEARNED:  # residuals have contradicted the model
         return _without_excess(t, j, row.friction + remainder)
     return row.friction + _without_excess(t, j, remainder)
 
 
 @leaf
 def _without_excess(t, j, torque):
-    """Reduce the compensation of a joint that is faster than commanded, in the direction of both.
+    """Reduce a compensation that follows from residuals, of a joint that is faster than commanded.
 
     At a constant acceleration residuals do not distinguish friction from the inertia A q̈ of a
     rotor that the model lacks: whatever is compensated equals the residual, and is learned. Such a
     joint is accelerated beyond its command, and gains of accelerations brake it little where its
-    inertia is mostly rotor. So its friction has to brake it. The command of a joint of speed v is
-    q̈_c = ṡ + K_d (v_c − v) with the damping K_d of the motion, where v_c is s and what removes
-    errors of the position. From an excess v − v_c of `_EXCESS` and `_EXCESS_SHARE` of |s| on the
-    torque falls, to 0 at twice this excess; with K_d = 0 it stays.
+    inertia is mostly rotor. So its friction has to brake it.
+
+    The command of a joint of speed v is q̈_c = ṡ + K_d (v_c − v) with the damping K_d of the motion
+    gains, where v_c is the permitted speed s and what removes errors of the position. Where q̈_c
+    brakes the joint, and the torque drives it, the torque is multiplied by 2 − (v − v_c)/x, at
+    least 0 and at most 1, with the excess x of `_EXCESS` and `_EXCESS_SHARE` of |s|. With K_d = 0
+    it stays. A motion law of the user's counts as one with the gains' K_d.
 
     Reads of the joint `acceleration` q̈_c (rad/s², m/s²), `speed` s and `turn` ṡ, and its
     low-passed measured speed in `means`.
@@ -576,8 +580,12 @@ def _without_excess(t, j, torque):
         Torque or force (N m, N).
     """
     row = t.memory.joints[j]
-    deceleration = row.turn - t.work.joints[j].acceleration
-    if torque * deceleration <= 0.0 or torque * row.means[V] <= 0.0:
+    acceleration = t.work.joints[j].acceleration
+    deceleration = row.turn - acceleration
+    drives = torque * row.means[V] > 0.0
+    # both: a step of s is in ṡ for one tick, and would count as an excess
+    is_braked = torque * acceleration < 0.0 and torque * deceleration > 0.0
+    if not (drives and is_braked):
         return torque
     excess = _EXCESS * (SLIDES if t.model.joints[j].slides else 1.0)
     excess = t.model.damping * (excess + _EXCESS_SHARE * abs(row.speed))

@@ -88,13 +88,14 @@ def check_sensors(t):
     STUCK: a position is constant while the joint is commanded to gain more than a share of its
     speed limit by more torque than dry friction. DISAGREE: the speed error q̇ − Δq/Δt, low-passed,
     exceeds a share of the limit, or its integral d exceeds `position_drift` and the effects of a
-    small error of scale and delay of q̇, or the joint creeps while its position is constant,
+    small error of scale and delay of q̇,
 
         d ← d + (q̇ − Δq/Δt − d/T) Δt
 
-    with the position q, the speed q̇ that was read, and the time T = `_FORGET` of forgetting. The
-    integral is not checked if speeds are estimated from positions, because it would contain lasting
-    errors of the model. WRIST_FROZEN: a wrist in contact is constant for too long;
+    with the position q, the speed q̇ that was read, and the time T = `_FORGET` of forgetting; or the
+    position is constant while the joint moves by its speeds (`_creeps`). Neither is checked if
+    speeds are estimated from positions, whose integral would contain lasting errors of the
+    model. WRIST_FROZEN: a wrist in contact is constant for too long;
     WRIST_SATURATED: one of its six numbers is. FROZEN: the readings of all joints are, which were
     noisy before (`_check_packet`). MIXED: several joints jump in each packet for `BLIND_TIME`.
 
@@ -414,29 +415,31 @@ def _check_joint(t, joint_memory, limit, step, v, dt, shares):
         return DISAGREE
     if t.memory.derived == 0 and abs(drift) > model.position_drift + _LATE * abs(v):
         return DISAGREE
-    if t.memory.derived == 0 and _creeps(t, joint_memory, v):
+    if t.memory.derived == 0 and _creeps(t, joint_memory):
         return DISAGREE
     return NO_REASON
 
 
 @leaf
-def _creeps(t, joint_memory, v):
+def _creeps(t, joint_memory):
     """Test whether a joint moves by its speeds, though its position is constant.
 
     Speeds since the position last changed add up to more than `is_constant` permits, and go on. A
-    joint at rest may have such a sum by the offset `_OFFSET` of its speeds, and by their delay or
-    low-pass after a sudden stop, which has ended after five times `_LATE`. A slow joint with a dead
-    encoder is found by this alone, since `drift` forgets.
+    joint at rest may have such a sum by the offset `_OFFSET` of its speeds, by their noise, and by
+    their delay or low-pass after a sudden stop, which has ended after five times `_LATE`: so their
+    mean since then, and their present low-pass, must exceed the offset. `drift` does not find a
+    slow joint whose encoder is dead, because it forgets.
 
     Args:
         t: Tick.
-        joint_memory: JOINT_MEMORY, of which `rested` (s) and `due` (rad, m) are read.
-        v: speed read (rad/s, m/s).
+        joint_memory: JOINT_MEMORY, of which `rested` (s), `due` (rad, m) and `error` are read,
+            which is the low-passed speed where the position is constant (rad/s, m/s).
     """
     rested = joint_memory.rested
-    goes_on = v * rested / joint_memory.due > 0.5 if joint_memory.due != 0.0 else False
-    is_moving = goes_on and abs(v) > _OFFSET and rested > 5.0 * _LATE
-    return is_moving and is_constant(t, joint_memory)
+    mean_speed = joint_memory.due / rested if rested > 5.0 * _LATE else 0.0
+    if abs(mean_speed) <= _OFFSET or not is_constant(t, joint_memory):
+        return False
+    return abs(joint_memory.error) > _OFFSET and joint_memory.error / mean_speed > 0.5
 
 
 @leaf

@@ -72,6 +72,7 @@ class JointReadings:
 
     A reading farther from the estimate than the joint can move, from which the next one continues
     as the joint moved before, was displaced: the velocity that it seemed to show is taken back.
+    Encoders have to be read in each period for that.
     """
 
     def __init__(

@@ -214,7 +214,8 @@ class SafetySettings(OrderedSpec):
     arms, as a share of a joint's speed limit"""
     position_drift: Annotated[Limit, "rad, m"] = 0.02
     """drift between positions and the integral of the speeds within half a second that stops the
-    arms"""
+    arms; a quarter of it, in any time, where a position is constant and speeds exceed 2 mrad/s
+    (mm/s)"""
     wrist_error: Limit = 0.05
     """deviation of the unexplained motor torque from its long-term mean that stops the arms, as a
     share of a motor's torque limit (twice as much for the torque itself): a wrist sensor may be

@@ -197,6 +197,7 @@ class Rig:
                 `verdict`.
             chains: function that makes the chains, see `build_rig`.
         """
+        scenario = scenario.replaced(tare=self.scenario.tare)  # its approach may be longer
         return replace(self, scenario=scenario, model=_modelled_chain(scenario, self.chain, chains))
 
     def plant(self, seed: int = 0) -> Plant:

@@ -9,15 +9,15 @@ from osc_contact.spatial import Array
 
 #: Largest speed of the quintic from rest to rest that an approach follows, over its mean speed.
 _PEAK = 1.875
-#: Share of its speed limit that a joint may need: the rest is for what it has to catch up.
+#: Share of its speed limit that a joint may need: the rest is for the correction of errors.
 _SHARE = 0.5
 
 
 def within_speed_limits(scenario: Scenario, displacement: Array, limits: Array) -> Scenario:
-    """Lengthen the approach after a tare so that no joint needs half of its speed limit.
+    """Lengthen the approach after a tare so that no joint needs more than half of its speed limit.
 
-    A duration that the scenario gives is kept. With contact phases the references, by which a
-    motion is checked before a run, still move as without them.
+    A duration that the scenario gives is kept. With contact phases contacts are approached at their
+    own speed, but a motion is checked before a run by references with this approach.
 
     Args:
         scenario: scenario, with or without a tare.
