@@ -294,8 +294,8 @@ class Reference:
         active: (contacts,) 1 for contacts that are active in this tick, else 0. An active one is
             part of N, also where its desired force is 0: with phases a contact that pushes is
             approached until it is made. One that is not active is free motion, whether it holds or
-            pushes. None: a contact that pushes is active while a force is desired of it, and one
-            that holds always is.
+            pushes. None: with phases a contact that pushes is active while a force is desired of
+            it; all others always are.
 
     Example:
         >>> goal = osc.Reference(pin.SE3.Identity(), V_D=[0.1, 0, 0, 0, 0, 0], alpha_d=[5.0])

@@ -157,7 +157,7 @@ class BatchController:
             squeeze_d: (B,) desired internal force (N), or (B, bars) with three arms or more; None:
                 0, and with three arms or more the bar forces of least effort.
             touched: (B, contacts, 28) X_WE by rows, V_E, A_E of the touched bodies; None: at rest.
-            active: (B, contacts) active contacts, see `Reference`; None: those with a force.
+            active: (B, contacts) active contacts, see `Reference`; None: they are not named.
             wrench_valid: (B,) False where the previous wrenches are used; None: all are new.
 
         Raises:

@@ -164,6 +164,7 @@ class Controller(ControllerState):
         Args:
             engaged: True if the law includes the contacts from the first tick on.
             in_contact: False if the object begins in the air, with contacts that push not made.
+                With contact phases such contacts are OPEN unless both are True.
         """
         memory = self.records.memory
         life = self.settings.life

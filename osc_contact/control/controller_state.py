@@ -72,9 +72,9 @@ class ControllerState:
     def reason(self) -> str:
         """Sentence on the cause of a status that is not OK, a stop or a missing contact force.
 
-        It is empty without such a cause. In the tick that detects a sensor fault it is set already,
-        although the torques of this tick are still those of the law. If a joint needs its
-        mechanical brake (`unbraked`), the sentence ends with this joint.
+        It is empty without such a cause. A sensor fault is named in the tick that detects it, whose
+        torques are those of a stop already. If a joint needs its mechanical brake (`unbraked`), the
+        sentence ends with this joint.
         """
         if self.status is Status.HELD or self.state is SafetyState.SAFE_STOP:
             return explain(self.records, self.settings, self.ended)

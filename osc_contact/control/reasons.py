@@ -101,9 +101,9 @@ class _Facts(dict[str, Any]):
 def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
     """Sentence on a tick that ended HELD, or on a stop of the arms.
 
-    WORK has the reason of the tick, MEMORY the cause of a stop. A sensor fault that is detected
-    after a tick stops the arms in this tick, whether it was computed or held for another reason;
-    then the sentence is on the fault.
+    WORK has the reason of the tick, MEMORY the cause of a stop. A sensor fault stops the arms in
+    the tick that detects it, even if this is held for another reason; then the sentence is on the
+    fault.
 
     Args:
         records: records of the tick.

@@ -23,7 +23,8 @@ class Status(IntEnum):
 
     OK = 0
     SATURATED = 1  #: a motor limit was reached: `given_up` has the cost
-    HELD = 2  #: bad measurement or degenerate posture: the last good torques were repeated
+    #: not computed, by input, posture, a limit or a sensor fault: last torques, a hold or a stop
+    HELD = 2
     DEGRADED = 3  #: near a singular posture: `lost_directions` has the motions left out
     HOPPING = 4  #: computed without a loss, but a contact hops: `reason` names it
 
@@ -38,7 +39,9 @@ class SafetyState(IntEnum):
     """
 
     RUN = 0  #: the last tick was computed and nothing was lost
-    DEGRADED = 1  #: motors at their limits, near a singular posture, or a tick or two not computed
+    #: motors at their limits, near a singular posture, without new wrenches, or a tick or two not
+    #: computed, in which the last torques are repeated
+    DEGRADED = 1
     HOLD = 2  #: not computed: gravity compensation and damping at the last posture that was read
     SAFE_STOP = 3  #: braked to rest and held, until `Controller.reset`
 

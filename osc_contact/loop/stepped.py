@@ -132,8 +132,8 @@ class SteppedLoop(Generic[Law]):
     Args:
         controller: a `Controller`, or any object with its `tick` and `dt`.
         stop: called with the reason in the tick in which the controller enters `SAFE_STOP`, again
-            if the arms come to need their mechanical brakes, and when an error ends the block.
-            None: only the torques stop the arms.
+            if the arms come to need their mechanical brakes, and when the loop ends, with the error
+            that ends the block or an empty reason. None: only the torques stop the arms.
         recorder: records every tick.
         viewer: draws every tick; needs a recorder that provides channels.
         check: True: the first call of `step` compares controller, measurement and reference, as
@@ -287,7 +287,7 @@ class _RestingRobot(NamedTuple):
 
     Attributes:
         measurement: reading of the robot at rest.
-        look: returns the robot's scene; None: unknown.
+        look_around: returns the robot's scene; None: unknown.
     """
 
     measurement: Measurement

@@ -130,7 +130,9 @@ def misplaced(
     """Make the pairs of the controller's model, each body displaced by the scenario's error.
 
     A body is modelled `face_offset` nearer to the object along its first line of force, and rotated
-    by `face_tilt` about an axis across this line, through the point where it meets the body.
+    by `face_tilt` about an axis across this line, through the point where it meets the body. The
+    axis is horizontal, or any if the line is vertical, and turned about the line by
+    `face_tilt_about`.
 
     Args:
         scenario: scenario with its `model_error`.
@@ -339,7 +341,8 @@ def known_bodies(bodies: Sequence[EnvironmentBody], contacts: int, how: str) -> 
     Args:
         bodies: bodies of the environment.
         contacts: number of contacts.
-        how: value of `model_error.environment`.
+        how: value of `model_error.environment`: "known"; "ignored", all bodies are at rest; or
+            "yielding", bodies on a translation with a spring yield, and all others are at rest.
     """
     models: list[Body | None] = [None] * contacts
     for body in bodies:

@@ -255,7 +255,7 @@ class Scenario(Spec):
     active: dict[Name, tuple[Span, ...]] = Field(default_factory=dict)
     """by contact name, the times `[from, to]` in which it is
     [active](contact_phases.md#active-sets); others always are. Without any, contacts that push are
-    active while a force is desired of them"""
+    active, with phases only while a force is desired of them"""
     motion: tuple[MotionSpec, ...] = ()
     """moves away from the start pose"""
     plan: PlanKeys | None = None
