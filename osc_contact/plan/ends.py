@@ -295,8 +295,8 @@ def pressed(force: Force, on: str | Direction) -> End:
     """Condition that the object presses with at least some force.
 
     Args:
-        force: least measured force (N); along a direction that of `Sensed.wrench`, which contains
-            inertial forces of an accelerated object.
+        force: least measured force (N); along a direction it contains the inertial force of an
+            accelerated object.
         on: name of a contact, or direction (3,) of the force in world axes.
     """
     if isinstance(on, str):
