@@ -365,7 +365,7 @@ def _weigh(t, k, world):
     gives the low-pass f of the load without a difference of speeds.
 
     Fills `load` (3,; f) and `weighing` (3,; s), both in N, `weighed`, and what `_judge_load` fills,
-    of the arm in MEMORY. At the first call after a stop `let_go` and `holds` are reset.
+    of the arm in MEMORY. At the first call after a stop `let_go`, `holds` and `light` are reset.
 
     Args:
         t: Tick after `move_arm` and `_compare_places`.

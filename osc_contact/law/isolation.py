@@ -107,14 +107,14 @@ def isolate_posture(t):
     estimated from encoders, no reading of the arm is sound then.
 
     The load of an arm in contact, or of one of several at an object, is not predicted: no reading
-    of such arms is marked. Reads `column` of the joints in WORK, in MEMORY `residual` of the joints
-    (torque that neither model nor wrist explains; N m, N) and `centre_rate` (acceleration of the
-    object's centre, m/s²), `net` of the arm in WORK (its reading at C less weight and inertia
-    beyond the sensor; N, N m), and its wrench in INPUT. Nor is any marked while speeds are not
-    estimated from positions (`derived` = 0). Fills `faulty` of the joints in MEMORY.
+    of such arms is marked, nor any while speeds are not estimated from positions (`derived` = 0).
+    Reads `column` of the joints in WORK, in MEMORY `residual` of the joints (torque that neither
+    model nor wrist explains; N m, N) and `centre_rate` (acceleration of the object's centre, m/s²),
+    `net` of the arm in WORK (its reading at C less weight and inertia beyond the sensor; N, N m),
+    and its wrench in INPUT. Fills `faulty` of the joints in MEMORY.
 
     Args:
-        t: Tick of a contradiction between motors and the wrist of an arm, the `culprit` of MEMORY.
+        t: Tick of a contradiction between motors and the wrist of an arm.
     """
     model = t.model
     memory = t.memory
