@@ -61,7 +61,8 @@ def contact_response(
 
     Raises:
         InvalidInputError: not exactly one of f_S and tau, or wrong sizes.
-        ContactError: neither the chain nor the environment yields along one of the contacts.
+        ContactError: neither the chain nor the environment yields along one of the contacts, or
+            columns of N are linearly dependent.
     """
     if (f_S is None) == (tau is None):
         raise InvalidInputError("give exactly one of f_S= (d,) and tau= (n_a,)")

@@ -215,6 +215,14 @@ def test_velocities_in_another_unit_and_none_at_all():
     assert f"{behind:.3g} m behind" in one.text
 
 
+def test_a_velocity_at_right_angles_to_the_motion_is_another_one_and_not_left_out():
+    X = rig_of("panda_edge").state.X_WO
+    across = np.eye(6)[1] * 0.1  # m/s along y
+    motion = [pin.SE3(X.rotation, X.translation + [1e-4 * k, 0.0, 0.0]) for k in range(500)]
+    (one,) = found([osc.Reference(pose, across, np.zeros(6)) for pose in motion])
+    assert "V_D is up to 0.141 m/s off the rate of X_WD" in one.text
+
+
 def test_a_step_of_the_pose_is_no_speed():
     X = rig_of("panda_edge").state.X_WO
     aside = placed(0, 0, 0.01) * X

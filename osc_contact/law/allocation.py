@@ -193,7 +193,7 @@ def _multiply_metric(t, row, out):
     The effort Σ τ²/τ_max² of an arm without redundant joints has R⁻¹ = τ_max²; for an arm with them
     (`wide`) R⁻¹ = JᵀWJ, with the Jacobian J (6, n) and the inverse metric W (6, 6) of the wrenches
     (`effort` of the arm), so that only torques Jᵀf of wrenches f are used. Reads `wide` and
-    `effort` of the arms, and J of the joints.
+    `effort` of the arms, J of the joints, and `effort` of the joints in MODEL (τ_max²).
 
     Args:
         t: Tick.

@@ -185,9 +185,10 @@ def _move_object(t, is_input):
 def _combine_twists(t):
     """Combine the twists of the object by the joint speeds of all arms; rigid grasps only.
 
-    Errors of joint speeds are assumed to have the variance 1, so that the twist V_i = J_i q̇_i + ε
-    of arm i has the covariance G_i = J_i J_iᵀ + ρ_i 1. ε is the error of the Jacobian J_i (6, n_i);
-    without it, no twist would satisfy two arms with different locked directions. With P (6, 6) the
+    The twist V_i = J_i q̇_i + ε of arm i has the covariance G_i = J_i S J_iᵀ + ρ_i 1
+    (`_add_covariance`), with the variances S of the joint speeds and the error ε of the twist by
+    that of the Jacobian J_i (6, n_i); without ε, no twist would satisfy two arms with different
+    locked directions. With P (6, 6) the
     covariance of the estimate V from the former arms,
 
         K = P (P + G_i)⁻¹,   V ← V + K (V_i − V),   P ← P − K P

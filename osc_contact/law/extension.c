@@ -1,4 +1,5 @@
-/* The compiled law as a Python module: entries of law.o for arrays, the GIL released.
+/* The compiled law as a Python module: entries of law.o for arrays; `rows` and
+   `operational_space` release the GIL.
 
    Limited API: one file serves CPython 3.11 and later, with NumPy 2.0 and later. Arrays must be
    contiguous and of the types that the law is compiled for; anything else is a TypeError, upon which

@@ -189,11 +189,12 @@ def _regress(prior, friction_row, phi, r, k, dt):
 
 @leaf
 def _keep_bounds(prior, friction_row, C):
-    """Fill `theta` with the most likely friction parameters within their bounds.
+    """Fill `theta` with friction parameters within their bounds, nearly the most likely ones.
 
     `estimate` (5,) has friction, rotor inertia, bias and error of masses without bounds, with the
-    covariance P (5, 5). Elements beyond a bound are fixed there, and the others are conditioned on
-    them. `estimate` is not changed, since it would drift otherwise.
+    covariance P (5, 5). Elements beyond a bound are fixed there, one after the other, and the
+    others are conditioned on them. A fixed element is not freed again, so that strongly correlated
+    ones may both end at their bounds. `estimate` is not changed, since it would drift otherwise.
 
     Args:
         prior: PRIOR of a joint, of which the bounds `low` and `high` are read.

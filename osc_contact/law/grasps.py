@@ -82,7 +82,7 @@ def grasp_rows(arm, work, C, axes, out):
 
 @inner
 def find_twist(t, is_given):
-    """Compute orthonormal N and T of every grasp, and the twist of the object at C.
+    """Compute orthonormal N and T of grasps that are not rigid, and the twist of the object at C.
 
     N (m, 6) are the wrenches that a grasp transmits, T (6 − m, 6) the motions that it permits. With
     a leader (an arm that holds rigidly) the object moves with its tip. Without one, the twist V
@@ -92,7 +92,7 @@ def find_twist(t, is_given):
 
     Args:
         t: Tick.
-        is_given: whether the twist is given in `V_C`.
+        is_given: whether the twist is an input, from which the caller fills `V_C`.
 
     Returns:
         False if the grasps do not determine the twist.

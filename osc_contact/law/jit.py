@@ -101,7 +101,7 @@ def leaf(function: Any) -> Any:
 
 
 def entry(function: Any) -> Any:
-    """Decorator of a function that Python calls, one of `c_object.ENTRIES`; it releases the GIL.
+    """Decorator of a function of the law that Python calls; `c_object.ENTRIES` are those of C.
 
     Args:
         function: the function.

@@ -157,7 +157,7 @@ def look(t, flags):
     Args:
         t: Tick.
         flags: sum of COMMANDED (internal forces are given), PARTIAL (the number of columns is not
-            known yet), MISFIT (an input has a wrong size) and NO_FORCES (alpha_d is empty).
+            known yet), MISFIT (an input has a wrong size) and NO_FORCES (alpha_d has a wrong size).
     """
     model = t.model
     memory = t.memory
@@ -493,7 +493,9 @@ def command(t, flags):
 
 @inner
 def watch(t):
-    """Check the limits of the robot, and the sensors by means of the computed commands.
+    """Check limits of joints, arms and contacts, and sensors by means of the computed commands.
+
+    Contacts may be lost, press more than commanded, exceed a ceiling or a power, or hop.
 
     Args:
         t: Tick after `command`.

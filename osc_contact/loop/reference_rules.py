@@ -341,7 +341,7 @@ def _moving_parts(task: Task, relation: str) -> Iterator[tuple[slice, float]]:
 
     Yields:
         Slice of (6,), and the factor s of rate = s V_D by least squares over all checked
-        references; s is 0 if V_D is zero.
+        references; 0 if V_D is zero, or is at right angles to the rate, which is another motion.
     """
     for part in (slice(0, 3), slice(3, 6)):
         rates = task.rates[:, part]
@@ -350,7 +350,7 @@ def _moving_parts(task: Task, relation: str) -> Iterator[tuple[slice, float]]:
         if size <= 1e-9 * len(rates) or not np.isfinite(size):
             continue
         factor = float((rates * V).sum() / (V * V).sum()) if V.any() else 0.0
-        if factor == 0.0:
+        if not V.any():
             own_relation = _LEFT_OUT
         elif factor > 0.0 and norm(rates - factor * V) < SAME_RATE * size:
             own_relation = _A_FACTOR

@@ -183,15 +183,18 @@ class Recogniser:
 def over_recording(
     recording: Mapping[str, Array], recogniser: Recogniser
 ) -> tuple[Array, list[str]]:
-    """Recognise the contact states of a recording, from pose and wrench as measured.
+    """Recognise the contact states of a recording, from its pose and the measured wrench.
+
+    The channel `pose` is that of the encoders only where the plant has no truth; of a simulation it
+    is the true one, with which states are recognised better than they would be on a robot.
 
     Args:
         recording: recording with the channels `t`, `pose` and `wrench_meas`.
         recogniser: filter, which continues from its present probabilities.
 
     Returns:
-        Times (k,) of the instants (s), one period apart, and the most probable state at each; the
-        wrench of an instant is the mean since the last one.
+        Times (k,) of the instants (s), one period apart to whole ticks, and the most probable state
+        at each; the wrench of an instant is the mean since the last one.
 
     Example:
         >>> rig = osc.build_rig("panda_edge")
