@@ -17,13 +17,13 @@ from scenario_runs import closed_force, rig_of, verdict_of
 from test_moving_face import TURNING
 
 import osc_contact as osc
-from osc_contact.interface import Measurement, Touched
+from osc_contact.interface import Measurement, Seen, Touched
 from osc_contact.lab.plants.sensors import SensedPlant, SensorErrors, Sensors
 from osc_contact.lab.scenarios.hardware import Clock, VisionSpec
 from osc_contact.sensing.calibration import calibrate_wrist
 from osc_contact.sensing.reading_noise import ReadingNoise
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
-from osc_contact.sensing.vision_fusion import History, Registration
+from osc_contact.sensing.vision_fusion import History, Registration, VisionFusion
 
 DT = 1e-3
 
@@ -541,6 +541,29 @@ def lacking(estimate, true):
     """ξ = [δ; θ] with true = (exp(θ), δ) ∘ estimate."""
     rest = true * estimate.inverse()
     return np.concatenate((rest.translation, pin.log3(rest.rotation)))
+
+
+@parametrize("lost", [range(3), range(10, 40)])
+def test_bodies_are_located_again_after_joints_were_not_read(lost):
+    """Pictures go on; joint positions that are no numbers had spoiled the camera's frame."""
+    X_WC, X_WE = displaced(default_rng(2), (0.1, 0.3)), pin.SE3.Random()
+    q = vector(0.3, -0.2)
+    fusion = VisionFusion(
+        lambda q: [pin.SE3(np.eye(3), np.array([q[0], q[1], k])) for k in range(3)],
+        Registration(1e-6, 1e-6, prior=(1.0, 1.0)),
+        (1.0, 1.0),
+        dt=1e-3,
+        period=5e-3,
+        delay=0.0,
+    )
+    poses = [(X_WC.inverse() * X).homogeneous for X in fusion._known(q)]
+    seen = Seen(poses[0], np.array(poses[1:]))
+    touched = Touched((X_WC.inverse() * X_WE).homogeneous[None], *np.zeros((2, 1, 6)))
+    for k in range(100):
+        now = 1e-3 * k
+        read = q * np.nan if k in lost else q
+        found = fusion.update(now, read, 5e-3 * (k // 5), seen, touched)
+    assert_near(found.X_WE[0], X_WE.homogeneous, atol=1e-3)
 
 
 def test_without_noise_one_picture_finds_the_camera():

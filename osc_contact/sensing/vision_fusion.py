@@ -43,6 +43,11 @@ class History:
         #: times (s) and values, the oldest first
         self._samples: deque[tuple[float, Array]] = deque()
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether no value has been added."""
+        return not self._samples
+
     def add(self, t: float, x: Array) -> None:
         """Append the value x (n,) at the time t (s), which is later than all before.
 
@@ -58,7 +63,7 @@ class History:
         Raises:
             InvalidInputError: the history is empty.
         """
-        if not self._samples:
+        if self.is_empty:
             raise InvalidInputError("the history is empty; add a value before asking for one")
         times, values = zip(*self._samples, strict=True)
         return np.array([np.interp(t, times, x) for x in np.transpose(values)])
@@ -219,17 +224,18 @@ class VisionFusion:
 
         Args:
             now: present time (s).
-            q: (n,) present joint positions (rad, m).
+            q: (n,) present joint positions (rad, m); not finite: not read, and left out.
             stamp: time of the last picture (s).
             seen: object and tips in the picture; None: the camera's frame is the robots' frame.
             touched: bodies in the picture, in the camera's frame; `A_E` is passed on.
         """
-        self.history.add(now, q)
+        if np.isfinite(q).all():
+            self.history.add(now, q)
         fresh = self._stamp is None or stamp > self._stamp
         if fresh:
             elapsed = 0.0 if self._stamp is None else stamp - self._stamp
             self._stamp = stamp
-            if seen is not None:
+            if seen is not None and not self.history.is_empty:
                 poses = [SE3(np.array(X)) for X in (seen.object, *seen.tips)]
                 self.registration.update(self._known(self.history.at(stamp)), poses, elapsed)
         frames = [SE3(np.array(X)) for X in touched.X_WE]
