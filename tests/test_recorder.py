@@ -125,7 +125,7 @@ def test_missing_files_are_refused(tmp_path):
 
 @parametrize("in_memory", [0, 1000])
 def test_damaged_files_never_give_other_data(in_memory, tmp_path, monkeypatch):
-    monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", in_memory)
+    monkeypatch.setattr("osc_contact.recorder.archive.IN_MEMORY", in_memory)
     recording = record(300)
     path = tmp_path / "run.npz"
     whole = recording.save(path).read_bytes()
@@ -187,7 +187,7 @@ def test_numpy_reads_the_file_and_what_it_packed_is_read(tmp_path):
 def test_large_recordings_stay_in_their_file(tmp_path, monkeypatch):
     whole = record(10000)
     path = whole.save(tmp_path / "run.npz")
-    monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", 1000)
+    monkeypatch.setattr("osc_contact.recorder.archive.IN_MEMORY", 1000)
     loaded = Recording.load(path)
     assert len(loaded) == 10000 and loaded.meta == json.loads(json.dumps(META))
     path.unlink()  # whoever has it open goes on reading

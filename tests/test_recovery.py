@@ -131,7 +131,7 @@ def test_chunks_of_any_size_make_the_same_recording(name, plant, monkeypatch, tm
     scenario = osc.load_scenario(name, [f"plant.type={plant}"])
     once = run_of(scenario, duration=0.06)
     monkeypatch.setattr(rows_of_runs, "_WRITE_EVERY_S", 0.0)
-    monkeypatch.setattr("osc_contact.recorder.recording.IN_MEMORY", 0)
+    monkeypatch.setattr("osc_contact.recorder.archive.IN_MEMORY", 0)
     same(run_of(scenario, duration=0.06, journal=tmp_path / "unfinished.mcap"), once)
     recovered = osc.recover(tmp_path / "unfinished.mcap")
     assert recovered.meta["missing"] == []

@@ -15,8 +15,8 @@ from osc_contact.control.monitor import ContactMonitor, watch_series
 from osc_contact.control.status import Phase
 from osc_contact.loop.judge import ReadsTruth, Truths
 from osc_contact.recorder import Recording
+from osc_contact.recorder.archive import gather
 from osc_contact.recorder.journal import Journal
-from osc_contact.recorder.recording import gather
 from osc_contact.spatial import Array, Poses
 
 _ROWS_OF_BLOCK = 1000  #: number of rows whose channels are computed together
@@ -48,9 +48,7 @@ def channels(
 ) -> dict[str, Array]:
     """Compute the channels of k ticks, except those of the contact monitor.
 
-    Most are values of the law's records in the rows. With the wrench f of the wrists less bias,
-    V_relᵀNα is the power of the contact forces along N, and V_Oᵀ(f − N α) is added for the total
-    (W).
+    Most are values of the law's records in the rows.
 
     Args:
         subject: description of the recorded system.
@@ -72,9 +70,7 @@ def channels(
         truth = truths.truths(rows["truth"])
     N = np.concatenate((np.zeros((6, 0, k)), *truth.N), axis=1)
     points, directions = _contact_points(subject, truth, k)
-    wrench = rows["f_meas"] - rows["bias_out"]
-    projected = (rows["speed"] * alpha).sum(axis=1)  # V_relᵀNα, for faces at rest or in motion
-    total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
+    total, projected = _powers(rows)
     series = {
         "t": np.arange(first, first + k) * subject.dt,
         **{name: rows[name] for name in ("q", "v", "tau")},
@@ -89,7 +85,7 @@ def channels(
         "contact_point": points,
         "contact_direction": directions,
         "face_pose": _face_poses(subject, truth, k),
-        "wrench_meas": wrench,
+        "wrench_meas": rows["f_meas"] - rows["bias_out"],
         "power_total": total,
         "power_projected": projected,
         "motion_error": rows["free_error"],
@@ -105,6 +101,21 @@ def channels(
     if truths is None:
         del series["alpha_true"]
     return {name: np.ascontiguousarray(values) for name, values in series.items()}
+
+
+def _powers(rows: Array) -> tuple[Array, Array]:
+    """Compute the power of the measured wrench, and of the contact forces along N, (k,) each (W).
+
+    The latter is V_relᵀNα, for faces at rest or in motion; with the wrench f of the wrists less
+    bias V_Oᵀ(f − N α) is added for the former.
+
+    Args:
+        rows: (k,) stored rows with named fields.
+    """
+    wrench = rows["f_meas"] - rows["bias_out"]
+    projected = (rows["speed"] * rows["alpha"]).sum(axis=1)
+    total = (rows["V_O"] * (wrench - rows["f_c"])).sum(axis=1) + projected
+    return total, projected
 
 
 def work_out(

@@ -73,19 +73,7 @@ def scene(
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.fusestatic = False
-    spec.option.timestep = options.step
-    spec.option.tolerance = 1e-12
-    spec.option.iterations = 100
-    spec.option.ccd_tolerance = DEPTH_TOLERANCE
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    bits = mujoco.mjtDisableBit
-    disabled = bits.mjDSBL_AUTORESET | bits.mjDSBL_MIDPHASE  # few geometries: all are compared
-    # more than the deepest contact of two convex bodies, from MuJoCo 4 on, may have the normal of a
-    # face where edges touch: tips sink in at their rims
-    disabled |= getattr(bits, "mjDSBL_MULTICCD", 0)
-    if not any(rail.joints for rail in rails):  # all constrained bodies are connected
-        disabled |= bits.mjDSBL_ISLAND
-    spec.option.disableflags = int(disabled)
+    _choose_options(spec, options, rails)
     for arm, file in zip(chain.arms, arm_urdfs, strict=True):
         frame = spec.worldbody.add_frame(**placed(arm.base))
         spec.attach(_arm_specification(arm, file), prefix=f"{arm.name}/", frame=frame)
@@ -114,6 +102,31 @@ def scene(
     if options.friction > 0.0:
         _add_friction(spec, options)
     return spec
+
+
+def _choose_options(spec: MjSpec, options: PlantSpec, rails: Sequence[Rail]) -> None:
+    """Set the options of MuJoCo's solver and of its collision detection.
+
+    Args:
+        spec: specification of the scene, changed.
+        options: options of the plant.
+        rails: rail of each touched body.
+    """
+    import mujoco
+
+    spec.option.timestep = options.step
+    spec.option.tolerance = 1e-12
+    spec.option.iterations = 100
+    spec.option.ccd_tolerance = DEPTH_TOLERANCE
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    bits = mujoco.mjtDisableBit
+    disabled = bits.mjDSBL_AUTORESET | bits.mjDSBL_MIDPHASE  # few geometries: all are compared
+    # more than the deepest contact of two convex bodies, from MuJoCo 4 on, may have the normal of a
+    # face where edges touch: tips sink in at their rims
+    disabled |= getattr(bits, "mjDSBL_MULTICCD", 0)
+    if not any(rail.joints for rail in rails):  # all constrained bodies are connected
+        disabled |= bits.mjDSBL_ISLAND
+    spec.option.disableflags = int(disabled)
 
 
 def _place_bodies(
