@@ -163,7 +163,7 @@ def overlap(peg, box, n):
 
 @parametrize("place", ["face", "rims"])
 def test_depths_of_contacts_are_overlaps_along_their_normals(place):
-    """Of a round tip that sinks in by no more than some micrometres, or lies on several rims."""
+    """The tip is round, and sinks in by some micrometres at most, or lies on several rims."""
     task = task_of(shape="round")
     robot = task.robot(peg_start(task.peg, task.hole))
     plant, hole = robot.plant, task.true_hole.pose

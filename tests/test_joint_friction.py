@@ -260,7 +260,7 @@ def test_a_joint_that_is_faster_than_commanded_is_braked_by_its_friction(name, s
 
 @parametrize("state, left", [(friction_estimate.MODEL_ONLY, 8.0), (friction_estimate.LEARNED, 0.0)])
 def test_friction_of_the_model_is_compensated_at_any_speed_until_it_is_contradicted(state, left):
-    """What is not identified yet, e, is always left out of a joint that is too fast."""
+    """A joint faster than its command never gets e, the friction that is not identified yet."""
     t = records(1, 1, friction_share=0.5, wrist_error=1.0, damping=40.0)
     t.model.joints.tau_max = 100.0
     t.model.joints.theta[0, 0] = 8.0

@@ -1156,7 +1156,7 @@ def test_an_arm_that_is_apart_from_the_object_has_let_go_below_half_of_its_share
 
 @parametrize("share, leader, ticks", [(0.55, 0, 21), (0.45, 0, 0), (0.55, -1, 0)])
 def test_an_arm_that_bears_a_load_beside_the_object_has_not_let_go(share, leader, ticks):
-    """As after an encoder that jumped, while braking unloaded it; where its gap is measured."""
+    """It was marked so when an encoder jumped and braking unloaded it; its gap must be measured."""
     t = two_at_a_rod(shift=0.01)
     write(t.model, leader=leader)
     t.memory.arms.weighed = 1
