@@ -12,9 +12,9 @@ for each kind, how the runs ended and the largest contact force; the exit code i
 * a joint stayed beyond its speed limit or outside its range for 0.3 s without a stop;
 * the true contact force went beyond three times its command (or 30 N, whichever is more), or the
   command and what the torque that a faulty motor does not give presses on rigid contacts, and what
-  the impact presses with which an arm that such a motor moves meets a face; beside the pushes of
-  the scenario, what an obstacle adds until a force is seen, and what a force that reads mirrored
-  gains until its ceiling stops the arms;
+  the impact presses with which an arm that such a motor moves, or no longer holds, meets a face or
+  the side behind it; beside the pushes of the scenario, what an obstacle adds until a force is
+  seen, and what a force that reads mirrored gains until its ceiling stops the arms;
 * a contact that was commanded and made was open for 0.3 s, and the controller took it as closed;
 * stopped arms whose motors are sound moved faster than 0.1 rad/s (m/s) later than 0.5 s after the
   stop, and 0.3 s after each push of the scenario, or 0.1 rad (m) further than braking took; not
@@ -77,6 +77,7 @@ REST_TRAVEL = 0.1
 #: s from the beginning of a push in which it moves a stopped arm: it lasts 0.08 s, and a hold that
 #: is critically damped at ω = 20/s leaves (ωt − 1) e^(−ωt) = 4 % of its speed after 0.22 s more
 PUSHED_FOR = 0.3
+TOUCHED = 1e-3  #: N, least force of a contact: the shares of others are zero but for rounding
 TRUTH_EVERY = 3  #: ticks from one look at true forces to the next: contacts take 10 ms to form
 SEEDED = {"ur5_wipe": 3, "two_contact_rod": 3, "panda_edge": 3}  #: moments drawn; others have one
 
@@ -345,7 +346,8 @@ class Watch:
 
     Attributes:
         highest: N, the largest force commanded, 10 at least.
-        impacts: (r,) N, the largest force of an impact with which each column was closed.
+        impacts: (r,) N, the largest force of an impact with which each column was closed, or in
+            which its force changed its sign: on a face behind.
         too_fast: whether a joint was faster than its readings are believed.
     """
 
@@ -419,11 +421,13 @@ class Watch:
             verdict.open_s = max(verdict.open_s, float(self._open[i]))
 
     def _look_at_impacts(self, truth: Truth) -> None:
-        """Add the impacts of contacts that have closed since the last look.
+        """Add the impacts of contacts that have closed since the last look, and of faces behind.
 
         A contact of MuJoCo that is met by a mass m with a speed v presses with at most 2 m v / T,
         T the time constant of `solref`: its damper has 2/T, and it is not damped less than
-        critically.
+        critically. An object with play may also meet the other side of the body that it is pressed
+        against, such as the wall of a hole behind it: then the force along a column has a sign
+        that it did not have before.
 
         Args:
             truth: truth of this tick.
@@ -435,8 +439,9 @@ class Watch:
         speeds = np.abs(self._run.rig.contact.N.T @ before.V_O)
         owners = self._run.rig.owners
         closes = np.array([truth.closed[o] and not before.closed[o] for o in owners], dtype=bool)
+        met_behind = (truth.alpha < -TOUCHED) & (before.alpha >= -TOUCHED)
         forces = 2.0 * self._masses * speeds / plant.solref[0]
-        self.impacts = np.maximum(self.impacts, np.where(closes, forces, 0.0))
+        self.impacts = np.maximum(self.impacts, np.where(closes | met_behind, forces, 0.0))
 
 
 def effective_masses(run: Run) -> Array:

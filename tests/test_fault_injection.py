@@ -290,6 +290,31 @@ def test_the_limit_of_a_weak_motor_has_the_impact_of_a_landing():
         assert watch.impacts.max() < 200.0
 
 
+@parametrize("locked", first([False, True], 1))
+def test_a_peg_that_a_dead_motor_lets_swing_may_meet_the_wall_behind(locked):
+    """Its joint is free: it swings on although the others are locked from the stop on."""
+    case = Case(scenario="scara_peg", every=3, seed=695647045)
+    run = Run(case, "a motor is dead")
+    seen = Verdict("no fault", case)
+    while run.k < run.first:
+        run.step(seen)
+    step = run.step
+
+    def step_and_lock(verdict, fault=None):
+        reference = step(verdict, fault)
+        if locked and run.controller.state is SAFE_STOP:
+            free = run.trial.pick(len(run.act))
+            for joint in np.delete(run.act, free):
+                dof = run.true.model.joint(run.rig.model.joint_names[joint]).dofadr
+                run.true.model.dof_frictionloss[dof] = 1e4
+        return reference
+
+    run.step = step_and_lock
+    verdict = run.judge("a motor is dead", stopped_for=0.3)
+    assert verdict.state is SAFE_STOP and verdict.force > 55.6, "beyond the limit without impact"
+    assert not verdict.wrong, verdict
+
+
 def test_rest_is_judged_of_a_drifting_encoder():
     """Where speeds are estimated from it, too: the arm follows the drift, which is not mended."""
     name = "encoder drifts by 0.2 rad/s"
