@@ -332,12 +332,17 @@ class Watch:
 
 
 def main(count: int = 5, seed: int = 7000, folder: Path = Path("out/insertions")) -> None:
-    """Print shares, confusions and times over some insertions."""
+    """Print a row for each insertion, then shares, confusions and times over all of them."""
     logging.disable(logging.WARNING)
     console = Console(width=140, highlight=False)
     tally = Tally()
     for k in range(seed, seed + count):
         follow(k, folder, tally)
+        console.print(
+            f"{k}: watched {tally.watched:.1f} s so far, {tally.alarms} false alarms, "
+            f"{tally.alarms_by_median} by the medians of forces",
+            soft_wrap=True,
+        )
     peg = Peg("square", WIDTH)
     task = Insertion(peg, CLEARANCE, seed)
     groups = sorted(set(groups_of(states_of(peg, task.hole), peg, task.hole).values()))
