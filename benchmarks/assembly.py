@@ -12,7 +12,7 @@ Wrist noise 0.2 N and 10 mN m, encoders of 18 bits, joint friction of 1 %, frict
 holes, masses wrong by up to 5 %, default safety with a ceiling of 100 N. MuJoCo's contacts have
 solref (3 ms, 1) and solimp (0.6, 0.95, 0.2 mm), some 350 N/mm. One row for each seed, then the
 shares and quantiles. Peaks are those of the sum of all contact forces, and of a single contact, at
-the end of each millisecond.
+the end of each millisecond; the mean is that of the norm of this sum, while anything touches.
 """
 
 import logging
@@ -38,13 +38,14 @@ def summary(results: list[Inserted]) -> str:
     times = np.array([one.time for one in done])
     sums = np.array([one.largest_sum for one in results])
     singles = np.array([one.largest_single for one in results])
+    means = np.array([one.mean_sum for one in results])
     text = f"{len(done)} of {len(results)}"
     if done:
         text += f"; time of these: median {np.median(times):.1f} s"
     return (
         f"{text}; peak of the sum: median {np.median(sums):.0f} N, 95 % "
         f"{np.quantile(sums, 0.95):.0f} N; of a single contact: median {np.median(singles):.0f} N, "
-        f"95 % {np.quantile(singles, 0.95):.0f} N"
+        f"95 % {np.quantile(singles, 0.95):.0f} N; mean of the sum: median {np.median(means):.1f} N"
     )
 
 
@@ -59,7 +60,7 @@ def row_of(seed: int, one: Inserted) -> str:
     return (
         f"{seed}: {one.time:.1f} s, {one.tries} tries, {1e3 * one.depth:.1f} mm deep, "
         f"{np.degrees(one.tilt):.2f}°, {one.largest_sum:.0f} N, single "
-        f"{one.largest_single:.0f} N, {words}"
+        f"{one.largest_single:.0f} N, mean {one.mean_sum:.1f} N, {words}"
     )
 
 

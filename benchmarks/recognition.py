@@ -1,8 +1,10 @@
 """Contact states recognised during insertions of a square peg, against the true contacts.
 
     python -m benchmarks.recognition [--count 5] [--seed 7000] [--folder out/insertions]
+        [--clearance 0.2]
 
-The insertions are those of `benchmarks.assembly`, recorded once for each seed. The recogniser reads
+The insertions are those of `benchmarks.assembly`, recorded once for each seed; their rows and
+their summary are printed, too. The recogniser reads
 the pose of the peg from the encoders and the wrench, low-passed with 5 ms, every 10 ms; it believes
 the hole at its modelled pose and does not know its friction. A state counts from 50 ms after a
 change on, until the peg is in the hole. Contacts that carry less than the friction of the others
@@ -24,7 +26,8 @@ import pinocchio as pin
 import typer
 from rich.console import Console
 
-from benchmarks.recorded_insertions import CLEARANCE, recorded
+from benchmarks.assembly import row_of, summary
+from benchmarks.recorded_insertions import CLEARANCE, recorded, result_in
 from osc_contact.contacts.insertion import Hole, Peg, pairs_between
 from osc_contact.lab.tasks.insertion import BASE, LENGTH, WIDTH, Insertion
 from osc_contact.lab.tasks.pegs import peg_plan, peg_start
@@ -247,16 +250,14 @@ def groups_of(states: ContactStates, peg: Peg, hole: Hole) -> dict[str, str]:
     return {name: ", ".join(group) for group in states.groups(X, force=FORCE) for name in group}
 
 
-def follow(seed: int, folder: Path, tally: Tally) -> None:
+def follow(task: Insertion, rows: dict[str, Array], tally: Tally) -> None:
     """Recognise the states of one insertion until the peg is in the hole.
 
     Args:
-        seed: seed of the insertion.
-        folder: folder of the recordings.
+        task: peg and hole.
+        rows: columns of the recorded insertion.
         tally: counts, updated.
     """
-    rows = recorded(seed, folder)
-    task = Insertion(Peg("square", WIDTH), CLEARANCE, seed)
     states = states_of(task.peg, task.hole)
     group = groups_of(states, task.peg, task.hole)
     stages = [stage.name for stage in peg_plan(task.peg, task.hole).stages]
@@ -331,20 +332,31 @@ class Watch:
         self.alarmed = alarm
 
 
-def main(count: int = 5, seed: int = 7000, folder: Path = Path("out/insertions")) -> None:
-    """Print a row for each insertion, then shares, confusions and times over all of them."""
+def main(
+    count: int = 5,
+    seed: int = 7000,
+    folder: Path = Path("out/insertions"),
+    clearance: float = 1e3 * CLEARANCE,
+) -> None:
+    """Print a row for each insertion, then shares, confusions and times; clearance in mm."""
     logging.disable(logging.WARNING)
     console = Console(width=140, highlight=False)
     tally = Tally()
+    results = []
+    simulated = 0.0  # time of all insertions (s)
+    peg = Peg("square", WIDTH)
     for k in range(seed, seed + count):
-        follow(k, folder, tally)
+        rows = recorded(k, folder, 1e-3 * clearance)
+        follow(Insertion(peg, 1e-3 * clearance, k), rows, tally)
+        results.append(result_in(rows))
+        simulated += results[-1].time
         console.print(
-            f"{k}: watched {tally.watched:.1f} s so far, {tally.alarms} false alarms, "
-            f"{tally.alarms_by_median} by the medians of forces",
+            f"{row_of(k, results[-1])}; false alarms so far: {tally.alarms} in "
+            f"{tally.watched:.0f} s, {tally.alarms_by_median} by medians",
             soft_wrap=True,
         )
-    peg = Peg("square", WIDTH)
-    task = Insertion(peg, CLEARANCE, seed)
+    console.print(summary(results), soft_wrap=True)
+    task = Insertion(peg, 1e-3 * clearance, seed)
     groups = sorted(set(groups_of(states_of(peg, task.hole), peg, task.hole).values()))
     console.print(f"{len(groups)} groups of the states, with contacts of {FORCE:g} N")
     for title, shares in (("right", tally.right), ("right, all contacts", tally.strict)):
@@ -368,7 +380,7 @@ def main(count: int = 5, seed: int = 7000, folder: Path = Path("out/insertions")
             f"{len(delays)} noticed within 100 ms, median {1e3 * np.median(delays):.0f} ms"
         )
     console.print(
-        f"false alarms: {tally.alarms} in {tally.watched:.0f} s; "
+        f"false alarms: {tally.alarms} in {tally.watched:.0f} s of {simulated:.0f} s of insertion; "
         f"{tally.alarms_by_median} by the medians of forces"
     )
     console.print(f"computing time of an instant: median {1e3 * np.median(tally.costs):.1f} ms")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import json
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from osc_contact.contacts.insertion import Peg
 from osc_contact.control.controller import Controller
 from osc_contact.interface import Measurement, Reference
 from osc_contact.lab.tasks.insertion import WIDTH, Insertion, InsertionRobot
-from osc_contact.lab.tasks.pegs import controller_of, peg_plan, peg_start
+from osc_contact.lab.tasks.pegs import Inserted, judged, prepared
 from osc_contact.loop.loop import run_loop
 from osc_contact.loop.protocols import Records
 from osc_contact.plan.plan import Plan
@@ -68,24 +69,34 @@ class InsertionRecorder(Records):
         return found
 
 
-def recorded(seed: int, folder: Path) -> dict[str, Array]:
+def recorded(seed: int, folder: Path, clearance: float = CLEARANCE) -> dict[str, Array]:
     """Columns of the insertion of a seed, from its file, or from a run that makes it.
 
     Args:
         seed: seed of the task.
         folder: folder of the files.
+        clearance: width of the hole less that of the peg (m).
     """
-    path = folder / f"insertion-{seed}.npz"
+    path = folder / f"insertion-{seed}-{1e6 * clearance:.0f}um.npz"
     if not path.exists():
-        task = Insertion(Peg("square", WIDTH), CLEARANCE, seed)
-        plan = peg_plan(task.peg, task.hole)
-        robot = task.robot(peg_start(task.peg, task.hole))
-        controller = controller_of(task, plan, robot)
+        task = Insertion(Peg("square", WIDTH), clearance, seed)
+        robot, plan, controller = prepared(task)
         recorder = InsertionRecorder(robot, controller, plan)
         run_loop(robot, controller, plan, recorder=recorder)
         columns = {name: np.array(rows) for name, rows in recorder.rows.items()}
         columns["contacts"] = columns["contacts"].astype(np.float32)
+        result = asdict(judged(task, robot, plan))
+        columns["result"] = np.array(json.dumps(result, default=bool))  # NumPy has its own bool
         folder.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(path, **columns)  # type: ignore[arg-type]
     with np.load(path) as file:
         return {name: file[name] for name in file.files}
+
+
+def result_in(rows: dict[str, Array]) -> Inserted:
+    """Result of a recorded insertion.
+
+    Args:
+        rows: columns of the recording.
+    """
+    return Inserted(**json.loads(str(rows["result"])))

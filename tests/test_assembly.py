@@ -87,7 +87,7 @@ def test_sensors_err_as_stated():
     noise = np.std(read, axis=0)
     assert_allclose(noise[:3], 0.2, rtol=0.2)
     assert_allclose(noise[3:], 0.01, rtol=0.2)
-    assert robot.largest_sum == 0.0  # it is in the air
+    assert robot.largest_sum == robot.mean_sum == 0.0  # it is in the air
 
 
 @parametrize("shape", ["square", "round"])
@@ -110,6 +110,7 @@ def test_square_pegs_are_inserted():
         assert result.depth == approx(DEPTH, abs=1e-3)
         assert result.tries <= 3
         assert 8.0 < result.largest_sum < 60.0
+        assert 3.0 < result.mean_sum < 0.7 * result.largest_sum
 
 
 def test_a_round_peg_is_upright_in_the_mouth_at_the_first_try():
@@ -288,6 +289,8 @@ def test_tasks_are_listed():
 
 
 def test_summary():
-    done = Inserted(True, "", 0.03, 0.0, 9.0, 1, 20.0, 15.0)
-    jammed = Inserted(False, "stage 'insert': time", 0.01, 0.1, 30.0, 3, 60.0, 50.0)
-    assert summary([done, done, jammed]).startswith("2 of 3; time of these: median 9.0 s; peak")
+    done = Inserted(True, "", 0.03, 0.0, 9.0, 1, 20.0, 15.0, 6.0)
+    jammed = Inserted(False, "stage 'insert': time", 0.01, 0.1, 30.0, 3, 60.0, 50.0, 9.0)
+    text = summary([done, done, jammed])
+    assert text.startswith("2 of 3; time of these: median 9.0 s; peak")
+    assert text.endswith("mean of the sum: median 6.0 N")

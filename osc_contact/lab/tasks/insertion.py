@@ -286,6 +286,13 @@ class TaskRobot:
         )
         self.largest_sum = 0.0
         self.largest_single = 0.0
+        self._total = 0.0  # sum of the norms whose mean is `mean_sum` (N)
+        self._touching_ticks = 0  # number of these norms
+
+    @property
+    def mean_sum(self) -> float:
+        """Mean norm of the sum of contact forces while anything touched (N); 0: nothing did."""
+        return self._total / max(self._touching_ticks, 1)
 
     def measure(self) -> Measurement:
         """Read encoders and wrists; readings are checked, and velocities estimated from them."""
@@ -300,7 +307,11 @@ class TaskRobot:
         """
         self.sensed.command(tau, duration)
         forces = self.contact_forces()
-        self.largest_sum = max(self.largest_sum, float(np.linalg.norm(forces.sum(axis=0))))
+        size = float(np.linalg.norm(forces.sum(axis=0)))
+        self.largest_sum = max(self.largest_sum, size)
+        if size > 0.0:
+            self._total += size
+            self._touching_ticks += 1
         single = np.linalg.norm(forces, axis=1).max(initial=0.0)
         self.largest_single = max(self.largest_single, float(single))
 

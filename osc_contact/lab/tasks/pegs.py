@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import acos, atan2, cos, hypot, radians, sqrt
+from math import acos, atan2, cos, hypot, nan, radians, sqrt
 
 import numpy as np
 import pinocchio as pin
@@ -61,6 +61,8 @@ class Inserted:
         tries: number of searches.
         largest_sum: largest norm of the sum of contact forces (N).
         largest_single: largest force of a single contact (N).
+        mean_sum: mean norm of the sum of contact forces while anything touched (N); NaN of a
+            recording that does not have it.
     """
 
     success: bool
@@ -71,6 +73,7 @@ class Inserted:
     tries: int
     largest_sum: float
     largest_single: float
+    mean_sum: float = nan
 
 
 def insert(task: Insertion) -> Inserted:
@@ -174,6 +177,7 @@ def result_of(
         tries=sum(verdict.name == "find" for verdict in plan.verdicts),
         largest_sum=robot.largest_sum,
         largest_single=robot.largest_single,
+        mean_sum=robot.mean_sum,
     )
 
 
