@@ -67,7 +67,7 @@ def row_of(seed: int, one: Inserted) -> str:
 def compare(
     laws: Mapping[str, Callable[[int], Inserted]], count: int, seed: int, only: str
 ) -> None:
-    """Print one row for each law and seed, and a summary of each law.
+    """Print one row for each seed and law, and a summary of each law.
 
     Args:
         laws: functions that make the insertion of a seed, by the name of their law.
@@ -77,14 +77,13 @@ def compare(
     """
     logging.disable(logging.WARNING)
     console = Console(width=140, highlight=False)
-    for name, insert_by_law in laws.items():
-        if only not in name:
-            continue
-        results = []
-        for k in range(seed, seed + count):
-            results.append(insert_by_law(k))
-            console.print(f"{name}, {row_of(k, results[-1])}", soft_wrap=True)
-        console.print(f"{name}: {summary(results)}", soft_wrap=True)
+    results: dict[str, list[Inserted]] = {name: [] for name in laws if only in name}
+    for k in range(seed, seed + count):
+        for name, of_law in results.items():
+            of_law.append(laws[name](k))
+            console.print(f"{name}, {row_of(k, of_law[-1])}", soft_wrap=True)
+    for name, of_law in results.items():
+        console.print(f"{name}: {summary(of_law)}", soft_wrap=True)
 
 
 def main(

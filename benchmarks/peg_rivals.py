@@ -8,13 +8,8 @@ World and insertions are those of `benchmarks.assembly`, one row for each law an
   of each stage, force is commanded along z, or x, y and z, or x and y with no couple about z; the
   sums of forces are ours. The axes are approached and lost as our contacts are. In the hole both
   laws are the same: five axes at zero.
-* `impedance` of three stiffnesses, a fiftieth of it (N m/rad) in angles, damping ratio 1;
-  `admittance`: a position controller of 10 Hz whose set point is displaced by measured forces, with
-  the packaged mass, damping and stiffness (1000 N/m, 20 N m/rad); `position`: our motion law of
-  6 Hz. They have no contacts. Each force of a stage is reached by a motion that yields: the
-  reference moves on until the measured force is that of our stage. It moves at the speed with which
-  our contacts are approached, so every one of these laws has a guarded approach. The check for
-  encoders that stand still is off: these laws press with joints that the environment blocks.
+* impedance, admittance and position control are those of `benchmarks.guided_laws`, which know no
+  contacts and press by motions that yield. The check for encoders that stand still is off.
 """
 
 from collections.abc import Callable
@@ -26,6 +21,7 @@ import typer
 
 import osc_contact as osc
 from benchmarks.assembly import DEFAULTS, compare
+from benchmarks.guided_laws import LAWS, MADE, SPEED, controlled_by, release
 from benchmarks.two_pin_rivals import Selected
 from osc_contact.contacts.insertion import SIDES
 from osc_contact.lab.tasks import pegs
@@ -39,7 +35,6 @@ from osc_contact.plan.stage import Stage
 PEG = osc.Peg("square", WIDTH)
 SELECTION = "selection"  #: name of the rival with selected axes
 DOWN, X, Y, TURN = "down", "x", "y", "turn"  #: selected axes of the hole
-SPEED = osc.PhaseSettings().speed  #: of the approach (m/s)
 
 
 @dataclass(frozen=True)
@@ -61,11 +56,7 @@ class Rival:
         Args:
             ours: controller of the contacts that the plan names.
         """
-        if self.laws is None:
-            return ours
-        # joints that are blocked by a body that the law has no contact with are no stuck encoders
-        safety = ours.settings.safety.replaced(stuck_speed=np.inf)
-        return ours.with_safety(safety).with_laws(structure=self.laws().structure)
+        return ours if self.laws is None else controlled_by(self.laws(), ours)
 
 
 # --- selection of axes ----------------------------------------------------------------------------
@@ -171,13 +162,14 @@ def guided_plan(hole: osc.Hole) -> Plan:
     def half(stage: Stage, direction: np.ndarray) -> End:
         """Condition that half of a stage's force is reached along a direction."""
         force = sums(stage)[0] if direction is into else np.sqrt(2.0) * sums(stage)[1]
-        return pressed(0.5 * force, direction)
+        return pressed(MADE * force, direction)
 
     stages = []
     for stage in ours.stages:
         if stage.name == "turn on":
             continue
         if stage.name == "insert":
+            stages.append(release())
             stage = replace(stage, forces={}, places={})
         elif stage.name == "done":  # whether it rests is judged by the truth
             stage = replace(stage, forces={}, until=after(0.5))
@@ -197,19 +189,10 @@ def guided_plan(hole: osc.Hole) -> Plan:
     return Plan(stages, largest=ours.largest, tries=ours.tries)
 
 
-def _soft(stiffness: float) -> Callable[[], osc.Laws]:
-    """Impedance of a stiffness (N/m)."""
-    return lambda: osc.impedance((stiffness, stiffness / 50.0), damping_ratio=1.0)
-
-
 RIVALS = {
     "ours": Rival(lambda hole: pegs.peg_plan(PEG, hole)),
     SELECTION: Rival(selection_plan),
-    "impedance, 300 N/m": Rival(guided_plan, _soft(300.0)),
-    "impedance, 600 N/m": Rival(guided_plan, _soft(600.0)),
-    "impedance, 1500 N/m": Rival(guided_plan, _soft(1500.0)),
-    "admittance": Rival(guided_plan, lambda: osc.admittance(stiffness=(1000.0, 20.0))),
-    "position": Rival(guided_plan, osc.Laws),
+    **{name: Rival(guided_plan, laws) for name, laws in LAWS.items()},
 }
 
 

@@ -274,6 +274,41 @@ def _found(now: Sensed, task: TwoPins) -> pin.SE3:
     return pin.SE3(np.column_stack((x, y, z)), middle + HALF * x)
 
 
+def _into_found(now: Sensed, task: TwoPins) -> Array:
+    """Direction (3,) into the holes that were found.
+
+    Args:
+        now: signals in the stage "upright".
+        task: modelled pins and holes.
+    """
+    return _found(now, task).rotation[:, 2]
+
+
+def _deeper_than(depth: float, words: str) -> End:
+    """Condition that the tips are deeper than a depth.
+
+    Args:
+        depth: depth below the points that touched the face (m).
+        words: words for verdicts.
+    """
+    return when(lambda now: _depth(now) > depth, words)
+
+
+def has_turned(task: TwoPins) -> End:
+    """Condition that the roll in the mouths is over: the bar is upright, or deep enough.
+
+    Args:
+        task: modelled pins and holes.
+    """
+
+    def is_parallel(now: Sensed) -> bool:
+        """Test whether the commanded axis of the pins is parallel to that of the holes found."""
+        return float(now.aim.rotation[:, 2] @ _into_found(now, task)) > cos(PARALLEL)
+
+    is_upright = when(is_parallel, "upright") & _deeper_than(3e-3, "3 mm deep")
+    return _deeper_than(12e-3, "12 mm deep") | is_upright.lasting(0.2)
+
+
 def _entry_stages(task: TwoPins) -> list[Stage]:
     """Stages from dropped tips to the bottom of both holes.
 
@@ -286,32 +321,19 @@ def _entry_stages(task: TwoPins) -> list[Stage]:
         """Pose of the frame in which the pairs were made, from that of the block found."""
         return _found(now, task) * to_block
 
-    def into_found(now: Sensed) -> Array:
-        """Direction (3,) into the holes that were found."""
-        return _found(now, task).rotation[:, 2]
-
-    def is_parallel(now: Sensed) -> bool:
-        """Test whether the commanded axis of the pins is parallel to that of the holes found."""
-        return float(now.aim.rotation[:, 2] @ into_found(now)) > cos(PARALLEL)
-
-    def deeper_than(depth: float, words: str) -> End:
-        """Condition that the tips are deeper than a depth (m)."""
-        return when(lambda now: _depth(now) > depth, words)
-
     sides = {LEFT_RIM: 5.0, RIGHT_RIM: 5.0}
     down = along(INTO, 5e-3, yields=8.0)
-    roll = turn_to([0, 0, 1], into_found, 0.5 * roll_of(task))
+    roll = turn_to([0, 0, 1], lambda now: _into_found(now, task), 0.5 * roll_of(task))
     is_pressed = made(*sides, lasting=0.3) | resting()
-    is_upright = (when(is_parallel, "upright") & deeper_than(3e-3, "3 mm deep")).lasting(0.2)
-    has_entered = lost(*sides, lasting=0.5) & deeper_than(2.5e-3, "in the mouths")
-    at_bottom = deeper_than(DEPTH - 4e-3, "at the bottom") & pressed(6.0, INTO)
+    has_entered = lost(*sides, lasting=0.5) & _deeper_than(2.5e-3, "in the mouths")
+    at_bottom = _deeper_than(DEPTH - 4e-3, "at the bottom") & pressed(6.0, INTO)
     return [
         Stage("corner", sides, down, until=is_pressed, within=4.0, fails="back"),
         Stage(
             "upright",
             sides,
             roll & down,
-            until=deeper_than(12e-3, "12 mm deep") | is_upright | has_entered,
+            until=has_turned(task) | has_entered,
             within=8.0,
             unless=lost(*sides, lasting=0.8),
             fails="back",
