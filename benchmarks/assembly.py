@@ -34,6 +34,8 @@ DEFAULTS = {"square": (0.2, 2.0, 2.0), "round": (0.2, 2.0, 2.0), "two_pins": (0.
 
 def summary(results: list[Inserted]) -> str:
     """Shares and quantiles of some results."""
+    if not results:
+        return "0 of 0"
     done = [one for one in results if one.success]
     times = np.array([one.time for one in done])
     sums = np.array([one.largest_sum for one in results])

@@ -3,10 +3,11 @@
     python -m benchmarks.plan_faults [--seed N] [--only TEXT] [--count N]
 
 Every kind of fault of `benchmarks.faults` that can occur with one arm begins in a stage of the plan
-that is drawn for it, at a moment of this stage, in an insertion that is drawn, too. Readings change
-before speeds are estimated from them. The run goes on until the plan has ended, for 5 s after the
-fault and 3 s after a stop at most. Printed is, for each kind, the stage, the end, and the largest
-force of a single contact since; the exit code is 1 where
+that is drawn for it, at a moment of this stage, in an insertion that is drawn, too. If the stage is
+over before this moment, the same insertion begins again with a moment that is drawn within the
+duration that the stage had. Readings change before speeds are estimated from them. The run goes on
+until the plan has ended, for 5 s after the fault and 3 s after a stop at most. Printed is, for each
+kind, the stage, the end, and the largest force of a single contact since; the exit code is 1 where
 
 * a torque was not finite, or beyond its limit;
 * a joint stayed beyond its speed limit or outside its range for 0.3 s without a stop;
@@ -30,17 +31,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from benchmarks.fault_judge import (
-    REST_AFTER,
-    REST_SPEED,
-    FaultySensors,
-    JointWatch,
-    disturb,
-    is_beyond_limits,
-    may_brake,
-    obstacle_force,
-    read,
-)
+from benchmarks import fault_judge
 from benchmarks.faults import FAULTS, Trial
 from osc_contact.contacts.insertion import Peg
 from osc_contact.control.status import SafetyState
@@ -110,30 +101,45 @@ class Run:
             seed: seed of the insertion.
             rng: generator of stage, moment and place of the fault.
         """
-        task = Insertion(Peg("square", WIDTH), CLEARANCE, seed)
-        self._robot, self._plan, self._controller = pegs.prepared(task)
-        self._sensors = FaultySensors(self._robot.sensed)
-        self._robot.sensed = self._sensors
+        self._task = Insertion(Peg("square", WIDTH), CLEARANCE, seed)
+        self._fault = FAULTS[name]
+        self._rng = rng
+        self.verdict = Verdict(name, seed)
+        self._prepare()
         stages = [one.name for one in self._plan.stages if one.name not in LAST_STAGES]
         self._stage = stages[int(rng.integers(len(stages)))]
-        self._moment = float(rng.uniform(0.0, LATEST))
-        self._fault = FAULTS[name]
-        self._trial = Trial(rng, task.model, PERIOD)
+        self._moment = float(rng.uniform(0.0, LATEST))  # from the beginning of the stage (s)
+
+    def _prepare(self) -> None:
+        """Put the robot at its start, with plan, controller and sound sensors."""
+        self._robot, self._plan, self._controller = pegs.prepared(self._task)
+        self._sensors = fault_judge.FaultySensors(self._robot.sensed)
+        self._robot.sensed = self._sensors
+        self._trial = Trial(self._rng, self._task.model, PERIOD)
+        self._joints = fault_judge.JointWatch(self._robot.chain, PERIOD)
         self._began: int | None = None  # tick at which the fault began
         self._stopped: int | None = None  # tick of the stop
-        self._joints = JointWatch(self._robot.chain, PERIOD)
         self._k = 0
-        self.verdict = Verdict(name, seed)
 
     def judge(self) -> Verdict:
         """Run the insertion, and judge it from the beginning of the fault on."""
         self._plan.begin(self._controller, self._robot.measure())
         while not self._is_over():
-            self._begin()
+            if self._began is None:
+                self._redraw()
+                self._begin()
             self._tick()
             self._k += 1
         self._judge_end()
         return self.verdict
+
+    def _redraw(self) -> None:
+        """Begin again if the stage was shorter than the moment, which is drawn within it."""
+        lasted = [one.duration for one in self._plan.verdicts if one.name == self._stage]
+        if lasted and self._moment > lasted[0]:
+            self._moment = float(self._rng.uniform(0.0, lasted[0] - 2.0 * PERIOD))
+            self._prepare()
+            self._plan.begin(self._controller, self._robot.measure())
 
     def _is_over(self) -> bool:
         """Test whether the run can end: it is wrong, or it has lasted after its stop or fault."""
@@ -146,15 +152,11 @@ class Run:
         return self._plan.ended
 
     def _begin(self) -> None:
-        """Begin the fault at its moment in its stage, or after it if this stage was shorter."""
-        if self._began is not None:
-            return
-        verdicts = self._plan.verdicts
-        since = self._k * PERIOD - sum(one.duration for one in verdicts)
-        is_due = self._plan.stage.name == self._stage and since >= self._moment
-        if is_due or any(one.name == self._stage for one in verdicts):
+        """Begin the fault at its moment in its stage."""
+        since = self._k * PERIOD - sum(one.duration for one in self._plan.verdicts)
+        if self._plan.stage.name == self._stage and since >= self._moment:
             self._began = self._k
-            self.verdict.stage = self._plan.stage.name
+            self.verdict.stage = self._stage
             self._robot.largest_single = 0.0
 
     def _tick(self) -> None:
@@ -164,9 +166,11 @@ class Run:
             self._trial.k = self._k - self._began
             fault = self._fault if self._trial.k * PERIOD <= self._fault.lasts else None
         reference = self._plan.step()
-        measurement, reference = read(self._robot, self._sensors, self._trial, reference, fault)
+        measurement, reference = fault_judge.read(
+            self._robot, self._sensors, self._trial, reference, fault
+        )
         tau = self._controller.tick(self._plan.placed(measurement), reference)
-        sent = disturb(fault, self._trial, tau, self._robot.plant)
+        sent = fault_judge.disturb(fault, self._trial, tau, self._robot.plant)
         self._robot.command(sent, PERIOD)
         if self._began is not None:
             self._look(tau)
@@ -178,7 +182,7 @@ class Run:
             tau: (n_a,) commanded torques (N m).
         """
         verdict = self.verdict
-        if is_beyond_limits(tau, self._robot.chain.tau_max):
+        if fault_judge.is_beyond_limits(tau, self._robot.chain.tau_max):
             verdict.wrong.append(f"torques {tau}")
         verdict.force = self._robot.largest_single
         verdict.unbraked |= self._controller.unbraked is not None
@@ -193,7 +197,7 @@ class Run:
             self._stopped = self._k
             assert self._began is not None
             verdict.stopped = (self._k - self._began) * PERIOD
-        if (self._k - self._stopped) * PERIOD > REST_AFTER:
+        if (self._k - self._stopped) * PERIOD > fault_judge.REST_AFTER:
             verdict.rest_speed = max(verdict.rest_speed, float(np.abs(true.v).max()))
 
     def _judge_end(self) -> None:
@@ -206,7 +210,7 @@ class Run:
             verdict.wrong.append(f"not tried: stage {self._stage!r} was not reached")
             return
         most = pegs.LARGEST * (3.0 if fault.mirrors else 1.0)
-        most += obstacle_force(fault, self._trial)
+        most += fault_judge.obstacle_force(fault, self._trial)
         if fault.limited and not verdict.unbraked and verdict.force > most:
             verdict.wrong.append(f"contact force {verdict.force:.0f} N, at most {most:.0f} N")
         if verdict.state not in fault.ends:
@@ -215,9 +219,13 @@ class Run:
         if verdict.stopped is not None and not named:
             verdict.wrong.append("no stage in the reason of the plan")
         if verdict.unbraked:
-            if not may_brake(fault, estimated=True):
+            if not fault_judge.may_brake(fault, estimated=True):
                 verdict.wrong.append("brakes requested with sound sensors")
-        elif verdict.rest_speed > REST_SPEED and "tau" not in fault.unsound and not fault.pulls:
+        elif (
+            verdict.rest_speed > fault_judge.REST_SPEED
+            and "tau" not in fault.unsound
+            and not fault.pulls
+        ):
             verdict.wrong.append(f"{verdict.rest_speed:.2f} rad/s after the stop")
 
 

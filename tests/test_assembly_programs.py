@@ -9,14 +9,18 @@ from pytest import approx, fixture
 from samples import parametrize
 
 import osc_contact as osc
+from benchmarks import plan_faults, slipping_peg
 from benchmarks.fault_judge import FaultySensors
+from benchmarks.guided_laws import LAWS, controlled_by
 from benchmarks.peg_rivals import PEG, RIVALS, SELECTION, selected_axes
 from benchmarks.plan_faults import Run, possible
+from benchmarks.recorded_insertions import result_in
 from benchmarks.slipping_peg import SlippingPeg
+from benchmarks.two_pin_rivals import Press, guided_plan, presses_of
 from osc_contact.control.status import Phase
 from osc_contact.lab.tasks.insertion import CLEARANCE, PERIOD, Insertion
-from osc_contact.lab.tasks.pegs import controller_for, peg_plan, peg_start
-from osc_contact.lab.tasks.two_pin_plan import two_pin_plan
+from osc_contact.lab.tasks.pegs import Inserted, controller_for, peg_plan, peg_start
+from osc_contact.lab.tasks.two_pin_plan import INTO, POINTS, SIDEWAYS, bar_start, two_pin_plan
 from osc_contact.lab.tasks.two_pins import TwoPins
 from osc_contact.plan.sensed import Sensed
 
@@ -209,3 +213,104 @@ def test_a_peg_slips_once_it_is_pressed(robot):
     assert np.linalg.norm(slipped) == approx(1e-3, abs=1e-4)
     assert slipped[2] < -0.5e-3  # towards the gripper
     assert np.linalg.norm(peg.slipped) == approx(1e-3, abs=2e-5)
+
+
+def test_a_fault_begins_within_a_stage_that_is_shorter_than_the_moment_drawn(monkeypatch):
+    monkeypatch.setattr(plan_faults, "STOPPED_FOR", 0.01)
+    run = Run("wrench 100 kN for ever", 5, np.random.default_rng(2))
+    run._stage, run._moment = "weigh", 0.9  # which lasts 0.4 s
+    verdict = run.judge()
+    assert verdict.stage == "weigh"
+    assert verdict.stopped is not None
+    assert verdict.wrong == []
+
+
+def test_pegs_that_did_not_slip_are_counted_apart(monkeypatch, capsys):
+    """Of three pegs the first slips, the second by a part; all are in."""
+    shares = iter((1.0, 0.5, 0.0))
+
+    def insert(seed, slip):
+        share = next(shares)
+        peg = SlippingPeg.__new__(SlippingPeg)
+        peg.slipped, peg.slipped_in = np.array([0.0, 0.0, -share * slip]), "drop" if share else ""
+        return Inserted(True, "", 0.03, 0.0, 9.0, 1, 20.0, 15.0, 6.0), peg, share * slip
+
+    monkeypatch.setattr(slipping_peg, "insert_slipping", insert)
+    slipping_peg.main(count=3, seed=1)
+    first, second, third, last = capsys.readouterr().out.splitlines()
+    assert "slipped in 'drop' by -1.00 mm along" in first
+    assert "slipped by a part only" in second
+    assert "did not slip" in third
+    assert last.startswith("2 of 3 did not slip by 1 mm; of the others 1 of 1; time")
+
+
+def test_a_recorded_result_is_read_as_it_was():
+    text = '{"success": true, "reason": "", "depth": 0.03, "tilt": 0.0, "time": 9.0, "tries": 1,'
+    text += ' "largest_sum": 20.0, "largest_single": 15.0, "mean_sum": 6.0}'
+    expected = Inserted(True, "", 0.03, 0.0, 9.0, 1, 20.0, 15.0, 6.0)
+    assert result_in({"result": np.array(text)}) == expected
+
+
+def test_forces_at_both_tips_are_told_by_the_lever():
+    """Two forces along one direction are measured each; the sum alone, if one tip presses."""
+    X = bar_start(TwoPins(3))
+    now = sensed(0.0)
+    now.X = X
+    for direction in (INTO, SIDEWAYS):
+        forces = {"left": 2.0, "right": 5.0}
+        for tip, force in forces.items():
+            place = X.rotation @ POINTS[tip]
+            now.wrench += force * np.concatenate((direction, np.cross(place, direction)))
+        for tip, force in forces.items():
+            assert Press(tip, direction, 1.0, alone=False).measured(now) == approx(force, abs=1e-9)
+            assert Press(tip, direction, 1.0, alone=True).measured(now) == approx(7.0)
+        now.wrench[:] = 0.0
+
+
+def test_a_tip_is_led_along_the_force_until_it_presses():
+    X = bar_start(TwoPins(3))
+    now = sensed(0.0)
+    now.X = now.aim = X
+    press = Press("right", INTO, 6.0, alone=True)
+    place = X.rotation @ POINTS["right"]
+    course = press.motion().begin(now)
+    for force, share in ((0.0, 1.0), (3.0, 0.5), (6.0, 0.0)):
+        now.wrench[:3] = force * INTO
+        demand = course(now, PERIOD)
+        assert demand.values == approx(share * osc.PhaseSettings().speed)
+        V = np.arange(6.0)
+        assert demand.rows[0] @ V == approx(INTO @ (V[:3] + np.cross(V[3:], place)))
+
+
+def test_guided_stages_have_the_forces_of_ours():
+    stages = two_pin_plan(TwoPins(3)).stages
+    found = {stage.name: presses_of(stage) for stage in stages if len(stage.forces) == 2}
+    told = {
+        name: [(press.tip, press.force, press.alone) for press in presses]
+        for name, presses in found.items()
+    }
+    assert told == {
+        "find": [("left", 6.0, False), ("right", 6.0, False)],
+        "slide": [("left", 6.0, False), ("right", 6.0, False)],
+        "left rim": [("left", 5.0, True), ("right", 6.0, True)],
+        "turn": [("left", 5.0, True), ("right", 6.0, True)],
+        "corner": [("left", 5.0, False), ("right", 5.0, False)],
+        "upright": [("left", 5.0, False), ("right", 5.0, False)],
+    }
+    guided = guided_plan(TwoPins(3)).stages
+    names = [stage.name for stage in stages]
+    names.insert(names.index("insert"), "release")
+    assert [stage.name for stage in guided] == names
+    assert not any(stage.forces for stage in guided)
+
+
+@parametrize("name", ["impedance, 600 N/m", "admittance", "position"])
+def test_laws_without_contacts_begin_with_two_arms(name):
+    task = TwoPins(3)
+    plan = guided_plan(task)
+    robot = task.robot(bar_start(task))
+    controller = controlled_by(LAWS[name](), controller_for(task.model, {}, plan, robot))
+    with osc.SteppedLoop(controller, plan=plan, check=False) as loop:
+        for _ in range(30):
+            robot.command(loop.step(robot.measure()), PERIOD)
+    assert controller.status is osc.Status.OK
