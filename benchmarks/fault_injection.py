@@ -35,6 +35,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cache
 from hashlib import sha256
 from typing import Any
 
@@ -49,6 +50,7 @@ import osc_contact as osc
 from benchmarks.fault_judge import (
     REST_AFTER,
     REST_SPEED,
+    ContactWatch,
     FaultySensors,
     JointWatch,
     disturb,
@@ -64,7 +66,6 @@ from osc_contact.control.status import Phase, SafetyState
 from osc_contact.interface import Reference
 from osc_contact.lab.rig.hardware import ObservedRobot
 from osc_contact.lab.runs.run import Taring, start
-from osc_contact.loop.judge import Truth
 from osc_contact.spatial import Array
 from paper.study import table_of
 
@@ -77,7 +78,6 @@ REST_TRAVEL = 0.1
 #: s from the beginning of a push in which it moves a stopped arm: it lasts 0.08 s, and a hold that
 #: is critically damped at ω = 20/s leaves (ωt − 1) e^(−ωt) = 4 % of its speed after 0.22 s more
 PUSHED_FOR = 0.3
-TOUCHED = 1e-3  #: N, least force of a contact: the shares of others are zero but for rounding
 TRUTH_EVERY = 3  #: ticks from one look at true forces to the next: contacts take 10 ms to form
 SEEDED = {"ur5_wipe": 3, "two_contact_rod": 3, "panda_edge": 3}  #: moments drawn; others have one
 
@@ -278,12 +278,14 @@ class Run:
             watch.look(reference)
             if verdict.stopped is not None and stopped is None:
                 end = max(end, self.k + round(stopped_for / self.dt))
+        watch.contacts.evaluate()
+        verdict.force, verdict.open_s = watch.contacts.force, watch.contacts.open_s
         verdict.state = self.controller.state
         verdict.reason = verdict.reason or self.controller.reason
         pushes = self.rig.scenario.plant.pushes
         lost = np.abs(response) @ self.lost
         if "tau" in fault.unsound:
-            lost = lost + watch.impacts
+            lost = lost + watch.contacts.impacts
         most = max(watch.highest + float(lost.max(initial=0.0)), 3.0 * watch.highest)
         most += sum(float(np.linalg.norm(push.force)) for push in pushes)
         most += obstacle_force(fault, self.trial)
@@ -346,8 +348,7 @@ class Watch:
 
     Attributes:
         highest: N, the largest force commanded, 10 at least.
-        impacts: (r,) N, the largest force of an impact with which each column was closed, or in
-            which its force changed its sign: on a face behind.
+        contacts: true contacts, judged together.
         too_fast: whether a joint was faster than its readings are believed.
     """
 
@@ -358,12 +359,8 @@ class Watch:
         self._stop_q = self._braking = np.zeros(0)
         self._stop_k = 0
         self._joints = JointWatch(run.rig.model, run.dt)
-        self._open = np.zeros(len(run.rig.pairs))
-        self._made = np.array(run.plant.truth().closed, dtype=bool)
-        self._truth = run.plant.truth()
-        self._masses = effective_masses(run)
+        self.contacts = ContactWatch(run.rig, run.plant, TRUTH_EVERY * run.dt)
         self.highest = 10.0
-        self.impacts = np.zeros(len(self._masses))
         self.too_fast = False
 
     def look(self, reference: Reference) -> None:
@@ -381,7 +378,9 @@ class Watch:
         self._look_at_joints(true.q[run.act], np.abs(true.v[run.act]), stopped)
         verdict.unbraked |= control.unbraked is not None
         if run.k % TRUTH_EVERY == 0 and not verdict.unbraked:  # else the driver's brakes hold it
-            self._look_at_contacts(np.abs(reference.alpha_d), stopped)
+            is_believed = not stopped and control.engaged and control.faults == 0
+            taken = is_believed & (np.asarray(control.phases()) == Phase.CLOSED)
+            self.contacts.look(np.abs(reference.alpha_d), taken)
 
     def _look_at_joints(self, q: np.ndarray, speeds: np.ndarray, stopped: bool) -> None:
         run = self._run
@@ -402,54 +401,6 @@ class Watch:
         self.too_fast |= bool((speeds > believed).any())
         if not stopped and self._joints.needs_stop:
             verdict.wrong.append(f"tick {run.k - 1}: joints beyond their limits and no stop")
-
-    def _look_at_contacts(self, commanded: np.ndarray, stopped: bool) -> None:
-        run = self._run
-        verdict = self._verdict
-        truth = run.plant.truth()
-        self._look_at_impacts(truth)
-        verdict.force = max(verdict.force, *np.abs(truth.alpha).tolist(), 0.0)
-        control = run.controller
-        taken = ~np.array([stopped or not control.engaged or control.faults > 0])
-        taken = taken & (np.asarray(control.phases()) == Phase.CLOSED)
-        for i in range(len(self._open)):
-            force = commanded[[owner == i for owner in run.rig.owners]]
-            wanted = bool(len(force)) and float(force.max()) > 1.0
-            self._made[i] |= bool(truth.closed[i])
-            unseen = wanted and taken[i] and self._made[i] and not truth.closed[i]
-            self._open[i] = self._open[i] + TRUTH_EVERY * run.dt if unseen else 0.0
-            verdict.open_s = max(verdict.open_s, float(self._open[i]))
-
-    def _look_at_impacts(self, truth: Truth) -> None:
-        """Add the impacts of contacts that have closed since the last look, and of faces behind.
-
-        A contact of MuJoCo that is met by a mass m with a speed v presses with at most 2 m v / T,
-        T the time constant of `solref`: its damper has 2/T, and it is not damped less than
-        critically. An object with play may also meet the other side of the body that it is pressed
-        against, such as the wall of a hole behind it: then the force along a column has a sign
-        that it did not have before.
-
-        Args:
-            truth: truth of this tick.
-        """
-        before, self._truth = self._truth, truth
-        plant = self._run.rig.scenario.plant
-        if plant.type != "mujoco":
-            return
-        speeds = np.abs(self._run.rig.contact.N.T @ before.V_O)
-        owners = self._run.rig.owners
-        closes = np.array([truth.closed[o] and not before.closed[o] for o in owners], dtype=bool)
-        met_behind = (truth.alpha < -TOUCHED) & (before.alpha >= -TOUCHED)
-        forces = 2.0 * self._masses * speeds / plant.solref[0]
-        self.impacts = np.maximum(self.impacts, np.where(closes | met_behind, forces, 0.0))
-
-
-def effective_masses(run: Run) -> Array:
-    """(r,) masses (kg) of arms and object along the lines of the contact forces."""
-    if not run.rig.pairs:
-        return np.zeros(0)
-    N = run.rig.contact.N
-    return np.asarray(1.0 / np.einsum("ij,ik,kj->j", N, run.rig.state.Phi, N))
 
 
 def _bearing(run: Run) -> NDArray[np.bool_]:
@@ -566,10 +517,15 @@ def _places(seed: int, every: int) -> Iterator[Case]:
 
 def _can_occur(fault: Fault, case: Case) -> bool:
     """Test whether the scenario of a case has the arms, and a world, that a fault changes."""
-    scenario = _scenario(PHASES[case.phase][2].get("scenario", case.scenario), None)
-    if fault.world is not None and scenario.plant.type != "mujoco":
-        return False
-    return len(scenario.arms) >= fault.arms
+    plant, arms = _plant_and_arms(PHASES[case.phase][2].get("scenario", case.scenario))
+    return (fault.world is None or plant == "mujoco") and arms >= fault.arms
+
+
+@cache
+def _plant_and_arms(name: str) -> tuple[str, int]:
+    """Type of the plant of a packaged scenario, and the number of its arms."""
+    scenario = osc.load_scenario(name)
+    return scenario.plant.type, len(scenario.arms)
 
 
 def read_verdict(row: dict[str, Any]) -> Verdict:

@@ -7,14 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+import osc_contact as osc
 from benchmarks.faults import POST_SEEN_AFTER, Fault, Trial
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.interface import Measurement, Reference, Robot
 from osc_contact.lab.plants.mujoco import MujocoPlant
+from osc_contact.loop.judge import Plant, Truths
 from osc_contact.spatial import Array
 
 STOP_WITHIN = 0.3  #: time for which a joint may be beyond its limits without a stop (s)
 REST_AFTER = 0.5  #: time after a stop after which the arms are at rest (s)
+LEAST_FORCE = (
+    1e-3  #: N, of a contact: shares of contacts that do not touch are zero but for rounding
+)
+LIGHT = 1.0  #: N, least command of a contact whose loss is judged
+LOOKS = 200  #: number of looks at contacts that are evaluated together, which is faster
 REST_SPEED = 0.1  #: largest speed of a joint at rest (rad/s, m/s)
 
 
@@ -129,6 +136,106 @@ class JointWatch:
     def needs_stop(self) -> bool:
         """Whether arms that are not stopped should have been."""
         return self.beyond > STOP_WITHIN + 1e-9
+
+
+class ContactWatch:
+    """True contacts at many instants: forces, contacts that opened unnoticed, impacts.
+
+    Attributes:
+        force: largest magnitude of a contact force (N).
+        open_s: longest time that a contact that was commanded and made was open, and the controller
+            took it as closed (s).
+        impacts: (r,) largest force of an impact with which each column was closed, or in which its
+            force became negative: on a face behind (N).
+    """
+
+    def __init__(self, rig: osc.Rig, plant: Plant, period: float) -> None:
+        """Look for the first time.
+
+        Args:
+            rig: rig with the contacts.
+            plant: plant that knows the truth.
+            period: period of the looks (s).
+        """
+        self._rig = rig
+        self._period = period
+        self._log = plant.log()
+        self._owners = np.asarray(rig.owners)
+        self._lines = rig.contact.N if rig.pairs else np.zeros((6, 0))
+        self._masses = effective_masses(rig)
+        self._commands: list[Array] = []  #: (r,) of each look (N)
+        self._taken: list[Array] = []  #: (contacts,) of each look
+        self._before = plant.truth()  #: truth of the last look that was evaluated
+        self._made = np.array(self._before.closed, dtype=bool)
+        self._open = np.zeros(len(rig.pairs))
+        self.force = self.open_s = 0.0
+        self.impacts = np.zeros(len(self._masses))
+
+    def look(self, commands: Array, taken: Array) -> None:
+        """Note the present state.
+
+        Args:
+            commands: (r,) magnitudes of the desired forces (N).
+            taken: (contacts,) whether the controller takes each contact as closed.
+        """
+        self._log.note()
+        self._commands.append(commands)
+        self._taken.append(taken)
+        if len(self._taken) == LOOKS:
+            self.evaluate()
+
+    def evaluate(self) -> None:
+        """Evaluate the looks since the last call."""
+        if not self._taken:
+            return
+        truths = self._log.truths(self._log.noted())
+        self.force = max(self.force, float(np.abs(truths.alpha).max(initial=0.0)))
+        self._add_impacts(truths)
+        wanted = np.array(self._commands) > LIGHT
+        for i in range(len(self._open)):
+            is_wanted = wanted[:, self._owners == i].any(axis=1)
+            for k in range(len(is_wanted)):
+                is_closed = bool(truths.closed[k, i])
+                self._made[i] |= is_closed
+                unseen = is_wanted[k] and self._taken[k][i] and self._made[i] and not is_closed
+                self._open[i] = self._open[i] + self._period if unseen else 0.0
+                self.open_s = max(self.open_s, float(self._open[i]))
+        self._before = truths[-1]
+        self._log.clear()
+        self._commands.clear()
+        self._taken.clear()
+
+    def _add_impacts(self, truths: Truths) -> None:
+        """Add the impacts of contacts that have closed since the look before, and of faces behind.
+
+        A contact of MuJoCo that is met by a mass m with a speed v presses with at most 2 m v / T,
+        T the time constant of `solref`: its damper has 2/T, and it is not damped less than
+        critically. An object with play may also meet the other side of the body that it is pressed
+        against, such as the wall of a hole behind it: then the force along a column becomes
+        negative.
+
+        Args:
+            truths: truths of the looks.
+        """
+        plant = self._rig.scenario.plant
+        if plant.type != "mujoco" or not len(self.impacts):
+            return
+        before = self._before
+        speeds = np.abs(np.vstack((before.V_O, truths.V_O[:-1])) @ self._lines)
+        closed = np.vstack((before.closed, truths.closed)).astype(bool)
+        pulls = np.vstack((before.alpha, truths.alpha)) < -LEAST_FORCE
+        closes = (closed[1:] & ~closed[:-1])[:, self._owners]
+        meets = closes | (pulls[1:] & ~pulls[:-1])
+        forces = 2.0 * self._masses * speeds / plant.solref[0]
+        self.impacts = np.maximum(self.impacts, np.where(meets, forces, 0.0).max(axis=0))
+
+
+def effective_masses(rig: osc.Rig) -> Array:
+    """(r,) masses (kg) of arms and object along the lines of the contact forces."""
+    if not rig.pairs:
+        return np.zeros(0)
+    N = rig.contact.N
+    return np.asarray(1.0 / np.einsum("ij,ik,kj->j", N, rig.state.Phi, N))
 
 
 def obstacle_force(fault: Fault, trial: Trial) -> float:
