@@ -193,8 +193,8 @@ class ContactWatch:
         self._add_impacts(truths)
         wanted = np.array(self._commands) > LIGHT
         for i in range(len(self._open)):
-            is_wanted = wanted[:, self._owners == i].any(axis=1)
-            for k in range(len(is_wanted)):
+            is_wanted: Array = np.any(wanted[:, self._owners == i], axis=1)
+            for k in range(len(wanted)):
                 is_closed = bool(truths.closed[k, i])
                 self._made[i] |= is_closed
                 unseen = is_wanted[k] and self._taken[k][i] and self._made[i] and not is_closed
