@@ -111,7 +111,7 @@ _MODEL = _record(
         "posture_stiffness",  # k_p (1/s²)
         "posture_damping",  # k_d (1/s)
         "retreat_damping",  # k_d (1/s) along motions that the task loses in a singular posture
-        # friction of contacts, see `contact` and `reading.learn_friction`
+        # friction of contacts, see `contact` and `contact_friction.learn_friction`
         "mu",  # assumed coefficient
         "slip",  # v_0 (m/s), sliding speed below which friction is regularised
         "learning",  # 1/s, rate at which the coefficient is identified; 0: never
@@ -593,7 +593,7 @@ _WORK = _record(
         "alpha_d",  # desired forces (N)
         "alpha_meas",  # measured forces (N)
         "alpha_u",  # commanded forces (N)
-        "reaction",  # N, contact force lost by tangential forces, see `reading.oppose_friction`
+        "reaction",  # N, contact force lost by tangential forces, see `oppose_friction`
         "speed",  # NᵀV_rel (m/s)
         "gain",  # K_i (1/s)
         "damping",  # K_v (N s/m)

@@ -53,6 +53,7 @@ from osc_contact.law.commands import (
     shape_steps,
 )
 from osc_contact.law.contact import place_contacts, predict_friction
+from osc_contact.law.contact_friction import learn_friction, oppose_friction
 from osc_contact.law.force_law import command_force, contact_laws, last_integral
 from osc_contact.law.friction_slope import limit_integrals
 from osc_contact.law.hopping import watch_hops
@@ -63,9 +64,7 @@ from osc_contact.law.normals import load_normal_estimates
 from osc_contact.law.plausibility import check_readings
 from osc_contact.law.reading import (
     add_friction,
-    learn_friction,
     measure_magnitudes,
-    oppose_friction,
     sum_readings,
     weigh_magnitudes,
 )
