@@ -56,8 +56,8 @@ SENSORS = ("plausibility", "agreement", "sensors", "isolation")
 JUDGES = {
     "law_parts": ("vectors", "algebra", "commands", "grasps", "contact"),
     "law_stages": (
-        *("reading", "operational", "command_filter", "allocation", "vectors", "tick", "limits"),
-        *("saturation", "rows"),
+        *("reading", "contact_friction", "operational", "command_filter", "allocation", "vectors"),
+        *("tick", "limits", "saturation", "rows"),
     ),
     "law_kkt": (),
     "law_watch": ("safety", *SENSORS),
@@ -73,7 +73,7 @@ JUDGES = {
     "linkage": ("allocation",),
     "law_steps": ("commands",),
     "safety": ("safety",),
-    "friction": (),
+    "friction": ("contact_friction",),
     "reading": (),
     "moving_environment": (),
     "singular": ("singular",),
