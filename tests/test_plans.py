@@ -11,6 +11,7 @@ from scenario_runs import rig_of
 import osc_contact as osc
 from osc_contact.control.status import Phase, SafetyState
 from osc_contact.plan import ends, motions, permitted
+from osc_contact.plan import plan as plan_module
 from osc_contact.plan.plan import Outcome
 from osc_contact.plan.sensed import Sensed
 from osc_contact.spatial import pose_error
@@ -361,6 +362,29 @@ def test_a_force_above_the_largest_is_a_failure(rig):
     run(rig, plan)
     assert plan.outcome is Outcome.FAILED
     assert plan.reason.endswith("N, more than 24 N")
+
+
+def test_a_stage_after_a_large_force_takes_it_back(rig):
+    """It was failed by the force of the stage before in its first tick, which ended the plan."""
+    fails = press("try", until=ends.after(1.0), force=8.0, within=2.0, fails="release")
+    release = osc.Stage("release", {}, until=ends.after(0.4), within=1.0)
+    plan = osc.Plan([fails, release], largest=24.0)
+    run(rig, plan)
+    assert [(one.name, one.failed) for one in plan.verdicts] == [("try", True), ("release", False)]
+    assert plan.verdicts[1].peak > 23.0
+    assert plan.outcome is Outcome.DONE
+
+
+def test_a_large_force_that_stays_fails_the_next_stage_too(rig, monkeypatch):
+    """It goes to zero within the rise time of 0.25 s; here this is too long."""
+    monkeypatch.setattr(plan_module, "RELIEF", 0.05)
+    fails = press("try", until=ends.after(1.0), force=8.0, within=2.0, fails="release")
+    release = osc.Stage("release", {}, until=ends.after(0.4), within=1.0, largest=5.0)
+    plan = osc.Plan([fails, release], largest=24.0)
+    run(rig, plan)
+    assert plan.outcome is Outcome.FAILED
+    assert plan.reason.startswith("stage 'release': ")
+    assert plan.verdicts[1].duration == approx(0.05, abs=2e-3)
 
 
 def test_pause_and_resume(rig):

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from osc_contact.control.controller import Controller
 
 SETTLED = 0.1  #: time at the beginning of a stage that tares, whose readings are left out (s)
+RELIEF = 0.5  #: time within which the force that failed a stage goes back in the next one (s)
 BRAKED = 1.0  #: time after a stop for which a plan gives references while the arms are braked (s)
 
 
@@ -66,7 +67,8 @@ class Plan:
 
     Args:
         stages: stages in their order.
-        largest: measured force of the object on its environment above which a stage has failed (N).
+        largest: measured force of the object on its environment above which a stage has failed (N);
+            the stage that follows then has 0.5 s to take it back.
         tries: number of failures that end the plan, also if a stage follows a failure.
         recogniser: recogniser of the contact state, which follows the low-passed wrench at its own
             period; the touched bodies are where their pairs have them. A state is unexpected
@@ -129,6 +131,8 @@ class Plan:
         self._places: dict[str, pin.SE3] = {}
         self._failures = 0  #: number of failed stages
         self._time = 0.0  #: time since the plan began (s)
+        #: time until which a force that has failed a stage may go back (s)
+        self._relieved_until = 0.0
         self._ended_for = 0.0  #: time since the plan ended or was stopped (s)
 
     # --- the loop's side ------------------------------------------------------------------------
@@ -382,13 +386,17 @@ class Plan:
         if stage.tare and signals.t > SETTLED:
             self._residual_sum += self._controller.residual_wrench()
             self._residual_ticks += 1
-        # a large force is judged first, since it is dangerous; then the alarm of the stage, its
-        # end, and its time, so that a stage that ends in its last tick has not failed
+        # a large force is judged first, since it is dangerous, but not while the stage takes back
+        # the one that failed the stage before; then the alarm of the stage, its end, and its time,
+        # so that a stage that ends in its last tick has not failed
         most = min(stage.largest, self.largest)
         until = stage.until
         assert isinstance(until, End)
         is_alarm = self._unless_watch is not None and self._unless_watch(signals, dt)
-        if force > most:
+        if force <= most:
+            self._relieved_until = 0.0
+        if force > most and self._time > self._relieved_until:
+            self._relieved_until = self._time + RELIEF
             self._fail_stage(f"{force:.1f} N, more than {most:g} N")
         elif is_alarm:
             assert isinstance(stage.unless, End)
