@@ -15,12 +15,12 @@ LIMIT = 2.2  # rad/s
 DEGREE = np.deg2rad(1.0)
 
 
-def joint_readings(noise=0.0):
+def joint_readings(noise=0.0, sample=DT):
     encoders = Encoders(
         noise=np.full(2, noise),
         resolution=np.full(2, STEP),
         unknown=np.full(2, 30.0),
-        sample=DT,
+        sample=sample,
     )
     return JointReadings(encoders, np.full(2, 3.0 * LIMIT), 20.0, DT)
 
@@ -61,6 +61,19 @@ def test_the_velocity_of_a_jump_by_one_degree_is_taken_back(moving):
         now = moving.complete(measured(k, [0.3, 0.5 * DT * k + DEGREE]))
         assert now.q[1] == approx(0.5 * DT * k + DEGREE, abs=2.0 * STEP)
         assert now.v[1] == approx(0.5, abs=0.03)
+
+
+def test_the_velocity_of_a_jump_is_taken_back_where_encoders_are_slower_than_the_loop():
+    """With the next reading: in the periods between it is only predicted."""
+    period = 2
+    readings = joint_readings(sample=period * DT)
+    for k in range(260):
+        last = k - k % period
+        jump = DEGREE if last >= 200 else 0.0
+        now = readings.complete(measured(last, [0.3, 0.5 * DT * last + jump]))
+        if k >= 100 and not 200 <= k < 200 + period:
+            assert now.q[1] == approx(0.5 * DT * k + jump, abs=4.0 * STEP)
+            assert now.v[1] == approx(0.5, abs=0.03)
 
 
 def test_a_joint_that_is_struck_is_not_taken_for_an_encoder_that_jumps():

@@ -16,6 +16,7 @@ from osc_contact.spatial import Array
 
 _FAR = 8.0  #: multiple of its standard deviation that noise does not reach
 _QUIET_JUMP = 0.02  #: jump of an encoder's reading that counts as plausible without motion (rad, m)
+_PAUSE = 1.5  #: multiple of the period of the readings from which on one was missing
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,6 @@ class JointReadings:
 
     A reading farther from the estimate than the joint can move, from which the next one continues
     as the joint moved before, was displaced: the velocity that it seemed to show is taken back.
-    Encoders have to be read in each period for that.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class JointReadings:
         self._onward = np.zeros(n)  #: (n,) positions that are expected after these (rad, m)
         #: (n,) largest change of a reading by noise and acceleration alone (rad, m)
         self._slight = _FAR * (encoders.error + encoders.unknown * encoders.sample**2)
-        self._sample = encoders.sample  #: period of the readings (s)
+        self._period = max(dt, encoders.sample)  #: period of the readings (s)
         #: estimate of the joint velocities
         self._estimate = encoders.estimate(dt, learning)
         #: largest noise whose estimate is as fast as the hold of a stopped arm: √(σ_a/σ_n) = ω
@@ -128,13 +128,14 @@ class JointReadings:
         implausible = self._implausible(measurement.q)
         if implausible.any() and self._estimate.x is None:  # the estimate has not begun
             return measurement
-        fresh = measurement.stamps.encoders > self._stamp
+        interval = measurement.stamps.encoders - self._stamp
+        fresh = interval > 0.0
         self._stamp = measurement.stamps.encoders
         q = np.where(implausible, np.nan, measurement.q)
         dead = self._dead_encoders.update(measurement.q, fresh)
         if fresh:
             self._expect_noise(q)
-        self._take_back_jumps(q, fresh)
+            self._take_back_jumps(q, interval)
         q, v = self._estimate.update(np.where(dead, np.nan, q), acceleration, fresh)
         q = np.where(implausible | dead, np.nan, q + self._delay * v)
         v = np.where(dead, np.nan, v)  # only predicted
@@ -155,19 +156,20 @@ class JointReadings:
         self._last_plausible = np.where(implausible, self._last_plausible, q)
         return implausible
 
-    def _take_back_jumps(self, q: Array, fresh: bool) -> None:
-        """Repeat the last update if readings had jumped, which this one shows; note new jumps.
+    def _take_back_jumps(self, q: Array, interval: float) -> None:
+        """Repeat the last update by readings if they had jumped, which these show; note new jumps.
 
         Args:
-            q: (n,) readings (rad, m); NaN: implausible.
-            fresh: False if it is an old reading: then nothing is found.
+            q: (n,) new readings (rad, m); NaN: implausible.
+            interval: time since the readings before (s): after a pause nothing is found.
         """
-        jumped = self._far & (np.abs(q - self._onward) < self._slight) & fresh
-        if jumped.any() and not self._noise_measure.is_loud:
+        jumped = self._far & (np.abs(q - self._onward) < self._slight)
+        is_regular = interval < _PAUSE * self._period
+        if is_regular and jumped.any() and not self._noise_measure.is_loud:
             self._estimate.repeat_last(jumped)
         if self._estimate.x is not None:
-            self._far = (np.abs(q - self._estimate.x) > self._largest_change + self._slight) & fresh
-            self._onward = q + self._sample * self._estimate.v
+            self._far = np.abs(q - self._estimate.x) > self._largest_change + self._slight
+            self._onward = q + self._period * self._estimate.v
 
     def _expect_noise(self, q: Array) -> None:
         """Change the gains of the estimated velocities while encoders are noisier than expected.

@@ -242,14 +242,23 @@ class VelocityEstimate:
                 self.update(*arguments)
 
     def repeat_last(self, displaced: NDArray[np.bool_]) -> None:
-        """Repeat the last update, of which some readings turn out to have been displaced.
+        """Repeat the last update by a reading, of which some turn out to have been displaced.
+
+        The predictions since are repeated after it.
 
         Args:
             displaced: (k,) whether something else than motion displaced the last reading.
         """
-        state, (measured, acceleration, fresh) = self._replayable.pop()
-        self._restore(state)
-        self.update(measured, acceleration, fresh, displaced)
+        since: list[tuple[Any, ...]] = []  # arguments, the last ones first
+        is_reading = False
+        while self._replayable and not is_reading:
+            state, arguments = self._replayable.pop()
+            is_reading = arguments[2]
+            since.append(arguments)
+        if since:
+            self._restore(state)
+        for measured, acceleration, fresh in reversed(since):
+            self.update(measured, acceleration, fresh, displaced if fresh else None)
 
     def _snapshot(self) -> tuple[Any, ...]:
         """Everything that an update changes."""
