@@ -15,13 +15,13 @@ shares and quantiles. Peaks are those of the sum of all contact forces, and of a
 the end of each millisecond; the mean is that of the norm of this sum, while anything touches.
 """
 
-import logging
 from collections.abc import Callable, Mapping
 
 import numpy as np
 import typer
 from rich.console import Console
 
+from benchmarks.measuring import without_log
 from osc_contact.contacts.insertion import Peg
 from osc_contact.lab.tasks.insertion import WIDTH, Insertion
 from osc_contact.lab.tasks.pegs import Inserted, insert
@@ -66,6 +66,7 @@ def row_of(seed: int, one: Inserted) -> str:
     )
 
 
+@without_log()
 def compare(
     laws: Mapping[str, Callable[[int], Inserted]], count: int, seed: int, only: str
 ) -> None:
@@ -77,7 +78,6 @@ def compare(
         seed: first seed.
         only: laws whose name contains this.
     """
-    logging.disable(logging.WARNING)
     console = Console(width=140, highlight=False)
     results: dict[str, list[Inserted]] = {name: [] for name in laws if only in name}
     for k in range(seed, seed + count):
@@ -88,6 +88,7 @@ def compare(
         console.print(f"{name}: {summary(of_law)}", soft_wrap=True)
 
 
+@without_log()
 def main(
     count: int = 10,
     seed: int = 1000,
@@ -101,7 +102,6 @@ def main(
         raise typer.BadParameter(f"{peg!r}; give {', '.join(DEFAULTS)}", param_hint="--peg")
     given = (clearance, offset, tilt)
     sizes = [own if one is None else one for own, one in zip(DEFAULTS[peg], given, strict=True)]
-    logging.disable(logging.WARNING)
     console = Console(width=140, highlight=False)
     results = []
     for k in range(seed, seed + count):

@@ -17,9 +17,8 @@ from osc_contact.spatial import Array
 
 STOP_WITHIN = 0.3  #: time for which a joint may be beyond its limits without a stop (s)
 REST_AFTER = 0.5  #: time after a stop after which the arms are at rest (s)
-LEAST_FORCE = (
-    1e-3  #: N, of a contact: shares of contacts that do not touch are zero but for rounding
-)
+#: N, least force of a contact: shares of contacts that do not touch are zero but for rounding
+LEAST_FORCE = 1e-3
 LIGHT = 1.0  #: N, least command of a contact whose loss is judged
 LOOKS = 200  #: number of looks at contacts that are evaluated together, which is faster
 REST_SPEED = 0.1  #: largest speed of a joint at rest (rad/s, m/s)

@@ -10,7 +10,6 @@ reported as learned, and the rms error where it was, before and after.
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ import pinocchio as pin
 import typer
 from rich.console import Console
 
+from benchmarks.measuring import without_log
 from benchmarks.recognition import (
     ERRORS,
     EVERY,
@@ -80,9 +80,9 @@ def learn(seed: int, folder: Path) -> tuple[LearnedPlace, Array]:
     return place, task.displacement
 
 
+@without_log()
 def main(count: int = 5, seed: int = 7000, folder: Path = Path("out/insertions")) -> None:
     """Print what was learned over some insertions."""
-    logging.disable(logging.WARNING)
     console = Console(width=140, highlight=False)
     found = [learn(k, folder) for k in range(seed, seed + count)]
     errors = np.array([true - place.displacement() for place, true in found]) * UNITS

@@ -1,11 +1,12 @@
 """Times of calls that take turns in one process, the machine, and tables of the results."""
 
+import logging
 import os
 import platform
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,6 +26,21 @@ PACKAGES = ("osc-contact", "pin", "numpy", "numba", "mujoco")  #: packages whose
 WARM_UP = 5  #: number of rounds before those that are timed
 Call = Callable[[], object]
 Rows = list[Data]  #: rows of a table, each with its numbers and words by the heads of the columns
+
+
+@contextmanager
+def without_log() -> Iterator[None]:
+    """Log nothing while a function or block prints its table.
+
+    Warnings of single runs, which the table counts, would stand between its rows. The log is as
+    before at the end: other programs of the process may read it.
+    """
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(before)
 
 
 def machine() -> Data:

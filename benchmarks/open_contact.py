@@ -10,11 +10,10 @@ ceilings (30 N here), and with ceilings that are never reached.
 
 from __future__ import annotations
 
-import logging
-
 from rich.console import Console
 
 import osc_contact as osc
+from benchmarks.measuring import without_log
 from osc_contact.contacts.feet import feet
 from paper.study import table_of
 
@@ -59,9 +58,9 @@ def peak(speed: float, *changes: str) -> float:
     return float(pressed_from_the_air(speed, *changes)["alpha_true"].sum(axis=1).max())
 
 
+@without_log()
 def main() -> None:
     """Print the table."""
-    logging.disable(logging.WARNING)
     rows = [
         [f"{1e3 * speed:g}", f"{peak(speed):.0f}", f"{peak(speed, UNREACHED):.0f}"]
         for speed in SPEEDS

@@ -22,7 +22,6 @@ kind, the stage, the end, and the largest force of a single contact since; the e
 
 from __future__ import annotations
 
-import logging
 import sys
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -33,6 +32,7 @@ from rich.console import Console
 
 from benchmarks import fault_judge
 from benchmarks.faults import FAULTS, Trial
+from benchmarks.measuring import without_log
 from osc_contact.contacts.insertion import Peg
 from osc_contact.control.status import SafetyState
 from osc_contact.lab.tasks import pegs
@@ -234,6 +234,7 @@ def possible() -> list[str]:
     return [name for name, fault in FAULTS.items() if fault.arms == 1 and name != "no fault"]
 
 
+@without_log()
 def main(seed: int | None = None, only: str = "", count: int = 0) -> None:
     """Run the faults; exit with 1 if anything was wrong.
 
@@ -242,7 +243,6 @@ def main(seed: int | None = None, only: str = "", count: int = 0) -> None:
         only: faults whose name contains this.
         count: number of faults that are drawn from all; 0: all.
     """
-    logging.disable(logging.WARNING)
     if seed is None:
         seed = int(np.random.default_rng().integers(100_000))
     names = [name for name in possible() if only in name]

@@ -14,7 +14,6 @@ need not be true. The share without this rule stands beside. Shares are averaged
 
 from __future__ import annotations
 
-import logging
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -27,6 +26,7 @@ import typer
 from rich.console import Console
 
 from benchmarks.assembly import row_of, summary
+from benchmarks.measuring import without_log
 from benchmarks.recorded_insertions import CLEARANCE, recorded, result_in
 from osc_contact.contacts.insertion import Hole, Peg, pairs_between
 from osc_contact.lab.tasks.insertion import BASE, LENGTH, WIDTH, Insertion
@@ -332,6 +332,7 @@ class Watch:
         self.alarmed = alarm
 
 
+@without_log()
 def main(
     count: int = 5,
     seed: int = 7000,
@@ -339,7 +340,6 @@ def main(
     clearance: float = 1e3 * CLEARANCE,
 ) -> None:
     """Print a row for each insertion, then shares, confusions and times; clearance in mm."""
-    logging.disable(logging.WARNING)
     console = Console(width=140, highlight=False)
     tally = Tally()
     results = []

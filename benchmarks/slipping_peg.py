@@ -13,14 +13,13 @@ apart, and not in the shares of the last line.
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
 import typer
 from rich.console import Console
 
 import osc_contact as osc
 from benchmarks.assembly import row_of, summary
+from benchmarks.measuring import without_log
 from osc_contact.interface import Measurement
 from osc_contact.lab.tasks import pegs
 from osc_contact.lab.tasks.insertion import CLEARANCE, WIDTH, Insertion, InsertionRobot
@@ -103,9 +102,9 @@ def insert_slipping(seed: int, slip: float) -> tuple[Inserted, SlippingPeg, floa
     return result, slipping, float(modelled.translation[2]) - result.depth
 
 
+@without_log()
 def main(count: int = 5, seed: int = 6000, slip: float = 1.0) -> None:
     """Print one row for each seed, and a summary; the slip is in mm."""
-    logging.disable(logging.WARNING)
     console = Console(width=160, highlight=False)
     results = []
     for k in range(seed, seed + count):

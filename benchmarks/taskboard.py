@@ -34,7 +34,6 @@ comparison was interrupted.
 from __future__ import annotations
 
 import copy
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -51,7 +50,7 @@ from rich.console import Console
 
 import osc_contact as osc
 from benchmarks.kept import ROOT, Kept
-from benchmarks.measuring import side_by_side
+from benchmarks.measuring import side_by_side, without_log
 from osc_contact.contacts.insertion import Hole, Peg, pairs_between
 from osc_contact.dynamics.assembly import reach
 from osc_contact.lab.tasks import pegs as tilted
@@ -674,6 +673,7 @@ RIVALS: dict[str, Callable[[Episode], str]] = {
 # --- The comparison -------------------------------------------------------------------------------
 
 
+@without_log()
 def try_inserting(name: str, part: str, off: float, seed: int) -> Tried:
     """Run one episode.
 
@@ -683,7 +683,6 @@ def try_inserting(name: str, part: str, off: float, seed: int) -> Tried:
         off: distance of the hole from its modelled place (mm).
         seed: seed of the episode.
     """
-    logging.disable(logging.WARNING)
     episode = Episode(part, off, seed)
     return episode.verdict(name, off, seed, RIVALS[name](episode))
 

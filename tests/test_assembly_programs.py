@@ -1,5 +1,6 @@
 """Programs that judge insertions: other laws, faults in stages, a peg that slips; ends at rest."""
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -242,6 +243,7 @@ def test_pegs_that_did_not_slip_are_counted_apart(monkeypatch, capsys):
     assert "slipped by a part only" in second
     assert "did not slip" in third
     assert last.startswith("2 of 3 did not slip by 1 mm; of the others 1 of 1; time")
+    assert logging.root.manager.disable == logging.NOTSET  # the log of other programs goes on
 
 
 def test_a_recorded_result_is_read_as_it_was():
