@@ -1,4 +1,4 @@
-"""Walls that yield although nothing says so: the frequency of a contact, and its force integral."""
+"""Elastic walls that the model takes as rigid: frequency of a contact, and its force integral."""
 
 import numpy as np
 from law_calls import contact_mode, friction_slope, records, write
@@ -93,7 +93,7 @@ def test_force_integrals_are_slower_than_the_slowest_contact(ratio, left):
 
 
 def soft(stiffness, *more):
-    """12 N of a UR5 on a wall, a line of 18 mm: nothing is wrong but that the wall is not told."""
+    """12 N of a UR5 on a wall that its model takes as rigid, a line of 18 mm; all else is right."""
     task = draw(880211, 29)
     changes = [*task.changes, "control.rate=1000", "duration=4 s", "tare=null", *more]
     task = RandomTask(0, 0, task.name, task.scenario, changes, {}, Errors(told=False))

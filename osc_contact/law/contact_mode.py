@@ -1,9 +1,9 @@
-"""Slowest oscillation of the contacts on faces that yield although nothing says so.
+"""Lowest frequency of oscillation of contacts on elastic faces that the model takes as rigid.
 
 A force integral excites the oscillation of a contact whose frequency is not far above its gain
 (docs/tuning.md, *Bandwidth*), and no model states how much a wall, a table or the arm itself
-yields. The contact tells: its position x and its force α change together, α = k x, whatever moves
-them. So the compliance s = 1/k of each contact is estimated,
+yields. Changes of position x and force α of a contact are related by α = k x, whatever causes them.
+So the compliance s = 1/k of each contact is estimated,
 
     s = ∫x̃ α̃ dt / (∫α̃² dt + w_0),
 

@@ -21,9 +21,9 @@ which the brake leaves contacts undamped, because it spares their lasting speed 
 So K_i is reduced to κ − `_MARGIN` κ_f, but not below κ/`brake_ratio`, and the rate of v̄ with it.
 `_MARGIN` was chosen by measurement.
 
-On a wall that yields although nothing says so, K_i is reduced, too, to ω/`_SEPARATION`, with the
+On an elastic wall that the model takes as rigid, K_i is reduced, too, to ω/`_SEPARATION`, with the
 frequency ω at which contacts oscillate (`contact_mode`): v̄ and delays leave slow oscillations
-little of the brake.
+little damping by the brake.
 
 Friction that residuals show and that is not identified yet excites contacts, too. It counts by the
 standard deviation of the estimate of F, which falls while the joint moves at 10 mrad/s or faster:
