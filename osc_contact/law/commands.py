@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from math import atan2, copysign, sqrt
 
-from osc_contact.law.contact_mode import follow_compliance
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.normals import learn_normal
 from osc_contact.law.phases import APPROACHING, predict_force
@@ -481,7 +480,7 @@ def _deflection(t, a, j):
 
 @leaf
 def _keep_deflections(t):
-    """Advance the brake on yielding faces, and the estimate of the compliance of all faces.
+    """Advance the states of the brake on yielding faces, and the estimate of their compliance.
 
     High-passes with the rate w of `_washout_rate` give x̃ (m), α̃ and α̃_s (N) of position, force
     and commanded force; the compliance is the ratio of the forgetting integrals `correlation` ∫x̃
@@ -490,8 +489,7 @@ def _keep_deflections(t):
     Reads `V_N`, `speed`, `alpha_meas`, and `goal` (commanded force α_s) and `shaped` of the
     columns. Changes of the columns in MEMORY `driven` (speed of the driven face, m/s), `deflection`
     (integral of the unexplained speed, m), `eased` (α_s, N), `eased_rate` (its rate, N/s),
-    `yielded` (x̃, m), `alpha_mean`, `eased_mean` (N), `correlation` and `excitation`; of other faces
-    the fields of `follow_compliance`.
+    `yielded` (x̃, m), `alpha_mean`, `eased_mean` (N), `correlation` and `excitation`.
 
     Args:
         t: Tick.
@@ -502,7 +500,6 @@ def _keep_deflections(t):
     for a in range(work.rank):
         j = work.kept[a]
         if body_of(t, j).kind != YIELDING:
-            follow_compliance(t, a, j)
             continue
         u, p, _, rate = _deflection(t, a, j)
         column = work.columns[j]
@@ -615,7 +612,6 @@ def _forget_forces(row):
     row.desired = row.scale = row.predicted = 0.0
     row.drift = row.approach = row.driven = row.deflection = row.eased = row.eased_rate = 0.0
     row.yielded = row.alpha_mean = row.eased_mean = row.correlation = row.excitation = 0.0
-    row.alpha_smooth = 0.0
     row.to_come[:] = 0.0
 
 

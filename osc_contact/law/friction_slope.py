@@ -21,10 +21,6 @@ which the brake leaves contacts undamped, because it spares their lasting speed 
 So K_i is reduced to κ − `_MARGIN` κ_f, but not below κ/`brake_ratio`, and the rate of v̄ with it.
 `_MARGIN` was chosen by measurement.
 
-On an elastic wall that the model takes as rigid, K_i is reduced, too, to ω/`_SEPARATION`, with the
-frequency ω at which contacts oscillate (`contact_mode`): v̄ and delays leave slow oscillations
-little damping by the brake.
-
 Friction that residuals show and that is not identified yet excites contacts, too. It counts by the
 standard deviation of the estimate of F, which falls while the joint moves at 10 mrad/s or faster:
 within some tenths of a second where there is no friction. Without learning this deviation would not
@@ -35,7 +31,6 @@ from __future__ import annotations
 
 from math import sqrt
 
-from osc_contact.law.contact_mode import slowest_mode
 from osc_contact.law.friction_estimate import SUSPECTED
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.joint_friction import SLIDES, compensated_theta
@@ -44,9 +39,6 @@ from osc_contact.law.vectors import dot6, fill_free
 _FALL = 0.3  #: 2 q/e: friction falls by the share q = 0.4
 _SLOW = 0.03  #: s_1 (rad/s), speed of the oscillation, below which a joint's speed changes its sign
 _MARGIN = 12.0  #: multiple of κ_f: masses may lack those of rotors, measured speeds are delayed
-#: Least ratio ω/K_i of the frequency of a contact. K_i/6 being the rate of v̄, contacts without
-#: delays decay from 0.9 on; the rest is for delays and for rotors that M lacks.
-_SEPARATION = 2.5
 
 
 @inner
@@ -54,11 +46,10 @@ def limit_integrals(t):
     """Update the share by which gains of force integrals are reduced (`integral_cut` of MEMORY).
 
     The gain is reduced to K_i (1 − share) = κ − `_MARGIN` κ_f if it is larger; by no more than
-    `_MARGIN` κ_f, if it exceeds κ without friction, too; to ω/`_SEPARATION` with the lowest
-    frequency ω of the contacts, if it is larger; and not below κ/`brake_ratio`. Each tick adds one
-    joint only to the sum κ_f (`slope` of MEMORY, 1/s), which saves time; the share changes after
-    each round through all joints. It is 0 if no friction is compensated, if K_i, κ or `brake_ratio`
-    is 0, or if K_i ≤ κ/`brake_ratio` already.
+    `_MARGIN` κ_f, if it exceeds κ without friction, too; and not below κ/`brake_ratio`. Each tick
+    adds one joint only to the sum κ_f (`slope` of MEMORY, 1/s), which saves time; the share changes
+    after each round through all joints. It is 0 if no friction is compensated, if K_i, κ or
+    `brake_ratio` is 0, or if K_i ≤ κ/`brake_ratio` already.
 
     Args:
         t: Tick whose friction has been compensated, and whose torques are finite.
@@ -83,9 +74,7 @@ def limit_integrals(t):
             memory.slope = 0.0
         added = _MARGIN * memory.slope
         excess = max(model.force_gain + added - model.force_brake, 0.0)
-        cut = min(excess, added) / model.force_gain
-        cut = max(cut, 1.0 - slowest_mode(t) / (_SEPARATION * model.force_gain))
-        memory.integral_cut = min(cut, largest)
+        memory.integral_cut = min(min(excess, added) / model.force_gain, largest)
         memory.slope = 0.0
     _add_joint(t, j)
 

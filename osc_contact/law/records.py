@@ -405,7 +405,6 @@ COLUMN_MEMORY = _record(
         # estimate of its compliance
         "yielded",  # m, x̃
         "alpha_mean",  # N, low-passed α
-        "alpha_smooth",  # N, α with a faster low-pass
         "eased_mean",  # N, low-passed α_s
         "correlation",  # m N s
         "excitation",  # N² s

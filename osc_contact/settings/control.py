@@ -336,7 +336,7 @@ class JointFriction(OrderedSpec):
     """rate K_d of that observer"""
     brake_ratio: NotNegativeNumber = 4.0
     """largest ratio κ/K_i to which K_i may be reduced where
-    [friction of the joints can excite contacts, or a wall yields](tuning.md#why); 0: K_i stays"""
+    [friction of the joints can excite contacts](tuning.md#why); 0: K_i stays"""
     most: Annotated[Number, Field(gt=0, le=1)] = 0.3
     """largest friction that is identified and compensated, as a share of a motor's torque limit"""
 
