@@ -227,7 +227,7 @@ def test_a_fault_begins_within_a_stage_that_is_shorter_than_the_moment_drawn(mon
 
 
 def test_pegs_that_did_not_slip_are_counted_apart(monkeypatch, capsys):
-    """Of three pegs the first slips, the second by a part; all are in."""
+    """One peg slips, one slips by a part of the distance, one does not; all three are inserted."""
     shares = iter((1.0, 0.5, 0.0))
 
     def insert(seed, slip):
@@ -243,7 +243,7 @@ def test_pegs_that_did_not_slip_are_counted_apart(monkeypatch, capsys):
     assert "slipped by a part only" in second
     assert "did not slip" in third
     assert last.startswith("2 of 3 did not slip by 1 mm; of the others 1 of 1; time")
-    assert logging.root.manager.disable == logging.NOTSET  # the log of other programs goes on
+    assert logging.root.manager.disable == logging.NOTSET  # other programs log as before
 
 
 def test_a_recorded_result_is_read_as_it_was():
@@ -253,7 +253,7 @@ def test_a_recorded_result_is_read_as_it_was():
     assert result_in({"result": np.array(text)}) == expected
 
 
-def test_forces_at_both_tips_are_told_by_the_lever():
+def test_forces_at_both_tips_follow_from_the_lever():
     """Two forces along one direction are measured each; the sum alone, if one tip presses."""
     X = bar_start(TwoPins(3))
     now = sensed(0.0)
@@ -287,11 +287,11 @@ def test_a_tip_is_led_along_the_force_until_it_presses():
 def test_guided_stages_have_the_forces_of_ours():
     stages = two_pin_plan(TwoPins(3)).stages
     found = {stage.name: presses_of(stage) for stage in stages if len(stage.forces) == 2}
-    told = {
+    stated = {
         name: [(press.tip, press.force, press.alone) for press in presses]
         for name, presses in found.items()
     }
-    assert told == {
+    assert stated == {
         "find": [("left", 6.0, False), ("right", 6.0, False)],
         "slide": [("left", 6.0, False), ("right", 6.0, False)],
         "left rim": [("left", 5.0, True), ("right", 6.0, True)],
