@@ -18,7 +18,7 @@ import osc_contact as osc
 RISE = 0.02  #: s, of steps of desired forces, in which contacts are unloaded
 LASTING = 15.0  #: mean number of ticks of a named set
 LOADED = 8.0  #: mean number of ticks of a load
-LIFE = osc.PhaseSettings(rise=0.01)
+LIFE = osc.PhaseSettings(rise=0.01, lag=0.001)  # s: loads are short
 STEPPED = osc.Gains(GAINS.motion, osc.ForceGains(K_I, K_V, rise=RISE, brake=0.0))
 
 

@@ -52,7 +52,9 @@ def low_pass(t, independent):
     rate of its normal speed, and the filter returns a spurious force, that of the inertia outboard
     of the sensors, D⁻¹ d(NᵀV_rel)/dt with `mobility` D. It is subtracted; both terms pass the same
     first-order low-pass, so that the derivative is computed from measured speeds. A contact cannot
-    pull, so a negative remainder is attributed to noise, whose estimate is twice as large.
+    pull, so a negative remainder is attributed to noise, whose estimate is twice as large. A closed
+    contact is not lost by a single wrong reading: of its columns a negative one counts as the
+    opposite of the force expected, `predicted`, at most.
 
     Fills `filtered_twist` (of the object at O), and of the columns in MEMORY `force` (N) and
     `filtered_speed` (m/s), low-passed; `net`, the force less the spurious one (N); `noise` (N);
@@ -86,7 +88,8 @@ def low_pass(t, independent):
         if row.known == 0:
             row.force = row.alpha
             row.filtered_speed = row.speed
-        row.force += k * (row.alpha - row.force)
+        read = max(row.alpha, -abs(row.predicted)) if row.closed else row.alpha
+        row.force += k * (read - row.force)
         row.filtered_speed += k * (row.speed - row.filtered_speed)
         column = work.columns[j]
         touch = column.touch if work.here[j] else 0.0
