@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -188,6 +188,18 @@ class Measurement:
             estimated=estimated,
             noisy=noisy,
         )
+
+
+def with_readings(measurement: Measurement, **readings: Any) -> Measurement:
+    """Copy of a measurement with other readings, as `dataclasses.replace` makes it, but faster.
+
+    Args:
+        measurement: measurement to be copied.
+        **readings: new values by the names of their fields; arrays have to be of doubles.
+    """
+    copy = object.__new__(Measurement)
+    copy.__dict__.update(measurement.__dict__, **readings)
+    return copy
 
 
 class Scene(Protocol):

@@ -195,6 +195,7 @@ def test_signals_of_a_workcell_are_evaluated_once_a_step():
     for _ in range(commands):
         robot.measure()
         robot.command(np.zeros(plant.plant.chain.n_a), 1e-3)
+    robot.measure()
     assert len(evaluated) == 2 * 4 * commands
     assert len(set(evaluated)) == 4 * commands
 

@@ -1,6 +1,7 @@
 """Sensors: statistics and clocks, calibration, estimates of velocity, vision with encoders."""
 
 import re
+from dataclasses import FrozenInstanceError, replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -10,14 +11,14 @@ from complaints import invalid_input, model_error, scenario_error
 from numpy.linalg import eigvals, norm, solve
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
-from pytest import approx
+from pytest import approx, raises
 from rigs import PANDA_Q, assert_near, largest, one_panda, placed, shift, vector
 from samples import aligned, first, parametrize
 from scenario_runs import closed_force, rig_of, verdict_of
 from test_moving_face import TURNING
 
 import osc_contact as osc
-from osc_contact.interface import Measurement, Seen, Touched
+from osc_contact.interface import Measurement, Seen, Touched, with_readings
 from osc_contact.lab.plants.sensors import SensedPlant, SensorErrors, Sensors
 from osc_contact.lab.scenarios.hardware import Clock, VisionSpec
 from osc_contact.sensing.calibration import calibrate_wrist
@@ -98,6 +99,59 @@ def test_the_plant_is_measured_once_an_instant_and_anew_at_the_next():
     toy.measured = 0
     plant.command(np.zeros(2), DT)  # no sample is due
     assert toy.measured == 0
+
+
+class InParts(Toy):
+    """A plant that can also be read one sensor at a time."""
+
+    read = ()  #: names of these readings
+
+    def measure(self):
+        return super().measure()
+
+    def reading(self, name):
+        self.read += (name,)
+        return getattr(Toy.measure(self), name)
+
+
+def drifting(toy):
+    """Measurement of a plant whose wrists drift."""
+    measured = Toy.measure(toy)
+    return replace(measured, wrenches=measured.wrenches + toy.time)
+
+
+class Drifting(InParts):
+    measure = drifting
+
+
+def test_sensors_are_read_one_at_a_time_where_the_plant_s_measurement_has_these_readings():
+    clock = (Clock(1000), SensorErrors())
+    sensors = Sensors(encoders=clock, joint_torques=clock, wrists=clock)
+    parts, other, changed = (InParts(), Drifting(), InParts())
+    changed.measure = lambda: drifting(changed)
+    plants = [SensedPlant(toy, sensors) for toy in (Toy(), parts, other, changed)]
+    parts.read = ()
+    for plant in plants:
+        plant.command(np.ones(2), DT)
+    assert parts.read == ("q", "joint_torques", "wrenches") and not (other.read or changed.read)
+    expected, in_parts, *drifted = (plant.measure() for plant in plants)
+    for name in ("q", "v", "joint_torques", "wrenches"):
+        assert_array_equal(getattr(in_parts, name), getattr(expected, name))
+    for measured in drifted:
+        assert_array_equal(measured.wrenches, expected.wrenches + DT)
+    assert plants[0].torque_reading()[0] == DT
+    assert_array_equal(plants[1].torque_reading()[1], expected.joint_torques)
+    without = SensedPlant(Toy(), Sensors())
+    assert_array_equal(without.torque_reading()[1], without.measure().joint_torques)
+
+
+def test_with_readings_copies_like_replace():
+    measured = Toy().measure()
+    changes = {"q": np.ones(3), "estimated": True, "stamps": osc.Stamps(1.0)}
+    copy = with_readings(measured, **changes)
+    assert vars(copy) == vars(replace(measured, **changes)) and vars(measured)["stamps"] is None
+    with raises(FrozenInstanceError):
+        copy.q = np.zeros(3)
 
 
 def test_noise_and_bias_have_the_size_given():

@@ -92,7 +92,7 @@ class JointTorqueLoop:
         """
         _, rate = self._torque_rate.update(tau, fresh=fresh)
         u = tau_d + self.gain * (tau_d - tau) - self.rate_gain * rate
-        return np.clip(u, -self.tau_max, self.tau_max)
+        return np.minimum(np.maximum(u, -self.tau_max), self.tau_max)  # faster than np.clip
 
     def spectral_radius(self) -> Array:
         """Compute the spectral radius (n_a,) of each sampled loop with the link fixed.

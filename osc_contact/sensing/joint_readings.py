@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from osc_contact.dynamics.closed_chain import ClosedChain
-from osc_contact.interface import Measurement
+from osc_contact.interface import Measurement, with_readings
 from osc_contact.sensing.dead_encoders import DeadEncoders
 from osc_contact.sensing.reading_noise import ReadingNoise
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
@@ -140,7 +140,7 @@ class JointReadings:
         q = np.where(implausible | dead, np.nan, q + self._delay * v)
         v = np.where(dead, np.nan, v)  # only predicted
         noisy = self._noise_measure.is_loud
-        return replace(measurement, q=q, v=v, estimated=True, noisy=noisy)
+        return with_readings(measurement, q=q, v=v, estimated=True, noisy=noisy)
 
     def _implausible(self, q: Array) -> NDArray[np.bool_]:
         """Mask (n,) of readings that are not finite or changed faster than the joint can move.

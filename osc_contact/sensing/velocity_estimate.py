@@ -336,19 +336,17 @@ class VelocityEstimate:
         if self._design is not None:
             self._replayable.append((self._snapshot(), (measured, acceleration, fresh)))
         # prediction by the known share of the acceleration and the unknown one
+        dt = self.dt
+        half = 0.5 * dt**2
         total = self.share * acceleration + self.unknown
-        self.x = self.x + self.dt * self.v + 0.5 * self.dt**2 * total
-        self.v = self.v + self.dt * total
+        self.x = self.x + dt * self.v + half * total
+        self.v = self.v + dt * total
         # the same of the derivatives by the share
         if self._learns_share:
             x_c, v_c, unknown_c = self._share_derivatives
             total = acceleration + unknown_c
             self._share_derivatives = np.array(
-                (
-                    x_c + self.dt * v_c + 0.5 * self.dt**2 * total,
-                    v_c + self.dt * total,
-                    unknown_c,
-                )
+                (x_c + dt * v_c + half * total, v_c + dt * total, unknown_c)
             )
         # correction by a new reading
         if fresh:

@@ -58,6 +58,7 @@ class Faces:
         s: (bodies, 2) travel (m) and angle (rad) of each body.
         rates: (bodies, 2) their first derivatives.
         second: (bodies, 2) second derivatives of driven bodies; zero for others.
+        state: (3, bodies, 2) array of which `s`, `rates` and `second` are views.
         driven: function of time that prescribes the motion, by the index of a driven body.
         moving: whether any body has a joint, driven or free.
         free: indices of the bodies that follow the contact forces, and of the joint of each (0
@@ -87,18 +88,22 @@ class Faces:
             if rail.joints and rail.motion is None
         ]
         self.free = tuple(np.array(free, dtype=int).reshape(-1, 2).T)
-        self.s, self.rates, self.second = np.zeros((3, len(self.rails), 2))
-        self._driven = list(self.driven)
+        #: pose of each body without a joint, which never changes; None: the body can move
+        self._fixed = [None if rail.joints else rail.pose(np.zeros(2)) for rail in self.rails]
+        self.state = np.zeros((3, len(self.rails), 2))
+        self.s, self.rates, self.second = self.state
+        are_all = len(self.driven) == len(self.rails)
+        #: indices of the driven bodies
+        self._driven = slice(None) if are_all else list(self.driven)
         self._reset_driven()
 
     def _reset_driven(self) -> None:
         """Reset the stored motion of driven bodies: time, and (3, driven, 2) position and rates."""
-        self._commanded: tuple[float, Array] = nan, np.zeros((3, len(self._driven), 2))
+        self._commanded: tuple[float, Array] = nan, np.zeros((3, len(self.driven), 2))
 
     def reset(self) -> None:
         """Put all bodies in their initial pose, driven ones at the beginning of their motion."""
-        for state in (self.s, self.rates, self.second):
-            state[:] = 0.0
+        self.state[:] = 0.0
         self._reset_driven()
         self.drive(0.0)
 
@@ -114,8 +119,7 @@ class Faces:
         if t != self._commanded[0]:
             motions = [motion(t) for motion in self.driven.values()]
             self._commanded = t, np.array(motions).swapaxes(0, 1)
-        bodies = self._driven
-        self.s[bodies], self.rates[bodies], self.second[bodies] = self._commanded[1]
+        self.state[:, self._driven] = self._commanded[1]
 
     def pulls(self, gravity: Array) -> list[float]:
         """Force along each free joint without contact forces: weight, preload, spring (N, N m).
@@ -135,7 +139,7 @@ class Faces:
 
     def poses(self) -> list[pin.SE3]:
         """Pose X_WE of the frame of each contact's face."""
-        return [self.rails[body].pose(self.s[body]) for body in self.on]
+        return [self._fixed[body] or self.rails[body].pose(self.s[body]) for body in self.on]
 
     def twists(self, X_WE: Sequence[pin.SE3]) -> list[Array]:
         """Twist V_E (6,) of each contact's body, at the origin of its pose, world axes.
@@ -144,7 +148,9 @@ class Faces:
             X_WE: poses by `poses`.
         """
         return [
-            self.rails[body].twist(self.s[body], self.rates[body], X.translation)
+            np.zeros(6)
+            if self._fixed[body]
+            else self.rails[body].twist(self.s[body], self.rates[body], X.translation)
             for body, X in zip(self.on, X_WE, strict=True)
         ]
 
@@ -181,7 +187,7 @@ class Faces:
         """Readings of encoders on rails and drives at present; None if no body can move."""
         if not self.moving:
             return None
-        s, rates, second = np.array((self.s, self.rates, self.second))
+        s, rates, second = self.state.copy()
         return TouchedLater.of(partial(self._body_motions, s, rates, second))
 
     def _body_motions(self, s: Array, rates: Array, second: Array) -> Touched:
@@ -229,6 +235,8 @@ class Faces:
         for part, body in zip(parts, self.on, strict=True):
             rows = slice(end, end + part.r)
             end = rows.stop
+            if self._fixed[body]:
+                continue
             rail = self.rails[body]
             s = self.s[body]
             rates = self.rates[body]

@@ -285,13 +285,22 @@ class MujocoPlant:
         Returns:
             q, v (…, n) and wrenches (…, arms, 6), zero where an arm has no sensor.
         """
-        measured = sensed.take(self._wrench_indices, axis=-1)
-        wrenches = measured
-        if len(self._sensed_arms) < len(self.chain.arms):
-            wrenches = np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
-            wrenches[..., self._sensed_arms, :] = measured
         q = self._link_values(qpos, self._q, self._springs)
-        return q, self._link_values(qvel, self._v, self._spring_v), wrenches
+        v = self._link_values(qvel, self._v, self._spring_v)
+        return q, v, self._wrenches(sensed)
+
+    def _wrenches(self, sensed: Array) -> Array:
+        """Readings (…, arms, 6) of the wrists, zero where an arm has no sensor.
+
+        Args:
+            sensed: (…, m) MuJoCo's sensor data.
+        """
+        measured: Array = sensed.take(self._wrench_indices, axis=-1)
+        if len(self._sensed_arms) == len(self.chain.arms):
+            return measured
+        wrenches = np.zeros((*sensed.shape[:-1], len(self.chain.arms), 6))
+        wrenches[..., self._sensed_arms, :] = measured
+        return wrenches
 
     def _link_values(self, x: Array, joints: Array, springs: Array) -> Array:
         """Positions or velocities (…, n) of the links: those of the motors plus the springs'.
@@ -305,6 +314,18 @@ class MujocoPlant:
         if len(springs):
             links[..., self.chain.actuated] += x[..., springs]
         return links
+
+    def reading(self, name: str) -> Array:
+        """Reading of one kind of sensor at present, as `measure` has it.
+
+        Args:
+            name: "q" (n,), "wrenches" (arms, 6) or "joint_torques" (n_a,).
+        """
+        if name == "q":
+            return self._link_values(self._qpos, self._q, self._springs)
+        if name == "wrenches":
+            return self._wrenches(self._sensordata)
+        return self._joint_torques()
 
     def _joint_torques(self) -> Array:
         """Readings (n_a,) of the joint torque sensors (N m, N): of springs, or of stiff motors."""
@@ -328,9 +349,11 @@ class MujocoPlant:
         """Set the state of driven faces at time t (s), and the force that accelerates them."""
         faces = self.faces
         faces.drive(t)
-        self._qpos[self._driven_q] = faces.s[self._driven_guides]
-        self._qvel[self._driven_v] = faces.rates[self._driven_guides]
-        self.data.qfrc_applied[self._driven_v] = DRIVE_MASS * faces.second[self._driven_guides]
+        bodies, axes = self._driven_guides
+        s, rates, second = faces.state[:, bodies, axes]
+        self._qpos[self._driven_q] = s
+        self._qvel[self._driven_v] = rates
+        self.data.qfrc_applied[self._driven_v] = DRIVE_MASS * second
 
     def truth(self) -> Truth:
         """True state at the beginning of the last step, the instant of the wrist readings."""

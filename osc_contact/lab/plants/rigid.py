@@ -225,6 +225,8 @@ class RigidPlant:
         self._tau = np.zeros(chain.n_a)  #: (n_a,) torques that act (N m, N)
         #: equations, and their solution, with the state that they belong to
         self._cached_equations: tuple[bytes, Equations] | None = None
+        #: equations, slope of friction by which M was changed, and results of `_inverse`
+        self._last_inverse: tuple[Equations, Array, tuple[Array, Array, Array]] | None = None
         #: solution of these equations under the present torques
         self._cached_solution: tuple[bytes, tuple[Solution, tuple[pin.SE3, Array]]] | None = None
 
@@ -295,7 +297,7 @@ class RigidPlant:
             faces = self.faces
             rates = faces.rates + solution.sdd * self.dt
             faces.s += 0.5 * (faces.rates + rates) * self.dt
-            faces.rates = rates
+            faces.rates[:] = rates
             faces.drive(self.time)
             a = solution.a_O.copy()
             a[:3] += cross(self._V[3:], self._V[:3])  # from spatial to classical
@@ -347,11 +349,9 @@ class RigidPlant:
         equations = self._present_equations()
         force = equations.force.copy()
         force[chain.actuated] += tau
-        M = equations.M.copy()
-        M[:n, :n] += ahead * np.diag(equations.slope)
+        M, inverse, multipliers = self._inverse(equations, ahead)
         # accelerations without constraints, then their correction so that A x = right
         unconstrained = np.linalg.solve(M, force)
-        inverse, multipliers = inverse_rows(chain, equations.A, M)
         deficit = equations.right - equations.A @ unconstrained
         x = unconstrained + inverse @ deficit
         lam = multipliers @ deficit  # M x = force + Aᵀλ
@@ -369,6 +369,25 @@ class RigidPlant:
             ]
             wrenches = self._wrist_readings(qdd, loops, equations.N @ alpha, equations)
         return Solution(qdd, sdd, equations.first @ x[:size] + equations.gamma_O, alpha, wrenches)
+
+    def _inverse(self, equations: Equations, ahead: float) -> tuple[Array, Array, Array]:
+        """Inertia (m, m) with the slope of friction, and results of `inverse_rows` for it.
+
+        Those of the last call are returned where they are the same.
+
+        Args:
+            equations: equations of the instant.
+            ahead: time by which friction is extrapolated (s).
+        """
+        added = ahead * equations.slope
+        last = self._last_inverse
+        if last is None or last[0] is not equations or (last[1] != added).any():
+            M = equations.M.copy()
+            n = len(added)
+            M[:n, :n] += np.diag(added)
+            last = (equations, added, (M, *inverse_rows(self.chain, equations.A, M)))
+            self._last_inverse = last
+        return last[2]
 
     def _state_key(self) -> bytes:
         """Bytes of all numbers that the equations depend on, as the key of a cache."""

@@ -6,14 +6,14 @@ errors. All random numbers follow from one seed.
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from osc_contact.interface import Measurement, Seen, Stamps, Touched
+from osc_contact.interface import Measurement, Seen, Stamps, Touched, with_readings
 from osc_contact.lab.scenarios.hardware import Clock, Errors, VisionSpec
 from osc_contact.loop.judge import Plant, Truth, TruthLog
 from osc_contact.spatial import Array
@@ -46,18 +46,20 @@ class Sensor:
 
     Attributes:
         clock: rate, delay and losses.
+        ideal: function that returns the ideal value at present; called if a sample is taken.
         sample: function that makes a reading with errors from an ideal value.
         rng: random generator for lost samples.
         _queue: samples (time in s, reading), the oldest first: the one that was read last, then
             those that have not arrived yet.
-        _next_sample: number n of the sample that is taken next, due at n / rate.
+        _due: time from which on the next sample is taken (s).
     """
 
     clock: Clock
+    ideal: Callable[[], Array]
     sample: Callable[[Array], Reading]
     rng: np.random.Generator
     _queue: deque[tuple[float, Reading]] = field(init=False)
-    _next_sample: int = field(init=False)
+    _due: float = field(init=False)
 
     def begin(self, t: float, value: Array) -> None:
         """Delete all samples, and take the first one, which arrives at once and is never lost.
@@ -67,21 +69,20 @@ class Sensor:
             value: ideal value at this time.
         """
         self._queue = deque([(t, self.sample(value))])
-        self._next_sample = round(t * self.clock.rate) + 1
+        self._set_due(round(t * self.clock.rate) + 1)
 
-    def observe(self, t: float, value: Callable[[], Array]) -> None:
-        """Take a sample if one is due.
-
-        Args:
-            t: time (s).
-            value: function that returns the ideal value, called if a sample is taken.
-        """
-        # sample number n is due at n / rate; all that became due since the last call count as one
-        if t < self._next_sample / self.clock.rate - _TIME_ROUNDING:
+    def observe(self, t: float) -> None:
+        """Take a sample if one is due at the time t (s)."""
+        if t < self._due:
             return
-        self._next_sample = int((t + _TIME_ROUNDING) * self.clock.rate) + 1
+        # all samples that became due since the last call count as one
+        self._set_due(int((t + _TIME_ROUNDING) * self.clock.rate) + 1)
         if self.rng.random() >= self.clock.dropout:
-            self._queue.append((t, self.sample(value())))
+            self._queue.append((t, self.sample(self.ideal())))
+
+    def _set_due(self, n: int) -> None:
+        """Set the time of the next sample, that of number n, which is due at n / rate."""
+        self._due = n / self.clock.rate - _TIME_ROUNDING
 
     def read(self, t: float) -> tuple[float, Reading]:
         """Latest sample that has arrived.
@@ -157,8 +158,8 @@ class SensedPlant:
         """
         self.plant.command(tau, duration)
         self._update_time()
-        for name, sensor in self._sensors_by_name.items():
-            sensor.observe(self.time, partial(self._ideal_value, name))
+        for sensor in self._sensors_by_name.values():
+            sensor.observe(self.time)
 
     def stop(self, reason: str = "") -> None:
         """Accept a stop; a simulation needs no action."""
@@ -182,13 +183,27 @@ class SensedPlant:
         for name, sensor in self._sensors_by_name.items():
             stamps[name], reading = sensor.read(self.time)
             readings |= reading
-        return replace(self._ideal_measurement(), stamps=Stamps(**stamps), **readings)
+        return with_readings(self._ideal_measurement(), stamps=Stamps(**stamps), **readings)
+
+    def torque_reading(self) -> tuple[float, Array | None]:
+        """Time (s) and reading (n_a,) of the joint torque sensors, as `measure` has them."""
+        sensor = self._sensors_by_name.get("joint_torques")
+        if sensor is None:
+            return self.time, self._ideal_value("joint_torques")
+        stamp, reading = sensor.read(self.time)
+        return stamp, reading["joint_torques"]
 
     def _update_time(self) -> None:
         """Update the time; the plant is measured once, when the first reading is used."""
         self.time = self.plant.time
-        #: function that measures the plant once at each instant
-        self._ideal_measurement = cache(self.plant.measure)
+        #: measurement of the plant at this instant; None: it was not needed yet
+        self._measured: Measurement | None = None
+
+    def _ideal_measurement(self) -> Measurement:
+        """Measurement of the plant at this instant, which is made once."""
+        if self._measured is None:
+            self._measured = self.plant.measure()
+        return self._measured
 
     def _make_sensors(self) -> None:
         """Make the sensors with their random errors, and take their first samples.
@@ -197,6 +212,8 @@ class SensedPlant:
         leaving one out does not change the errors of the others.
         """
         self._update_time()
+        #: function that reads one part of the plant's measurement by its name; None: there is none
+        self._read_part = _part_reader(self.plant)
         self._robot_poses = len(self.plant.poses())  # object and arms come before the bodies
         self._sensors_by_name: dict[str, Sensor] = {}  #: sensors by the name of their quantity
         streams = np.random.default_rng([self.seed, 1]).spawn(4)
@@ -212,7 +229,10 @@ class SensedPlant:
                 clock, errors = spec
                 corrupt = _reading_errors(errors, value.shape, rng)
             self._sensors_by_name[name] = Sensor(
-                clock, partial(self._make_reading, name, corrupt), rng
+                clock,
+                partial(self._ideal_value, name),
+                partial(self._make_reading, name, corrupt),
+                rng,
             )
             self._sensors_by_name[name].begin(self.time, value)
 
@@ -231,7 +251,10 @@ class SensedPlant:
             None if the plant measures no joint torques or no wrenches; it then has no such sensor.
         """
         if name != "vision":
-            return getattr(self._ideal_measurement(), _READ[name])
+            part = _READ[name]
+            if self._read_part is not None:
+                return self._read_part(part)
+            return getattr(self._ideal_measurement(), part)
         poses = self.plant.poses()
         touched = self._ideal_measurement().touched
         if touched is None:
@@ -278,6 +301,23 @@ class SensedPlant:
         return reading
 
 
+def _part_reader(plant: Plant) -> Callable[[str], Array] | None:
+    """Method `reading` of a plant, which reads one part of its measurement without the others.
+
+    Args:
+        plant: plant that may have the method.
+
+    Returns:
+        The method; None if the plant has none, or if its `measure` is not that of the class which
+        defines `reading`, because its measurements then may have other values.
+    """
+    for kind in type(plant).__mro__:
+        if "reading" in vars(kind):
+            is_same = getattr(plant.measure, "__func__", None) is vars(kind).get("measure")
+            return partial(vars(kind)["reading"], plant) if is_same else None
+    return None
+
+
 def _reading_errors(
     errors: SensorErrors | Errors[float], shape: tuple[int, ...], rng: np.random.Generator
 ) -> Callable[[Array], Array]:
@@ -289,13 +329,15 @@ def _reading_errors(
         rng: random generator of the bias and of the noise.
     """
     bias = errors.bias * rng.uniform(-1.0, 1.0, shape)
-    is_rounded = errors.resolution > 0.0
+    is_rounded = np.asarray(errors.resolution > 0.0)
     step = np.where(is_rounded, errors.resolution, 1.0)
+    are_all_rounded = bool(is_rounded.all())
 
     def corrupt(value: Array) -> Array:
         """Add bias and noise to a value of the shape `shape`, and round it to the resolution."""
         reading = value + bias + errors.noise * rng.standard_normal(shape)
-        return np.where(is_rounded, np.round(reading / step) * step, reading)
+        rounded = np.round(reading / step) * step
+        return rounded if are_all_rounded else np.where(is_rounded, rounded, reading)
 
     return corrupt
 

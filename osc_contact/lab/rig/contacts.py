@@ -25,7 +25,7 @@ from osc_contact.errors import ScenarioError
 from osc_contact.lab.scenarios.bodies import CartSpec, ConveyorSpec, FaceMotion, PoseSpec
 from osc_contact.lab.scenarios.contact_keys import OnFaceSpec, OwnContactSpec, make_pair
 from osc_contact.lab.scenarios.schema import Scenario
-from osc_contact.lab.scenarios.signals import total
+from osc_contact.lab.scenarios.signals import sums
 from osc_contact.spatial import Array, norm
 
 _STEP = 1e-6  #: displacement of the object for the differences of gaps (m, rad)
@@ -306,7 +306,7 @@ def _commanded_motion(motion: ConveyorSpec, t: float) -> tuple[Array, Array, Arr
         t: time (s).
     """
     rotation_signals = () if motion.turn is None else motion.turn.signals
-    travel_and_angle = (total(motion.signals, t), total(rotation_signals, t))
+    travel_and_angle = (sums(motion.signals, t), sums(rotation_signals, t))
     positions, rates, accelerations = np.array(travel_and_angle).T
     return positions, rates, accelerations
 

@@ -1,7 +1,6 @@
 """Drives and sensors of a rig, made from a scenario, and the robot between plant and controller."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -15,7 +14,7 @@ from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.chain_state import ChainState, joint_inertias, stiffness_for
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.errors import ScenarioError
-from osc_contact.interface import Measurement, Robot
+from osc_contact.interface import Measurement, Robot, with_readings
 from osc_contact.lab.plants.joint_drives import FlexibleJoints, JointDrives, Motors
 from osc_contact.lab.plants.sensors import SensorErrors, Sensors
 from osc_contact.lab.scenarios.hardware import Clock, EncoderSpec, SensorsSpec
@@ -243,6 +242,15 @@ class TorqueLoopRobot:
         self.measure = plant.measure
         self.stop = plant.stop
         self._torque_stamp = -1.0  #: time at which torque sensors were sampled last (s)
+        #: function that returns time and reading of the torque sensors
+        self._read_torques = getattr(plant, "torque_reading", self._measured_torques)
+
+    def _measured_torques(self) -> tuple[float, Array | None]:
+        """Time (s) and reading (n_a,) of the joint torque sensors in the plant's measurement."""
+        measurement = self.plant.measure()
+        stamps = measurement.stamps
+        sampled = self.plant.time if stamps is None else stamps.joint_torques
+        return sampled, measurement.joint_torques
 
     def command(self, tau: Array, duration: float) -> None:
         """Run the loop for one period of the controller.
@@ -252,11 +260,8 @@ class TorqueLoopRobot:
             duration: period (s), a whole number of the loop's periods.
         """
         for _ in range(round(duration / self.loop.dt)):
-            measurement = self.plant.measure()
-            torques = measurement.joint_torques
-            stamps = measurement.stamps
+            sampled, torques = self._read_torques()
             assert torques is not None  # the MuJoCo plant has them
-            sampled = self.plant.time if stamps is None else stamps.joint_torques
             motor_torques = self.loop.command(tau, torques, fresh=sampled > self._torque_stamp)
             self._torque_stamp = sampled
             self.plant.command(motor_torques, self.loop.dt)
@@ -356,7 +361,7 @@ class ObservedRobot:
                 measurement.seen,
                 measurement.touched,
             )
-            measurement = replace(measurement, touched=touched)
+            measurement = with_readings(measurement, touched=touched)
         self._ticks += 1
         return measurement
 

@@ -357,6 +357,16 @@ def total(signals: Iterable[Signal], t: Any) -> Array:
         signals: signals of one quantity; none: zero.
         t: time, or times (k,) (s).
     """
+    return np.array(sums(signals, t))
+
+
+def sums(signals: Iterable[Signal], t: Any) -> Values:
+    """Sums of the values, first and second derivatives of signals, as `total`, one by one.
+
+    Args:
+        signals: signals of one quantity; none: zero.
+        t: time, or times (k,) (s).
+    """
     zero = np.zeros(t.shape) if isinstance(t, np.ndarray) else 0.0
     value = first = second = zero
     for signal in signals:
@@ -364,4 +374,4 @@ def total(signals: Iterable[Signal], t: Any) -> Array:
         value = value + signal_value
         first = first + signal_first
         second = second + signal_second
-    return np.array((value, first, second))
+    return value, first, second
