@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,7 @@ class Template:
         Raises:
             ScenarioError: there is no such scenario, or its text cannot be read.
         """
-        return cls(*read_text(name_or_path))
+        return _template(*read_text(name_or_path))
 
     def value(self, path: str, overrides: Overrides = ()) -> Any:
         """Value of a key as written, after overrides, before validation; None: not given.
@@ -147,6 +148,12 @@ class Template:
             raise
         document.problems.raise_any()
         return scenario.with_source(self.source)
+
+
+@lru_cache(maxsize=32)
+def _template(text: str, source: Path) -> Template:
+    """Template of a text, which is parsed once: what is made of a template does not change it."""
+    return Template(text, source)
 
 
 def read_text(name_or_path: str | Path) -> tuple[str, Path]:
