@@ -28,6 +28,7 @@ from osc_contact import robots
 from osc_contact.contacts.detection import collision_shapes
 from osc_contact.lab.checks.preflight import judge_rig, require_ready
 from osc_contact.lab.runs.run import start
+from osc_contact.lab.sweeps import workers
 from osc_contact.lab.sweeps.report import variances, write_report
 from osc_contact.lab.sweeps.rows import RigBuilder, make_rows, robot_key
 from osc_contact.lab.sweeps.study import SweepStudy, parse_distribution
@@ -266,6 +267,14 @@ def test_table_is_the_same_in_one_process_in_two_and_where_a_worker_is_killed(tm
     assert more.num_rows == 12 and more.slice(0, 10).equals(alone)
     with invalid_input("another study"):
         osc.sweep("two_contact_rod", **how, samples=12, seed=1)
+
+
+def test_workers_have_the_environment_of_the_moment(monkeypatch):
+    """Also where the process that they are forked from has begun with another one."""
+    for value in ("1", "2"):
+        monkeypatch.setenv("OSC_CONTACT_OF_A_TEST", value)
+        with workers._processes(1) as executor:
+            assert executor.submit(os.getenv, "OSC_CONTACT_OF_A_TEST").result() == value
 
 
 def test_killed_in_the_middle_and_run_again_it_ends_with_the_same_table(tmp_path):

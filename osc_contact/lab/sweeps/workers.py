@@ -8,6 +8,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
@@ -23,6 +24,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context, parent_process
+from multiprocessing.context import BaseContext
 from typing import TYPE_CHECKING, Any
 
 from osc_contact.errors import InvalidInputError, OscContactError
@@ -102,9 +104,8 @@ def workers_of(
         return
     with ExitStack() as stack:
         if scheduler is None:
-            context = get_context("spawn")  # threads of this process would not survive a fork
-            crew = Workers(lambda: ProcessPoolExecutor(count, context, _begin_work), lambda: count)
-            for _ in range(count):  # they import this package while their work is prepared
+            crew = Workers(lambda: _processes(count), lambda: count)
+            for _ in range(count):  # they begin while their work is prepared
                 crew.submit(available_cores)
         else:
             from distributed.scheduler import KilledWorker
@@ -118,6 +119,22 @@ def workers_of(
         stack.callback(crew.close)
         compiled.rows()  # compiled here, so that the workers load the library
         yield crew
+
+
+def _processes(count: int) -> ProcessPoolExecutor:
+    """Executor of new processes; on Linux they are forked from one that has imported the package.
+
+    This process itself is not forked, because its threads would not survive.
+
+    Args:
+        count: number of processes.
+    """
+    if sys.platform == "linux":
+        context: BaseContext = get_context("forkserver")
+        context.set_forkserver_preload([__name__, "mujoco"])
+    else:
+        context = get_context("spawn")
+    return ProcessPoolExecutor(count, context, _begin_work, (dict(os.environ),))
 
 
 def make_all(
@@ -213,12 +230,16 @@ def end_with_parent() -> None:
         os._exit(1)
 
 
-def _begin_work() -> None:
+def _begin_work(environment: dict[str, str]) -> None:
     """Initialise a worker process.
 
     Ctrl-C reaches all processes of a terminal and is ignored here; a worker ends when its parent
     ends. A signal ends it at once, without a recording, which would not be read.
+
+    Args:
+        environment: environment variables of the process that starts the worker.
     """
+    os.environ.update(environment)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         signal.signal(number, lambda number, frame: os._exit(128 + number))
