@@ -510,9 +510,15 @@ def _places(seed: int, every: int) -> Iterator[Case]:
     for phase in PHASES:
         if phase != "run":
             yield Case(phase, every=every, seed=seed)
-    for scenario in osc.list_scenarios():
+    for scenario in _scenarios():
         for more in range(SEEDED.get(scenario, 1)):
             yield Case("run", scenario, every, seed + more)
+
+
+@cache
+def _scenarios() -> tuple[str, ...]:
+    """Names of the packaged scenarios, whose files are read once."""
+    return tuple(osc.list_scenarios())
 
 
 def _can_occur(fault: Fault, case: Case) -> bool:
