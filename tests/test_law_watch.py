@@ -1053,6 +1053,28 @@ def test_a_state_counts_its_ticks_and_a_hold_begins_unsettled():
             assert memory.settled == (0 if begins else 1)
 
 
+@parametrize("change, known, identified", [(6.0, 0.0, 0.0), (8.0, 2.0, 1.0), (8.0, 1.0, 2.0)])
+@parametrize("sign", [-1.0, 1.0])
+def test_a_stop_releases_a_motor_whose_torque_it_changes_by_more_than_friction(
+    change, known, identified, sign
+):
+    """And by more than `wrist_error` of its limit, 5 N m here; joints without motors are none."""
+    t = records(arms=2, joints=4, period=DT, wrist_error=0.05)
+    write(t.model.arms, first=[0, 2], end=[2, 4])
+    write(t.model.joints, motor=[0, -1, 1, 2], tau_max=100.0)
+    t.model.joints.theta[:, 0] = known
+    t.memory.joints.trusted[:, 0] = identified
+    bound = 5.0 + max(known, identified)
+    for size, released in ((0.99 * bound, 0), (1.01 * bound, 1), (change, change > bound)):
+        for arm, motor in ((0, 0), (1, 2)):
+            t.memory.torques[:3] = vector(10.0, -20.0, 30.0)
+            t.work.tau[:3] = t.memory.torques[:3]
+            t.work.tau[motor] += sign * size
+            for k in range(2):
+                holding._note_release(t, k)
+            assert t.memory.arms.released.tolist() == [released if k == arm else 0 for k in (0, 1)]
+
+
 @parametrize("light_for, gone", [(40, False), (60, True)])
 def test_a_stopped_arm_has_let_go_once_its_load_is_light_for_20_ms(light_for, gone):
     """The low-pass of 20 ms falls below a quarter of the share after 28 ms without load."""

@@ -100,6 +100,17 @@ class ControllerState:
         return int(self.records.memory.age)
 
     @property
+    def released_for(self) -> float:
+        """Time since a stop that released a motor (s): arms cannot be at rest before and after it.
+
+        The stop has changed the motor's torque by more than friction and a wrong wrist explain. 0.0
+        if there was no such stop, or none since the reset.
+        """
+        memory = self.records.memory
+        is_released = self.state is SafetyState.SAFE_STOP and memory.arms.released.any()
+        return float(memory.age * self.records.model.period) if is_released else 0.0
+
+    @property
     def faults(self) -> int:
         """Number of consecutive ticks, up to the last one, that could not be computed."""
         return int(self.records.memory.faults)

@@ -181,7 +181,10 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
             f"{at.NOT_BARRED} <= barred <= {at.EXCHANGED}",
             "0 <= followed <= 4",
         ),
-        "arms": (*_tick_relations("unread"), *_flag_relations("weighed", "let_go", "holds")),
+        "arms": (
+            *_tick_relations("unread"),
+            *_flag_relations("weighed", "let_go", "holds", "released"),
+        ),
         "columns": (
             *_flag_relations("closed", "collision", "known", "has_desired"),
             "0 <= pressing <= 2",

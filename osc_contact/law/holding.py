@@ -85,8 +85,8 @@ def hold_posture(t):
 
     Reads q and v of MEMORY. Fills `tau` (N m, N) and `step` (their largest changes) of the motors,
     `torques` of MEMORY with the same, and of the joints in MEMORY `hold`, `acceleration`, `driven`;
-    of the arms the evidence of `_weigh` and `_compare_places`; and the fields of `_move_holds`,
-    `_observe_arms` and `_count_holding`.
+    of the arms the evidence of `_weigh` and `_compare_places`, and `released` in the first tick of
+    a stop; and the fields of `_move_holds`, `_observe_arms` and `_count_holding`.
 
     Args:
         t: Tick that was not computed, after `estimate_joints`.
@@ -113,6 +113,8 @@ def hold_posture(t):
         share = _split_torques(t, arm, object_share, R, centre, weight)
         rate = rate_limit if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
         _set_torques(t, arm, share, rate)
+        if memory.state == SAFE_STOP and memory.age == 1:
+            _note_release(t, k)
         if has_let_go and memory.ticked != 0:
             _move_alone(t, arm)
     slew(work.tau, memory.torques, work.step, memory.ticked != 0)
@@ -237,6 +239,31 @@ def _set_torques(t, arm, share, rate):
             torque = min(max(joints[j].tau + share * joints[j].rest, -limit), limit)
             work.tau[motor] = torque if isfinite(torque) else memory.torques[motor]
             work.step[motor] = rate * model.period * limit
+
+
+@leaf
+def _note_release(t, k):
+    """Determine whether a stop releases a motor of arm k; fill `released` of the arm in MEMORY.
+
+    It does if it changes the motor's torque by more than a wrong wrist may hide (`wrist_error`
+    times the limit) and dry friction holds. Then the arm moves: before, the motor accelerated it,
+    or pressed it on a contact, which yields.
+
+    Args:
+        t: Tick in which the arms are stopped, of which `tau` of WORK is the torque of the hold, and
+            `torques` of MEMORY the last one before it (N m, N).
+        k: index of the arm.
+    """
+    arm = t.model.arms[k]
+    released = 0
+    for j in range(arm.first, arm.end):
+        joint = t.model.joints[j]
+        if joint.motor >= 0:
+            friction = max(joint.theta[0], t.memory.joints[j].trusted[0])
+            change = abs(t.work.tau[joint.motor] - t.memory.torques[joint.motor])
+            if change > t.model.wrist_error * joint.tau_max + friction:
+                released = 1
+    t.memory.arms[k].released = released
 
 
 @leaf

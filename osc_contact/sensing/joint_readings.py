@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.interface import Measurement, with_readings
 from osc_contact.sensing.dead_encoders import DeadEncoders
+from osc_contact.sensing.dead_packets import DeadPackets
 from osc_contact.sensing.reading_noise import ReadingNoise
 from osc_contact.sensing.velocity_estimate import VelocityEstimate
 from osc_contact.spatial import Array
@@ -67,9 +68,9 @@ class JointReadings:
     """Joint positions and velocities for a controller, from encoders alone.
 
     Velocities are estimated. Positions are extrapolated over the encoders' delay. Readings that are
-    implausible, and those of dead encoders, become NaN. Velocities from encoders that are far
-    noisier than expected are estimated with the gains for their measured noise, or with those with
-    which a stopped arm can still be held; the controller stops then.
+    implausible, and those of dead encoders or packets, become NaN. Velocities from encoders that
+    are far noisier than expected are estimated with the gains for their measured noise, or with
+    those with which a stopped arm can still be held; the controller stops then.
 
     A reading farther from the estimate than the joint can move, from which the next one continues
     as the joint moved before, was displaced: the velocity that it seemed to show is taken back.
@@ -112,9 +113,17 @@ class JointReadings:
         self._noise_measure = ReadingNoise(encoders.error, encoders.sample)
         #: detection of encoders without noise
         self._dead_encoders = DeadEncoders(encoders.noise, encoders.resolution)
+        #: detection of packets that repeat themselves, without noise, too
+        self._dead_packets = DeadPackets(encoders.resolution, encoders.unknown, encoders.sample)
+        self._is_dead = False  #: whether the last packet was dead
         self._stamp = -1.0  #: time at which encoders were sampled last (s)
 
-    def complete(self, measurement: Measurement, acceleration: Array | float = 0.0) -> Measurement:
+    def complete(
+        self,
+        measurement: Measurement,
+        acceleration: Array | float = 0.0,
+        released_for: float = 0.0,
+    ) -> Measurement:
         """Measurement with estimated velocities and checked positions.
 
         It is the measurement itself until the encoders of all joints have had a plausible reading.
@@ -123,6 +132,7 @@ class JointReadings:
             measurement: measurement with the readings of the encoders and time stamps.
             acceleration: (n,) known acceleration over the period that ends now (rad/s², m/s²); it
                 must not be changed later.
+            released_for: `Controller.released_for` of the controller (s).
         """
         assert measurement.stamps is not None
         implausible = self._implausible(measurement.q)
@@ -134,8 +144,11 @@ class JointReadings:
         q = np.where(implausible, np.nan, measurement.q)
         dead = self._dead_encoders.update(measurement.q, fresh)
         if fresh:
+            estimated = self._estimate.v
+            self._is_dead = self._dead_packets.update(measurement.q, estimated, released_for)
             self._expect_noise(q)
             self._take_back_jumps(q, interval)
+        dead = dead | self._is_dead
         q, v = self._estimate.update(np.where(dead, np.nan, q), acceleration, fresh)
         q = np.where(implausible | dead, np.nan, q + self._delay * v)
         v = np.where(dead, np.nan, v)  # only predicted

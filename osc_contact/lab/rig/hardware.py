@@ -349,7 +349,9 @@ class ObservedRobot:
         if stamps is None:
             return measurement
         if self._joints is not None:
-            completed = self._joints.complete(measurement, self._acceleration)
+            completed = self._joints.complete(
+                measurement, self._acceleration, self.controller.released_for
+            )
             if completed is measurement:  # the estimate has not begun
                 return measurement
             measurement = completed

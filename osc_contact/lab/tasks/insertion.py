@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from osc_contact import robots
 from osc_contact.contacts.insertion import Hole, Peg
+from osc_contact.control.controller import Controller
 from osc_contact.dynamics.arm import Arm
 from osc_contact.dynamics.assembly import reach
 from osc_contact.dynamics.chain_state import RigidObject
@@ -223,6 +224,7 @@ class TaskRobot:
         plant: MuJoCo, without errors of sensors.
         sensed: this plant with errors of encoders and wrists, without speeds.
         q_start: (n,) joint positions at the start (rad).
+        controller: controller of the task; None: none of the package.
         largest_sum: largest norm of the sum of contact forces so far (N).
         largest_single: largest force of a single contact so far (N).
     """
@@ -284,6 +286,7 @@ class TaskRobot:
         self._joints = JointReadings(
             encoders, safety.plausible_speed * speed_limits(chain), safety.hold_rate, PERIOD
         )
+        self.controller: Controller | None = None
         self.largest_sum = 0.0
         self.largest_single = 0.0
         self._total = 0.0  # sum of the norms whose mean is `mean_sum` (N)
@@ -296,7 +299,8 @@ class TaskRobot:
 
     def measure(self) -> Measurement:
         """Read encoders and wrists; readings are checked, and velocities estimated from them."""
-        return self._joints.complete(self.sensed.measure())
+        released_for = 0.0 if self.controller is None else self.controller.released_for
+        return self._joints.complete(self.sensed.measure(), released_for=released_for)
 
     def command(self, tau: Array, duration: float) -> None:
         """Apply torques for a period, and note the true forces at its end.

@@ -112,7 +112,9 @@ def controller_of(task: Insertion, plan: Plan, robot: InsertionRobot) -> Control
 def controller_for(
     model: ClosedChain, pairs: Mapping[str, ContactPair], plan: Plan, robot: TaskRobot
 ) -> Controller:
-    """Make the controller of the contacts that a plan names; those that push are open at first.
+    """Make the controller of the contacts that a plan names, also known to the robot.
+
+    Contacts that push are open at first.
 
     Gains are `GAINS`, the metric of the motion filter is `METRIC`. Joint friction is identified,
     and compensated together with errors of the links' masses. The forces of contacts and wrists
@@ -124,7 +126,7 @@ def controller_for(
         plan: plan that names the contacts; their order is that of the columns of N.
         robot: robot at rest at the start, whose joint positions are the desired posture.
     """
-    return Controller(
+    robot.controller = Controller(
         model,
         [pairs[name] for name in plan.contacts],
         GAINS,
@@ -135,6 +137,7 @@ def controller_for(
         joint_friction=JointFriction(errors=True),
         safety=SafetySettings(contact_ceiling=LARGEST, wrist_ceiling=LARGEST),
     )
+    return robot.controller
 
 
 def judged(task: Insertion, robot: InsertionRobot, plan: Plan) -> Inserted:
