@@ -1055,7 +1055,7 @@ def test_a_state_counts_its_ticks_and_a_hold_begins_unsettled():
 
 @parametrize("change, known, identified", [(6.0, 0.0, 0.0), (8.0, 2.0, 1.0), (8.0, 1.0, 2.0)])
 @parametrize("sign", [-1.0, 1.0])
-def test_a_stop_releases_a_motor_whose_torque_it_changes_by_more_than_friction(
+def test_a_hold_releases_a_motor_whose_torque_it_changes_by_more_than_friction(
     change, known, identified, sign
 ):
     """And by more than `wrist_error` of its limit, 5 N m here; joints without motors are none."""

@@ -86,7 +86,7 @@ def hold_posture(t):
     Reads q and v of MEMORY. Fills `tau` (N m, N) and `step` (their largest changes) of the motors,
     `torques` of MEMORY with the same, and of the joints in MEMORY `hold`, `acceleration`, `driven`;
     of the arms the evidence of `_weigh` and `_compare_places`, and `released` in the first tick of
-    a stop; and the fields of `_move_holds`, `_observe_arms` and `_count_holding`.
+    a hold; and the fields of `_move_holds`, `_observe_arms` and `_count_holding`.
 
     Args:
         t: Tick that was not computed, after `estimate_joints`.
@@ -94,6 +94,7 @@ def hold_posture(t):
     model = t.model
     work = t.work
     memory = t.memory
+    is_first = memory.settled == 0
     if memory.settled != SETTLED:
         _move_holds(t)  # q_hold of the joints follows their motion
     _observe_arms(t)
@@ -113,7 +114,7 @@ def hold_posture(t):
         share = _split_torques(t, arm, object_share, R, centre, weight)
         rate = rate_limit if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
         _set_torques(t, arm, share, rate)
-        if memory.state == SAFE_STOP and memory.age == 1:
+        if is_first:
             _note_release(t, k)
         if has_let_go and memory.ticked != 0:
             _move_alone(t, arm)
@@ -243,14 +244,14 @@ def _set_torques(t, arm, share, rate):
 
 @leaf
 def _note_release(t, k):
-    """Determine whether a stop releases a motor of arm k; fill `released` of the arm in MEMORY.
+    """Determine whether a hold releases a motor of arm k; fill `released` of the arm in MEMORY.
 
     It does if it changes the motor's torque by more than a wrong wrist may hide (`wrist_error`
     times the limit) and dry friction holds. Then the arm moves: before, the motor accelerated it,
     or pressed it on a contact, which yields.
 
     Args:
-        t: Tick in which the arms are stopped, of which `tau` of WORK is the torque of the hold, and
+        t: Tick in which a hold begins, of which `tau` of WORK is the torque of the hold, and
             `torques` of MEMORY the last one before it (N m, N).
         k: index of the arm.
     """

@@ -509,7 +509,7 @@ ARM_MEMORY = _record(
         "weighed",  # 1 once the load of its wrist was read
         "let_go",  # 1 if it has let go of the object
         "holds",  # 1 if it alone holds the object
-        "released",  # 1 if the stop released a motor, see `holding`
+        "released",  # 1 if its last hold has released a motor, see `holding`
     ),
     number=(
         "same",  # s of identical readings of its wrist
