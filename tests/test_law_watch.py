@@ -1254,11 +1254,22 @@ def test_encoders_are_sound_after_arms_were_only_about_to_be_apart(first, gap, b
     assert (t.memory.joints.faulty == (both if brakes else 0)).all()
 
 
-@parametrize("apart, bears, brakes", [(0.09, 0.6, False), (0.11, 0.6, True), (0.11, 0.4, False)])
-def test_stopped_arms_that_fight_have_no_sound_estimated_speeds(apart, bears, brakes):
-    """Both bear a load at an object that encoders place apart, after a stop for another reason."""
+@parametrize(
+    "apart, bears, derived, brakes",
+    [
+        (0.09, 0.6, at.ESTIMATED, False),
+        (0.11, 0.6, at.ESTIMATED, True),
+        (0.11, 0.4, at.ESTIMATED, False),
+        (0.11, 0.6, at.NOISY, False),
+    ],
+)
+def test_stopped_arms_that_fight_have_no_sound_estimated_speeds(apart, bears, derived, brakes):
+    """Both bear a load at an object that encoders place apart, after a stop for another reason.
+
+    Encoders far noisier than expected place arms apart that are not: brakes were requested.
+    """
     t = two_at_a_rod(0.1)
-    write(t.memory, derived=1, apart=apart, age=5000, cause=WRIST_FROZEN)
+    write(t.memory, derived=derived, apart=apart, age=5000, cause=WRIST_FROZEN)
     t.memory.arms.load[:, 2] = (9.81, bears * 9.81)
     isolation.isolate_arms(t)
     both = at.FAULTY_POSITION | at.FAULTY_SPEED

@@ -10,7 +10,7 @@ from __future__ import annotations
 from osc_contact.law.agreement import APART, HEAVY, UNBALANCED_TIME, weight_share
 from osc_contact.law.ceilings import carried_force
 from osc_contact.law.jit import inner, leaf
-from osc_contact.law.records import FAULTY_POSITION, FAULTY_SPEED, SAFE_STOP
+from osc_contact.law.records import FAULTY_POSITION, FAULTY_SPEED, NOISY, SAFE_STOP
 from osc_contact.law.vectors import angular, clamped, dot3, dot6, join, minus3
 
 _DISTANCE = 0.25  #: share of `position_drift` by which a lasting speed must change the position
@@ -152,7 +152,8 @@ def isolate_arms(t):
     short slip, encoders are sound as long as no gap exceeds `closure_error`, or changes by more
     than `_GIVES` times that: arms that are held at a rigid object do not move against each other.
 
-    Arms without a wrist sensor do not show whether they hold the object: nothing is marked.
+    Nothing is marked if an arm has no wrist sensor, which shows whether it holds the object, or if
+    encoders are far noisier than expected.
 
     Args:
         t: Tick, of which `state`, `derived`, `cause`, `age` and `apart`, and `let_go`, `load` and
@@ -161,7 +162,7 @@ def isolate_arms(t):
     """
     model = t.model
     memory = t.memory
-    if memory.state != SAFE_STOP:
+    if memory.state != SAFE_STOP or memory.derived == NOISY:
         return
     is_cause = memory.cause == APART  # else arms are placed apart only since a later time
     if (memory.age * model.period if is_cause else memory.apart) < _WEIGHED:
