@@ -37,6 +37,7 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cache
 from hashlib import sha256
+from math import ceil
 from typing import Any
 
 import mujoco
@@ -54,6 +55,7 @@ from benchmarks.fault_judge import (
     FaultySensors,
     JointWatch,
     disturb,
+    growth_to,
     is_beyond_limits,
     may_brake,
     obstacle_force,
@@ -291,6 +293,9 @@ class Run:
         most += obstacle_force(fault, self.trial)
         if fault.mirrors:
             most = self._grown(most, watch.highest)
+        if fault.grows:  # for the time above the ceiling as in the same time before
+            looks = ceil(self._above_ceiling() / (TRUTH_EVERY * self.dt))
+            most += growth_to(most, watch.contacts.forces, looks)
         self._judge_end(verdict, fault, most, fault.hangs and watch.too_fast)
         return verdict
 
@@ -298,17 +303,22 @@ class Run:
         """The force (N) to which one that reads mirrored grows before the ceiling stops the arms.
 
         The integral of the force loop then drives it away: with ḟ = K_I (f + f_d) it is
-        (f + f_d) exp(K_I T) − f_d after the time T that the ceiling may be exceeded, a lost tick
-        and the two until torques fall.
+        (f + f_d) exp(K_I T) − f_d after the time T of `_above_ceiling`.
 
         Args:
             force: N, the ceiling.
             commanded: N.
         """
-        ticks = 3 if self.case.every else 2
-        late = self.controller.settings.safety.ceiling_time + ticks * self.dt
-        growth = float(np.exp(self.controller.gains.force.integral * late))
+        growth = float(np.exp(self.controller.gains.force.integral * self._above_ceiling()))
         return (force + commanded) * growth - commanded
+
+    def _above_ceiling(self) -> float:
+        """Longest time that a force is above its ceiling until torques fall (s).
+
+        It is `ceiling_time` and two ticks, and a lost one if ticks are lost.
+        """
+        ticks = 3 if self.case.every else 2
+        return float(self.controller.settings.safety.ceiling_time + ticks * self.dt)
 
     def _judge_end(self, verdict: Verdict, fault: Fault, most: float, too_fast: bool) -> None:
         """Add what is wrong.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,6 +142,7 @@ class ContactWatch:
 
     Attributes:
         force: largest magnitude of a contact force (N).
+        forces: largest magnitude of a contact force at each look that was evaluated (N).
         open_s: longest time that a contact that was commanded and made was open, and the controller
             took it as closed (s).
         impacts: (r,) largest force of an impact with which each column was closed, or in which its
@@ -168,6 +169,7 @@ class ContactWatch:
         self._made = np.array(self._before.closed, dtype=bool)
         self._open = np.zeros(len(rig.pairs))
         self.force = self.open_s = 0.0
+        self.forces: list[float] = []
         self.impacts = np.zeros(len(self._masses))
 
     def look(self, commands: Array, taken: Array) -> None:
@@ -188,7 +190,8 @@ class ContactWatch:
         if not self._taken:
             return
         truths = self._log.truths(self._log.noted())
-        self.force = max(self.force, float(np.abs(truths.alpha).max(initial=0.0)))
+        self.forces.extend(np.abs(truths.alpha).max(axis=1, initial=0.0).tolist())
+        self.force = max(self.force, *self.forces[-len(self._taken) :])
         self._add_impacts(truths)
         wanted = np.array(self._commands) > LIGHT
         for i in range(len(self._open)):
@@ -227,6 +230,18 @@ class ContactWatch:
         meets = closes | (pulls[1:] & ~pulls[:-1])
         forces = 2.0 * self._masses * speeds / plant.solref[0]
         self.impacts = np.maximum(self.impacts, np.where(meets, forces, 0.0).max(axis=0))
+
+
+def growth_to(ceiling: float, forces: Sequence[float], looks: int) -> float:
+    """Growth of a force in so many looks before it first exceeded a ceiling (N); 0: it did not.
+
+    Args:
+        ceiling: the ceiling (N).
+        forces: the force at each look (N).
+        looks: number of looks in the time that a force may be above the ceiling.
+    """
+    above = next((k for k, force in enumerate(forces) if force > ceiling), 0)
+    return ceiling - min(forces[max(above - looks, 0)], ceiling) if above else 0.0
 
 
 def effective_masses(rig: osc.Rig) -> Array:

@@ -46,6 +46,7 @@ class Fault(NamedTuple):
         pulls: whether it moves an arm that is stopped, and at rest.
         hangs: whether the object hangs on its first arm alone then.
         mirrors: whether a contact force f reads as -f, which makes the force loop unstable.
+        grows: whether a contact force may grow steadily until it is found above its ceiling.
         of_speeds: whether it changes speeds alone, which no sensor reads where they are estimated
             from positions.
     """
@@ -62,6 +63,7 @@ class Fault(NamedTuple):
     pulls: bool = False
     hangs: bool = False
     mirrors: bool = False
+    grows: bool = False
     of_speeds: bool = False
 
 
@@ -427,7 +429,7 @@ FAULTS: dict[str, Fault] = {
     "torque constant of 50 %": Fault(torque=_weaken(0.5), unsound=_MOTOR),
     "torques are late by a tick": Fault(torque=_delay),
     # the world
-    "a brake engages": Fault(world=_brake),
+    "a brake engages": Fault(world=_brake, grows=True),
     "gravity tilts by 5 degrees": Fault(world=_tilt_gravity),
     "a grasp lets go": Fault(world=_drop, arms=2, hangs=True),
     "faces vanish": Fault(world=_remove_faces),

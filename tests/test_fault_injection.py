@@ -19,6 +19,7 @@ from benchmarks.fault_injection import (
     runs,
     try_fault,
 )
+from benchmarks.fault_judge import growth_to
 from benchmarks.faults import FAULTS, NAN
 from benchmarks.kept import Kept
 from benchmarks.pushes import push_arm
@@ -76,6 +77,7 @@ def test_every_kind_of_fault_in_contact_and_some_elsewhere(where):
         ("encoder stuck", Case(scenario="collisions", every=2, seed=1129)),
         ("one wrist mirrored", Case(scenario="ur5_wipe", every=3, seed=1131)),
         ("a post at the forearm", Case(scenario="three_arm_plate", every=3, seed=1129)),
+        ("a brake engages", Case(scenario="three_arm_plate", every=10, seed=276252386)),
     ],
     ids=str,
 )
@@ -290,6 +292,15 @@ def test_the_limit_of_a_weak_motor_has_the_impact_of_a_landing():
         impacts = watch.contacts.impacts
         assert (impacts > 5.0).any() == lands, impacts
         assert impacts.max() < 200.0
+
+
+@parametrize("looks, growth", [(1, 3.0), (3, 9.0), (8, 23.0)])
+def test_a_force_may_grow_above_its_ceiling_as_in_the_same_time_before(looks, growth):
+    """The ceiling of 33 N is exceeded at the fifth look."""
+    forces = [10.0, 24.0, 26.0, 30.0, 34.0, 38.0]
+    assert_near(growth_to(33.0, forces, looks), growth)
+    assert growth_to(40.0, forces, looks) == 0.0
+    assert growth_to(33.0, [50.0, 10.0], looks) == 0.0, "it was above from the beginning on"
 
 
 @parametrize("locked", first([False, True], 1))

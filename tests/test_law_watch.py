@@ -745,6 +745,20 @@ def test_joints_that_read_what_the_other_one_did_discredit_all_of_it(lost, sign)
     assert (sensors.joints.faulty == 3).all() and sensors.memory.unbraked == 1
 
 
+def test_noise_far_beyond_the_expected_one_is_no_exchange_of_readings():
+    """Positions that are nearly the same may read as exchanged by chance, and stayed so."""
+    sensors = Sensors()
+    sensors.q = vector(0.2, 0.204)
+    sensors.until(most=20)
+    v = vector(0.3, -0.4)
+    for k in range(30):
+        sensors.q = sensors.q + DT * v
+        sensors.memory.derived = at.NOISY
+        sensors._read(sensors.q[::-1] if k == 0 else sensors.q, v, np.full((1, 6), 1e3 + k))
+        assert (sensors.joints.barred == at.NOT_BARRED).all()
+    assert sensors.memory.unbraked == -1 and (sensors.joints.faulty == 0).all()
+
+
 @BOTH
 @parametrize("lost", [0, 2])
 def test_speeds_that_are_those_of_one_another_are_exchanged(lost, sign):

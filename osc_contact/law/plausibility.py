@@ -148,9 +148,10 @@ def find_jumps(t):
     `jumped` and `speed_jumped` (one of these joints), and in MEMORY `barred` of the joints
     (NOT_BARRED, JUMP or EXCHANGED) and `mixed`, the time (s) for which several joints have jumped,
     over packets in which no position was read, too. If the joints have no new readings, or were
-    never read before, no jumps are counted and MEMORY remains unchanged. `sensors` discards the
-    position of a joint that jumps alone, the whole packet if several positions jump, and all its
-    speeds if several speeds do.
+    never read before, no jumps are counted and MEMORY remains unchanged. Exchanged readings are not
+    detected where encoders are far noisier than expected. `sensors` discards the position of a
+    joint that jumps alone, the whole packet if several positions jump, and all its speeds if
+    several speeds do.
 
     Args:
         t: Tick.
@@ -183,10 +184,11 @@ def find_jumps(t):
         if abs(position - _expected(t, j)) > _EXCHANGED:
             n_deviating += 1
     # without jumps of several joints, readings of pairs of joints may still be exchanged
-    if n_deviating > 1 and work.jumps < 2:
-        _find_exchanged_positions(t, n_deviating)
-    if n_speeds_deviating > 1 and work.speed_jumps < 2:
-        _find_exchanged_speeds(t, n_speeds_deviating)
+    if memory.derived != NOISY:  # noise far beyond the expected one hides it, or looks like it
+        if n_deviating > 1 and work.jumps < 2:
+            _find_exchanged_positions(t, n_deviating)
+        if n_speeds_deviating > 1 and work.speed_jumps < 2:
+            _find_exchanged_speeds(t, n_speeds_deviating)
     several_jump = max(work.jumps, work.speed_jumps) > 1
     if several_jump or (n_read == 0 and memory.mixed > 0.0):
         memory.mixed += t.model.period
