@@ -74,14 +74,17 @@ def assert_same_run(one, other, atol=0.0):
         assert_allclose(other[name], one[name], rtol=0, atol=atol, err_msg=name)
 
 
-def judged(scenario, key="rms_error_rel", install=None):
+def judged(scenario, key="rms_error_rel", *more, install=None):
     """Largest error of all forces in a run of 3 s, relative to the mean command, always in contact.
 
     Args:
         scenario: scenario, or its name.
         key: name of the error in the verdict.
+        *more: names of further errors; a tuple is returned then.
         install: see `osc.run`.
     """
     verdict = verdict_of(scenario, duration=3.0, install=install)
     assert always_closed(verdict)
-    return max(force[key] for force in verdict["force"].values())
+    keys = (key, *more)
+    errors = tuple(max(force[one] for force in verdict["force"].values()) for one in keys)
+    return errors if more else errors[0]
