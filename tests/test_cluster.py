@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import signal
 from contextlib import contextmanager
+from multiprocessing import forkserver
 
 from command_line import done
 from complaints import invalid_input
@@ -29,11 +30,22 @@ class Deadly(SweepStudy):
 
 @contextmanager
 def cluster_of(workers):
-    """A client of dask's, which only the process that runs these tests imports."""
+    """A client of dask's, which only the process that runs these tests imports.
+
+    Workers are forked from a process that has imported what they need.
+    """
+    import dask
     from distributed import Client, LocalCluster
 
+    forkserver.set_forkserver_preload(["osc_contact.lab.sweeps.workers", "distributed", "mujoco"])
+    forkserver.ensure_running()
+    forked = {"distributed.worker.multiprocessing-method": "forkserver"}
     how = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-    with LocalCluster(n_workers=workers, **how) as made, Client(made) as client:
+    with (
+        dask.config.set(forked),
+        LocalCluster(n_workers=workers, **how) as made,
+        Client(made) as client,
+    ):
         yield client
 
 
