@@ -113,8 +113,8 @@ class JointReadings:
         self._noise_measure = ReadingNoise(encoders.error, encoders.sample)
         #: detection of encoders without noise
         self._dead_encoders = DeadEncoders(encoders.noise, encoders.resolution)
-        #: detection of packets that repeat themselves, without noise, too
-        self._dead_packets = DeadPackets(encoders.resolution, encoders.unknown, encoders.sample)
+        #: detection of packets that repeat themselves after a stop
+        self._dead_packets = DeadPackets(encoders.sample)
         self._is_dead = False  #: whether the last packet was dead
         self._stamp = -1.0  #: time at which encoders were sampled last (s)
 
@@ -144,8 +144,7 @@ class JointReadings:
         q = np.where(implausible, np.nan, measurement.q)
         dead = self._dead_encoders.update(measurement.q, fresh)
         if fresh:
-            estimated = self._estimate.v
-            self._is_dead = self._dead_packets.update(measurement.q, estimated, released_for)
+            self._is_dead = self._dead_packets.update(measurement.q, released_for)
             self._expect_noise(q)
             self._take_back_jumps(q, interval)
         dead = dead | self._is_dead
