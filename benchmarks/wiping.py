@@ -13,8 +13,8 @@ same command continues where it was interrupted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -46,7 +46,8 @@ ABOVE_ACTIONS, LANDING_ACTIONS = 60, 60  #: 3 s each
 LANDED = 15  #: actions with contact after which the path begins
 WINDOW = 10  #: steps of the physics in 20 ms
 OFF, FRICTION = 0.005, (0.03, 0.3)  #: largest error of the table's height (m), friction
-FIRST_TUNING_SEED = 1000  #: seeds of the search begin here, those of the comparison at 0
+FIRST_TUNING_SEED = 1000  #: seeds of the search begin here
+FRESH = 5000  #: least seed that is drawn for a comparison
 
 
 class Rival(Protocol):
@@ -64,13 +65,20 @@ class Rival(Protocol):
         """
 
 
+@dataclass(frozen=True)
 class Ours:
-    """This package's composite controller: the force is a part of its action."""
+    """This package's composite controller: the force is a part of its action.
+
+    Attributes:
+        options: further options of the controller.
+    """
+
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     def config(self) -> dict[str, Any]:
         """Return the configuration, see `Rival`."""
         table = osc.VertexOnFace([0, 0, 0], point=[0, 0, HEIGHT], normal=[0, 0, 1], name="table")
-        return osc_contact_config(ROBOT, [table])
+        return osc_contact_config(ROBOT, [table], **self.options)
 
     def action(self, goal: pin.SE3, force: float) -> Array:
         """Return the action, see `Rival`."""
@@ -316,6 +324,8 @@ RIVALS: dict[str, Rival] = {
     "OSC_POSE, most markers": OscPose(300.0, 0.004),
     "OSC_POSE, smallest force error": OscPose(75.0, 0.009),
 }
+COMPARED = ";".join(RIVALS)  #: names of the controllers that are compared without `--rivals`
+RIVALS["friction not compensated"] = Ours({"friction": osc.Friction(mu=0.0, learning=0.0)})
 
 
 def results(jobs: Sequence[tuple[str, Rival, int]], workers: int) -> list[Wiped]:
@@ -373,11 +383,21 @@ def search(seeds: int, workers: int) -> None:
     Console(width=160).print(table_of(f"OSC_POSE: {seeds} tables for tuning", HEADS, rows))
 
 
-def compare(seeds: int, workers: int) -> None:
-    """Print the comparison."""
-    jobs = [(name, rival, seed) for name, rival in RIVALS.items() for seed in range(seeds)]
+def compare(seeds: int, first: int | None, rivals: str, workers: int) -> None:
+    """Print the comparison.
+
+    Args:
+        seeds: tables.
+        first: first seed; None: it is drawn, and printed.
+        rivals: names of the controllers, separated by semicolons.
+        workers: processes.
+    """
+    begin = int(np.random.default_rng().integers(FRESH, 10**6)) if first is None else first
+    print(f"seeds {begin} to {begin + seeds - 1}: --first {begin}", flush=True)
+    names = rivals.split(";")
+    jobs = [(name, RIVALS[name], seed) for name in names for seed in range(begin, begin + seeds)]
     found = results(jobs, workers)
-    rows = [row(name, [one for one in found if one.name == name]) for name in RIVALS]
+    rows = [row(name, [one for one in found if one.name == name]) for name in names]
     title = (
         f"Wipe, {FORCE:g} N, {1e3 * SPEED:g} mm/s, {seeds} tables of unknown height and friction"
     )
@@ -401,12 +421,19 @@ def draw(path: Path, seed: int = 0) -> None:
 
 
 def main(
-    seeds: int = 3, search_settings: bool = False, workers: int = 2, picture: Path | None = None
+    seeds: int = 3,
+    first: int | None = None,
+    rivals: str = COMPARED,
+    search_settings: bool = False,
+    workers: int = 2,
+    picture: Path | None = None,
 ) -> None:
     """Compare the controllers, or search settings for OSC_POSE.
 
     Args:
         seeds: tables, each with markers, height and friction of its own.
+        first: seed of the first table of the comparison; None: it is drawn, and printed.
+        rivals: names of the controllers that are compared, separated by semicolons.
         search_settings: search instead of comparing.
         workers: processes.
         picture: draw the forces of the first table instead.
@@ -414,7 +441,10 @@ def main(
     if picture is not None:
         draw(picture)
         return
-    (search if search_settings else compare)(seeds, workers)
+    if search_settings:
+        search(seeds, workers)
+    else:
+        compare(seeds, first, rivals, workers)
 
 
 if __name__ == "__main__":

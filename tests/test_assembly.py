@@ -1,5 +1,7 @@
 """Insertion of a peg: the world, what is drawn for a seed, the judge, and a whole plan."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pinocchio as pin
 from command_line import answered, call, done, read_json, refused
@@ -9,6 +11,7 @@ from samples import parametrize
 
 import osc_contact as osc
 from benchmarks.assembly import summary
+from osc_contact.control.status import Phase
 from osc_contact.dynamics.assembly import reach
 from osc_contact.lab.tasks import pegs
 from osc_contact.lab.tasks.insertion import (
@@ -294,3 +297,40 @@ def test_summary():
     text = summary([done, done, jammed])
     assert text.startswith("2 of 3; time of these: median 9.0 s; peak")
     assert text.endswith("mean of the sum: median 6.0 N")
+
+
+def test_the_lowest_corner_of_a_rectangular_peg_begins_beside_its_hole():
+    peg = osc.Peg("square", 0.012, width_y=0.008)
+    hole = osc.Hole("square", 0.0122, 0.03, width_y=0.0081)
+    corner = peg_start(peg, hole).act(np.array([0.006, 0.004, 0.0]))
+    beside = np.array([0.0061, 0.00405, 0.0]) + pegs.LEAD * np.array([1.0, 1.0, 0.0])
+    assert_allclose(corner, beside - [0.0, 0.0, pegs.HEIGHT], atol=1e-12)
+
+
+def watched(end, signals):
+    """First tick of 1 ms in which a condition is met, of the signals of each tick; None: never."""
+    met = end.begin(signals[0])
+    return next((k for k, now in enumerate(signals) if met(now, 1e-3)), None)
+
+
+def lowered(depths):
+    """Signals of an object at these depths (m)."""
+    return [SimpleNamespace(X=pin.SE3(np.eye(3), np.array([0.0, 0.0, z]))) for z in depths]
+
+
+def test_an_object_that_creeps_in_its_grasp_has_not_found_a_hole():
+    slow = np.linspace(0.0, 2e-3, 4000)  # 0.5 mm/s
+    sunk = pegs.sunk(5e-4, np.array([0.0, 0.0, 1.0]), np.zeros(3), recent=0.8)
+    assert watched(sunk, lowered(slow)) is None
+    fall = np.append(slow, slow[-1] + np.linspace(0.0, 7e-4, 50))
+    assert 4000 <= watched(sunk, lowered(fall)) < 4050
+    from_the_start = pegs.sunk(5e-4, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    assert watched(from_the_start, lowered(slow)) == approx(1000, abs=2)
+
+
+def test_a_side_is_lost_only_after_it_was_pressed():
+    closed, other = Phase.CLOSED, Phase.OPEN
+    lost = pegs.lost_again("side", lasting=0.8)
+    phases = [other] * 2000 + [closed] * 10 + [other] * 700 + [closed] + [other] * 1000
+    first = watched(lost, [SimpleNamespace(phases={"side": phase}) for phase in phases])
+    assert first == approx(2711 + 800, abs=2)

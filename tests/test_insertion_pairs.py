@@ -176,3 +176,25 @@ def test_a_held_peg_follows_a_hole_whose_axis_is_believed_wrong(seed):
     """By 2° and 1 mm, at zero force."""
     row = insert(seed)
     assert not misses(row) and row["largest force (N)"] < 10.0, row
+
+
+def test_walls_of_a_rectangular_hole_are_as_far_apart_as_stated():
+    peg = osc.Peg("square", 0.012, width_y=0.008)
+    hole = osc.Hole("square", 0.0122, 0.03, width_y=0.0081)
+    touch = osc.pairs_between(peg, hole)
+    deep = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.01]))
+    assert_allclose(touch["side +x on rim +x"].gaps(deep), 1e-4)
+    assert_allclose(touch["side +y on rim +y"].gaps(deep), 5e-5)
+    aside = pin.SE3(np.eye(3), np.array([1e-4, -5e-5, 0.01]))
+    for name in ("corner +x-y on wall +x", "corner +x-y on wall -y"):
+        assert_allclose(touch[name].gaps(aside), 0.0, atol=1e-12)
+
+
+def test_rectangles_that_do_not_fit_are_refused():
+    peg = osc.Peg("square", 0.012, width_y=0.008)
+    with invalid_input("the peg is 8 mm wide and the hole 7 mm"):
+        osc.pairs_between(peg, osc.Hole("square", 0.0122, 0.03, width_y=0.007))
+    with invalid_input("width_y"):
+        osc.Peg("round", 0.012, width_y=0.008)
+    with invalid_input("width_y = 0.0"):
+        osc.Hole("square", 0.012, 0.03, width_y=0.0)

@@ -51,6 +51,8 @@ class Peg:
     Attributes:
         shape: shape of the cross section. The sides of a square peg are along x and y.
         width: width of the sides, or diameter (m).
+        width_y: width along y (m) of a rectangular peg, whose `width` is along x; None: it is
+            square. Rectangular pegs have the shape "square", too.
         pose: pose of the peg's frame in that of the held object; it differs from the identity if
             the object has several pegs.
 
@@ -66,10 +68,16 @@ class Peg:
     shape: Shape
     width: float
     pose: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    width_y: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Refuse another shape, or a width that is not positive."""
         _require_sizes(self, "width")
+
+    @property
+    def half(self) -> Array:
+        """Half the widths along x and y, and 0 (3,) (m)."""
+        return _half_widths(self)
 
 
 @dataclass(frozen=True)
@@ -79,6 +87,8 @@ class Hole:
     Attributes:
         shape: shape of the cross section. The walls of a square hole are along x and y.
         width: distance of opposite walls, or diameter (m).
+        width_y: distance (m) of the walls across y of a rectangular hole, whose `width` is along x;
+            None: it is square.
         depth: distance of the bottom from the mouth (m).
         pose: pose of the hole's frame in the frame of the body that has the hole.
 
@@ -96,10 +106,16 @@ class Hole:
     width: float
     depth: float
     pose: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    width_y: float | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Refuse another shape, or a size that is not positive."""
         _require_sizes(self, "width", "depth")
+
+    @property
+    def half(self) -> Array:
+        """Half the widths along x and y, and 0 (3,) (m)."""
+        return _half_widths(self)
 
     def found_at(self, pose: pin.SE3) -> pin.SE3:
         """Pose of the body that has the hole, from the true pose of the hole.
@@ -122,9 +138,17 @@ def _require_sizes(shape: Peg | Hole, *names: str) -> None:
     """
     if shape.shape not in ("square", "round"):
         raise InvalidInputError(f"shape = {shape.shape!r}; give 'square' or 'round'")
-    for name in names:
+    if shape.width_y is not None and shape.shape == "round":
+        raise InvalidInputError("width_y of a round cross section; leave it out")
+    for name in names if shape.width_y is None else (*names, "width_y"):
         if not getattr(shape, name) > 0.0:
             raise InvalidInputError(f"{name} = {getattr(shape, name)!r}; give metres, > 0")
+
+
+def _half_widths(shape: Peg | Hole) -> Array:
+    """Half the widths along x and y, and 0 (3,) (m), of a peg or a hole."""
+    across = shape.width if shape.width_y is None else shape.width_y
+    return np.array([0.5 * shape.width, 0.5 * across, 0.0])
 
 
 def pairs_between(peg: Peg, hole: Hole, *, prefix: str = "") -> dict[str, ContactPair]:
@@ -161,11 +185,12 @@ def pairs_between(peg: Peg, hole: Hole, *, prefix: str = "") -> dict[str, Contac
     """
     if peg.shape != hole.shape:
         raise InvalidInputError(f"a {peg.shape} peg and a {hole.shape} hole; give the same shape")
-    if not peg.width < hole.width:
-        raise InvalidInputError(
-            f"the peg is {1e3 * peg.width:g} mm wide and the hole {1e3 * hole.width:g} mm; give a "
-            "hole that is wider"
-        )
+    for width, opening in zip(2.0 * peg.half[:2], 2.0 * hole.half[:2], strict=True):
+        if not width < opening:
+            raise InvalidInputError(
+                f"the peg is {1e3 * width:g} mm wide and the hole {1e3 * opening:g} mm; give a "
+                "hole that is wider"
+            )
     maker = _Pairs(peg, hole, prefix)
     pairs = maker.square() if peg.shape == "square" else maker.round()
     return {pair.name: pair for pair in pairs}
@@ -192,8 +217,8 @@ class _Pairs:
             prefix: beginning of all names.
         """
         self._prefix = prefix  #: beginning of all names
-        self._peg_half = 0.5 * peg.width  #: half the width of the peg (m)
-        self._hole_half = 0.5 * hole.width  #: half the width of the hole (m)
+        self._peg_half = peg.half  #: (3,) half the widths of the peg, and 0 (m)
+        self._hole_half = hole.half  #: (3,) half the widths of the hole, and 0 (m)
         self._depth = hole.depth  #: depth of the hole (m)
         self._hole_pose = hole.pose  #: pose of the hole in its body
         self._peg_pose = peg.pose  #: pose of the peg in the object

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import acos, atan2, cos, hypot, nan, radians, sqrt
+from math import acos, atan2, cos, hypot, inf, nan, radians, sqrt
 
 import numpy as np
 import pinocchio as pin
@@ -19,11 +19,22 @@ import pinocchio as pin
 from osc_contact.contacts.insertion import CORNERS, SIDES, Hole, Peg, pairs_between
 from osc_contact.contacts.pairs.pair import ContactPair
 from osc_contact.control.controller import Controller
+from osc_contact.control.status import Phase
 from osc_contact.dynamics.closed_chain import ClosedChain
 from osc_contact.lab.tasks.insertion import Insertion, InsertionRobot, TaskRobot
 from osc_contact.loop.loop import run_loop
-from osc_contact.plan.ends import End, after, at_rest, finished, lost, made, moved, pressed, when
-from osc_contact.plan.motions import Motion, along, to, turn_to
+from osc_contact.plan.ends import (
+    End,
+    Watch,
+    after,
+    at_rest,
+    finished,
+    lost,
+    made,
+    pressed,
+    when,
+)
+from osc_contact.plan.motions import Motion, along, through, to, turn_to
 from osc_contact.plan.plan import Outcome, Plan
 from osc_contact.plan.sensed import Sensed
 from osc_contact.plan.stage import Stage
@@ -36,6 +47,7 @@ HEIGHT = 6e-3  #: height of the tip above the face at the start (m)
 LARGEST = 100.0  #: ceiling of the contact forces (N)
 SEATED = 2e-3  #: largest distance of a seated peg from the bottom (m)
 PARALLEL = radians(0.5)  #: angle of two axes that are parallel (rad)
+SLIDING = 6e-3  #: speed of the tip on the face (m/s)
 STILL = 1e-3  #: speed below which a peg rests, by the truth (m/s)
 RESTING = (2e-3, 0.05)  #: measured speeds below which a peg rests (m/s, rad/s)
 GAINS = Gains(
@@ -189,7 +201,7 @@ class _Way:
     """Contacts by which a peg of some shape enters its hole.
 
     Attributes:
-        lowest: (3,) lowest point of the tilted tip, as a multiple of half the width.
+        lowest: (3,) lowest point of the tilted tip, as multiples of half the widths.
         point: contact of this point with the face.
         edges: contacts of the tip's edges with the opposite rims, after the drop; none if round.
         sides: both contacts of the sides with the rims over which the point dropped, and the
@@ -245,6 +257,47 @@ _ROUND = _Way(
 )
 
 
+@dataclass(frozen=True)
+class PegSettings:
+    """Search and forces of a plan.
+
+    Attributes:
+        tilt: tilt in each plane beyond that at which the hole is as wide as the peg (rad).
+        push: force on the face during the search (N).
+        drop: distance by which the lowest point drops when the hole is found (m).
+        recent: time constant of the level from which a drop counts (s); inf: the level at the
+            beginning of the slide. An object that creeps in its grasp drops slowly without a hole.
+        asides: (k,) distances of the lines, along which the lowest point slides, from the middle of
+            the believed hole (m), in their order, to and fro.
+        length: length of the lines (m); inf: the only line does not end.
+        sides: forces on the sides, as a share of those of the default settings.
+        tip: force on the tip in the corner of the mouth, as such a share. Its friction must not
+            hold what the forces on the sides move.
+        paired: whether two points of a side of a rectangular peg keep it from turning about its
+            axis while it becomes upright. They are too close to each other on narrow pegs.
+        short: distance from the bottom within which a peg that rests is seated (m); negative: the
+            object creeps in its grasp, so that the tip seems to be below the bottom.
+        patience: time after which a side that was pressed in the corner, and is not any more, has
+            been lost, so that the search begins again (s); inf: the controller alone judges, and
+            stops.
+    """
+
+    tilt: float = radians(2.0)
+    push: float = 6.0
+    drop: float = 0.7e-3
+    recent: float = inf
+    asides: tuple[float, ...] = (0.0,)
+    length: float = inf
+    sides: float = 1.0
+    tip: float = 1.0
+    paired: bool = True
+    short: float = 4e-3
+    patience: float = inf
+
+
+DEFAULTS = PegSettings()
+
+
 def _way(peg: Peg) -> _Way:
     """Contacts by which a peg enters its hole."""
     return _SQUARE if peg.shape == "square" else _ROUND
@@ -252,70 +305,138 @@ def _way(peg: Peg) -> _Way:
 
 def lowest_point(peg: Peg) -> Array:
     """Lowest point (3,) of the tilted tip, in the peg's frame (m)."""
-    return 0.5 * peg.width * _way(peg).lowest
+    return peg.half * _way(peg).lowest
 
 
-def tilt_of(peg: Peg, hole: Hole) -> float:
+def tilt_of(peg: Peg, hole: Hole, settings: PegSettings = DEFAULTS) -> float:
     """Tilt (rad) of the peg at the start, too large for it to fall into the hole.
 
-    In each plane it is about 2° more than acos(w/W), at which the hole of the width W, seen along
-    the axis of the peg, is as wide as the peg of the width w. About a diagonal the tilts in two
-    planes add up to √2 times that in one.
+    In each plane it is by the `tilt` of the settings more than acos(w/W), at which the hole of the
+    width W, seen along the axis of the peg, is as wide as the peg of the width w. About a diagonal
+    the tilts in two planes add up to √2 times that in one.
 
     Args:
         peg: peg with its width.
         hole: hole with its width.
+        settings: search and forces.
     """
     planes = float(np.linalg.norm(_way(peg).lowest))  # √2 about a diagonal
-    return planes * (acos(peg.width / hole.width) + radians(2.0))
+    share = float(np.min(peg.half[:2] / hole.half[:2]))
+    return planes * (acos(share) + settings.tilt)
 
 
-def peg_start(peg: Peg, hole: Hole) -> pin.SE3:
+def peg_start(peg: Peg, hole: Hole, settings: PegSettings = DEFAULTS) -> pin.SE3:
     """Pose of a peg above the face, tilted so that the lowest point of its tip is beside the hole.
 
     Args:
         peg: peg, whose frame is that of the object.
         hole: hole at its believed pose.
+        settings: search and forces.
     """
     lowest = _way(peg).lowest
     axis = np.cross(lowest, [0.0, 0.0, 1.0]) / np.linalg.norm(lowest)
-    rotation = pin.exp3(tilt_of(peg, hole) * axis)
-    place = (0.5 * hole.width + LEAD) * lowest - HEIGHT * np.array([0.0, 0.0, 1.0])
+    rotation = pin.exp3(tilt_of(peg, hole, settings) * axis)
+    beside = settings.asides[0] * np.cross([0.0, 0.0, 1.0], lowest / np.linalg.norm(lowest))
+    place = (hole.half + LEAD) * lowest + beside - HEIGHT * np.array([0.0, 0.0, 1.0])
     return hole.pose * pin.SE3(rotation, place - rotation @ lowest_point(peg))
 
 
-def peg_plan(peg: Peg, hole: Hole) -> Plan:
+def peg_plan(peg: Peg, hole: Hole, settings: PegSettings = DEFAULTS) -> Plan:
     """Plan of a square or round peg, from `peg_start`.
 
     Args:
         peg: peg, whose frame is that of the object.
         hole: hole at its believed pose.
+        settings: search and forces.
     """
-    stages = [*_search_stages(peg, hole), *_entry_stages(peg, hole), *_last_stages(peg, hole)]
+    stages = [
+        *_search_stages(peg, hole, settings),
+        *_entry_stages(peg, hole, settings),
+        *_last_stages(peg, hole, settings),
+    ]
     return Plan(stages, largest=60.0, tries=3)
 
 
-def _search_stages(peg: Peg, hole: Hole) -> list[Stage]:
+def sunk(distance: float, direction: Array, point: Array, recent: float = inf) -> End:
+    """Condition that a point of the object is farther along a direction than lately.
+
+    Args:
+        distance: least distance (m).
+        direction: (3,) unit vector, world axes.
+        point: (3,) point in the object's frame (m).
+        recent: time constant of the level from which the distance counts (s); inf: the level at
+            the beginning of the stage.
+    """
+
+    def begin(now: Sensed) -> Watch:
+        """Begin with the present level."""
+        level = float(direction @ now.X.act(point))
+
+        def met(now: Sensed, dt: float) -> bool:
+            """Update the low-passed level, and compare the present one with it.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
+            nonlocal level
+            place = float(direction @ now.X.act(point))
+            level += dt / recent * (place - level)
+            return place - level >= distance
+
+        return met
+
+    return End(begin, f"sunk by {1e3 * distance:g} mm")
+
+
+def _lines(settings: PegSettings, inward: Array, into: Array) -> Motion:
+    """Motion along the lines of a search.
+
+    Args:
+        settings: lines of the search.
+        inward: (3,) unit vector along the lines, towards the believed hole, world axes.
+        into: (3,) unit vector into the believed hole, world axes.
+    """
+    if settings.length == inf:
+        return along(inward, SLIDING)
+    aside = np.cross(inward, into)
+    ends = []
+    for k, offset in enumerate(settings.asides):
+        for far in (k % 2, 1 - k % 2):
+            ends.append(far * settings.length * inward + (offset - settings.asides[0]) * aside)
+    return through(np.array(ends[1:]), SLIDING, relative=True)
+
+
+def _search_stages(peg: Peg, hole: Hole, settings: PegSettings) -> list[Stage]:
     """Stages until the lowest point of the tip has dropped into the hole.
 
-    The tip is pressed on the face and slides towards the middle of the hole; the search ends when
-    its lowest point has moved into the hole by 0.7 mm. The drop ends when that point touches again.
+    The tip is pressed on the face and slides along the lines of the search; the search ends when
+    its lowest point has moved into the hole. The drop ends when that point touches again.
 
     Args:
         peg: peg with its width.
         hole: hole at its believed pose.
+        settings: search and forces.
     """
     way = _way(peg)
     into = hole.pose.rotation[:, 2]  # down the hole, world axes
     # from the lowest point towards the middle of the hole
-    inward = -hole.pose.rotation @ way.lowest
-    push = {way.point: 6.0}
-    dropped = moved(0.7e-3, into, point=lowest_point(peg))
+    inward = -hole.pose.rotation @ way.lowest / np.linalg.norm(way.lowest)
+    push = {way.point: settings.push}
+    dropped = sunk(settings.drop, into, lowest_point(peg), settings.recent)
     landed = made(way.point, lasting=0.15) & after(0.3)
     return [
         Stage("weigh", until=after(0.4), within=1.0, tare=True),
         Stage("find", push, until=made(way.point, lasting=0.15), within=4.0, fails="back"),
-        Stage("slide", push, along(inward, 6e-3), until=dropped, within=4.0, fails="back"),
+        Stage(
+            "slide",
+            push,
+            _lines(settings, inward, into),
+            until=dropped,
+            within=4.0 if settings.length == inf else 25.0,
+            unless=finished() if settings.length < inf else None,
+            fails="back",
+        ),
         Stage("drop", push, until=landed, within=2.0, fails="back"),
     ]
 
@@ -344,7 +465,7 @@ def _found(now: Sensed, peg: Peg, hole: Hole, *, aside: bool) -> pin.SE3:
         normals, gaps = [into], [0.0]
         for side in way.sides.values():
             normal = now.X.rotation @ side
-            apart = now.X.act(0.5 * peg.width * side) - pose.act(0.5 * hole.width * side) - shift
+            apart = now.X.act(peg.half * side) - pose.act(hole.half * side) - shift
             normals.append(normal)
             gaps.append(float(normal @ apart))
         shift = shift + np.linalg.solve(np.array(normals), np.array(gaps))
@@ -363,7 +484,7 @@ def _depth(now: Sensed, peg: Peg, into: Array) -> float:
     return float(into @ (now.X.translation - touched))
 
 
-def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
+def _entry_stages(peg: Peg, hole: Hole, settings: PegSettings) -> list[Stage]:
     """Stages from a dropped tip to the bottom of the hole.
 
     Args:
@@ -379,11 +500,12 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
 
     edges = []
     if way.edges:
-        push = dict.fromkeys(way.edges, 3.5)
+        push = dict.fromkeys(way.edges, 3.5 * settings.sides)
         edges = [Stage("two points", push, until=after(0.4), within=2.0, fails="back")]
-    corner_forces = {**dict.fromkeys(way.sides, 4.0), "tip on face": 4.0}
+    corner_forces = dict.fromkeys(way.sides, 4.0 * settings.sides)
+    corner_forces["tip on face"] = 4.0 * settings.tip
     is_pressed = made(*way.sides, lasting=0.3) | resting()
-    is_at_bottom = deeper_than(peg, hole, hole.depth - 4e-3, "at the bottom")
+    is_at_bottom = deeper_than(peg, hole, hole.depth - settings.short, "at the bottom")
     return [
         *edges,
         Stage(
@@ -391,11 +513,12 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
             corner_forces,
             until=is_pressed,
             within=4.0,
-            unless=lost("tip on face", lasting=0.8) & after(1.5),
+            unless=(lost("tip on face", lasting=0.8) & after(1.5))
+            | lost_again(*way.sides, lasting=settings.patience),
             fails="back",
             places=dict.fromkeys(corner_forces, face_found) if way.placed else {},
         ),
-        *_turn_stages(peg, hole),
+        *_turn_stages(peg, hole, settings),
         Stage(
             "insert",
             {"hole": 0.0},
@@ -412,6 +535,34 @@ def _entry_stages(peg: Peg, hole: Hole) -> list[Stage]:
 def resting() -> End:
     """Condition that the object rests, some time after the beginning of a stage."""
     return at_rest(*RESTING).lasting(0.3) & after(0.8)
+
+
+def lost_again(*contacts: str, lasting: float) -> End:
+    """Condition that one of these contacts has been closed, and is not any more for some time.
+
+    Args:
+        contacts: names of the contacts.
+        lasting: this time (s); inf: the condition is never met.
+    """
+
+    def begin(now: Sensed) -> Watch:
+        """Begin without a loss: times since each contact was closed (s); NaN: it was not yet."""
+        since = dict.fromkeys(contacts, nan)
+
+        def met(now: Sensed, dt: float) -> bool:
+            """Update the times by a period, and compare the longest with `lasting`.
+
+            Args:
+                now: signals after the last tick.
+                dt: control period (s).
+            """
+            for name in contacts:
+                since[name] = 0.0 if now.phases[name] == Phase.CLOSED else since[name] + dt
+            return any(time >= lasting for time in since.values())
+
+        return met
+
+    return End(begin, f"{' or '.join(contacts)} lost again", contacts)
 
 
 def carried_by_bottom(peg: Peg, into: Array) -> End:
@@ -465,7 +616,7 @@ def has_turned(peg: Peg, hole: Hole) -> End:
     return deeper_than(peg, hole, 12e-3, "12 mm deep") | is_upright.lasting(0.2)
 
 
-def turning(peg: Peg, hole: Hole) -> Motion:
+def turning(peg: Peg, hole: Hole, settings: PegSettings = DEFAULTS) -> Motion:
     """Rotation until the axis of the peg is that of the believed hole, while the peg moves in.
 
     Args:
@@ -473,10 +624,11 @@ def turning(peg: Peg, hole: Hole) -> Motion:
         hole: hole at its believed pose.
     """
     into = hole.pose.rotation[:, 2]
-    return turn_to([0, 0, 1], into, 0.5 * tilt_of(peg, hole)) & along(into, 5e-3, yields=6.0)
+    turn = turn_to([0, 0, 1], into, 0.5 * tilt_of(peg, hole, settings))
+    return turn & along(into, 5e-3, yields=6.0)
 
 
-def _turn_stages(peg: Peg, hole: Hole) -> list[Stage]:
+def _turn_stages(peg: Peg, hole: Hole, settings: PegSettings) -> list[Stage]:
     """Stages in which a peg that is pressed into a corner of the mouth rotates until it is upright.
 
     The peg is turned until its axis is parallel to that of the believed hole while it moves into
@@ -493,28 +645,30 @@ def _turn_stages(peg: Peg, hole: Hole) -> list[Stage]:
         """Hole as high as the face, where the sides touch its rims."""
         return _found(now, peg, hole, aside=True)
 
-    motion = turning(peg, hole)
+    motion = turning(peg, hole, settings)
+    contacts = way.upright if settings.paired or not way.turned else way.turned
+    pressing = {name: force * settings.sides for name, force in contacts.items()}
+    pressing_on = {name: force * settings.sides for name, force in way.turned.items()}
     is_deep = deeper_than(peg, hole, 2.5e-3, "in the mouth")
     until = has_turned(peg, hole)
-    if way.turned:
-        is_lost = lost(*way.upright, lasting=0.7)
-    else:
-        is_lost = lost(*way.upright, lasting=0.5) & is_deep
+    continues = bool(way.turned) and contacts is not way.turned
+    is_lost = lost(*contacts, lasting=0.7 if continues else 0.5)
+    is_over = until | (is_lost if continues else is_lost & is_deep)
     upright = Stage(
         "upright",
-        way.upright,
+        pressing,
         motion,
-        until=until | is_lost,
+        until=is_over,
         within=8.0,
-        unless=lost(*way.upright, lasting=0.8),
+        unless=lost(*contacts, lasting=0.8),
         fails="back",
-        places=dict.fromkeys(way.upright, rims_found) if way.placed else {},
+        places=dict.fromkeys(contacts, rims_found) if way.placed else {},
     )
-    if not way.turned:
+    if not continues:
         return [upright]
     turn_on = Stage(
         "turn on",
-        way.turned,
+        pressing_on,
         motion,
         until=until | (lost(*way.turned, lasting=0.5) & is_deep),
         within=4.0,
@@ -524,7 +678,7 @@ def _turn_stages(peg: Peg, hole: Hole) -> list[Stage]:
     return [upright, turn_on]
 
 
-def _last_stages(peg: Peg, hole: Hole) -> list[Stage]:
+def _last_stages(peg: Peg, hole: Hole, settings: PegSettings) -> list[Stage]:
     """Stages after a failure, which lead back to the search, and the last stage of a success.
 
     Args:
@@ -532,7 +686,7 @@ def _last_stages(peg: Peg, hole: Hole) -> list[Stage]:
         hole: hole at its believed pose.
     """
     into = hole.pose.rotation[:, 2]
-    start = peg_start(peg, hole)
+    start = peg_start(peg, hole, settings)
     stands = (at_rest(*RESTING) & carried_by_bottom(peg, into)).lasting(0.1)
     return [
         Stage("back", {}, along(-into, 20e-3, 30e-3), until=finished(), within=4.0, then="return"),

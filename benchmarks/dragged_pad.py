@@ -1,0 +1,146 @@
+"""robosuite's wiping pad under a constant load, dragged without any controller.
+
+    python -m benchmarks.dragged_pad    (in the environment of make worlds for robosuite)
+
+The geoms of the pad and of the table are those of the task `Wipe`, with its solver. The pad cannot
+rotate; its mass is the apparent mass of the arm there, along the vertical. A constant force of 12 N
+presses it down while a velocity servo drags it at 50 mm/s, with a turn of 60° every second. What
+the contact force differs from the load is the contact's own doing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import typer
+from rich.console import Console
+
+from benchmarks.wiping import ARM, FORCE, SPEED, WINDOW, OscPose, Wiping
+from osc_contact.spatial import Array
+from paper.study import table_of
+
+FRICTION = (0.03, 0.1, 0.2, 0.3)
+SERVO = 2000.0  #: gain of the velocity servo (N s/m)
+DURATION, SETTLING = 6.0, 1.0  #: of a run, and what is left out of it (s)
+TURN = np.radians(60.0)  #: of the path, once a second
+
+
+def apparent_mass(model: Any, data: Any, site: int) -> float:
+    """Apparent mass of the arm along the vertical at a site (kg).
+
+    Args:
+        model, data: MuJoCo's.
+        site: index of the site.
+    """
+    J = np.zeros((3, model.nv))
+    mujoco.mj_jacSite(model, data, J, None, site)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, M, data.qM)
+    return float(1.0 / (J[2] @ np.linalg.solve(M, J[2])))
+
+
+def pad_alone(model: Any, data: Any, site: int, mass: float, friction: float) -> Any:
+    """Model of the pad on three slides above the table.
+
+    Args:
+        model, data: MuJoCo's, of the task.
+        site: index of the grip site.
+        mass: mass of the pad (kg).
+        friction: coefficient of the table.
+    """
+    names = [model.geom(k).name for k in range(model.ngeom)]
+    table = names.index("table_collision")
+    touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    tool = [k for k, name in enumerate(names) if "gripper0" in name and touching[k]]
+    spec = mujoco.MjSpec()
+    for name in ("timestep", "cone", "impratio", "solver", "iterations"):
+        setattr(spec.option, name, getattr(model.opt, name))
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    pad = spec.worldbody.add_body(name="pad")
+    pad.mass, pad.inertia, pad.explicitinertial = mass, [0.01 * mass] * 3, True
+    for axis in np.eye(3):
+        pad.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    lowest = min(_lowest(model, data, k) for k in tool)
+    place = np.array([*data.site_xpos[site][:2], lowest])
+    for k in [table, *tool]:
+        body = spec.worldbody if k == table else pad
+        rotation = np.zeros(4)
+        mujoco.mju_mat2Quat(rotation, data.geom_xmat[k])
+        at = data.geom_xpos[k] - place
+        size = model.geom_size[k]
+        geom = body.add_geom(
+            type=mujoco.mjtGeom(int(model.geom_type[k])),
+            size=size,
+            pos=[0.0, 0.0, -size[2]] if k == table else at,
+            quat=rotation,
+        )
+        for name in ("friction", "condim", "solref", "solimp", "margin", "gap", "priority"):
+            setattr(geom, name, getattr(model, f"geom_{name}")[k])
+        if k == table:
+            geom.friction[0] = friction
+    return spec.compile()
+
+
+def _lowest(model: Any, data: Any, geom: int) -> float:
+    """Height of the lowest point of a box or sphere (m)."""
+    size = model.geom_size[geom]
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return float(data.geom_xpos[geom][2] - size[0])
+    axes = data.geom_xmat[geom].reshape(3, 3)
+    return float(data.geom_xpos[geom][2] - np.abs(axes[2]) @ size)
+
+
+def dragged(model: Any, load: float, speed: float) -> Array:
+    """Normal forces (steps,) of a dragged pad after it has settled (N).
+
+    Args:
+        model: MuJoCo's, of `pad_alone`.
+        load: constant force downward (N).
+        speed: speed along the table (m/s).
+    """
+    data = mujoco.MjData(model)
+    wrench, forces = np.zeros(6), []
+    for k in range(round(DURATION / model.opt.timestep)):
+        angle = TURN * int(data.time)
+        goal = speed * np.array([np.cos(angle), np.sin(angle)])
+        data.qfrc_applied[:2] = SERVO * (goal - data.qvel[:2])
+        data.qfrc_applied[2] = -load
+        mujoco.mj_step(model, data)
+        total = 0.0
+        for contact in range(data.ncon):
+            mujoco.mj_contactForce(model, data, contact, wrench)
+            total += float(wrench[0])
+        if k * model.opt.timestep >= SETTLING:
+            forces.append(total)
+    return np.array(forces)
+
+
+def main(load: float = FORCE) -> None:
+    """Print the differences of the contact force from a constant load.
+
+    Args:
+        load: force downward (N).
+    """
+    task = Wiping(OscPose(75.0, 0.009), 0)
+    model, data = task.env.sim.model._model, task.env.sim.data._data
+    site = task.env.robots[0].eef_site_id[ARM]
+    mass = apparent_mass(model, data, site)
+    rows: list[list[object]] = []
+    for speed in (0.0, SPEED):
+        for friction in FRICTION:
+            forces = dragged(pad_alone(model, data, site, mass, friction), load, speed)
+            smooth = np.convolve(forces, np.full(WINDOW, 1.0 / WINDOW), "valid")
+            errors = [
+                100.0 * float(np.sqrt(np.mean((f - load) ** 2))) / load for f in (forces, smooth)
+            ]
+            cells = (f"{forces.mean():.2f}", *(f"{error:.1f}" for error in errors))
+            rows.append([f"{1e3 * speed:g}", f"{friction:g}", *cells])
+    heads = "speed (mm/s); friction; mean force (N); rms raw (%); rms of 20 ms (%)"
+    title = f"pad of {mass:.1f} kg under {load:g} N, without a controller"
+    Console(width=120).print(table_of(title, heads, rows))
+
+
+if __name__ == "__main__":
+    typer.run(main)
