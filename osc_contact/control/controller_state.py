@@ -16,6 +16,7 @@ from osc_contact.control.status import LimitLoss, LostDirection, Phase, SafetySt
 from osc_contact.control.waiting import Idle, explained_approaches, standing_approaches
 from osc_contact.dynamics.learned_friction import LearnedFriction, robot_identity
 from osc_contact.errors import InvalidInputError
+from osc_contact.law.agreement import UNBALANCED
 from osc_contact.robots.model import joint_names
 from osc_contact.spatial import Array, as_array
 
@@ -101,13 +102,15 @@ class ControllerState:
 
     @property
     def released_for(self) -> float:
-        """Time since a stop that released a motor (s): arms cannot be at rest before and after it.
+        """Time (s) since a stop that shows by the motion after it whether encoders are dead.
 
-        The stop has changed the motor's torque by more than friction and a wrong wrist explain. 0.0
-        if there was no such stop, or none since the reset.
+        Motors contradicted a wrist, and the stop has changed the torque of a motor by more than
+        friction and a wrong wrist explain. It is 0.0 if there was no such stop, or none since the
+        reset.
         """
         memory = self.records.memory
-        is_released = self.state is SafetyState.SAFE_STOP and memory.arms.released.any()
+        is_stopped = self.state is SafetyState.SAFE_STOP and memory.cause == UNBALANCED
+        is_released = is_stopped and memory.arms.released.any()
         return float(memory.age * self.records.model.period) if is_released else 0.0
 
     @property

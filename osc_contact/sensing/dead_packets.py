@@ -14,9 +14,10 @@ class DeadPackets:
     """Detection of encoders of stopped arms whose packets repeat themselves.
 
     An arm at rest may have constant readings without noise, and so may one that a contact stops at
-    once and that friction then holds. Constant readings of all joints prove that their packet is
-    dead once the controller has stopped the arms, and thereby released a motor: whether its torque
-    accelerated the arm or pressed it on a contact, which yields, the arm moves then.
+    once and that friction then holds. Constant readings of all joints show that their packet is
+    dead after the controller has stopped the arms since motors contradict a wrist, and has thereby
+    released a motor: whether its torque accelerated the arm or pressed it on a contact, which
+    yields, the arm moves then. An object that is wedged would not yield.
 
     Estimated velocities and positions conceal repetitions: readings have to be checked before.
     """
@@ -36,7 +37,7 @@ class DeadPackets:
 
         Args:
             measured: (n,) new readings of the encoders (rad, m).
-            released_for: time since a stop that released a motor (s); 0: there was none.
+            released_for: `Controller.released_for` (s); 0: there was no such stop.
         """
         is_same = self._last_reading is not None and bool((measured == self._last_reading).all())
         self._last_reading = np.array(measured, dtype=float)

@@ -622,6 +622,7 @@ def turning(peg: Peg, hole: Hole, settings: PegSettings = DEFAULTS) -> Motion:
     Args:
         peg: peg.
         hole: hole at its believed pose.
+        settings: search and forces.
     """
     into = hole.pose.rotation[:, 2]
     turn = turn_to([0, 0, 1], into, 0.5 * tilt_of(peg, hole, settings))
