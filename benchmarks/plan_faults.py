@@ -12,7 +12,9 @@ kind, the stage, the end, and the largest force of a single contact since; the e
 * a torque was not finite, or beyond its limit;
 * a joint stayed beyond its speed limit or outside its range for 0.3 s without a stop;
 * a single contact pressed with more than the ceiling of 100 N, or three times that where a force
-  reads mirrored, and what an obstacle adds until it is seen;
+  reads mirrored, and what an obstacle adds until it is seen; after a fault of a motor also with
+  more than it did before a ceiling could stop the arm, because the impact of a joint that nothing
+  drives is over by then;
 * stopped arms whose motors and encoders are sound moved faster than 0.1 rad/s later than 0.5 s
   after the stop;
 * mechanical brakes were requested although encoders and motors were sound;
@@ -119,6 +121,7 @@ class Run:
         self._joints = fault_judge.JointWatch(self._robot.chain, PERIOD)
         self._began: int | None = None  # tick at which the fault began
         self._stopped: int | None = None  # tick of the stop
+        self._before_stops = 0.0  # N, largest force before a ceiling can stop the arm
         self._k = 0
 
     def judge(self) -> Verdict:
@@ -185,6 +188,9 @@ class Run:
         if fault_judge.is_beyond_limits(tau, self._robot.chain.tau_max):
             verdict.wrong.append(f"torques {tau}")
         verdict.force = self._robot.largest_single
+        assert self._began is not None
+        if (self._k - self._began - 2) * PERIOD <= self._controller.settings.safety.ceiling_time:
+            self._before_stops = verdict.force
         verdict.unbraked |= self._controller.unbraked is not None
         true = self._robot.plant.measure()
         motors = self._robot.chain.actuated
@@ -195,7 +201,6 @@ class Run:
             return
         if self._stopped is None:
             self._stopped = self._k
-            assert self._began is not None
             verdict.stopped = (self._k - self._began) * PERIOD
         if (self._k - self._stopped) * PERIOD > fault_judge.REST_AFTER:
             verdict.rest_speed = max(verdict.rest_speed, float(np.abs(true.v).max()))
@@ -210,6 +215,8 @@ class Run:
             verdict.wrong.append(f"not tried: stage {self._stage!r} was not reached")
             return
         most = pegs.LARGEST * (3.0 if fault.mirrors else 1.0)
+        if "tau" in fault.unsound:  # no stop prevents the impact of a joint that nothing drives
+            most = max(most, self._before_stops)
         most += fault_judge.obstacle_force(fault, self._trial)
         if fault.limited and not verdict.unbraked and verdict.force > most:
             verdict.wrong.append(f"contact force {verdict.force:.0f} N, at most {most:.0f} N")

@@ -78,11 +78,12 @@ def test_every_kind_of_fault_in_contact_and_some_elsewhere(where):
         ("one wrist mirrored", Case(scenario="ur5_wipe", every=3, seed=1131)),
         ("a post at the forearm", Case(scenario="three_arm_plate", every=3, seed=1129)),
         ("a brake engages", Case(scenario="three_arm_plate", every=10, seed=276252386)),
+        ("speeds swapped", Case(scenario="hinge_ball_rod", every=10, seed=212555030)),
     ],
     ids=str,
 )
 def test_drawn_moments_that_were_once_found_wrong(name, case):
-    """A quiet arm; speeds estimated from a stuck encoder; what grows until the stop."""
+    """A quiet arm; speeds of a stuck encoder; growth until the stop; joints of nearly one axis."""
     verdict = try_fault(name, case, fault_for=2.0, stopped_for=0.6)
     assert not verdict.wrong, verdict
     assert verdict.state is SAFE_STOP

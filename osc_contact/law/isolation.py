@@ -21,6 +21,10 @@ _TURNED = 0.25
 _GIVES = 0.5  #: share of `closure_error` by which the gap between two stopped arms may change
 _WEIGHED = 0.1  #: s after a stop in which the wrist of an arm shows that it has let go
 _SPEED_SHARE = 0.2  #: share of the positions' error at which an estimated speed is faulty
+#: Exchanged speeds: share of the smaller of two drifts by which their sum may differ from 0; share
+#: of `position_drift` that both exceed.
+_OPPOSITE = 0.3
+_APART = 0.5
 DEAD = 0.01  #: s of identical readings of all joints after which the whole packet is dead
 BLIND_TIME = 0.01  #: s without a sound reading after which a joint cannot be braked
 
@@ -34,7 +38,8 @@ def isolate_joint(t, j):
     2. Otherwise the reading is faulty whose changes the commanded accelerations predicted with the
        larger error: the speed if `blame` > 0, else the position. `blame` is the integral, with
        forgetting, of |`surprise_v`| − |`surprise_q`|: these are the errors of the predicted speed
-       against the speed read and against that of the positions (rad/s, m/s; see `sensors`).
+       against the speed read and against that of the positions (rad/s, m/s; see `sensors`). If
+       position errors of two joints are opposite, speeds are exchanged (`_mark_exchanged_speeds`).
     3. In place of rule 2, a speed that is estimated from positions (`derived`) is faulty if
        |`surprise_v`| exceeds `_SPEED_SHARE` times |`surprise_q`|, because it follows the
        predictions more closely than positions do; else the position is.
@@ -67,6 +72,49 @@ def isolate_joint(t, j):
                     joint_memory[i].faulty = FAULTY_SPEED
         else:
             joint.faulty = FAULTY_POSITION
+            _mark_exchanged_speeds(t, j)
+
+
+@leaf
+def _mark_exchanged_speeds(t, j):
+    """Mark speeds in place of the positions of two joints if their speeds are exchanged.
+
+    Positions and speeds of the two drift apart by opposite amounts then, ∫(v_i − v_j) dt and
+    ∫(v_j − v_i) dt. Joints with nearly the same axis move such that the exchanged speeds may be
+    predicted better than the positions, which are both marked. Two encoders that drift by opposite
+    amounts at the same time are far less likely. Noise of encoders may do so by chance, but not by
+    more than `_APART` times `position_drift` with steps that the joints' speed limits permit.
+
+    Args:
+        t: Tick; `faulty` of the joints in MEMORY is changed.
+        j: index of the joint whose position was marked in this tick.
+    """
+    joints = t.memory.joints
+    for i in range(t.model.n_joints):
+        if i == j or joints[i].faulty != FAULTY_POSITION or is_constant(t, joints[i]):
+            continue
+        smallest = min(abs(joints[i].drift), abs(joints[j].drift))
+        is_large = smallest > _APART * t.model.position_drift
+        is_opposite = abs(joints[i].drift + joints[j].drift) < _OPPOSITE * smallest
+        if is_large and is_opposite and _moves_smoothly(t, i) and _moves_smoothly(t, j):
+            joints[i].faulty = joints[j].faulty = 0
+            for k in range(t.model.n_joints):
+                if joints[k].faulty == 0:
+                    joints[k].faulty = FAULTY_SPEED
+            return
+
+
+@leaf
+def _moves_smoothly(t, j):
+    """Test whether the last change of the position of joint j is one that its speed limit permits.
+
+    Args:
+        t: Tick, of which `step` (rad, m) and `unread_q` (ticks) of the joint in MEMORY are read.
+        j: index of the joint.
+    """
+    joint_memory = t.memory.joints[j]
+    ticks = 1 + joint_memory.unread_q
+    return abs(joint_memory.step) <= t.model.joints[j].speed_max * ticks * t.model.period
 
 
 @leaf
