@@ -577,11 +577,14 @@ def stopped_abruptly(t):
     """Determine whether constant readings of all joints began with a stop no friction can cause.
 
     Readings are constant if they have been identical for more than `DEAD`. The deceleration of a
-    joint with a motor, from one packet to the next, then needed more than twice the torque of dry
-    friction: the bound of its known friction, and `_HELD` times the motor's limit.
+    joint with a motor, from the packet before them to their first, then needed more than twice the
+    torque of dry friction: the bound of its known friction, and `_HELD` times the motor's limit. A
+    joint that had come to rest before does not count: while others moved, its friction acted on
+    much less inertia than M_jj.
 
     Args:
-        t: Tick, of which M is read, and of MEMORY `still` and `halted` of the joints.
+        t: Tick, of which M is read, and of MEMORY `still`, and `halted` and `same_speed` of the
+            joints.
     """
     if t.memory.still <= DEAD:
         return False
@@ -589,8 +592,10 @@ def stopped_abruptly(t):
     for k in range(t.model.n_arms):
         arm = t.model.arms[k]
         for j in range(arm.first, arm.end):
-            deceleration = t.memory.joints[j].halted
-            if deceleration > 0.0 and t.model.joints[j].motor >= 0:
+            joint_memory = t.memory.joints[j]
+            deceleration = joint_memory.halted
+            is_last = joint_memory.same_speed < t.memory.still + 1.5 * t.model.period
+            if is_last and deceleration > 0.0 and t.model.joints[j].motor >= 0:
                 bound = 2.0 * (_dry_friction_bound(t, j) + _HELD * t.model.joints[j].tau_max)
                 inertia = t.work.joints[j].M[j - arm.first]
                 is_stopped = is_stopped or inertia * deceleration > bound
