@@ -21,10 +21,11 @@ _TURNED = 0.25
 _GIVES = 0.5  #: share of `closure_error` by which the gap between two stopped arms may change
 _WEIGHED = 0.1  #: s after a stop in which the wrist of an arm shows that it has let go
 _SPEED_SHARE = 0.2  #: share of the positions' error at which an estimated speed is faulty
-#: Exchanged speeds: share of the smaller of two drifts by which their sum may differ from 0; share
-#: of `position_drift` that both exceed.
+#: share of the smaller of two errors by which their sum may differ from 0 if speeds are exchanged
 _OPPOSITE = 0.3
+#: shares of `position_drift` that both exceed, alone and where a speed is predicted worse, too
 _APART = 0.5
+_SLIGHTLY_APART = 0.2
 DEAD = 0.01  #: s of identical readings of all joints after which the whole packet is dead
 BLIND_TIME = 0.01  #: s without a sound reading after which a joint cannot be braked
 
@@ -39,7 +40,7 @@ def isolate_joint(t, j):
        larger error: the speed if `blame` > 0, else the position. `blame` is the integral, with
        forgetting, of |`surprise_v`| − |`surprise_q`|: these are the errors of the predicted speed
        against the speed read and against that of the positions (rad/s, m/s; see `sensors`). If
-       position errors of two joints are opposite, speeds are exchanged (`_mark_exchanged_speeds`).
+       errors of two joints are opposite, their speeds are exchanged (`_mark_exchanged_speeds`).
     3. In place of rule 2, a speed that is estimated from positions (`derived`) is faulty if
        |`surprise_v`| exceeds `_SPEED_SHARE` times |`surprise_q`|, because it follows the
        predictions more closely than positions do; else the position is.
@@ -70,38 +71,55 @@ def isolate_joint(t, j):
             for i in range(t.model.n_joints):
                 if joint_memory[i].faulty == 0:
                     joint_memory[i].faulty = FAULTY_SPEED
+            _mark_exchanged_speeds(t, j, _SLIGHTLY_APART)
         else:
             joint.faulty = FAULTY_POSITION
-            _mark_exchanged_speeds(t, j)
+            _mark_exchanged_speeds(t, j, _APART)
 
 
 @leaf
-def _mark_exchanged_speeds(t, j):
-    """Mark speeds in place of the positions of two joints if their speeds are exchanged.
+def _mark_exchanged_speeds(t, j, share):
+    """Mark speeds in place of positions if the speeds of joint j and another one are exchanged.
 
-    Positions and speeds of the two drift apart by opposite amounts then, ∫(v_i − v_j) dt and
-    ∫(v_j − v_i) dt. Joints with nearly the same axis move such that the exchanged speeds may be
-    predicted better than the positions, which are both marked. Two encoders that drift by opposite
-    amounts at the same time are far less likely. Noise of encoders may do so by chance, but not by
-    more than `_APART` times `position_drift` with steps that the joints' speed limits permit.
+    Speeds less those of the positions are opposite then, v_i − v_j and v_j − v_i, as are their
+    integrals, by which positions and speeds drift apart. Joints with nearly the same axis move such
+    that the exchanged speeds may be predicted better than the positions, and one or both positions
+    are marked. Two encoders that drift by opposite amounts at the same time are far less likely.
+    Noise of encoders may do so by chance, but hardly with low-passed errors that are opposite, too,
+    and steps that the joints' speed limits permit. Speeds that are estimated from positions are not
+    exchanged.
 
     Args:
         t: Tick; `faulty` of the joints in MEMORY is changed.
-        j: index of the joint whose position was marked in this tick.
+        j: index of the joint that was marked in this tick.
+        share: share of `position_drift` that both drifts exceed.
     """
     joints = t.memory.joints
-    for i in range(t.model.n_joints):
-        if i == j or joints[i].faulty != FAULTY_POSITION or is_constant(t, joints[i]):
+    for i in range(t.model.n_joints if t.memory.derived == 0 else 0):
+        if i == j or joints[i].faulty & FAULTY_SPEED or is_constant(t, joints[i]):
             continue
-        smallest = min(abs(joints[i].drift), abs(joints[j].drift))
-        is_large = smallest > _APART * t.model.position_drift
-        is_opposite = abs(joints[i].drift + joints[j].drift) < _OPPOSITE * smallest
-        if is_large and is_opposite and _moves_smoothly(t, i) and _moves_smoothly(t, j):
+        drifts_apart = _are_opposite(
+            joints[i].drift, joints[j].drift, share * t.model.position_drift
+        )
+        goes_on = _are_opposite(joints[i].error, joints[j].error, 0.0)
+        if drifts_apart and goes_on and _moves_smoothly(t, i) and _moves_smoothly(t, j):
             joints[i].faulty = joints[j].faulty = 0
             for k in range(t.model.n_joints):
                 if joints[k].faulty == 0:
                     joints[k].faulty = FAULTY_SPEED
             return
+
+
+@leaf
+def _are_opposite(x, y, least):
+    """Test whether two numbers are nearly opposite, and both larger than a bound.
+
+    Args:
+        x, y: the numbers.
+        least: bound of their magnitudes.
+    """
+    smallest = min(abs(x), abs(y))
+    return smallest > least and abs(x + y) < _OPPOSITE * smallest
 
 
 @leaf
