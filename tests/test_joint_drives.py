@@ -14,6 +14,7 @@ from samples import first, parametrize
 from scenario_runs import closed_force, rig_of, verdict_of, worst_force
 
 import osc_contact as osc
+from benchmarks.random_tasks import draw
 from osc_contact.control.joint_torque import JointTorqueLoop
 from osc_contact.dynamics.chain_state import joint_inertias, modes, stiffness_for
 from osc_contact.lab.plants.joint_drives import FlexibleJoints, Motors, set_dry_friction
@@ -253,3 +254,26 @@ def test_forces_survive_flexible_joints_with_the_loop_and_not_without(frequency)
     with suppress(osc.PlantError):  # or it diverges
         without = verdict_of("two_contact_rod", flexible, duration=1.5)
         assert worst_force(without) >= 5 * with_loop
+
+
+def test_the_modelled_friction_is_what_the_torque_loop_leaves_of_it():
+    """Friction F of a motor is F/(1 + gain) behind the loop; passive hinges keep theirs."""
+    losses = ["arms.left.friction=0.61", "arms.left.damping=1.22", "model_error.joint_friction=0.5"]
+    rig = rig_of("two_contact_rod", FLEXIBLE, LOOP, *losses)
+    arm, left = rig.chain.arms[0], rig.chain.slices[0]
+    is_passive = np.isin(list(arm.model.names)[1:], arm.passive_joints)
+    assert is_passive.sum() == 1
+    modelled = rig.model.model
+    friction = np.where(is_passive, 0.305, 0.305 / 61.0)
+    assert_near(modelled.upperDryFrictionLimit[left], friction)
+    assert_near(modelled.damping[left], 2.0 * friction)
+    assert_near(rig.chain.model.upperDryFrictionLimit[left], np.full(len(friction), 0.61))
+    without_loop = rig_of("two_contact_rod", FLEXIBLE, *losses).model.model
+    assert_near(without_loop.upperDryFrictionLimit[left], np.full(len(friction), 0.305))
+
+
+def test_an_approach_with_known_friction_behind_a_torque_loop_is_not_driven_away():
+    """The friction of a light last joint is not compensated a second time by the controller."""
+    scenario = draw(67164281, 33).load().replaced(duration=1.0)
+    recording = osc.run(scenario, seed=33, check=lambda rig: [])
+    assert set(np.unique(recording.channels["status"])) == {int(osc.Status.OK)}

@@ -1,6 +1,7 @@
 """Drives and sensors of a rig, made from a scenario, and the robot between plant and controller."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from operator import attrgetter
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from osc_contact.control.accelerations import expected_acceleration
 from osc_contact.control.controller import Controller
 from osc_contact.control.joint_torque import JointTorqueLoop
+from osc_contact.dynamics.arm import with_joints
 from osc_contact.dynamics.assembly import object_pose
 from osc_contact.dynamics.chain_state import ChainState, joint_inertias, stiffness_for
 from osc_contact.dynamics.closed_chain import ClosedChain
@@ -20,7 +22,7 @@ from osc_contact.lab.plants.sensors import SensorErrors, Sensors
 from osc_contact.lab.scenarios.hardware import Clock, EncoderSpec, SensorsSpec
 from osc_contact.lab.scenarios.schema import Scenario
 from osc_contact.loop.judge import Plant
-from osc_contact.robots.model import sliding
+from osc_contact.robots.model import joint_names, sliding
 from osc_contact.sensing.joint_readings import Encoders, JointReadings, speed_limits
 from osc_contact.sensing.vision_fusion import Registration, VisionFusion
 from osc_contact.spatial import Array
@@ -185,6 +187,32 @@ def torque_loop(
     if spec is None or joints is None:
         return None
     return JointTorqueLoop(joints.stiffness, joints.motor_inertia, chain.tau_max, spec)
+
+
+def behind_torque_loop(scenario: Scenario, chain: ClosedChain) -> ClosedChain:
+    """Chain as it behaves behind the joint torque loop of a scenario; itself without such a loop.
+
+    The loop reduces the friction of motors by the factor 1 + gain, so that friction of the full
+    size would be compensated twice. Friction of passive joints, which have no loop, stays.
+
+    Args:
+        scenario: scenario whose `control.joint_torque` acts on `plant.flexible_joints`.
+        chain: the arms with the friction of their drives.
+    """
+    loop = scenario.control.joint_torque
+    has_friction = chain.model.damping.any() or chain.model.upperDryFrictionLimit.any()
+    if loop is None or scenario.plant.flexible_joints is None or not has_friction:
+        return chain
+    arms = []
+    for arm in chain.arms:
+        is_passive = np.isin(joint_names(arm.model), arm.passive_joints)
+        share = np.where(is_passive, 1.0, 1.0 / (1.0 + loop.gain))
+        losses = {
+            "damping": share * arm.model.damping,
+            "friction": share * arm.model.upperDryFrictionLimit,
+        }
+        arms.append(replace(arm, model=with_joints(arm.model, losses, 1.0)))
+    return ClosedChain(arms, chain.grasps, chain.payload)
 
 
 def encoders(scenario: Scenario, chain: ClosedChain) -> Encoders:

@@ -582,7 +582,9 @@ def _error_of_true_chain(error: ModelErrorSpec) -> ModelErrorSpec:
 
 
 def _modelled_chain(scenario: Scenario, chain: ClosedChain, make: MakesChain) -> ClosedChain:
-    """Controller's model of arms and object, which is the true chain without model errors.
+    """Controller's model of arms and object.
+
+    Without model errors, and without a joint torque loop, it is the true chain.
 
     Args:
         scenario: scenario with its `model_error`.
@@ -592,7 +594,8 @@ def _modelled_chain(scenario: Scenario, chain: ClosedChain, make: MakesChain) ->
     error = scenario.model_error
     keys = ("arm_mass", "object_mass", "joint_friction", "armature")
     modelled = ModelErrorSpec(**{key: getattr(error, key) for key in keys})
-    return chain if modelled == _error_of_true_chain(error) else make(scenario, modelled)
+    model = chain if modelled == _error_of_true_chain(error) else make(scenario, modelled)
+    return hardware.behind_torque_loop(scenario, model)
 
 
 def build_chain(scenario: Scenario, error: ModelErrorSpec | None = None) -> ClosedChain:
