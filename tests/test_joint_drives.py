@@ -272,7 +272,7 @@ def test_the_modelled_friction_is_what_the_torque_loop_leaves_of_it():
     assert_near(without_loop.upperDryFrictionLimit[left], np.full(len(friction), 0.305))
 
 
-def test_an_approach_with_known_friction_behind_a_torque_loop_is_not_driven_away():
+def test_an_approach_with_known_friction_behind_a_torque_loop_is_not_driven_away(own_plants):
     """The friction of a light last joint is not compensated a second time by the controller."""
     scenario = draw(67164281, 33).load().replaced(duration=1.0)
     recording = osc.run(scenario, seed=33, check=lambda rig: [])
