@@ -79,6 +79,7 @@ def test_every_kind_of_fault_in_contact_and_some_elsewhere(where):
         ("a post at the forearm", Case(scenario="three_arm_plate", every=3, seed=1129)),
         ("a brake engages", Case(scenario="three_arm_plate", every=10, seed=276252386)),
         ("speeds swapped", Case(scenario="hinge_ball_rod", every=10, seed=212555030)),
+        ("speeds swapped", Case(scenario="dual_panda_rod", seed=78633083)),
     ],
     ids=str,
 )

@@ -309,3 +309,15 @@ def test_joints_that_stick_in_dry_friction_stop_nothing(how):
     changes += [] if bits is None else [f"sensors.encoder={errors}"]
     meta = run_of(scenario, *changes, duration=3.0).meta
     assert meta["end_state"] != "SAFE_STOP", meta["first_reason"]
+
+
+def test_a_joint_that_came_to_rest_before_the_others_stops_nothing():
+    """Friction stops it fast while they move; then all readings are constant for 10 ms."""
+    changes = ["plant.joint_friction=0.01", "gains.motion={frequency: 4 Hz}"]
+    run = Run(Place(seed=6), scenario=osc.load_scenario("panda_dome", changes))
+    measure = run.robot.measure
+    run.robot.measure = lambda: coarse(measure(), None)
+    verdict = Verdict("no fault", run.case)
+    while run.k * run.dt < 1.2:
+        run.step(verdict)
+    assert run.controller.state is not SAFE_STOP, run.controller.reason
