@@ -110,7 +110,8 @@ class MotionGains(_GainsOfOneLoop):
     integral: Annotated[NotNegativeNumber, "1/s³"] = _DERIVED
     """K_i = K_p / `integral_time`; may be given with `stiffness`; below `stiffness` × `damping`"""
     frequency: Positive[Frequency] = _DERIVED
-    """natural frequency of the motion loop, the same for positions and angles; 3.2 Hz"""
+    """natural frequency of the motion loop, the same for positions and angles; 3.2 Hz,
+    4 Hz with a tare"""
     damping_ratio: NotNegativeNumber = _DERIVED
     """damping ratio of the motion loop; 1"""
     integral_time: Positive[Time] = _DERIVED

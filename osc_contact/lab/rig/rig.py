@@ -153,7 +153,8 @@ def _furthest_contact(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
 
 
 MakesChain = Callable[[Scenario, ModelErrorSpec], ClosedChain]  #: type of `build_chain`
-TARE_INTEGRAL_S = 0.2  #: s, default integral_time of the motion in a scenario with a tare
+#: Defaults of the motion loop in a scenario with a tare: Hz, s.
+TARE_GAINS = {"frequency": 4.0, "integral_time": 0.2}
 
 
 @dataclass(frozen=True)
@@ -320,16 +321,18 @@ class Rig:
 
     @property
     def gains(self) -> Gains:
-        """Gains of the scenario, with a motion integral where it has a tare.
+        """Gains of the scenario, whose motion loop has other defaults where it has a tare.
 
-        Away from the contacts only the motion integral balances errors of the modelled weight. A
-        scenario with a tare therefore has an integral by default.
+        A tare is for weights and friction that the model does not know. Away from the contacts only
+        the motion integral balances errors of the weight, so it is on by default; and the loop is
+        faster, because unknown friction keeps slow ones off their path.
         """
         gains = self.scenario.gains
         own_settings = gains.motion.model_fields_set
-        if self.scenario.tare is None or {"stiffness", "integral_time"} & own_settings:
+        if self.scenario.tare is None or "stiffness" in own_settings:
             return gains
-        return gains.replaced(motion=gains.motion.replaced(integral_time=TARE_INTEGRAL_S))
+        defaults = {key: x for key, x in TARE_GAINS.items() if key not in own_settings}
+        return gains.replaced(motion=gains.motion.replaced(**defaults))
 
     @property
     def joint_friction(self) -> JointFriction | None:
