@@ -64,6 +64,24 @@ def test_gains_in_words_and_the_numbers_they_stand_for():
     assert motion.replaced(integral_time=None).stiffness == motion.stiffness
 
 
+@parametrize(
+    "gains, frequency, integral_time",
+    [
+        ("{}", 4.0, 0.2),
+        ("{motion: {damping_ratio: 0.7}}", 4.0, 0.2),
+        ("{motion: {frequency: 3 Hz}}", 3.0, 0.2),
+        ("{motion: {integral_time: 1 s}}", 4.0, 1.0),
+        ("{motion: {stiffness: 900, damping: 60}}", 30.0 / (2.0 * np.pi), np.inf),
+    ],
+)
+def test_a_tare_has_other_defaults_of_the_motion_loop(gains, frequency, integral_time):
+    """A faster loop with an integral; keys that are given stay."""
+    with_tare = rig_of("panda_dome", f"gains={gains}", "tare={}").gains.motion
+    assert (with_tare.frequency, with_tare.integral_time) == (approx(frequency), integral_time)
+    without = rig_of("panda_dome", "gains={}").gains.motion
+    assert (without.frequency, without.integral_time) == (approx(10.0 / np.pi), np.inf)
+
+
 test_gains_of_both_kinds_and_impossible_ones_are_refused = refusals(
     invalid_input,
     {
