@@ -78,3 +78,19 @@ def test_brakes_are_requested_where_noiseless_encoders_stand_still(how):
     assert not verdict.wrong, verdict
     assert verdict.unbraked
     assert verdict.stopped is not None and verdict.stopped < 1.0
+
+
+@parametrize("scenario", ["ur5_wipe", "panda_edge"])
+def test_a_joint_without_position_has_no_speed_if_speeds_are_estimated(scenario):
+    """The last estimate of its speed was held for ever, and the stopped arm was moved by it."""
+    turn = 2.0 * np.pi / 2**18
+    steps = f"angle: {{resolution: {turn} rad, noise: {turn} rad}}, length: {{noise: 1e-5}}"
+    loaded = osc.load_scenario(scenario, [f"sensors.encoder={{rate: 1 kHz, {steps}}}"])
+    run = Run(Case(scenario=scenario, seed=31), "encoder NaN for ever", scenario=loaded)
+    before = Verdict("no fault", run.case)
+    while run.k < run.first:
+        run.step(before)
+    assert not before.wrong and run.estimated
+    verdict = run.judge("encoder NaN for ever", fault_for=1.0, stopped_for=1.0)
+    assert verdict.unbraked, verdict
+    assert verdict.stopped is not None and verdict.stopped < 0.1

@@ -218,7 +218,8 @@ def _check_joints(t, is_new, same_wrenches):
     """Update the evidence of faults of all joints by the readings of this tick.
 
     A position is used if it is finite and not barred by a jump, a speed if it is plausible and no
-    speeds of several joints jump (`speed_jumps` of WORK). Reads q and v of INPUT, and in MEMORY
+    speeds of several joints jump (`speed_jumps` of WORK), and if its position is used, too, where
+    speeds are estimated from positions (`derived`). Reads q and v of INPUT, and in MEMORY
     `compared`, and `barred` and `acceleration` of the joints; updates their last speed `v`,
     `pending` (speed that was commanded since the position was read), the predictions `model_v` and
     `model_q` at the first reading, `unread_q` and `unread_v` (ticks), and the fields of
@@ -254,6 +255,8 @@ def _check_joints(t, is_new, same_wrenches):
         is_read = is_new and isfinite(q[j]) and joint_memory.barred == NOT_BARRED
         is_credible = is_new and abs(v[j]) <= model.plausible_speed * joint.rated
         is_credible = is_credible and not speeds_jump
+        # without a position, a speed that is estimated from positions is only a prediction
+        is_credible = is_credible and (is_read or memory.derived == 0)
         is_complete = is_complete and is_read
         # the position: change since it was read last, and evidence of faults
         if is_read:
