@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from pytest import mark
-from rigs import vector
+from rigs import assert_near, vector
 from samples import first, parametrize
 from scenario_runs import run_of
 
@@ -17,6 +17,7 @@ import osc_contact as osc
 from benchmarks.fault_injection import REST_AFTER, REST_SPEED, REST_TRAVEL, Run, Verdict
 from benchmarks.fault_injection import Case as Place
 from benchmarks.faults import NAN
+from osc_contact.law.records import FAULTY_SPEED
 
 SAFE_STOP = osc.SafetyState.SAFE_STOP
 WATCHED = 15.0  #: s after the stop
@@ -321,3 +322,20 @@ def test_a_joint_that_came_to_rest_before_the_others_stops_nothing():
     while run.k * run.dt < 1.2:
         run.step(verdict)
     assert run.controller.state is not SAFE_STOP, run.controller.reason
+
+
+def test_the_brake_of_a_joint_with_a_faulty_speed_is_without_its_identified_rotor():
+    """A rotor identified from noise of the wrist made the stopped joint oscillate at 31 Hz."""
+    run = Run(Place(scenario="panda_edge"))
+    verdict = Verdict("no fault", run.case)
+    rotor = 0.04
+    inertia = []
+    for faulty in (0, FAULTY_SPEED):
+        run.step(verdict)
+        memory, work = run.controller.records.memory, run.controller.records.work
+        memory.joints.rotor[:] = rotor
+        memory.joints.faulty[6] = faulty
+        run.step(verdict)
+        inertia.append([work.joints[j].M[j] for j in range(7)])
+    found = np.array(inertia[0]) - np.array(inertia[1])
+    assert_near(found, [0, 0, 0, 0, 0, 0, rotor], atol=2e-3)

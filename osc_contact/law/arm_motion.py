@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import cos, sin
 
 from osc_contact.law.jit import inner, leaf, local
+from osc_contact.law.records import FAULTY_SPEED
 from osc_contact.law.vectors import (
     ZERO,
     ZERO_3,
@@ -236,7 +237,9 @@ def _sum_from_tip(t, arm, outer_body, bias_out):
     force_j (6,) is the wrench that moves all links that joint j carries at q̈ = 0, and I_j their
     inertia, at the common point C. Fills of the joints `force` and `body` (these sums), `h` (N m,
     N), `M` (with the inertia of rotors on its diagonal), and `outboard`, the wrench of the bodies
-    beyond the wrist sensor per unit of the joint's acceleration.
+    beyond the wrist sensor per unit of the joint's acceleration. M is without the identified rotor
+    of a joint whose speed is faulty: the gain of its brake must not be too large for the speed that
+    is estimated from positions in place of it.
 
     Args:
         t: Tick, with `column`, and `force` and `body` of its own link in each joint.
@@ -264,7 +267,9 @@ def _sum_from_tip(t, arm, outer_body, bias_out):
             m = dot6(work[k].column, momentum)
             w.M[k - arm.first] = m
             work[k].M[j - arm.first] = m
-        w.M[j - arm.first] += joints[j].armature + t.memory.joints[j].rotor
+        memory_row = t.memory.joints[j]
+        is_sound = memory_row.faulty & FAULTY_SPEED == 0
+        w.M[j - arm.first] += joints[j].armature + (memory_row.rotor if is_sound else 0.0)
         if j <= arm.outer_joint:  # it moves all outboard bodies, else only those beyond itself
             momentum = _times(outer_body, w.column)
         fill(w.outboard, momentum)
