@@ -262,7 +262,7 @@ def planned(rig: Rig) -> Values:
 
 @doubt(
     "the joint springs oscillate at {first:.3g} Hz (first mode, motors held), and no joint "
-    "torque loop produces the commanded torques: below 100 Hz contact is lost; set "
+    "torque loop produces the commanded torques: below 100 Hz contact may be lost; set "
     "control.joint_torque={{rate: {rate:g} kHz}}",
     -100.0,
 )
