@@ -54,8 +54,7 @@ def isolate_joint(t, j):
         t: Tick; `faulty` of the joints in MEMORY is changed.
         j: index of the joint.
     """
-    joint_memory = t.memory.joints
-    joint = joint_memory[j]
+    joint = t.memory.joints[j]
     position_constant = is_constant(t, joint)
     has_changed = position_constant or abs(joint.moved) > _DISTANCE * t.model.position_drift
     speed_constant = joint.same_speed > DEAD and has_changed
@@ -68,13 +67,23 @@ def isolate_joint(t, j):
         if t.memory.derived:
             speed_worse = abs(joint.surprise_v) > _SPEED_SHARE * abs(joint.surprise_q)
         if speed_constant or speed_worse:
-            for i in range(t.model.n_joints):
-                if joint_memory[i].faulty == 0:
-                    joint_memory[i].faulty = FAULTY_SPEED
+            _mark_speeds(t)
             _mark_exchanged_speeds(t, j, _SLIGHTLY_APART)
         else:
             joint.faulty = FAULTY_POSITION
             _mark_exchanged_speeds(t, j, _APART)
+
+
+@leaf
+def _mark_speeds(t):
+    """Mark the speeds of all joints without a mark, as one driver or estimator returns them all.
+
+    Args:
+        t: Tick; `faulty` of the joints in MEMORY is changed.
+    """
+    for i in range(t.model.n_joints):
+        if t.memory.joints[i].faulty == 0:
+            t.memory.joints[i].faulty = FAULTY_SPEED
 
 
 @leaf
@@ -104,9 +113,7 @@ def _mark_exchanged_speeds(t, j, share):
         goes_on = _are_opposite(joints[i].error, joints[j].error, 0.0)
         if drifts_apart and goes_on and _moves_smoothly(t, i) and _moves_smoothly(t, j):
             joints[i].faulty = joints[j].faulty = 0
-            for k in range(t.model.n_joints):
-                if joints[k].faulty == 0:
-                    joints[k].faulty = FAULTY_SPEED
+            _mark_speeds(t)
             return
 
 

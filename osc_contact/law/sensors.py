@@ -254,9 +254,8 @@ def _check_joints(t, is_new, same_wrenches):
         # which of its readings can be used
         is_read = is_new and isfinite(q[j]) and joint_memory.barred == NOT_BARRED
         is_credible = is_new and abs(v[j]) <= model.plausible_speed * joint.rated
-        is_credible = is_credible and not speeds_jump
         # without a position, a speed that is estimated from positions is only a prediction
-        is_credible = is_credible and (is_read or memory.derived == 0)
+        is_credible = is_credible and not speeds_jump and (is_read or memory.derived == 0)
         is_complete = is_complete and is_read
         # the position: change since it was read last, and evidence of faults
         if is_read:
