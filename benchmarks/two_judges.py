@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,7 +45,7 @@ class Verdict:
     Attributes:
         scenario: name of the task.
         friction: coefficient of the faces.
-        judge: name in `JUDGES`.
+        judge: `mujoco`, or Drake's approximation of contacts.
         force: largest rms error of a contact force (share of its mean command).
         path: rms error along the free directions (m).
         peak: largest contact force (N).
@@ -79,7 +80,7 @@ def changes(judge: str, friction: float = 0.0) -> list[str]:
     """Changes of a scenario for a judge.
 
     Args:
-        judge: name in `JUDGES`.
+        judge: `mujoco`, or Drake's approximation of contacts.
         friction: coefficient of the faces.
     """
     common = ["control.force.reading=least_squares", f"plant.friction={friction}"]
@@ -95,7 +96,7 @@ def judged(name: str, friction: float, judge: str, duration: float | None = None
     Args:
         name: packaged scenario.
         friction: coefficient of the faces.
-        judge: name in `JUDGES`.
+        judge: `mujoco`, or Drake's approximation of contacts.
         duration: duration (s); None: the scenario's.
     """
     logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of elements of URDFs
@@ -115,39 +116,49 @@ def judged(name: str, friction: float, judge: str, duration: float | None = None
     )
 
 
-def cases(only: str = "", duration: float | None = None) -> list[tuple[Any, ...]]:
+def cases(
+    only: str = "", duration: float | None = None, judges: Sequence[str] = JUDGES
+) -> list[tuple[Any, ...]]:
     """Arguments of `judged` for all runs whose scenario's name has a text.
 
     Args:
         only: text.
         duration: duration (s); None: the scenario's.
+        judges: MuJoCo, or Drake's approximations of contacts.
     """
     return [
         (name, friction, judge, duration)
         for name in SCENARIOS
         if only in name
         for friction in FRICTION
-        for judge in JUDGES
+        for judge in judges
         if judge != "tamsi" or name in OPEN_CHAINS
     ]
 
 
-def main(only: str = "", duration: float = 0.0, workers: int = 2) -> None:
+def main(
+    only: str = "", duration: float = 0.0, workers: int = 2, judges: str = ",".join(JUDGES)
+) -> None:
     """Print the table, the missed limits, and where the judges differ.
 
     Args:
         only: text that scenarios' names have.
         duration: duration of each run (s); 0: the scenario's.
         workers: number of processes.
+        judges: mujoco, lagged, tamsi, similar, sap, separated by commas; Drake's two last are
+            refused where they would lift a sliding contact.
     """
-    verdicts = list(side_by_side(judged, cases(only, duration or None), workers))
+    found = cases(only, duration or None, judges.split(","))
+    verdicts = list(side_by_side(judged, found, workers))
     console = Console(width=150)
     console.print(table_from("Two judges", [row(one) for one in verdicts]))
     by_task: dict[tuple[str, float], dict[str, Verdict]] = {}
     for one in verdicts:
         by_task.setdefault((one.scenario, one.friction), {})[one.judge] = one
-    for (name, friction), judges in by_task.items():
-        mujoco, lagged = judges["mujoco"].force, judges["lagged"].force
+    for (name, friction), by_judge in by_task.items():
+        if not {"mujoco", "lagged"} <= by_judge.keys():
+            continue
+        mujoco, lagged = by_judge["mujoco"].force, by_judge["lagged"].force
         factor = max(mujoco, lagged) / min(mujoco, lagged)
         if factor > FACTOR and max(mujoco, lagged) > TELLING:
             console.print(f"{name}, μ {friction}: forces differ by a factor of {factor:.1f}")

@@ -12,6 +12,7 @@ from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.lab.rig.landings import landings
+from osc_contact.lab.scenarios.hardware import DrakeSpec
 
 
 def drake_of(*changes, name="two_contact_rod"):
@@ -62,6 +63,28 @@ def test_sap_is_refused_where_it_lifts_a_sliding_body_off_its_contact(monkeypatc
     still = ("plant.drake.relaxation=0 s", "plant.drake.stiffness=1e4")
     with plant_error("not installed"):
         osc.build_rig(drake_of(*sap, *still)).plant()
+
+
+def test_similar_is_refused_where_it_lifts_a_sliding_body_off_its_contact(monkeypatch):
+    """δt μ v against F/(k (1 + c μ v)): 0.157 m/s and μ 0.2, 0.25 ms, lift by 8 µm."""
+    monkeypatch.setitem(sys.modules, "pydrake", None)  # the rule is checked before Drake is needed
+    similar = ("plant.drake.contact=similar", "plant.friction=0.2", "plant.step=0.25 ms")
+    with plant_error("not installed"):
+        osc.build_rig(drake_of(*similar)).plant()
+    stiff = "plant.drake.stiffness=2e6"
+    with scenario_error(r"similar lifts .* = 0\.0078\d mm, .* is only 0\.0038 mm deep.*step, or"):
+        osc.build_rig(drake_of(*similar, stiff)).plant()
+    with plant_error("not installed"):
+        osc.build_rig(drake_of(*similar, stiff, "plant.step=0.05 ms")).plant()
+
+
+@parametrize("contact", ["similar", "sap"])
+def test_the_largest_friction_of_drake_lifts_by_the_depth(contact):
+    spec = DrakeSpec.model_validate({"contact": contact, "relaxation": "1 ms"})
+    friction = spec.largest_friction(10.0, 3e5, 0.3, 5e-4)
+    assert spec.lift(friction, 0.3, 5e-4) == approx(spec.depth(10.0, 3e5, friction, 0.3))
+    assert spec.largest_friction(10.0, 3e5, 0.0, 5e-4) == np.inf  # at rest
+    assert spec.largest_friction(0.0, 3e5, 0.3, 5e-4) == 0.0
 
 
 def test_landings_are_expected_with_the_stiffness_of_the_drake_plant():

@@ -10,8 +10,10 @@ import numpy as np
 from pytest import approx, mark, raises
 
 import osc_contact as osc
+from benchmarks.gliding import FRICTION, LOAD, SPEED, slide
 from benchmarks.two_judges import OPEN_CHAINS, SCENARIOS, changes, judged
 from osc_contact.lab.rig import rig as rigs
+from osc_contact.lab.scenarios.hardware import DrakeSpec
 
 PAGE = Path(__file__).parent.parent / "docs" / "drake.md"
 SECONDS = 2.5
@@ -83,6 +85,21 @@ def test_the_rule_of_sap_tells_which_contacts_open_by_themselves(monkeypatch):
         recording = osc.run(scenario, duration=1.5)
         shares.append(recording["closed"][500:].mean())
     assert shares[0] < 0.8 and shares[1] == 1.0, shares
+
+
+@mark.parametrize("contact", ["lagged", "similar", "sap"])
+def test_a_sliding_ball_is_as_deep_as_the_rule_expects(contact):
+    spec = DrakeSpec.model_validate({"contact": contact, "relaxation": 0.0})
+    slid = slide(spec, 5e-4)
+    expected = spec.depth(LOAD, 1e5, FRICTION, SPEED) - spec.lift(FRICTION, SPEED, 5e-4)
+    assert slid.depths == approx(expected, rel=2e-3) and slid.forces == approx(LOAD, rel=1e-3)
+
+
+def test_similar_opens_a_contact_where_the_rule_says_so():
+    stiff = DrakeSpec.model_validate({"contact": "similar", "stiffness": 3e5})
+    assert stiff.largest_friction(LOAD, 3e5, SPEED, 5e-4) < FRICTION
+    assert np.mean(slide(stiff, 5e-4).forces > 0.0) < 0.8
+    assert np.mean(slide(stiff, 1e-4).forces > 0.0) == 1.0
 
 
 @mark.parametrize(

@@ -52,9 +52,7 @@ def slip_speeds(pairs: Sequence[ContactPair], references: References) -> Array:
 def require_closed_slip(
     pairs: Sequence[ContactPair], references: References, owners: Array, plant: PlantSpec
 ) -> None:
-    """Refuse commands under which Drake's `sap` lifts a sliding object off a contact.
-
-    The condition is (τ₁ + τ₂ + δt) μ v < F/k at all times, see `DrakeSpec.lift`.
+    """Refuse commands under which Drake's `similar` or `sap` lifts a sliding object off a contact.
 
     Args:
         pairs: contacts.
@@ -65,19 +63,25 @@ def require_closed_slip(
     Raises:
         ScenarioError: the lift exceeds the depth of a contact.
     """
+    drake = plant.drake
     speeds = slip_speeds(pairs, references)
     commands = references.overview[1].commands
     for i, pair in enumerate(pairs):
-        force = commands[:, owners == i].sum(axis=1)
-        lift = np.array([plant.drake.lift(plant.friction, v, plant.step) for v in speeds[:, i]])
-        depth = force / plant.drake.stiffness_of(count_forces(pair))
-        worst = int(np.argmax(lift - depth))
-        if lift[worst] > depth[worst]:
-            at_most = plant.friction * depth[worst] / lift[worst]
+        forces = commands[:, owners == i].sum(axis=1)
+        stiffness = drake.stiffness_of(count_forces(pair))
+        moments = list(zip(forces.tolist(), speeds[:, i].tolist(), strict=True))
+        frictions = [drake.largest_friction(F, stiffness, v, plant.step) for F, v in moments]
+        worst = int(np.argmin(frictions))
+        if plant.friction > frictions[worst]:
+            force, v = moments[worst]
+            time = "step" if drake.contact == "similar" else "(2 relaxation + step)"
+            lift = drake.lift(plant.friction, v, plant.step)
+            depth = drake.depth(force, stiffness, plant.friction, v)
             raise ScenarioError(
-                f"plant.drake.contact: sap lifts a sliding body by (2 relaxation + step) friction "
-                f"slip speed = {1e3 * lift[worst]:.3g} mm, and contact '{pair.name}' is only "
-                f"{1e3 * depth[worst]:.3g} mm deep ({force[worst]:.3g} N, {speeds[worst, i]:.3g} "
-                "m/s): it would open and bounce without any fault of the controller; choose "
-                f"lagged, a smaller relaxation, or a friction below {at_most:.2g}"
+                f"plant.drake.contact: {drake.contact} lifts a sliding body by {time} friction "
+                f"slip speed = {1e3 * lift:.3g} mm, and contact '{pair.name}' is only "
+                f"{1e3 * depth:.3g} mm deep ({force:.3g} N, {v:.3g} m/s): it would open and bounce "
+                "without any fault of the controller; choose lagged, a smaller "
+                f"{'step' if drake.contact == 'similar' else 'relaxation'}, or a friction below "
+                f"{frictions[worst]:.2g}"
             )

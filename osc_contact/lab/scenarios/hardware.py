@@ -112,9 +112,9 @@ class Push(Spec):
 class DrakeSpec(Spec):
     """Contacts of the Drake plant."""
 
-    contact: Literal["lagged", "tamsi", "sap"] = "lagged"
-    """Drake's approximation of contacts; `tamsi` knows no loops and is for one arm; `sap` lifts a
-    body that slides, and is refused where this would open a contact"""
+    contact: Literal["lagged", "tamsi", "similar", "sap"] = "lagged"
+    """Drake's approximation of contacts; `tamsi` knows no loops and is for one arm; `similar` and
+    `sap` lift a body that slides, and are refused where this would open a contact"""
     stiffness: Annotated[PositiveNumber, "N/m"] = 1e5
     """of a contact point; of rigs like the packaged ones Drake itself makes about as much"""
     area_stiffness: Annotated[PositiveNumber, "N/m"] = 1e6
@@ -131,19 +131,65 @@ class DrakeSpec(Spec):
         return self.stiffness if forces == 1 else self.area_stiffness
 
     def lift(self, friction: float, slip_speed: float, step: float) -> float:
-        """Height (m) by which the contact of a sliding body is lifted by `sap`; 0 for the others.
+        """Height (m) by which a sliding body is lifted; 0 for `lagged` and `tamsi`.
 
-        (τ₁ + τ₂ + δt) μ v with the relaxation times τ, the step δt and the slip speed v (Drake's
-        documentation of its convex approximation; Castro et al., arXiv 2110.10107).
+        δt μ v of `similar`, (τ₁ + τ₂ + δt) μ v of `sap`, with the relaxation times τ, the step δt
+        and the slip speed v (Drake's documentation of its convex approximations; Castro et al.,
+        arXiv 2110.10107).
 
         Args:
             friction: Coulomb coefficient μ.
             slip_speed: v (m/s).
             step: δt (s).
         """
-        if self.contact != "sap":
-            return 0.0
-        return (2.0 * self.relaxation + step) * friction * slip_speed
+        return self._lifting_time(step) * friction * slip_speed
+
+    def depth(self, force: float, stiffness: float, friction: float, slip_speed: float) -> float:
+        """Depth (m) at which a sliding contact carries a force, without the lift.
+
+        F/k; of `similar` F/(k (1 + c μ v)) with the dissipation c, as it takes v_n − μ v for the
+        normal velocity v_n.
+
+        Args:
+            force: F (N).
+            stiffness: k (N/m).
+            friction: Coulomb coefficient μ.
+            slip_speed: v (m/s).
+        """
+        return force / (stiffness * (1.0 + self._slip_dissipation * friction * slip_speed))
+
+    def largest_friction(
+        self, force: float, stiffness: float, slip_speed: float, step: float
+    ) -> float:
+        """Friction coefficient at which the lift of a sliding contact is its depth; ∞: none is.
+
+        Args:
+            force: force of the contact (N).
+            stiffness: its stiffness (N/m).
+            slip_speed: its slip speed (m/s).
+            step: step of the simulation (s).
+        """
+        time = self._lifting_time(step)
+        if time * slip_speed == 0.0:
+            return math.inf
+        # the positive root of time μ v (1 + c μ v) = F/k
+        ratio = max(force, 0.0) / (stiffness * time)
+        root = math.sqrt(1.0 + 4.0 * self._slip_dissipation * ratio)
+        return 2.0 * ratio / (1.0 + root) / slip_speed
+
+    def _lifting_time(self, step: float) -> float:
+        """Time (s) by which μ times the slip speed is multiplied to give the lift.
+
+        Args:
+            step: step of the simulation (s).
+        """
+        times = {"similar": step, "sap": 2.0 * self.relaxation + step}
+        return times.get(self.contact, 0.0)
+
+    @property
+    def _slip_dissipation(self) -> float:
+        """Dissipation (s/m) that acts on μ times the slip speed."""
+        return self.dissipation if self.contact == "similar" else 0.0
 
 
 class PlantSpec(Spec):
