@@ -4,11 +4,11 @@
 
 A Panda wipes the 100 markers of the task with its pad, pressing with 12 N at 50 mm/s along their
 path. The environment is unmodified, with its default stepping; every seed draws other markers, a
-table up to 5 mm higher or lower than its model, and a friction coefficient from 0.03 to 0.3. All
-controllers follow the same path with the same goals, 20 a second. OSC_POSE presses by lowering its
-goal below the table: `--search-settings` finds how deep and how stiff, on tables that the
-comparison does not use. Verdicts are kept in out/wiping by the hash of the sources, so that the
-same command continues where it was interrupted.
+table up to 5 mm higher or lower than its model, and a friction coefficient from 0.03 to 0.3.
+`--force` and `--friction` give others. All controllers follow the same path with the same goals, 20
+a second. OSC_POSE presses by lowering its goal below the table: `--search-settings` finds how deep
+and how stiff, for 12 N, on tables that the comparison does not use. Verdicts are kept in out/wiping
+by the hash of the sources, so that the same command continues where it was interrupted.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ SPEED = 0.05  #: m/s, along the markers
 ABOVE = 0.015  #: m, between pad and table before landing
 ABOVE_ACTIONS, LANDING_ACTIONS = 60, 60  #: 3 s each
 LANDED = 15  #: actions with contact after which the path begins
+THICKNESS, INSIDE = 0.015, 0.025  #: of the pad from the grip site; its rim from there (m)
 WINDOW = 10  #: steps of the physics in 20 ms
 OFF, FRICTION = 0.005, (0.03, 0.3)  #: largest error of the table's height (m), friction
 FIRST_TUNING_SEED = 1000  #: seeds of the search begin here
@@ -65,20 +66,33 @@ class Rival(Protocol):
         """
 
 
+def tip_on_table() -> osc.VertexOnFace:
+    """Contact of the grip site, which only presses: the pad's rotation is a motion."""
+    return osc.VertexOnFace([0, 0, 0], point=[0, 0, HEIGHT], normal=[0, 0, 1], name="table")
+
+
+def pad_on_table() -> osc.FaceOnFace:
+    """Contact of the pad's face, in the frame of the grip site; two of its rotations are forces."""
+    return osc.FaceOnFace(
+        [0, 0, THICKNESS], [0, 0, 1], [0, 0, HEIGHT], [0, 0, 1], size=INSIDE, name="table"
+    )
+
+
 @dataclass(frozen=True)
 class Ours:
     """This package's composite controller: the force is a part of its action.
 
     Attributes:
         options: further options of the controller.
+        contact: function that makes the contact of the tool with the table.
     """
 
     options: Mapping[str, Any] = field(default_factory=dict)
+    contact: Callable[[], osc.ContactPair] = tip_on_table
 
     def config(self) -> dict[str, Any]:
         """Return the configuration, see `Rival`."""
-        table = osc.VertexOnFace([0, 0, 0], point=[0, 0, HEIGHT], normal=[0, 0, 1], name="table")
-        return osc_contact_config(ROBOT, [table], **self.options)
+        return osc_contact_config(ROBOT, [self.contact()], **self.options)
 
     def action(self, goal: pin.SE3, force: float) -> Array:
         """Return the action, see `Rival`."""
@@ -128,9 +142,12 @@ class Wiped:
     Attributes:
         name: name of the rival.
         seed: seed of markers, height and friction.
+        force: command (N).
+        friction: coefficient that was given; None: drawn.
         markers: wiped, of 100.
         mean: force on the path (N).
         raw, smooth: rms of force errors of each step, and of their means over 20 ms (N).
+        late: the latter on the second half of the path (N).
         peak, landing: largest force on the path, and before it (N).
         aside: rms distance of the tool from the path (mm).
         success: True if the environment judges so.
@@ -139,10 +156,13 @@ class Wiped:
 
     name: str
     seed: int
+    force: float
+    friction: float | None
     markers: int
     mean: float
     raw: float
     smooth: float
+    late: float
     peak: float
     landing: float
     aside: float
@@ -150,9 +170,9 @@ class Wiped:
     end: str = ""
 
     @property
-    def key(self) -> tuple[str, int]:
-        """Rival and seed."""
-        return (self.name, self.seed)
+    def key(self) -> tuple[str, int, float, float | None]:
+        """Rival, seed, command and friction."""
+        return (self.name, self.seed, self.force, self.friction)
 
 
 class Wiping:
@@ -162,6 +182,7 @@ class Wiping:
         rival: controller of the rival.
         seed: seed of markers, height and friction.
         force: command (N).
+        friction: coefficient of the table; None: drawn.
         options: further arguments of `robosuite.make`.
 
     Attributes:
@@ -170,14 +191,22 @@ class Wiping:
         places: positions of the tool after each action.
     """
 
-    def __init__(self, rival: Rival, seed: int, force: float = FORCE, **options: Any) -> None:
+    def __init__(
+        self,
+        rival: Rival,
+        seed: int,
+        force: float = FORCE,
+        friction: float | None = None,
+        **options: Any,
+    ) -> None:
         ROBOSUITE_DEFAULT_LOGGER.setLevel("ERROR")
         rng = np.random.default_rng(seed)
+        height, drawn = HEIGHT + rng.uniform(-OFF, OFF), rng.uniform(*FRICTION)
         task = dict(
             DEFAULT_WIPE_CONFIG,
             early_terminations=False,
-            table_offset=[0.15, 0, HEIGHT + rng.uniform(-OFF, OFF)],
-            table_friction=[rng.uniform(*FRICTION), 0.005, 1e-4],
+            table_offset=[0.15, 0, height],
+            table_friction=[drawn if friction is None else friction, 0.005, 1e-4],
         )
         np.random.seed(seed)  # robosuite draws the markers and the arm's posture from it
         self.env = robosuite.make(
@@ -276,7 +305,9 @@ def aside(places: Array, path: Array) -> Array:
     return np.linalg.norm(offset - share[..., None] * legs, axis=2).min(1)
 
 
-def try_wiping(name: str, rival: Rival, seed: int, force: float = FORCE) -> Wiped:
+def try_wiping(
+    name: str, rival: Rival, seed: int, force: float = FORCE, friction: float | None = None
+) -> Wiped:
     """Run one episode.
 
     Args:
@@ -284,14 +315,16 @@ def try_wiping(name: str, rival: Rival, seed: int, force: float = FORCE) -> Wipe
         rival: controller of the rival.
         seed: seed of markers, height and friction.
         force: command (N).
+        friction: coefficient of the table; None: drawn.
     """
-    episode = Wiping(rival, seed, force)
+    episode = Wiping(rival, seed, force, friction)
     episode.land()
     begun, acted = len(episode.forces), len(episode.places)
     episode.wipe()
     forces = np.array(episode.forces[begun:])
     smooth = np.convolve(forces, np.full(WINDOW, 1.0 / WINDOW), "valid")
-    raw_rms, smooth_rms = (float(np.sqrt(np.mean((x - force) ** 2))) for x in (forces, smooth))
+    parts = (forces, smooth, smooth[len(smooth) // 2 :])
+    raw, every, late = (float(np.sqrt(np.mean((part - force) ** 2))) for part in parts)
     off = aside(np.array(episode.places[acted:])[:, :2], episode.path)
     end = ""
     if isinstance(rival, Ours):
@@ -299,10 +332,13 @@ def try_wiping(name: str, rival: Rival, seed: int, force: float = FORCE) -> Wipe
     return Wiped(
         name,
         seed,
+        force,
+        friction,
         len(episode.env.wiped_markers),
         float(forces.mean()),
-        raw_rms,
-        smooth_rms,
+        raw,
+        every,
+        late,
         float(forces.max()),
         max(episode.forces[:begun]),
         1e3 * float(np.sqrt(np.mean(off**2))),
@@ -326,20 +362,31 @@ RIVALS: dict[str, Rival] = {
 }
 COMPARED = ";".join(RIVALS)  #: names of the controllers that are compared without `--rivals`
 RIVALS["friction not compensated"] = Ours({"friction": osc.Friction(mu=0.0, learning=0.0)})
+RIVALS["face on face"] = Ours(contact=pad_on_table)
+RIVALS["face on face, patient"] = Ours(
+    {
+        "life": osc.PhaseSettings(patience=0.2),
+        "gains": osc.Gains(force=osc.ForceGains(bandwidth=2.0)),
+    },
+    pad_on_table,
+)
 
 
-def results(jobs: Sequence[tuple[str, Rival, int]], workers: int) -> list[Wiped]:
+Job = tuple[str, Rival, int, float, float | None]  #: arguments of `try_wiping`
+
+
+def results(jobs: Sequence[Job], workers: int) -> list[Wiped]:
     """Run episodes, those that are not kept yet.
 
     Args:
-        jobs: name of the rival, the rival and the seed of each.
+        jobs: name of the rival, the rival, seed, command and friction of each.
         workers: processes.
     """
     kept = Kept(KEPT, lambda row: Wiped(**row))
-    left = [job for job in jobs if (job[0], job[2]) not in kept.found]
+    left = [job for job in jobs if (job[0], *job[2:]) not in kept.found]
     for wiped in side_by_side(try_wiping, left, workers) if left else ():
         kept.add(wiped)
-    return [kept.found[(name, seed)] for name, _, seed in jobs]
+    return [kept.found[(name, *rest)] for name, _, *rest in jobs]
 
 
 def row(name: str, found: Sequence[Wiped]) -> list[object]:
@@ -348,14 +395,15 @@ def row(name: str, found: Sequence[Wiped]) -> list[object]:
     def mean(value: Callable[[Wiped], float]) -> float:
         return float(np.mean([value(one) for one in found]))
 
-    spread = [one.mean for one in found]
+    spread, force = [one.mean for one in found], found[0].force
     return [
         name,
         f"{sum(one.success for one in found)} of {len(found)}",
         f"{mean(lambda one: one.markers):.1f}",
         f"{min(spread):.1f} to {max(spread):.1f}",
-        f"{100.0 * mean(lambda one: one.raw) / FORCE:.0f}",
-        f"{100.0 * mean(lambda one: one.smooth) / FORCE:.1f}",
+        f"{100.0 * mean(lambda one: one.raw) / force:.1f}",
+        f"{100.0 * mean(lambda one: one.smooth) / force:.1f}",
+        f"{100.0 * mean(lambda one: one.late) / force:.1f}",
         f"{max(one.peak for one in found):.0f}",
         f"{max(one.landing for one in found):.0f}",
         f"{mean(lambda one: one.aside):.1f}",
@@ -364,7 +412,7 @@ def row(name: str, found: Sequence[Wiped]) -> list[object]:
 
 HEADS = (
     "controller; success; markers of 100; mean force (N); rms raw (%); rms of 20 ms (%); "
-    "peak (N); landing (N); off the path (mm)"
+    "2nd half (%); peak (N); landing (N); off the path (mm)"
 )
 
 
@@ -372,7 +420,8 @@ def search(seeds: int, workers: int) -> None:
     """Print all settings of OSC_POSE, best first, from tables that the comparison does not use."""
     settings = [OscPose(kp, depth) for kp in STIFFNESS for depth in DEPTHS]
     every = range(FIRST_TUNING_SEED, FIRST_TUNING_SEED + seeds)
-    found = results([(str(one), one, seed) for one in settings for seed in every], workers)
+    jobs = [(str(one), one, seed, FORCE, None) for one in settings for seed in every]
+    found = results(jobs, workers)
     by_name = {str(one): [w for w in found if w.name == str(one)] for one in settings}
 
     def merit(name: str) -> tuple[int, float]:
@@ -383,7 +432,14 @@ def search(seeds: int, workers: int) -> None:
     Console(width=160).print(table_of(f"OSC_POSE: {seeds} tables for tuning", HEADS, rows))
 
 
-def compare(seeds: int, first: int | None, rivals: str, workers: int) -> None:
+def compare(
+    seeds: int,
+    first: int | None,
+    rivals: str,
+    workers: int,
+    force: float = FORCE,
+    friction: float | None = None,
+) -> None:
     """Print the comparison.
 
     Args:
@@ -391,17 +447,22 @@ def compare(seeds: int, first: int | None, rivals: str, workers: int) -> None:
         first: first seed; None: it is drawn, and printed.
         rivals: names of the controllers, separated by semicolons.
         workers: processes.
+        force: command (N).
+        friction: coefficient of the tables; None: drawn.
     """
     begin = int(np.random.default_rng().integers(FRESH, 10**6)) if first is None else first
     print(f"seeds {begin} to {begin + seeds - 1}: --first {begin}", flush=True)
     names = rivals.split(";")
-    jobs = [(name, RIVALS[name], seed) for name in names for seed in range(begin, begin + seeds)]
+    jobs = [
+        (name, RIVALS[name], seed, force, friction)
+        for name in names
+        for seed in range(begin, begin + seeds)
+    ]
     found = results(jobs, workers)
     rows = [row(name, [one for one in found if one.name == name]) for name in names]
-    title = (
-        f"Wipe, {FORCE:g} N, {1e3 * SPEED:g} mm/s, {seeds} tables of unknown height and friction"
-    )
-    Console(width=160).print(table_of(title, HEADS, rows))
+    unknown = "height and friction" if friction is None else f"height, friction {friction:g}"
+    title = f"Wipe, {force:g} N, {1e3 * SPEED:g} mm/s, {seeds} tables of unknown {unknown}"
+    Console(width=180).print(table_of(title, HEADS, rows))
 
 
 def draw(path: Path, seed: int = 0) -> None:
@@ -427,6 +488,8 @@ def main(
     search_settings: bool = False,
     workers: int = 2,
     picture: Path | None = None,
+    force: float = FORCE,
+    friction: float | None = None,
 ) -> None:
     """Compare the controllers, or search settings for OSC_POSE.
 
@@ -437,6 +500,8 @@ def main(
         search_settings: search instead of comparing.
         workers: processes.
         picture: draw the forces of the first table instead.
+        force: command of the comparison (N); OSC_POSE presses as for 12 N.
+        friction: coefficient of the tables of the comparison; None: drawn.
     """
     if picture is not None:
         draw(picture)
@@ -444,7 +509,7 @@ def main(
     if search_settings:
         search(seeds, workers)
     else:
-        compare(seeds, first, rivals, workers)
+        compare(seeds, first, rivals, workers, force, friction)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@ import robosuite
 from pytest import approx, fixture, mark, raises
 
 import osc_contact as osc
-from benchmarks.wiping import Ours, normal_force, try_wiping
+from benchmarks.dragged_pad import dragged, pad_alone
+from benchmarks.wiping import ARM, OscPose, Ours, Wiping, normal_force, try_wiping
 from osc_contact.robosuite import osc_contact_config
 
 PAGE = Path(__file__).parent.parent / "docs" / "robosuite.md"
@@ -51,6 +52,19 @@ def test_wiping_at_unknown_height_and_friction_succeeds():
     wiped = try_wiping("ours", Ours(), seed=0)
     assert wiped.success and wiped.end == "OK"
     assert wiped.mean == approx(12.0, abs=0.1) and wiped.aside < 0.5 and wiped.landing < 20.0
+
+
+def test_thirty_newtons_on_a_smooth_table_are_constant():
+    wiped = try_wiping("ours", Ours(), seed=1, force=30.0, friction=0.03)
+    assert wiped.success and wiped.raw < 0.02 * 30.0
+
+
+def test_the_pad_that_is_dragged_alone_lies_flat():
+    task = Wiping(OscPose(75.0, 0.009), 0)
+    model, data = task.env.sim.model._model, task.env.sim.data._data
+    site = task.env.robots[0].eef_site_id[ARM]
+    forces, corners = dragged(pad_alone(model, data, site, 15.0, 0.1), 12.0, 0.0)
+    assert forces == approx(12.0, rel=1e-3) and corners == approx(4.0, rel=0.02)
 
 
 @mark.parametrize("light", [True, False])
