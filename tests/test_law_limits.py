@@ -235,6 +235,7 @@ def agree(case, tolerance):
     [
         ({}, 1e-11),
         ({"weak": 0.05}, 1e-11),
+        ({"d": 6, "r": 6}, 1e-9),
         ({"apart": 1e-3}, 1e-8),
         ({"apart": 1e-6}, 1e-8),
         ({"apart": 1e-6, "bodies": True}, 1e-11),

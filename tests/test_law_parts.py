@@ -10,7 +10,7 @@ from types import SimpleNamespace as Record
 
 import numpy as np
 import pinocchio as pin
-from law_calls import algebra, commands, grasps, normals, records, write
+from law_calls import algebra, commands, grasps, normals, operational, records, write
 from law_calls import columns as columns_of_N
 from numpy.linalg import norm, qr
 from numpy.testing import assert_array_equal
@@ -55,6 +55,35 @@ def test_what_cannot_be_factored_is_reported():
         X[n - 1] = 0.0
         assert not algebra.qr_rows(X.copy(), n, 8, np.zeros(8), np.zeros(8))
         assert algebra.orthonormalise(X[:, :6].copy(), n, 0, Q[:, :6].copy(), L) == 0.0
+
+
+@SEEDS
+def test_equations_with_a_triangular_matrix(seed):
+    """R by `qr_rows`, one below the other; arrays of just the size, too."""
+    rng = rng_of(seed)
+    n = seed + 3
+    X, Z = rng.standard_normal((2, 8, 8))
+    diagonal = rng.uniform(1.0, 2.0, 8)
+    R = np.triu(X[:n, :n].T, 1) + np.diag(diagonal[:n])
+    expected = Z.copy()
+    expected[:n, :2] = np.linalg.solve(R, Z[:n, :2])
+    algebra.back_substitute(X, n, 2, diagonal, Z)
+    assert_near(Z, expected, atol=1e-12)
+
+
+@parametrize("columns", [1, 3, 6])
+def test_columns_of_joints_are_factorised_unless_one_depends_on_those_before(columns):
+    A = rng_of(8).standard_normal((7, 6))
+    Q, L = np.full((7, 6), np.nan), np.full((columns, columns), np.nan)
+    assert operational._qr_tall(A.copy(), 7, columns, Q, L)
+    L = np.tril(L)
+    np.fill_diagonal(L, 1.0 / np.diag(L))
+    assert_near(Q[:, :columns] @ L.T, A[:, :columns], atol=1e-13)
+    assert_near(Q[:, :columns].T @ Q[:, :columns], np.eye(columns), atol=1e-13)
+    for zero in range(columns):
+        broken = A.copy()
+        broken[:, zero] = 0.0
+        assert not operational._qr_tall(broken, 7, columns, Q, L)
 
 
 def test_rows_that_nearly_depend_are_orthonormal_to_the_last_digit():

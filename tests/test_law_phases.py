@@ -486,6 +486,21 @@ def run_story(seed):
     return happened
 
 
+@parametrize("phase", [OPEN, APPROACHING, CLOSED])
+def test_columns_of_a_contact_begin_without_a_past(phase):
+    """They count as closed if it begins closed; those of other contacts keep theirs."""
+    phases = Phases([0, 1, 1], [True, True])
+    times = ("low_for", "high_for", "underforce", "overforce")
+    for name in (*times, "collision", "closed"):
+        setattr(phases.columns, name, [1, 1, 1])
+    phases.work.here[:3] = 1.0
+    active_set._begin_columns(phases.tick, 1, phase)
+    for name in (*times, "collision"):
+        assert phases.columns[name].tolist() == [1, 0, 0]
+    assert phases.columns.closed.tolist() == [1, *[phase == CLOSED] * 2]
+    assert phases.work.here[:3].tolist() == [1.0, 0.0, 0.0]
+
+
 @parametrize("seeds", first([range(10), range(10, 24)], 1))
 def test_whatever_happens_the_phases_keep_their_rules(seeds):
     """Random stories, with held ticks, dependent columns and integrals of other ranks.

@@ -275,6 +275,7 @@ def test_without_a_rise_time_forces_are_as_they_are_wanted():
     for goal in (10.0, -4.0, 60.0):
         assert forces.tick([goal])[0] == goal == inner.tick([goal])[0]
         assert forces.work.integral_scale == 1.0 and forces.work.step_left == 0.0
+        assert forces.kept[0].scale == 0.0, "without steps nothing corrects a declared compliance"
     forces = pressed()
     forces.run([16.0], 60)
     assert forces.kept[0].to_come.all(), "a step was made"

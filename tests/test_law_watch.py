@@ -479,6 +479,16 @@ def test_noisy_speeds_of_a_joint_at_rest_are_no_motion(offset):
         assert sensors.tick(v=v, true=(0.3, 0.0)) == NO_REASON
 
 
+@BOTH
+def test_speeds_of_a_constant_position_count_after_five_times_their_delay(sign):
+    """And where their mean, 0.2 rad/s here, goes on."""
+    t = records(joints=1, position_drift=0.01)
+    row = t.memory.joints[0]
+    for rested, present, found in ((0.0499, 0.2, 0), (0.0501, 0.2, 1), (0.0501, 0.09, 0)):
+        write(row, rested=rested, due=sign * 0.2 * rested, error=sign * present)
+        assert sensors._creeps(t, row) == found
+
+
 @parametrize("late", ["low-pass", "delay"])
 def test_late_speeds_of_a_joint_that_stops_suddenly_are_no_motion(late):
     sensors = Sensors(frozen_time=np.inf, position_drift=0.02, speed_error=1.0)

@@ -3,7 +3,7 @@
 What the law makes of them on random states is judged in `test_law_kkt`, whose ticks are used here.
 """
 
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from itertools import islice
 
 import numpy as np
@@ -12,6 +12,7 @@ from complaints import contact_error, invalid_input, model_error, refusals
 from kkt_oracle import linkage, random_inertia
 from numpy.linalg import inv, lstsq, solve
 from numpy.random import default_rng
+from pytest import raises
 from rigs import largest, miss, placed, pose_of, random_state, refused, scara_pair, ticked, vector
 from samples import parametrize
 from test_law_kkt import ticks
@@ -213,6 +214,8 @@ def test_a_contact_where_nobody_yields_is_refused_and_one_where_the_environment_
     state = scaras(47)
     locked = osc.Contact(state.C)
     got = contact_response(state, locked, Environment(state.C @ state.C.T * 0.1), tau=np.zeros(8))
+    with raises(FrozenInstanceError):
+        got.alpha = got.alpha
     expected = (state.C.T @ state.sigma) / (0.1 * (state.C.T @ state.C)[0, 0] ** 2)
     assert miss(got.alpha, expected) < RTOL
     across = Environment(np.outer(state.S[:, 0], state.S[:, 0]))

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pinocchio as pin
+from complaints import model_error
 from numpy.linalg import cholesky, inv, svd
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
@@ -160,3 +161,15 @@ def test_bad_states_are_refused(q, v, words):
         osc.operational_space(arm, [PANDA_Q] * 2, [PANDA_Q] * 2, out)
     with raises(AttributeError, match="no attribute 'mass'"):
         _ = out.mass
+
+
+def test_states_whose_inertia_is_not_positive_definite_are_refused():
+    """The last link has a negative moment of inertia; the state of the first check shows none."""
+    arm = panda_arm("a", BASE)
+    link = arm.model.inertias[7].copy()
+    link.inertia = link.inertia + np.diag([-0.045, 0.045, 0.045])
+    arm.model.inertias[7] = link
+    out = osc.OperationalSpace(arm)
+    for q, result in ((PANDA_Q, out), ([PANDA_Q] * 2, None)):
+        with model_error("the joint-space inertia of an arm is not positive definite"):
+            osc.operational_space(arm, q, np.zeros_like(q), result)
