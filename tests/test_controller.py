@@ -108,6 +108,24 @@ def test_a_wall_that_the_arms_cannot_push_is_held(rig, ready):
     assert blocked.state is osc.SafetyState.HOLD and first.any()  # there is nothing to repeat yet
 
 
+def test_a_stop_by_singular_contacts_is_explained_afterwards_too():
+    """A vertex 100 mm off a face of the same object, which turns: later, Python code was named."""
+    rig = rig_of("panda_edge")
+    X = rig.state.X_WO
+    normal = X.rotation[:, 2]
+    face = osc.FaceOnFace([0, 0, 0], [0, 0, -1], X.translation, normal, size=0.05, name="pad")
+    tip = osc.VertexOnFace([0, 0, 0.1], point=X.translation, normal=normal, name="tip")
+    controller = Controller(rig.chain, [tip, face], posture=rig.q_start)
+    measured = rig.plant().measure()
+    measured = replace(measured, v=np.full_like(measured.v, 0.1))
+    reasons = []
+    for _ in range(osc.SafetySettings().stop_after + 3):
+        controller.tick(measured, osc.Reference(X, alpha_d=[5.0, 1.0, 1.0, 1.0]))
+        reasons.append(controller.reason)
+    assert reasons[0].startswith("pad: singular at this instant")
+    assert reasons[-1].startswith("stopped, until reset() is called. Cause: contacts were singular")
+
+
 def test_wiring_is_complete_and_runs_forward(rig):
     """Every signal of fig. 4 is read or is a torque, every input exists before it is read."""
     known = {"q", "v", "wrenches", "touched", "reference", "alpha_d", "squeeze_d"}

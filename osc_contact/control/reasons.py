@@ -126,8 +126,8 @@ def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
         return f"{SENTENCES[cause].format_map(facts)}{warning}{_ADVICE_TO_RESET}"
     if code == STOPPED or (stopped and code != cause):
         sentence = "a tick could not be computed" if failure is None else str(failure)
-        if cause in (UNREACHABLE, CONTRADICTION):  # WORK of that tick, with their column, is gone
-            sentence = ""
+        if cause in _OF_A_COLUMN:
+            sentence = _OF_A_COLUMN[cause]
         elif cause != BAD_INPUT:
             sentence = SENTENCES.get(cause, "").format_map(facts)
         sentence = sentence or "code called in the tick failed"
@@ -141,6 +141,14 @@ def explain(records: TickRecords, settings: Settings, ended: TickEnd) -> str:
 
 
 _ADVICE_TO_RESET = ". See why, then call reset()"
+#: Causes of stops without their column, as WORK of that tick is gone afterwards.
+_OF_A_COLUMN = {
+    UNREACHABLE: "the arms could not push on a contact; leave it out of N",
+    CONTRADICTION: (
+        "contacts were singular: their forces depend on each other, but the accelerations that "
+        "keep them do not; drop one of them"
+    ),
+}
 
 
 def _describe_input(
