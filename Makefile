@@ -130,17 +130,30 @@ peers: .venv-peers/.installed
 
 # Tries the package in simulations of others, in environments with them: robosuite (2.3 GB), its tests
 # and a comparison of controllers on SEEDS tables; Drake (1.9 GB), its tests and both judges side by
-# side; gym-taskboard (1.6 GB), its tests and pegs on SEEDS boards. CPU only, some minutes. The
-# tables of docs/baselines.md have more seeds, as stated there.
+# side; gym-taskboard (1.6 GB), its tests and pegs on SEEDS boards. CPU only, some minutes. With FULL=1
+# the benchmarks make the tables of docs/baselines.md and docs/drake.md, with their seeds: an hour and
+# more; Wipe and pegs continue where they were interrupted. After a step that fails the next ones follow.
 SEEDS ?= 3
 WORKERS ?= 2
 worlds: .venv-robosuite/.installed .venv-drake/.installed .venv-taskboard/.installed
-	.venv-robosuite/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_robosuite.py
-	.venv-drake/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_drake.py
-	.venv-robosuite/bin/python -W ignore -m benchmarks.wiping --seeds $(SEEDS)
-	.venv-drake/bin/python -m benchmarks.two_judges --duration 4 --workers $(WORKERS)
-	.venv-taskboard/bin/python -m pytest -q -W default -p no:cacheprovider tests/try_taskboard.py
-	.venv-taskboard/bin/python -m benchmarks.taskboard --seeds $(SEEDS) --workers $(WORKERS)
+	@TIMEFORMAT="took %0lR, processors %0lU"; failed=; \
+	step() { \
+		echo "$$(date +%T): $$*"; \
+		time .venv-"$$@" || failed+=$$'\n'"failed: $$*"; \
+	}; \
+	tests="bin/python -m pytest -q -W default -p no:cacheprovider"; \
+	numbers="$(if $(FULL),--full,--seeds $(SEEDS)) --workers $(WORKERS)"; \
+	time { \
+		step robosuite/$$tests tests/try_robosuite.py; \
+		step drake/$$tests tests/try_drake.py; \
+		step robosuite/bin/python -W ignore -m benchmarks.wiping $$numbers; \
+		step drake/bin/python -m benchmarks.two_judges $(if $(FULL),,--duration 4) \
+			--workers $(WORKERS); \
+		step taskboard/$$tests tests/try_taskboard.py; \
+		step taskboard/bin/python -m benchmarks.taskboard $$numbers; \
+		echo "$$(date +%T)$$failed"; TIMEFORMAT="all steps $$TIMEFORMAT"; \
+	}; \
+	test -z "$$failed"
 
 .venv-robosuite/.installed: SIZE := 2.3 GB
 .venv-robosuite/.installed: PACKAGES := '.[robosuite,scenarios,plot]'

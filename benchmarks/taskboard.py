@@ -1,6 +1,7 @@
 """NIST's assembly task board 1 in gym-taskboard: pegs held by fingers, holes that are elsewhere.
 
-    make worlds    (or, in its environment: python -m benchmarks.taskboard [--seeds N] [--parts …])
+    make worlds    (or, in its environment: python -m benchmarks.taskboard [--seeds N] [--parts …],
+                    or --full: both tables of docs/baselines.md)
 
 The episodes are those of `benchmarks.board_episode`. Three controllers search for the hole:
 
@@ -24,7 +25,7 @@ comparison was interrupted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -60,6 +61,20 @@ PERIOD = 2e-3  #: control period (s)
 LIMIT = 25.0  #: s, after which an episode ends
 ACTION = 0.05  #: duration of an action of the environment (s)
 FRESH = 5000  #: least seed that is drawn for a comparison
+#: First seeds of the boards of docs/baselines.md, drawn when the settings were final.
+FIRST = {
+    "peg_round_4": 820637,
+    "peg_round_8": 638395,
+    "peg_round_12": 65270,
+    "peg_round_16": 31985,
+    "peg_rect_4": 361825,
+    "peg_rect_8": 426079,
+    "peg_rect_12": 128432,
+    "peg_rect_16": 700766,
+}
+BOARDS = 30  #: boards of each peg there
+FIRST_OF_RIVALS = 25320  #: first seed of the boards there on which all controllers are compared
+PEGS_OF_RIVALS, BOARDS_OF_RIVALS = ("peg_round_16", "peg_rect_8"), 3
 TABLE = 29e-3  #: depth of the table below the board's face (m)
 
 PRESS = 4.0  #: force with which the upright tip touches the face (N)
@@ -448,8 +463,10 @@ def results(jobs: Sequence[tuple[str, str, float, int]], workers: int) -> list[T
     return [kept.found[job] for job in jobs]
 
 
+Case = tuple[str, str, float]  #: controller, peg, error (mm)
+
 HEADS = (
-    "controller; peg; off (mm); seated; P_S; time (s); peak (N), median; largest; "
+    "controller; peg; off (mm); first seed; seated; P_S; time (s); peak (N), median; largest; "
     "slip (mm), median; turned (°), largest"
 )
 
@@ -467,6 +484,7 @@ def row(found: Sequence[Tried]) -> list[object]:
         first.name,
         first.part,
         f"{first.off:g}",
+        first.seed,
         f"{len(times)} of {len(found)}",
         f"{scoring.success_probability(len(times), len(found)):.2f}",
         f"{np.median(times):.1f}" if times else "–",
@@ -477,6 +495,24 @@ def row(found: Sequence[Tried]) -> list[object]:
     ]
 
 
+def compare(title: str, cases: Mapping[Case, range], workers: int, each: bool) -> None:
+    """Print the table of a comparison.
+
+    Args:
+        title: its title.
+        cases: seeds of each case.
+        workers: processes.
+        each: print each episode, too.
+    """
+    jobs = [(*case, seed) for case, seeds in cases.items() for seed in seeds]
+    found = results(jobs, workers)
+    if each:
+        for one in found:
+            Console(width=200, highlight=False).print(one, soft_wrap=True)
+    rows = [row([one for one in found if one.key[:3] == case]) for case in cases]
+    Console(width=175).print(table_of(title, HEADS, rows))
+
+
 def main(
     seeds: int = 3,
     first: int | None = None,
@@ -485,6 +521,7 @@ def main(
     rivals: str = ",".join(RIVALS),
     workers: int = 1,
     each: bool = False,
+    full: bool = False,
 ) -> None:
     """Compare controllers; lists are separated by commas.
 
@@ -496,23 +533,26 @@ def main(
         rivals: controllers.
         workers: processes.
         each: print each episode, too.
+        full: make the tables of docs/baselines.md, with their seeds, pegs and errors.
     """
+    title = "pegs of NIST's board 1, {} boards each"
+    if full:
+        ours_on = {("ours", peg, 2.0): range(at, at + BOARDS) for peg, at in FIRST.items()}
+        compare(title.format(BOARDS), ours_on, workers, each)
+        same = range(FIRST_OF_RIVALS, FIRST_OF_RIVALS + BOARDS_OF_RIVALS)
+        all_on = {(name, peg, 2.0): same for peg in PEGS_OF_RIVALS for name in RIVALS}
+        compare(title.format(BOARDS_OF_RIVALS), all_on, workers, each)
+        return
     pegs = PEGS if parts == "all" else parts.split(",")
-    cases = [
-        (name, part, float(one))
+    begin = int(np.random.default_rng().integers(FRESH, 10**6)) if first is None else first
+    print(f"seeds {begin} to {begin + seeds - 1}: --first {begin}", flush=True)
+    cases = {
+        (name, part, float(one)): range(begin, begin + seeds)
         for part in pegs
         for one in off.split(",")
         for name in rivals.split(",")
-    ]
-    begin = int(np.random.default_rng().integers(FRESH, 10**6)) if first is None else first
-    print(f"seeds {begin} to {begin + seeds - 1}: --first {begin}", flush=True)
-    jobs = [(*case, seed) for case in cases for seed in range(begin, begin + seeds)]
-    found = results(jobs, workers)
-    if each:
-        for one in found:
-            Console(width=200, highlight=False).print(one, soft_wrap=True)
-    rows = [row([one for one in found if one.key[:3] == case]) for case in cases]
-    Console(width=160).print(table_of(f"pegs of NIST's board 1, {seeds} seeds", HEADS, rows))
+    }
+    compare(title.format(seeds), cases, workers, each)
 
 
 if __name__ == "__main__":

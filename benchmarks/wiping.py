@@ -1,6 +1,7 @@
 """robosuite's task `Wipe`, its own controllers and ours, without knowledge of height or friction.
 
-    make worlds    (or, in its environment: python -m benchmarks.wiping [--seeds N])
+    make worlds    (or, in its environment: python -m benchmarks.wiping [--seeds N], or --full: the
+                    comparison of docs/baselines.md)
 
 A Panda wipes the 100 markers of the task with its pad, pressing with 12 N at 50 mm/s along their
 path. The environment is unmodified, with its default stepping; every seed draws other markers, a
@@ -49,6 +50,7 @@ WINDOW = 10  #: steps of the physics in 20 ms
 OFF, FRICTION = 0.005, (0.03, 0.3)  #: largest error of the table's height (m), friction
 FIRST_TUNING_SEED = 1000  #: seeds of the search begin here
 FRESH = 5000  #: least seed that is drawn for a comparison
+FIRST, TABLES = 604457, 30  #: first seed and number of the tables of docs/baselines.md
 
 
 class Rival(Protocol):
@@ -490,6 +492,7 @@ def main(
     picture: Path | None = None,
     force: float = FORCE,
     friction: float | None = None,
+    full: bool = False,
 ) -> None:
     """Compare the controllers, or search settings for OSC_POSE.
 
@@ -502,7 +505,10 @@ def main(
         picture: draw the forces of the first table instead.
         force: command of the comparison (N); OSC_POSE presses as for 12 N.
         friction: coefficient of the tables of the comparison; None: drawn.
+        full: compare on the tables of docs/baselines.md, whatever `seeds` and `first` are.
     """
+    if full:
+        seeds, first = TABLES, FIRST
     if picture is not None:
         draw(picture)
         return
