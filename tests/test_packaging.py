@@ -1,5 +1,6 @@
 """Installed package: content of the wheel, pinned versions, files of the root folder."""
 
+import os
 import re
 import subprocess
 import sys
@@ -204,6 +205,43 @@ def test_what_takes_minutes_in_silence_is_announced_with_its_time():
     (demo,) = re.findall(r"^demo:\n((?:\t.*\n)+)", makefile, re.M)
     for step, time in (("osc-contact run", "seconds"), ("reproduce all", "minutes")):
         assert time in demo[: demo.index(step)].rpartition("echo ")[2], step
+
+
+@parametrize("options", [[], ["FULL=1", "WORKERS=5"]])
+def test_worlds_goes_on_after_a_step_that_fails_and_says_all_times(options, tmp_path):
+    """A missed limit of the judges, their exit code 1, must not cost the hours of the pegs."""
+    for name in ("Makefile", "pyproject.toml", *(f.name for f in ROOT.glob("constraints-*.txt"))):
+        (tmp_path / name).write_text(text_of(name))
+    for world in ("robosuite", "drake", "taskboard"):
+        program = tmp_path / f".venv-{world}/bin/python"
+        program.parent.mkdir(parents=True)
+        program.write_text('#!/bin/sh\necho "> $*"\ncase "$*" in *two_judges*) exit 1;; esac\n')
+        program.chmod(0o755)
+        (tmp_path / f".venv-{world}/.installed").touch()
+    done = subprocess.run(
+        ["make", "worlds", *options],
+        cwd=tmp_path,
+        env={"PATH": os.environ["PATH"]},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    ran = [line for line in done.stdout.splitlines() if line.startswith("> ")]
+    numbers = "--full --workers 5" if options else "--seeds 3 --workers 2"
+    judges = "--workers 5" if options else "--duration 4 --workers 2"
+    assert [line.split("benchmarks.")[1] for line in ran if "benchmarks" in line] == [
+        f"wiping {numbers}",
+        f"two_judges {judges}",
+        f"taskboard {numbers}",
+    ]
+    assert [line.split()[-1] for line in ran if "pytest" in line] == [
+        f"tests/try_{world}.py" for world in ("robosuite", "drake", "taskboard")
+    ]
+    took = re.findall("^(?:all steps )?took .*m.*s, processors .*s$", done.stderr, re.M)
+    assert len(took) == len(ran) + 1 and took[-1].startswith("all steps")
+    assert done.returncode and re.findall("^failed: .*benchmarks.(.*)", done.stdout, re.M) == [
+        f"two_judges {judges}"
+    ]
 
 
 def test_a_browser_is_looked_for_without_any_package(tmp_path):
