@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
@@ -440,6 +440,12 @@ def own_subject(controller: Controller) -> Subject:
     return subject_of(controller, pairs, world, force_owners(pairs))
 
 
+@cache
+def _package_version() -> str:
+    """Version of the installed package, from its files; they are read once."""
+    return version("osc-contact")
+
+
 def describe_subject(subject: Subject, controller: Controller) -> Json:
     """Meta data of a recording: names, limits, losses, rate and versions.
 
@@ -457,7 +463,7 @@ def describe_subject(subject: Subject, controller: Controller) -> Json:
     for arm in chain.arms:
         losses += joint_losses(arm.model, f"{arm.name}/")
     return {
-        "version": version("osc-contact"),
+        "version": _package_version(),
         "law_hash": law_hash(),
         "arm_names": [arm.name for arm in chain.arms],
         "joint_names": chain.joint_names,
