@@ -1,6 +1,7 @@
 """Small faults put into the law, one at a time: how many of them do the tests notice?
 
     python tests/mutants.py [--count 300] [--seed 1] [--only TEXT] [--again] [--judges NAME ...]
+                            [--compiled]
 
 Works in a copy of the checkout, without compilation. First every judge (a test file that is fast
 that way) is run once, with the lines that each of its tests runs. Then places are drawn at random,
@@ -8,7 +9,8 @@ a mutant at each; the tests that run its line judge it, the shortest first, unti
 those that take `--budget` seconds have passed. Mutants are cosmic-ray's; left out are those that
 every run notices (operators that floats do not have) and none can (decorators, annotations).
 Results are kept: the same command continues where it was, `--again` judges survivors once more. A
-few `--judges` are a quick start; all of them judge what these leave with `--again`.
+few `--judges` are a quick start; all of them judge what these leave with `--again`. `--compiled`
+then judges the rest by whole test files with the law compiled, some of which are too slow without.
 Times are the processor's, not the clock's: a busy machine changes no verdict.
 """
 
@@ -95,6 +97,17 @@ JUDGES = {
     "operational_space": ("operational",),
     "joint_friction": ("joint_friction", "friction_estimate", "friction_slope"),
 }
+#: Further files, which judge the compiled law alone.
+COMPILED = {
+    "active_sets": ("active_set",),
+    "phased_sets": (),
+    "lying_sensors": (*SENSORS, "safety"),
+    "stopped_arms": ("holding",),
+    "effort_limits": ("saturation",),
+    "soft_faces": ("commands",),
+    "law": ("chain",),
+    "fault_injection": ("safety",),
+}
 SLOW = 6  #: s; a test that takes longer without compilation is no judge
 CHECK = 2.0  #: s of tests that have to pass without any mutant, three times
 SECONDS = "MUTANTS_SECONDS"  #: the file for the times of a survey
@@ -116,6 +129,7 @@ def main():
     ask.add_argument("--seed", type=int, default=1)
     ask.add_argument("--only", default="", help="modules whose path holds this text")
     ask.add_argument("--again", action="store_true", help="judge survivors once more")
+    ask.add_argument("--compiled", action="store_true", help="judge survivors by compiled tests")
     ask.add_argument("--budget", type=float, default=40.0, help="s of tests for each mutant")
     ask.add_argument("--judges", nargs="+", choices=JUDGES, default=[*JUDGES], metavar="NAME")
     ask.add_argument("--out", type=Path, default=ROOT / "out/mutants")
@@ -138,13 +152,17 @@ def main():
     for spec in drawn[:3]:
         if not run_forked(judges.of(spec, CHECK), 600):
             sys.exit(f"the tests of {name_of(spec)} fail without any mutant")
+    if given.compiled and not run_compiled(out / "cache"):
+        sys.exit("tests of the compiled law fail without any mutant")
     for number, spec in enumerate(drawn):
         key = name_of(spec)
         result = known.get(key)
         if result is None or (given.again and result["outcome"] == "survived"):
             result = {"key": key, **judge(spec, judges, given.budget)}
-            with open(kept, "a") as file:
-                file.write(json.dumps(result) + "\n")
+            note(kept, result)
+        if given.compiled and result["outcome"] == "survived" and "files" not in result:
+            result |= judge_compiled(spec, out / "cache")
+            note(kept, result)
         found.append(result)
         print(f"{number + 1:4d} {result['outcome']:9s} {key}", flush=True)
     left = [r for r in found if r["outcome"] == "survived"]
@@ -153,6 +171,12 @@ def main():
         print(f"\n{result['key']}  ({result['tests']} tests)\n{result['diff']}")
     score = 100.0 * killed / max(len(found), 1)
     print(f"\n{killed} of {len(found)} mutants noticed: {score:.1f} % (seed {given.seed})")
+
+
+def note(kept, result):
+    """Append a result to the file of results; later ones of a mutant replace earlier ones."""
+    with open(kept, "a") as file:
+        file.write(json.dumps(result) + "\n")
 
 
 def make_copy(copy):
@@ -315,6 +339,34 @@ def judge(spec, judges, budget):
     lines = unified_diff(before.splitlines(), after.splitlines(), n=0, lineterm="")
     diff = "\n".join([*lines][3:])
     return {"outcome": "survived" if passed else "noticed", "tests": len(tests), "diff": diff}
+
+
+def judge_compiled(spec, cache):
+    """Whether a test of a whole file fails with the mutant compiled; the number of files.
+
+    A crash is noticed, too, and what does not compile.
+    """
+    operator = get_operator(spec.operator_name)()
+    with use_mutation(spec.module_path, operator, spec.occurrence) as (_, after):
+        # numba knows no type of an empty list
+        spec.module_path.write_text(after.replace(" in []:", " in range(0):"))
+        passed = run_compiled(cache, spec.module_path.stem)
+    return {"outcome": "survived" if passed else "noticed", "files": len(JUDGES) + len(COMPILED)}
+
+
+def run_compiled(cache, stem=""):
+    """Whether all judges pass with the law compiled, those of the module `stem` first."""
+    cache.mkdir(0o700, exist_ok=True)
+    modules = JUDGES | COMPILED
+    names = sorted(modules, key=lambda name: stem not in modules[name])
+    files = [f"tests/test_{name}.py" for name in names]
+    words = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not slow"]
+    where = {**os.environ, "OSC_CONTACT_LAW": "quick", "OSC_CONTACT_CACHE": str(cache)}
+    del where["NUMBA_DISABLE_JIT"]
+    code = subprocess.run([*words, *files], stdout=subprocess.DEVNULL, env=where).returncode
+    if code > 2:
+        sys.exit(f"pytest ended with {code}: {files[:3]} …")
+    return code == 0
 
 
 def run_forked(tests, seconds):
