@@ -131,8 +131,8 @@ peers: .venv-peers/.installed
 # Tries the package in simulations of others, in environments with them: robosuite (2.3 GB), its tests
 # and a comparison of controllers on SEEDS tables; Drake (1.9 GB), its tests and both judges side by
 # side; gym-taskboard (1.6 GB), its tests and pegs on SEEDS boards. CPU only, some minutes. With FULL=1
-# the benchmarks make the tables of docs/baselines.md and docs/drake.md, with their seeds: an hour and
-# more; Wipe and pegs continue where they were interrupted. After a step that fails the next ones follow.
+# the benchmarks make the tables of docs/baselines.md and docs/drake.md, with their seeds: half an
+# hour; Wipe and pegs continue where they were interrupted. After a step that fails the next ones follow.
 SEEDS ?= 3
 WORKERS ?= 2
 worlds: .venv-robosuite/.installed .venv-drake/.installed .venv-taskboard/.installed

@@ -1,6 +1,7 @@
 """Tasks judged by MuJoCo and by Drake, which share no dynamics with each other or the controller.
 
-    make worlds    (or, in its environment: python -m benchmarks.two_judges [--only TEXT])
+    make worlds    (or, in its environment: python -m benchmarks.two_judges [--only TEXT]
+                    [--set KEY=VALUE], with FULL=1: the table of docs/drake.md)
 
 Five packaged scenarios, the controller unchanged but for `control.force.reading: least_squares`, in
 the MuJoCo plant of the scenario and in the Drake plant (lagged contacts; `tamsi`, too, where one
@@ -18,7 +19,7 @@ import logging
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -90,7 +91,13 @@ def changes(judge: str, friction: float = 0.0) -> list[str]:
     return [*common, *drake]
 
 
-def judged(name: str, friction: float, judge: str, duration: float | None = None) -> Verdict:
+def judged(
+    name: str,
+    friction: float,
+    judge: str,
+    duration: float | None = None,
+    others: Sequence[str] = (),
+) -> Verdict:
     """Run a scenario before a judge.
 
     Args:
@@ -98,9 +105,10 @@ def judged(name: str, friction: float, judge: str, duration: float | None = None
         friction: coefficient of the faces.
         judge: `mujoco`, or Drake's approximation of contacts.
         duration: duration (s); None: the scenario's.
+        others: further changes of the scenario.
     """
     logging.getLogger("drake").setLevel(logging.ERROR)  # it warns of elements of URDFs
-    scenario = osc.load_scenario(name, changes(judge, friction))
+    scenario = osc.load_scenario(name, [*changes(judge, friction), *others])
     recording = osc.run(scenario, duration=duration)
     verdict: dict[str, Any] = osc.metrics(recording)
     alpha = recording["alpha_true"]
@@ -117,7 +125,10 @@ def judged(name: str, friction: float, judge: str, duration: float | None = None
 
 
 def cases(
-    only: str = "", duration: float | None = None, judges: Sequence[str] = JUDGES
+    only: str = "",
+    duration: float | None = None,
+    judges: Sequence[str] = JUDGES,
+    others: Sequence[str] = (),
 ) -> list[tuple[Any, ...]]:
     """Arguments of `judged` for all runs whose scenario's name has a text.
 
@@ -125,9 +136,10 @@ def cases(
         only: text.
         duration: duration (s); None: the scenario's.
         judges: MuJoCo, or Drake's approximations of contacts.
+        others: further changes of the scenarios.
     """
     return [
-        (name, friction, judge, duration)
+        (name, friction, judge, duration, others)
         for name in SCENARIOS
         if only in name
         for friction in FRICTION
@@ -137,7 +149,11 @@ def cases(
 
 
 def main(
-    only: str = "", duration: float = 0.0, workers: int = 2, judges: str = ",".join(JUDGES)
+    only: str = "",
+    duration: float = 0.0,
+    workers: int = 2,
+    judges: str = ",".join(JUDGES),
+    others: Annotated[list[str] | None, typer.Option("--set")] = None,
 ) -> None:
     """Print the table, the missed limits, and where the judges differ.
 
@@ -147,8 +163,9 @@ def main(
         workers: number of processes.
         judges: mujoco, lagged, tamsi, similar, sap, separated by commas; Drake's two last are
             refused where they would lift a sliding contact.
+        others: further changes of the scenarios, as of `osc-contact run`.
     """
-    found = cases(only, duration or None, judges.split(","))
+    found = cases(only, duration or None, judges.split(","), others or ())
     verdicts = list(side_by_side(judged, found, workers))
     console = Console(width=150)
     console.print(table_from("Two judges", [row(one) for one in verdicts]))

@@ -69,6 +69,19 @@ def programs():
     return [b for b in blocks("python") if not any(one in b.values[1] for one in elsewhere)]
 
 
+def test_first_boards_of_the_pegs_are_those_of_the_benchmark():
+    """Its module cannot be imported here: gym-taskboard has an environment of its own."""
+    lines = ast.parse((ROOT / "benchmarks/taskboard.py").read_text()).body
+    (first,) = (
+        line.value
+        for line in lines
+        if isinstance(line, ast.Assign) and ast.unparse(line.targets[0]) == "FIRST"
+    )
+    rows = [row for row in table_rows("baselines.md", "On NIST's task board") if "peg_" in row[0]]
+    shown = {row[0].strip("`"): int(row[1]) for row in rows}
+    assert shown == ast.literal_eval(first)
+
+
 @parametrize("page, code, shown", programs())
 def test_program_runs_and_prints_what_is_shown(
     page, code, shown, tmp_path, monkeypatch, capsys, own_plants
