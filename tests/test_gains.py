@@ -17,6 +17,7 @@ from rigs import (
     random_faces,
     random_state,
     rig_of,
+    terms_at,
     ticked,
     unit,
     unloaded,
@@ -27,6 +28,7 @@ from scenario_runs import run_of
 
 import osc_contact as osc
 from benchmarks.cases import POINT
+from benchmarks.random_tasks import draw
 from osc_contact import robots
 
 DT = 1e-3
@@ -271,3 +273,49 @@ def test_a_wiping_arm_does_not_ring_with_heavy_rotors(armature):
     error = run["alpha_true"] - run["alpha_cmd"]
     assert (error[t < 0.5] / run["alpha_cmd"][0]).max() < 0.2
     assert np.sqrt(np.mean(error[t > 1.0] ** 2)) < 0.01 * 8.0
+
+
+# Speed limits -------------------------------------------------------------------------------------
+
+
+@parametrize("seed", range(6))
+def test_errors_of_the_pose_are_corrected_within_speed_limits(seed):
+    """At rest the feedback K_p e may change speeds by K_p J̄e/K_d, at most 0.9 of each limit.
+
+    J̄ = M⁻¹Jᵀ(JM⁻¹Jᵀ)⁻¹ is that of Pinocchio's M and J.
+    """
+    rng = np.random.default_rng(seed)
+    chain = one_panda()
+    model = chain.arms[0].model
+    gains = osc.MotionGains(frequency=rng.uniform(1.0, 8.0))
+    q = random_state(chain, rng)[0]
+    zero = np.zeros(7)
+    X_WO = chain.state(q, zero).X_WO
+    terms = terms_at(model, q, zero)
+    frame = model.getFrameId(chain.arms[0].tip)
+    J = pin.getFrameJacobian(model, terms, frame, pin.LOCAL_WORLD_ALIGNED)
+    lever = X_WO.translation - terms.oMf[frame].translation
+    J[:3] -= pin.skew(lever) @ J[3:]
+    M_inv = np.linalg.inv(np.triu(terms.M) + np.triu(terms.M, 1).T)
+    J_bar = M_inv @ J.T @ np.linalg.inv(J @ M_inv @ J.T)
+    e = 10.0 ** rng.uniform(-2.0, 0.5) * unit(rng.standard_normal(6))
+    X_WD = pin.SE3(pin.exp3(e[3:]) @ X_WO.rotation, X_WO.translation + e[:3])
+    controller = osc.Controller(chain, [], gains=osc.Gains(gains))
+    controller.tick(osc.Measurement(q, zero, np.zeros((1, 6))), osc.Reference(X_WD))
+    change = gains.stiffness / gains.damping * np.abs(J_bar @ e)
+    share = min(1.0, 0.9 / (change / model.velocityLimit).max())
+    assert_near(controller.result().a_u, share * gains.stiffness * e, rtol=1e-8)
+
+
+@parametrize("seed, number", [(550118, 48)])
+def test_a_joint_that_friction_has_held_breaks_loose_within_its_speed_limit(
+    own_plants, seed, number
+):
+    """The last joint of this arm is all rotor, and its errors had grown to several times the limit.
+
+    Beyond its limit for 20 ms the arm stopped.
+    """
+    task = draw(seed, number)
+    task = replace(task, changes=[*task.changes, "control.life=off"])
+    recording = osc.run(task.load(), seed=number, duration=1.6)
+    assert recording.meta["end_state"] == "RUN"

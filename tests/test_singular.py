@@ -159,7 +159,7 @@ def outward(name, direction, distance, duration, plant):
     ]
     data["motion"] = [{"kind": "linear", "direction": direction, "signals": moves}]
     # joints pass their speed limits here, and tips are fast
-    data["control"]["safety"] = {"overspeed_time": 10.0, "speed_ceiling": 1.0}
+    data["control"]["safety"] = {"overspeed_time": 10.0, "speed_ceiling": 2.0}
     return osc.run(osc.Scenario.model_validate(data))
 
 

@@ -31,6 +31,8 @@ _BODIES: dict[type, tuple[int, tuple[str, ...]]] = {
     Yielding: (at.YIELDING, ("compliance",)),
     Guided: (at.CART, ("direction", "inertia", "stiffness", "damping", "preload", "descent")),
 }
+#: Largest speed by feedback of the motion, as a share of a limit whose excess stops the arms.
+_FASTEST = 0.9
 _NEVER_TICKS = 1e12  #: number of ticks that no run reaches
 _WHOLE = np.pi  #: largest range of a joint that counts for the width of its margins (rad, m)
 #: Speed of a joint above which its Coulomb friction counts as fully developed (rad/s).
@@ -198,6 +200,7 @@ def pack_safety(settings: Settings, head: View) -> None:
         setattr(head, f"{key}_headroom", HEADROOM if ceiling is None else 0.0)
     head.guarded = 1
     head.fast_ticks = round(min(safety.overspeed_time / settings.dt, _NEVER_TICKS))
+    head.fastest = _FASTEST if np.isfinite(safety.overspeed_time) else np.inf
     weight = 9.81 * settings.chain.reference.inertia.mass
     head.force_range = max(safety.force_range, 3.0 * weight)
     head.torque_range = max(safety.torque_range, 3.0 * weight)  # at a lever arm of 1 m

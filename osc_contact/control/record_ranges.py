@@ -270,6 +270,7 @@ NUMBERS: dict[str, dict[str, dict[str, tuple[float, float]]]] = {
         "": {
             **_OPEN,
             "period": (1e-9, 1e3),
+            "fastest": (1e-3, math.inf),
         },
         "joints": {
             "tau_max": _LIMIT,

@@ -16,16 +16,19 @@ from osc_contact.law.vectors import (
     column3,
     cross,
     dot3,
+    dot6,
     fill,
     fill3,
     join,
     linear,
     minus,
     minus3,
+    motion_to_energy,
     origin,
     plus3,
     rotated,
     row3,
+    scaled,
     scaled3,
 )
 
@@ -71,11 +74,50 @@ def pose_error(X_WD, X_WO):
     return join(minus3(origin(X_WD), origin(X_WO)), rotation_vector(R))
 
 
+@leaf
+def feedback_share(t):
+    """Share φ of the motion feedback that keeps all joints within their speed limits.
+
+    The feedback x = K_p e + K_i ∫Ω_m e dt would change the speed v of a joint by J̄x/K_d, with the
+    damping gain K_d. Where friction has held a joint, or an object was held or pushed, e and its
+    integral are large, and this speed is beyond the limits of joints. φ keeps |v + φ J̄x/K_d| within
+    `fastest` times the limit of each joint that x accelerates. It is 1 for small errors, without a
+    damping gain, and in singular postures: there J̄ grows without bound, and `reduce_motion` limits
+    the command. In between the excess of 1/φ over 1 counts by the least share of a lost direction.
+
+    Args:
+        t: Tick, of which `free_error` (the part of e that contacts and arms permit), `motion_sum`,
+            `share` of the lost directions of the arms, J̄ and speed v of the joints with motors,
+            and their limits `speed_max` (rad/s, m/s) are read.
+    """
+    model = t.model
+    work = t.work
+    if not model.damping > 0.0:
+        return 1.0
+    x = scaled(model.stiffness / model.damping, work.free_error)
+    x = add(x, model.integral / model.damping, t.memory.motion_sum)
+    x = motion_to_energy(work, x)
+    ratio = 1.0
+    for j in range(model.n_joints):
+        change = dot6(work.joints[j].J_bar, x)
+        limit = model.fastest * model.joints[j].speed_max
+        v = work.joints[j].v
+        room = max(limit - abs(v), _LEAST_ROOM * limit) if v * change > 0.0 else limit
+        if abs(change) > ratio * room:
+            ratio = abs(change) / room
+    least_share = 1.0
+    if work.n_lost > 0:
+        for k in range(model.n_arms):
+            for e in range(work.arms[k].n_lost):
+                least_share = min(least_share, work.arms[k].share[e])
+    return 1.0 / (1.0 + least_share * (ratio - 1.0))
+
+
 @inner
-def command_motion(t):
+def command_motion(t, share):
     """Fill `a_u` (6,), the commanded spatial acceleration of the object at O (m/s², rad/s²).
 
-        a_u = a_D + K_d(V_D − V) + K_p e + K_i ∫Ω_m e dt − [ω × v; 0]
+        a_u = a_D + K_d(V_D − V) + φ (K_p e + K_i ∫φ Ω_m e dt) − [ω × v; 0]
 
     a_D and V_D are the desired acceleration and twist, V = (v, ω) the measured twist, e the pose
     error, ∫Ω_m e dt the integral of its part that contacts permit, and K_p (1/s²), K_d (1/s), K_i
@@ -84,11 +126,12 @@ def command_motion(t):
 
     Args:
         t: Tick.
+        share: φ of `feedback_share`.
     """
     V_O = t.work.V_O
     a = add(t.input.A_D, t.model.damping, minus(t.input.V_D, V_O))
-    a = add(a, t.model.stiffness, t.work.error)
-    a = add(a, t.model.integral, t.work.motion_next)
+    a = add(a, share * t.model.stiffness, t.work.error)
+    a = add(a, share * t.model.integral, t.work.motion_next)
     fill(t.work.a_u, join(minus3(a, cross(V_O[3:], V_O)), angular(a)))
 
 
@@ -130,6 +173,8 @@ def command_motion(t):
 #
 # with exponential forgetting. Noise and sliding on a tilted face are not correlated with α̃_s.
 
+#: Least change of a joint's speed by feedback of the motion, as a share of its largest speed.
+_LEAST_ROOM = 0.02
 _SUDDEN_RATE = 20.0  #: 1/s; a desired force that changes faster than this times its size is a step
 _FADING_RATE = 0.5  #: 1/s; rate at which the size of a former force is forgotten
 #: Share of its desired force from which on a contact shows the tilt of its face.

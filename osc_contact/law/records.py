@@ -106,6 +106,7 @@ _MODEL = _record(
         "stiffness",  # K_p (1/s²)
         "damping",  # K_d (1/s)
         "integral",  # K_i (1/s³)
+        "fastest",  # largest speed by feedback of the motion, as a share of the joints' limits
         "period",  # s, of the controller
         # posture law, see `operational.retreat`
         "posture_stiffness",  # k_p (1/s²)

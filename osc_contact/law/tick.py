@@ -46,6 +46,7 @@ from osc_contact.law.command_filter import (
 from osc_contact.law.commands import (
     brake_contacts,
     command_motion,
+    feedback_share,
     holds_at_zero,
     keep_steps,
     pose_error,
@@ -472,11 +473,12 @@ def command(t, flags):
         transfer_integral(t)
     # motion law: a_u, with the integral of the error within its bound (m s, rad s)
     bound = model.integral_motion / model.integral if model.integral > 0.0 else inf
+    share = feedback_share(t)
     for i in range(6):
-        integral = memory.motion_sum[i] + work.motion_next[i] * work.dt
+        integral = memory.motion_sum[i] + share * work.motion_next[i] * work.dt
         work.motion_next[i] = clamped(integral, bound)
     if flags & OWN_MOTION == 0:
-        command_motion(t)
+        command_motion(t, share)
     # motion filter, then the control structure
     reason = filter_motion(t)
     if reason != NO_REASON:
