@@ -74,6 +74,7 @@ from osc_contact.law.vectors import (
     ZERO,
     add,
     add3,
+    clamped,
     dot6,
     fill,
     fill_free,
@@ -99,6 +100,7 @@ _RESTS = 0.2  #: share of `_MOVES` below which a joint is at rest
 _FOLLOWS = 0.09  #: share of the permitted speed that a joint must reach to contribute
 _FULL = 0.7  #: |sign s| from which on friction is identified, away from reversals
 _LESS = 0.5  #: share of the friction identified beyond the model whose absence contradicts it
+_BIAS = 0.1  #: largest bias by wrong masses that does not contradict friction, as a share of |h|
 _CONTRADICTED = 0.05  #: s of this contradiction after which the identified friction is discarded
 _RISE = 0.1  #: s in which identified friction is phased in; integrals have balanced it before
 _APPROACH = 0.006  #: s, time constant of the low-pass of an approach's speed
@@ -302,6 +304,9 @@ def _learn(t, j, sound, rate, inertial, dt):
     _smooth_regressors(row, friction_row, rate, inertial, k)
     threshold = _MOVES * (SLIDES if t.model.joints[j].slides else 1.0)
     moves = _note_rest(friction_row, row.speed, threshold, state == LEARNED, dt)
+    if t.model.friction_errors:  # what errors of the masses explain is no lack of friction
+        masses = friction_row.theta[3] + friction_row.theta[4] * friction_row.smooth[WEIGHT]
+        missing -= clamped(masses, _BIAS * abs(t.work.joints[j].h))
     if state == LEARNED and _is_contradicted(t, j, missing, moves, dt):
         t.memory.friction_known[j] = UNKNOWN
         friction_row.evidence = friction_row.applied = row.unlearned = 0.0
@@ -582,7 +587,8 @@ def _without_excess(t, j, torque):
     row = t.memory.joints[j]
     acceleration = t.work.joints[j].acceleration
     deceleration = row.turn - acceleration
-    drives = torque * row.means[V] > 0.0
+    v = row.means[V]
+    drives = torque * v > 0.0 and abs(v) > _MOVES * (SLIDES if t.model.joints[j].slides else 1.0)
     # both: a step of s is in ṡ for one tick, and would count as an excess
     is_braked = torque * acceleration < 0.0 and torque * deceleration > 0.0
     if not (drives and is_braked):
