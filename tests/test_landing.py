@@ -7,6 +7,7 @@ from samples import aligned, first, parametrize
 from scenario_runs import run_of, verdict_of, worst_force
 
 import osc_contact as osc
+from benchmarks.random_tasks import draw
 from osc_contact.lab.rig.landings import landings
 
 PUSH = 10.0  # N, of either end of the rod
@@ -61,13 +62,35 @@ def test_an_approach_that_has_used_up_its_travel_stands_still():
     assert np.ptp(recording["pose"][-500:, :3], axis=0).max() < 1e-4
 
 
-# --- Beside a tare: approached by the motion law, all contacts at once ----------------------------
+# --- Beside a tare --------------------------------------------------------------------------------
+
+
+@parametrize("seed, number", [(550118, 44), (771203, 51)])
+def test_one_force_is_made_gently_though_friction_keeps_the_arm_from_the_face(
+    own_plants, seed, number
+):
+    """Commanded in free air, it accelerated these arms up to the face: 33 and 10 times as much."""
+    task = draw(seed, number)
+    assert task.load().control.life is not None
+    recording = osc.run(task.load(), seed=number, duration=2.0)
+    assert recording["closed"][-1].all()
+    assert recording["alpha_true"].max() < 2.0 * recording["alpha_cmd"].max()
+
+
+@parametrize("name, phased", {"panda_edge": True, "ur5_wipe": False, "two_contact_rod": False})
+def test_several_forces_are_made_together(name, phased):
+    assert (osc.load_scenario(name, ["tare={}"]).control.life is not None) == phased
+    assert osc.load_scenario(name, ["tare={}", "control.life={}"]).control.life is not None
+    assert osc.load_scenario(name, ["tare={}", "control.life=off"]).control.life is None
+
+
+# --- All contacts at once, approached by the motion law -------------------------------------------
 
 
 @parametrize("name", ["three_arm_plate", "panda_edge", "two_contact_rod", "scara_peg"])
 def test_references_of_an_approach_meet_no_contact_before_it_ends(name):
     """Motions that slide and turn on the way would press some contacts before the others."""
-    rig = rig_of(name, "tare={}")
+    rig = rig_of(name, "tare={}", "control.life=off")
     end = rig.references.engage_at
     for t in np.linspace(0.0, end, 60):
         X_WD = rig.references.at(t).X_WD

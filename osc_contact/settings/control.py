@@ -427,8 +427,8 @@ class ControlSpec(Spec):
     """compensation and identification of [joint friction](joint_friction.md); `off`: neither"""
     life: PhaseSettings | None = PhaseSettings()
     """[contact phases](contact_phases.md): contacts are opened, approached and closed one by one,
-    as their desired forces are > 0 or not; `off`: all at once, after a `tare` (the default with
-    one)"""
+    as their desired forces are > 0 or not; `off`: all at once, after a `tare` (the default of
+    several forces with one)"""
     in_contact: bool = True
     """whether contacts that push are closed at the start; `false`: they are
     [open](contact_phases.md#active-sets)"""

@@ -126,6 +126,16 @@ def _forces(contact: Any) -> Any:
     return kind and kind.forces
 
 
+def has_one_force(scenario: Mapping[str, Any]) -> bool:
+    """Whether a scenario has one contact, with one force magnitude.
+
+    Args:
+        scenario: its groups, parsed or not.
+    """
+    contacts = scenario.get("contacts")
+    return isinstance(contacts, list | tuple) and [_forces(one) for one in contacts] == [1]
+
+
 def _entries(
     key: str, kind: str, group: Any, forces: Mapping[str, int], example: str
 ) -> Iterator[Problem]:
@@ -175,7 +185,10 @@ def _plant_problems(control: ControlSpec, plant: PlantSpec) -> Iterator[Problem]
     if not control.in_contact and (control.life is None or plant.exact):
         why = "contacts of a rigid plant cannot open; choose plant.type mujoco"
         if control.life is None:
-            why = "control.life opens them, and is off (the default beside a tare); give it, as {}"
+            why = (
+                "control.life opens them, and is off (the default of several forces beside a "
+                "tare); give it, as {}"
+            )
         yield ("control", "in_contact"), f"contacts do not begin open: {why}"
     if loop := control.joint_torque:
         key = ("control", "joint_torque")

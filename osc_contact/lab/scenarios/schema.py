@@ -21,7 +21,7 @@ from pydantic_core import InitErrorDetails
 from osc_contact.errors import ScenarioError
 from osc_contact.files import Json
 from osc_contact.lab.scenarios.bodies import ArmSpec, BodySpec, GraspSpec, Name, ObjectSpec
-from osc_contact.lab.scenarios.checks import problems_across
+from osc_contact.lab.scenarios.checks import has_one_force, problems_across
 from osc_contact.lab.scenarios.contact_keys import AnyContact
 from osc_contact.lab.scenarios.hardware import PlantSpec, SensorsSpec
 from osc_contact.lab.scenarios.plan_keys import PlanKeys
@@ -357,12 +357,14 @@ class Scenario(Spec):
     @model_validator(mode="before")
     @classmethod
     def _let_a_tare_engage(cls, data: Any) -> Any:
-        """Switch contact phases off in a scenario with a tare, unless `control.life` is given.
+        """Switch phases of several forces off beside a tare, unless `control.life` is given.
 
-        After a tare all contacts are approached slowly and engaged together. Phases would land at a
-        fixed speed, which causes an overshoot with stiff faces, large masses and late wrists.
+        After a tare all contacts are approached slowly and engaged together: with phases they would
+        be made one after the other, each disturbed by the landings of the others. A single force is
+        made by the guarded approach: where friction leaves the arm some millimetres off the face,
+        it would land at the speed that the commanded force has given it by then.
         """
-        if isinstance(data, dict) and data.get("tare") is not None:
+        if isinstance(data, dict) and data.get("tare") is not None and not has_one_force(data):
             control = data.get("control")
             if isinstance(control, dict) and "life" not in control:
                 return {**data, "control": {**control, "life": None}}
