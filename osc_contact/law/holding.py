@@ -192,7 +192,8 @@ def _command_braking(t, arm, omega):
     """Fill `acceleration` of an arm's joints, −2ω q̇ − ω²(q − q_hold), which brakes and holds them.
 
     q and q̇ are the estimated positions and speeds of MEMORY, q_hold = `hold` the positions where
-    the joints are held (rad, m). Joints without a motor get 0.
+    the joints are held (rad, m). ω|q − q_hold| counts at most as the speed limit v_max of the joint
+    (rad/s, m/s), so that a joint returns from afar at half of v_max. Joints without a motor get 0.
 
     Args:
         t: Tick.
@@ -202,6 +203,7 @@ def _command_braking(t, arm, omega):
     memory = t.memory
     for j in range(arm.first, arm.end):
         restoring = omega * (memory.q[j] - memory.joints[j].hold)
+        restoring = clamped(restoring, t.model.joints[j].rated)
         has_motor = t.model.joints[j].motor >= 0
         acceleration = -omega * (2.0 * memory.v[j] + restoring) if has_motor else 0.0
         t.work.joints[j].acceleration = acceleration
