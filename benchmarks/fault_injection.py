@@ -18,7 +18,7 @@ for each kind, how the runs ended and the largest contact force; the exit code i
 * a contact that was commanded and made was open for 0.3 s, and the controller took it as closed;
 * stopped arms whose motors are sound moved faster than 0.1 rad/s (m/s) later than 0.5 s after the
   stop, and 0.3 s after each push of the scenario, or 0.1 rad (m) further than braking took; not
-  judged of an arm whose motors cannot bear the object that hangs on it alone;
+  judged of arms whose motors cannot bear the object off the faces, or one that hangs on it alone;
 * the mechanical brakes were requested although encoders or speeds were sound, and the motors;
   speeds that are estimated from positions are as sound as these, and a joint that the object has
   left, faster than its readings are believed, has no sound one;
@@ -46,6 +46,7 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from scipy.optimize import linprog
 
 import osc_contact as osc
 from benchmarks.fault_judge import (
@@ -365,7 +366,8 @@ class Watch:
     def __init__(self, run: Run, verdict: Verdict, hangs: bool) -> None:
         self._run = run
         self._verdict = verdict
-        self._bears = _bearing(run) if hangs else np.ones(len(run.act), dtype=bool)
+        bears = _bearing(run) if hangs else np.full(len(run.act), least_load(run.rig) <= 1.0)
+        self._bears = bears
         self._stop_q = self._braking = np.zeros(0)
         self._stop_k = 0
         self._joints = JointWatch(run.rig.model, run.dt)
@@ -403,9 +405,10 @@ class Watch:
             self._braking = speeds * run.controller.records.model.reaction
         if verdict.stopped is not None:
             travel = (np.abs(q - self._stop_q) - self._braking)[self._bears]
-            verdict.travel = max(verdict.travel, float(travel.max()))
+            verdict.travel = max(verdict.travel, float(travel.max(initial=0.0)))
             if (run.k - self._stop_k) * run.dt > REST_AFTER and not _is_pushed(run):
-                verdict.rest_speed = max(verdict.rest_speed, float(speeds[self._bears].max()))
+                fastest = float(speeds[self._bears].max(initial=0.0))
+                verdict.rest_speed = max(verdict.rest_speed, fastest)
         self._joints.look(q, speeds)
         believed = run.controller.settings.safety.plausible_speed * run.fastest
         self.too_fast |= bool((speeds > believed).any())
@@ -428,6 +431,28 @@ def _bearing(run: Run) -> NDArray[np.bool_]:
     arms = [name.split("/")[0] for name in names]
     overloaded = {arm for arm, w, most in zip(arms, weights, run.limit, strict=True) if w > most}
     return np.array([arm not in overloaded for arm in arms])
+
+
+def least_load(rig: osc.Rig) -> float:
+    """Least share x of the motors' limits that bears arms and object without contacts.
+
+    The smallest x with |τ| ≤ x τ_max and G τ = Sᵀp, at rest in the start pose. Above 1 the arms
+    sink until something stops them, whatever is commanded.
+    """
+    state = rig.state
+    weight = state.S.T @ state.p
+    limits = rig.model.tau_max
+    n_a = len(limits)
+    at_most = np.vstack([np.eye(n_a), -np.eye(n_a)])
+    found = linprog(
+        np.eye(n_a + 1)[-1],
+        A_ub=np.column_stack([at_most, -np.concatenate([limits, limits])]),
+        b_ub=np.zeros(2 * n_a),
+        A_eq=np.column_stack([state.G, np.zeros(len(weight))]),
+        b_eq=weight,
+        bounds=[(None, None)] * (n_a + 1),
+    )
+    return float(found.x[-1])
 
 
 def contact_response(run: Run) -> Array:

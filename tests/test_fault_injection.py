@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from pytest import mark
-from rigs import assert_near, largest, rig_of, unit, vector
+from pytest import approx, mark
+from rigs import assert_near, largest, rig_of, unit, vector, with_motors
 from samples import chosen, first, parametrize
 from scenario_runs import run_of
 
@@ -15,6 +15,7 @@ from benchmarks.fault_injection import (
     Run,
     Verdict,
     Watch,
+    least_load,
     read_verdict,
     runs,
     try_fault,
@@ -604,6 +605,15 @@ def test_a_contact_that_is_not_found_again_stops_the_arms_until_a_reset():
     assert (rows.memory.columns.time_since_loss == 0.0).all()
     controller.tick(plant.measure(), rig.references.at(0.03))
     assert controller.state is RUN
+
+
+@parametrize("name, load", {"limited_rod": 1.0014, "panda_edge": 0.37, "two_contact_rod": 0.12})
+def test_the_least_load_of_the_motors_is_that_of_the_weight(name, load):
+    """`limited_rod` has motors for 48.0 N of 48.07 N: stopped, it sinks back onto its faces."""
+    rig = rig_of(name)
+    assert least_load(rig) == approx(load, rel=0.02 if load < 1.0 else 1e-4)
+    stronger = replace(rig, model=with_motors(rig.model, 2.0 * rig.model.tau_max))
+    assert least_load(stronger) == approx(0.5 * least_load(rig), rel=1e-9)
 
 
 @parametrize("push", first(WORST, 3))
