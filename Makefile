@@ -7,7 +7,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Even where it is set: hundreds of processes of the tests would compile all they import, 3 s each.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv browser demo check test test-all test-plain oldest-numba aarch64 versions peers worlds \
+.PHONY: venv browser demo check test test-worlds test-all test-plain oldest-numba aarch64 versions peers worlds \
 	coverage mutants docs gallery dist bench clean
 
 venv: .venv/.installed
@@ -81,6 +81,17 @@ check-layers:
 
 test: check browser
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
+	@$(MAKE) --no-print-directory test-worlds
+
+# Runs the tests of simulations of others, in those environments that `make worlds` has made.
+WORLDS := robosuite drake taskboard
+TEST_WORLD := bin/python -m pytest -q -W default -p no:cacheprovider
+test-worlds:
+	@failed=; for world in $(WORLDS); do \
+		test -e .venv-$$world/.installed || continue; \
+		echo "tests/try_$$world.py in .venv-$$world"; \
+		.venv-$$world/$(TEST_WORLD) tests/try_$$world.py || failed=1; \
+	done; test -z "$$failed"
 
 # Runs the tests marked slow, too: more states, runs and faults of the same kinds.
 test-all: check browser
@@ -141,15 +152,14 @@ worlds: .venv-robosuite/.installed .venv-drake/.installed .venv-taskboard/.insta
 		echo "$$(date +%T): $$*"; \
 		time .venv-"$$@" || failed+=$$'\n'"failed: $$*"; \
 	}; \
-	tests="bin/python -m pytest -q -W default -p no:cacheprovider"; \
 	numbers="$(if $(FULL),--full,--seeds $(SEEDS)) --workers $(WORKERS)"; \
 	time { \
-		step robosuite/$$tests tests/try_robosuite.py; \
-		step drake/$$tests tests/try_drake.py; \
+		step robosuite/$(TEST_WORLD) tests/try_robosuite.py; \
+		step drake/$(TEST_WORLD) tests/try_drake.py; \
 		step robosuite/bin/python -W ignore -m benchmarks.wiping $$numbers; \
 		step drake/bin/python -m benchmarks.two_judges $(if $(FULL),,--duration 4) \
 			--workers $(WORKERS); \
-		step taskboard/$$tests tests/try_taskboard.py; \
+		step taskboard/$(TEST_WORLD) tests/try_taskboard.py; \
 		step taskboard/bin/python -m benchmarks.taskboard $$numbers; \
 		echo "$$(date +%T)$$failed"; TIMEFORMAT="all steps $$TIMEFORMAT"; \
 	}; \

@@ -207,25 +207,39 @@ def test_what_takes_minutes_in_silence_is_announced_with_its_time():
         assert time in demo[: demo.index(step)].rpartition("echo ")[2], step
 
 
-@parametrize("options", [[], ["FULL=1", "WORKERS=5"]])
-def test_worlds_goes_on_after_a_step_that_fails_and_says_all_times(options, tmp_path):
-    """A missed limit of the judges, their exit code 1, must not cost the hours of the pegs."""
+def make_with_stand_ins(folder, *targets, worlds=("robosuite", "drake", "taskboard")):
+    """Run the Makefile where worlds have Pythons that print their arguments; judges exit with 1."""
     for name in ("Makefile", "pyproject.toml", *(f.name for f in ROOT.glob("constraints-*.txt"))):
-        (tmp_path / name).write_text(text_of(name))
-    for world in ("robosuite", "drake", "taskboard"):
-        program = tmp_path / f".venv-{world}/bin/python"
+        (folder / name).write_text(text_of(name))
+    for world in worlds:
+        program = folder / f".venv-{world}/bin/python"
         program.parent.mkdir(parents=True)
         program.write_text('#!/bin/sh\necho "> $*"\ncase "$*" in *two_judges*) exit 1;; esac\n')
         program.chmod(0o755)
-        (tmp_path / f".venv-{world}/.installed").touch()
-    done = subprocess.run(
-        ["make", "worlds", *options],
-        cwd=tmp_path,
+        (folder / f".venv-{world}/.installed").touch()
+    return subprocess.run(
+        ["make", *targets],
+        cwd=folder,
         env={"PATH": os.environ["PATH"]},
         capture_output=True,
         text=True,
         timeout=120,
     )
+
+
+@parametrize("worlds", [(), ("drake", "taskboard")])
+def test_worlds_that_are_installed_are_tested_with_the_rest(worlds, tmp_path):
+    done = make_with_stand_ins(tmp_path, "test-worlds", worlds=worlds)
+    ran = [line.split()[-1] for line in done.stdout.splitlines() if line.startswith("> ")]
+    assert ran == [f"tests/try_{world}.py" for world in worlds] and not done.returncode
+    (recipe,) = re.findall(r"^test: .*\n((?:\t.*\n)+)", text_of("Makefile"), re.M)
+    assert recipe.splitlines()[-1].endswith(" test-worlds")
+
+
+@parametrize("options", [[], ["FULL=1", "WORKERS=5"]])
+def test_worlds_goes_on_after_a_step_that_fails_and_says_all_times(options, tmp_path):
+    """A missed limit of the judges, their exit code 1, must not cost the hours of the pegs."""
+    done = make_with_stand_ins(tmp_path, "worlds", *options)
     ran = [line for line in done.stdout.splitlines() if line.startswith("> ")]
     numbers = "--full --workers 5" if options else "--seeds 3 --workers 2"
     judges = "--workers 5" if options else "--duration 4 --workers 2"
