@@ -366,8 +366,8 @@ class Watch:
     def __init__(self, run: Run, verdict: Verdict, hangs: bool) -> None:
         self._run = run
         self._verdict = verdict
-        bears = _bearing(run) if hangs else np.full(len(run.act), least_load(run.rig) <= 1.0)
-        self._bears = bears
+        bear_all = np.full(len(run.act), least_load(run.rig) <= 1.0)
+        self._bears = _bearing(run) if hangs else bear_all
         self._stop_q = self._braking = np.zeros(0)
         self._stop_k = 0
         self._joints = JointWatch(run.rig.model, run.dt)

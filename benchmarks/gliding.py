@@ -47,7 +47,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class Slid:
-    """What a sliding ball did.
+    """Depths and contact forces of a sliding ball.
 
     Attributes:
         depths: depth of the ball at each step (m), negative in the air.

@@ -70,7 +70,7 @@ def programs():
 
 
 def test_first_boards_of_the_pegs_are_those_of_the_benchmark():
-    """Its module cannot be imported here: gym-taskboard has an environment of its own."""
+    """The benchmark is parsed: gym-taskboard, which it imports, has an environment of its own."""
     lines = ast.parse((ROOT / "benchmarks/taskboard.py").read_text()).body
     (first,) = (
         line.value

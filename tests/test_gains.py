@@ -8,6 +8,7 @@ from complaints import invalid_input, refusals, scenario_error
 from kkt_oracle import held
 from pytest import approx
 from rigs import (
+    PANDA_Q,
     assert_near,
     contact_of,
     largest,
@@ -305,6 +306,21 @@ def test_errors_of_the_pose_are_corrected_within_speed_limits(seed):
     change = gains.stiffness / gains.damping * np.abs(J_bar @ e)
     share = min(1.0, 0.9 / (change / model.velocityLimit).max())
     assert_near(controller.result().a_u, share * gains.stiffness * e, rtol=1e-8)
+
+
+def test_a_motion_law_of_the_users_gets_the_whole_integral_of_the_error():
+    """The law that stands in place of the feedback limits speeds by itself, if at all."""
+    chain = one_panda()
+    gains = osc.Gains(osc.MotionGains(frequency=4.0, integral_time=0.2))
+    at_rest = osc.Measurement(PANDA_Q, np.zeros(7), np.zeros((1, 6)))
+    X_WO = chain.state(PANDA_Q, np.zeros(7)).X_WO
+    far = osc.Reference(pin.SE3(X_WO.rotation, X_WO.translation + [0.0, 2.0, 0.0]))
+    parts = {}
+    for name, motion in {"own": lambda *_: np.zeros(6), "built in": None}.items():
+        controller = osc.Controller(chain, [], gains, dt=DT, laws=osc.Laws(motion=motion))
+        controller.tick(at_rest, far)
+        parts[name] = controller.motion_integral[1] / (2.0 * DT)
+    assert parts["own"] == approx(1.0) and parts["built in"] < 0.5
 
 
 @parametrize("seed, number", [(550118, 48)])

@@ -481,7 +481,7 @@ def test_noisy_speeds_of_a_joint_at_rest_are_no_motion(offset):
 
 @BOTH
 def test_speeds_of_a_constant_position_count_after_five_times_their_delay(sign):
-    """And where their mean, 0.2 rad/s here, goes on."""
+    """The present speed must be near the mean of that time as well, here 0.2 rad/s."""
     t = records(joints=1, position_drift=0.01)
     row = t.memory.joints[0]
     for rested, present, found in ((0.0499, 0.2, 0), (0.0501, 0.2, 1), (0.0501, 0.09, 0)):

@@ -34,6 +34,9 @@ from osc_contact.law.vectors import (
 
 # --- The motion law: pose error, PID, and the classical acceleration made spatial -----------------
 
+#: Least change of a joint's speed by feedback of the motion, as a share of its largest speed.
+_LEAST_ROOM = 0.02
+
 
 @inner
 def rotation_vector(R):
@@ -173,8 +176,6 @@ def command_motion(t, share):
 #
 # with exponential forgetting. Noise and sliding on a tilted face are not correlated with α̃_s.
 
-#: Least change of a joint's speed by feedback of the motion, as a share of its largest speed.
-_LEAST_ROOM = 0.02
 _SUDDEN_RATE = 20.0  #: 1/s; a desired force that changes faster than this times its size is a step
 _FADING_RATE = 0.5  #: 1/s; rate at which the size of a former force is forgotten
 #: Share of its desired force from which on a contact shows the tilt of its face.

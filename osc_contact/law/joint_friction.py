@@ -414,7 +414,8 @@ def _is_contradicted(t, j, missing, moves, dt):
     Args:
         t: Tick.
         j: index of the joint.
-        missing: residual less compensated friction (N m, N), of one instant.
+        missing: residual less compensated friction (N m, N), of one instant; with `friction_errors`
+            less what errors of the masses explain, too.
         moves: whether the joint moves; a joint at rest may need less than Coulomb friction F.
         dt: time since the last computed tick (s).
 

@@ -473,7 +473,7 @@ def command(t, flags):
         transfer_integral(t)
     # motion law: a_u, with the integral of the error within its bound (m s, rad s)
     bound = model.integral_motion / model.integral if model.integral > 0.0 else inf
-    share = feedback_share(t)
+    share = feedback_share(t) if flags & OWN_MOTION == 0 else 1.0
     for i in range(6):
         integral = memory.motion_sum[i] + share * work.motion_next[i] * work.dt
         work.motion_next[i] = clamped(integral, bound)

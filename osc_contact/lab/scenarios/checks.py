@@ -127,7 +127,7 @@ def _forces(contact: Any) -> Any:
 
 
 def has_one_force(scenario: Mapping[str, Any]) -> bool:
-    """Whether a scenario has one contact, with one force magnitude.
+    """Test whether a scenario has a single contact, with a single force magnitude.
 
     Args:
         scenario: its groups, parsed or not.
