@@ -34,8 +34,11 @@ from osc_contact.law.vectors import (
 
 # --- The motion law: pose error, PID, and the classical acceleration made spatial -----------------
 
-#: Least change of a joint's speed by feedback of the motion, as a share of its largest speed.
+#: Least room of a joint for the feedback below its largest speed, as a share of the latter.
 _LEAST_ROOM = 0.02
+#: Acceleration by which the feedback may drive a joint, over K_d times its room below the largest
+#: speed. It bounds what a joint at rest gets, too: contact friction may need more than K_d v_max.
+_STEEPNESS = 4.0
 
 
 @inner
@@ -81,12 +84,13 @@ def pose_error(X_WD, X_WO):
 def feedback_share(t):
     """Share φ of the motion feedback that keeps all joints within their speed limits.
 
-    The feedback x = K_p e + K_i ∫Ω_m e dt would change the speed v of a joint by J̄x/K_d, with the
-    damping gain K_d. Where friction has held a joint, or an object was held or pushed, e and its
-    integral are large, and this speed is beyond the limits of joints. φ keeps |v + φ J̄x/K_d| within
-    `fastest` times the limit of each joint that x accelerates. It is 1 for small errors, without a
-    damping gain, and in singular postures: there J̄ grows without bound, and `reduce_motion` limits
-    the command. In between the excess of 1/φ over 1 counts by the least share of a lost direction.
+    Against the damping K_d(V_D − V) the feedback x = K_p e + K_i ∫Ω_m e dt brings the speed v of a
+    joint to J̄x/K_d. Where friction has held a joint, or an object was held or pushed, e and its
+    integral are large, and this speed is beyond the limits of joints. φ keeps the acceleration φ J̄x
+    below `_STEEPNESS` K_d (v_max − |v|) for each joint that x drives, so that it stays below v_max,
+    `fastest` times its limit. φ is 1 for small errors, without a damping gain, and in singular
+    postures: there J̄ grows without bound, and `reduce_motion` limits the command. In between the
+    excess of 1/φ over 1 counts by the least share of a lost direction.
 
     Args:
         t: Tick, of which `free_error` (the part of e that contacts and arms permit), `motion_sum`,
@@ -106,8 +110,8 @@ def feedback_share(t):
         limit = model.fastest * model.joints[j].speed_max
         v = work.joints[j].v
         room = max(limit - abs(v), _LEAST_ROOM * limit) if v * change > 0.0 else limit
-        if abs(change) > ratio * room:
-            ratio = abs(change) / room
+        if abs(change) > ratio * _STEEPNESS * room:
+            ratio = abs(change) / (_STEEPNESS * room)
     least_share = 1.0
     if work.n_lost > 0:
         for k in range(model.n_arms):

@@ -182,10 +182,11 @@ class ForceGains(_GainsOfOneLoop):
     damping: Annotated[NotNegativeNumber, "N s/m"] = _DERIVED
     """gain K_v of the normal velocity, for a particular mass; may be given with `integral`; 0"""
     bandwidth: Positive[Frequency] = _DERIVED
-    """frequency at which errors of the force decay; 5 Hz if no gain of the loop is given"""
+    """frequency at which errors of the force decay; 5 Hz if no gain of the loop is given, 2 Hz
+    with a tare"""
     damping_ratio: NotNegativeNumber = _DERIVED
-    """damping ratio of a contact that oscillates with the mass behind it; 0.7; above ½ no
-    oscillation grows"""
+    """damping ratio of a contact that oscillates with the mass behind it; above ½ no oscillation
+    grows; 0.7, 1.5 with a tare if no gain of the loop is given"""
     rise: NotNegative[Time] = _DERIVED
     """duration of a step of a desired force or squeeze; 0.25 s, 0 with `integral`"""
     tilt: Annotated[Angle, Field(ge=0, le=0.8)] = _DERIVED

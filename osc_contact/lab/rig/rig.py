@@ -154,7 +154,9 @@ def _furthest_contact(pairs: Sequence[ContactPair], X_WO: pin.SE3) -> str:
 
 MakesChain = Callable[[Scenario, ModelErrorSpec], ClosedChain]  #: type of `build_chain`
 #: Defaults of the motion loop in a scenario with a tare: Hz, s.
-TARE_GAINS = {"frequency": 4.0, "integral_time": 0.2}
+TARE_MOTION = {"frequency": 4.0, "integral_time": 0.2}
+#: Defaults of the force loop in a scenario with a tare (Hz), which belong together.
+TARE_FORCE = {"bandwidth": 2.0, "damping_ratio": 1.5}
 
 
 @dataclass(frozen=True)
@@ -321,18 +323,24 @@ class Rig:
 
     @property
     def gains(self) -> Gains:
-        """Gains of the scenario, whose motion loop has other defaults where it has a tare.
+        """Gains of the scenario, which has other defaults of both loops where it has a tare.
 
         A tare is for weights and friction that the model does not know. Away from the contacts only
         the motion integral balances errors of the weight, so it is on by default; and the loop is
-        faster, because unknown friction keeps slow ones off their path.
+        faster, because unknown friction keeps slow ones off their path. The same friction excites
+        contacts on walls that yield; these decay at half of the excess of brake over integral, so
+        the force loop has a slower integral and more damping.
         """
         gains = self.scenario.gains
-        own_settings = gains.motion.model_fields_set
-        if self.scenario.tare is None or "stiffness" in own_settings:
+        if self.scenario.tare is None:
             return gains
-        defaults = {key: x for key, x in TARE_GAINS.items() if key not in own_settings}
-        return gains.replaced(motion=gains.motion.replaced(**defaults))
+        motion, force = gains.motion, gains.force
+        if "stiffness" not in motion.model_fields_set:
+            missing = TARE_MOTION.keys() - motion.model_fields_set
+            motion = motion.replaced(**{key: TARE_MOTION[key] for key in missing})
+        if force.model_fields_set.isdisjoint({*TARE_FORCE, "integral"}):
+            force = force.replaced(**TARE_FORCE)
+        return gains.replaced(motion=motion, force=force)
 
     @property
     def joint_friction(self) -> JointFriction | None:
