@@ -16,7 +16,7 @@ import osc_contact as osc
 from benchmarks.random_tasks import Errors, RandomTask, draw, spring_wall
 from osc_contact.contacts.pairs.pair import triad
 from osc_contact.control.accelerations import expected_acceleration
-from osc_contact.lab.checks.preflight import encoders, late_brake
+from osc_contact.lab.checks.joint_rules import encoders, late_brake
 from osc_contact.sensing.dead_encoders import DeadEncoders
 from osc_contact.sensing.velocity_estimate import VelocityEstimate, smallest_bandwidth
 
@@ -147,7 +147,7 @@ def test_what_encoders_are_said_to_cost_is_what_they_cost_on_a_rigid_wall():
 def test_encoders_that_are_too_coarse_are_doubted_with_what_would_do():
     def doubts(resolution, *more):
         angle = f"{{angle: {{resolution: {resolution}}}, rate: 1 kHz}}"
-        given = ("gains={}", "tare={}", f"sensors.encoder={angle}", *more)
+        given = ("gains={force: {bandwidth: 5 Hz}}", "tare={}", f"sensors.encoder={angle}", *more)
         rig = rig_of("panda_edge", *given)
         return [one.text for one in osc.preflight(rig) if "encoders" in one.text]
 

@@ -72,7 +72,7 @@ def test_one_force_is_made_gently_though_friction_keeps_the_arm_from_the_face(
     """Commanded in free air, it accelerated these arms up to the face: 33 and 10 times as much."""
     task = draw(seed, number)
     assert task.load().control.life is not None
-    recording = osc.run(task.load(), seed=number, duration=2.0)
+    recording = osc.run(task.load(), seed=number, duration=2.5)
     assert recording["closed"][-1].all()
     assert recording["alpha_true"].max() < 2.0 * recording["alpha_cmd"].max()
 

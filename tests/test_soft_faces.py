@@ -130,7 +130,7 @@ def landed_on(damping_ratio, hertz=60.0):
         "approach_and_slide",
         f"plant.solref=[{time}, {ratio}]",
         f"plant.solimp=[{SHARE}, {SHARE}, 0.001]",
-        "gains={}",
+        "gains={force: {bandwidth: 5 Hz}}",
         "sensors={}",
         "model_error={}",
         "duration=2.6 s",

@@ -28,10 +28,9 @@ from osc_contact.contacts.pairs.pair import (
 )
 from osc_contact.control.controller import Controller
 from osc_contact.control.controller_settings import choose_reading
-from osc_contact.dynamics.chain_state import modes
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
-from osc_contact.interface import Measurement, Reference, Robot, Touched
-from osc_contact.lab.rig import hardware
+from osc_contact.interface import Reference, Robot
+from osc_contact.lab.checks.joint_rules import JOINT_RULES, trial_controller
 from osc_contact.lab.rig.contacts import urdf_of
 from osc_contact.lab.rig.landings import landings
 from osc_contact.lab.rig.rig import Rig
@@ -45,7 +44,6 @@ from osc_contact.plan.checks import require_plan
 from osc_contact.spatial import Array, norm
 
 MOST_TICKS = 100_000  #: largest number of references that are taken from an iterator
-NOISY = 0.05  #: largest rms force by the noise of encoders without a warning, over the mean command
 BESIDE_M = 0.005  #: largest distance of a contact from the geometry of body and object (m)
 PROBE_M = 0.002  #: distance before and behind a contact at which geometry is probed (m)
 #: Keys of contacts whose vectors point out of the body, or out of the object.
@@ -81,7 +79,7 @@ def task_of_rig(rig: Rig) -> Task:
         poses=plan.X_WD,
         forces=plan.commands,
         active=plan.active,
-        trial=partial(_trial_controller, rig),
+        trial=partial(trial_controller, rig),
         squeezes=np.full(len(times), abs(plan.squeeze_d)),
         commanded=plan.V_D,
         every=lambda period: rig.references.each(int(scenario.duration / period), period),
@@ -90,24 +88,6 @@ def task_of_rig(rig: Rig) -> Task:
         rests=[rig.bodies[body].motion is None for body in rig.on],
         bound=rig.life is None,
         kept_from=0.0 if tare is None else tare.duration + tare.approach,
-    )
-
-
-def _trial_controller(rig: Rig) -> tuple[Controller, Measurement]:
-    """Controller of a scenario with its contacts engaged, and a measurement at rest in contact.
-
-    Args:
-        rig: rig of the scenario.
-    """
-    controller = rig.controller()
-    controller.engaged = True
-    count = len(rig.pairs)
-    still = np.zeros((count, 6))
-    return controller, Measurement(
-        rig.q_contact,
-        np.zeros(rig.chain.nq),
-        np.zeros((len(rig.chain.arms), 6)),
-        touched=Touched(np.tile(np.eye(4), (count, 1, 1)), still, still),
     )
 
 
@@ -239,15 +219,6 @@ def friction(rig: Rig) -> Values:
         yield rig.scenario.plant.friction, {"other": other}
 
 
-@rule("{why}")
-def springs(rig: Rig) -> Values:
-    """Find springs of flexible joints, or a joint torque loop, that cannot be made."""
-    try:
-        hardware.torque_loop(rig.scenario, rig.chain, rig.springs)
-    except OscContactError as error:
-        yield 1.0, {"why": error}
-
-
 @rule("plan: {why}")
 def planned(rig: Rig) -> Values:
     """Find stages of a plan that the controller cannot carry out; the value is 1 for such a one."""
@@ -258,28 +229,6 @@ def planned(rig: Rig) -> Values:
         require_plan(plan.stages, plan.largest, rig.controller(), rig.state.X_WO)
     except OscContactError as error:
         yield 1.0, {"why": error}
-
-
-@doubt(
-    "the joint springs oscillate at {first:.3g} Hz (first mode, motors held), and no joint "
-    "torque loop produces the commanded torques: below 100 Hz contact may be lost; set "
-    "control.joint_torque={{rate: {rate:g} kHz}}",
-    -100.0,
-)
-def swinging(rig: Rig) -> Values:
-    """First natural frequency of flexible joints without a torque loop, negated (−Hz).
-
-    It is negated because a low frequency is the finding, and rules compare with upper limits.
-
-    Args:
-        rig: rig of the scenario.
-    """
-    if any(springs.findings(rig)) or rig.scenario.control.joint_torque is not None:
-        return
-    if rig.springs is not None:
-        frequencies = modes(rig.state, rig.chain.actuated, rig.springs.stiffness)
-        first = frequencies[frequencies > 0.0].min(initial=np.inf)
-        yield -first, {"first": first, "rate": 1e-3 / rig.scenario.plant.step}
 
 
 @doubt(
@@ -540,107 +489,8 @@ def inside(rig: Rig) -> Values:
             yield depth, {"name": name}
 
 
-@doubt(
-    "noise and steps of the encoders ({step:.2g} rad rms) let force {name} vary by {percent:.2g} % "
-    "of {command:.3g} N, by the velocities that its brake is of; {enough:.2g} rad would do, or set "
-    "control.estimate.joint_angular={angular:.2g} rad/s²",
-    NOISY,
-)
-def encoders(rig: Rig) -> Values:
-    """Rms force that the brake causes by the noise of the encoders, over the mean command.
-
-    On unyielding faces a velocity error δV (6,) of the object, the mean of those of the arms,
-    causes the forces δα = (NᵀΦN)⁻¹κ NᵀδV (N): (NᵀΦN)⁻¹ is the apparent mass along the columns N (6,
-    r), κ (1/s) the gain of the brake. δV is J times the independent errors of the joints' estimated
-    speeds.
-
-    Args:
-        rig: rig of the scenario.
-
-    Yields:
-        The ratio of each force, with the words of the finding.
-    """
-    brake = getattr(rig.gains.force, "brake", 0.0)
-    if rig.scenario.sensors.encoder is None or not rig.pairs or not brake:
-        return
-    known = hardware.encoders(rig.scenario, rig.chain)
-    error = known.error
-    estimate = known.estimate(1.0 / rig.scenario.control.rate, learning=rig.measured_forces)
-    N = rig.contact.N
-    if N.shape[1] != len(rig.force_names):  # dependent contacts share their forces
-        return
-    apparent_mass = np.linalg.inv(N.T @ rig.state.Phi @ N)
-    speed_errors = estimate.noise_gain * error  # (n,)
-    by_joint = [
-        apparent_mass @ N.T @ arm.J * speed_errors[joints]
-        for arm, joints in zip(rig.state.arms, rig.chain.slices, strict=True)
-    ]
-    squares = np.hstack(by_joint) ** 2  # errors of the joints are independent
-    forces = brake * np.sqrt(squares.sum(axis=1)) / len(rig.chain.arms)
-    commands = np.abs(rig.references.overview[1].commands).mean(axis=0)
-    for name, force, command in zip(rig.force_names, forces, commands, strict=True):
-        value = force / command if command > 0.0 else 0.0
-        reduction = min(NOISY / value, 1.0) if value > 0.0 else 1.0
-        words = {
-            "name": name,
-            "step": error.max(),
-            "percent": 100.0 * value,
-            "command": command,
-            "enough": error.max() * reduction**4,  # speed errors are as (error σ_a³)^¼
-            "angular": rig.scenario.control.estimate.joint_angular * reduction ** (4.0 / 3.0),
-        }
-        yield value, words
-
-
-@doubt(
-    "contacts on the declared springs oscillate at up to {hertz:.3g} Hz, and velocities estimated "
-    "from encoders of {step:.2g} rad rms alone follow too late for the brake to damp them; "
-    "{enough:.2g} rad, read at {rate:.0f} Hz or more, would do, or leave "
-    "control.estimate.measured_forces out",
-    1.0,
-)
-def late_brake(rig: Rig) -> Values:
-    """Bandwidth that the brake needs on declared springs, over that of the encoders alone.
-
-    A contact on a spring oscillates at its natural frequency; speeds that encoders estimate more
-    slowly reach the brake too late. It matters only where `control.estimate.measured_forces` is
-    switched off.
-
-    Args:
-        rig: rig of the scenario.
-
-    Yields:
-        The ratio, with the words of the finding.
-    """
-    if rig.measured_forces or rig.scenario.sensors.encoder is None or not rig.gains.force.brake:
-        return
-    carts = [body.motion for body in rig.bodies if isinstance(body.motion, CartSpec)]
-    if not any(cart.stiffness > 0.0 for cart in carts):
-        return
-    known = hardware.encoders(rig.scenario, rig.chain)
-    needed = rig.needed_bandwidth
-    words = {
-        "hertz": rig.fastest_mode / (2.0 * np.pi),
-        "step": known.error.max(),
-        "enough": (known.unknown / needed**2).min(),
-        "rate": needed,
-    }
-    yield needed / hardware.encoder_bandwidth(rig.scenario, rig.chain), words
-
-
 PLACE_RULES = (normals, inverted, inside, start, beside)  #: rules on the places of contacts
 #: All rules on a scenario; a new rule is added to this list. The rules on every task and on a robot
 #: are listed in `osc_contact.loop.start_rules`.
-RIG_RULES = (
-    sensors,
-    springs,
-    planned,
-    swinging,
-    *PLACE_RULES,
-    friction,
-    encoders,
-    late_brake,
-    carts,
-    landing,
-)
+RIG_RULES = (sensors, planned, *JOINT_RULES, *PLACE_RULES, friction, carts, landing)
 MODEL_RULES = (tare,)  #: rules on a scenario that depend on the errors of the controller's model
