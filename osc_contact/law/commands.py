@@ -39,6 +39,9 @@ _LEAST_ROOM = 0.02
 #: Acceleration by which the feedback may drive a joint, over K_d times its room below the largest
 #: speed. It bounds what a joint at rest gets, too: contact friction may need more than K_d v_max.
 _STEEPNESS = 4.0
+#: Speed of the object by the feedback (m/s, rad/s) that brings no joint near its limit: only in
+#: singular postures do joints move a hundred times as fast.
+_SLOW = 1e-3
 
 
 @inner
@@ -103,6 +106,11 @@ def feedback_share(t):
         return 1.0
     x = scaled(model.stiffness / model.damping, work.free_error)
     x = add(x, model.integral / model.damping, t.memory.motion_sum)
+    largest = 0.0
+    for i in range(6):
+        largest = max(largest, abs(x[i]))
+    if largest < _SLOW:
+        return 1.0
     x = motion_to_energy(work, x)
     ratio = 1.0
     for j in range(model.n_joints):
