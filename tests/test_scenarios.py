@@ -313,13 +313,21 @@ def test_a_clash_of_two_keys_is_blamed_on_the_overridden_one():
 
 
 def test_round_trip():
-    for scenario in (parse_scenario(GOOD, "f.yaml"), load_scenario("two_contact_rod")):
+    unlimited = load_scenario("two_contact_rod", ["control.safety.overspeed_time=.inf"])
+    for scenario in (parse_scenario(GOOD, "f.yaml"), load_scenario("two_contact_rod"), unlimited):
         data = json.loads(json.dumps(scenario.as_dict(), allow_nan=False))
         assert osc.Scenario.model_validate(data) == scenario
         again = parse_scenario(yaml.safe_dump(data))
         assert again == scenario and again.as_dict() == data
         assert "source" not in data
     assert parse_scenario(GOOD, None, ["duration=3 s"]) != parse_scenario(GOOD)
+
+
+def test_a_run_without_a_limit_is_recorded_with_it():
+    limit = "control.safety.overspeed_time"
+    recording = osc.run(load_scenario("two_contact_rod", [f"{limit}=.inf", "duration=0.01 s"]))
+    again = osc.Scenario.from_dict(recording.meta["scenario"])
+    assert again.control.safety.overspeed_time == np.inf
 
 
 def test_loading_by_path_and_unknown_names(tmp_path):

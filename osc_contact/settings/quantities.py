@@ -260,6 +260,7 @@ def sentence(item: ErrorDetails, owner: type[BaseModel] | None) -> str:
 
 
 _SPELLINGS = re.compile(r"(μ|u)[ms]\b.*|.*s(\^?[23])")  # Greek mu, ASCII beside µ and s²
+_NO_LIMIT = ".inf"  #: text of an infinite limit, as YAML has it
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 
 
@@ -326,6 +327,8 @@ class Dimension:
         Raises:
             PydanticCustomError: no number, or a unit of another dimension.
         """
+        if text == _NO_LIMIT:
+            return math.inf
         match = _QUANTITY.fullmatch(text)
         if match is None:
             raise refuse(f"expected {self.expected}; got {text!r}, which is no number")
@@ -346,9 +349,17 @@ class Dimension:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Schema of pydantic for a key of this dimension: `parse`, then bounds."""
+        """Schema of pydantic for a key of this dimension: `parse`, then bounds.
+
+        JSON has no infinite numbers: it gets the text of a file.
+        """
         number = core_schema.float_schema(allow_inf_nan=self.open)
-        return core_schema.no_info_before_validator_function(self.parse, number)
+        as_json = core_schema.plain_serializer_function_ser_schema(
+            lambda x: _NO_LIMIT if x == math.inf else x, when_used="json"
+        )
+        return core_schema.no_info_before_validator_function(
+            self.parse, number, serialization=as_json if self.open else None
+        )
 
 
 def _parse_units(sizes: str) -> dict[str, Decimal]:
