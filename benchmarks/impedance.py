@@ -52,7 +52,7 @@ WALLS = {
     "soft": Wall({"solref": (0.05, 1.0), **SOFT}),
     "very soft": Wall({"solref": (0.1, 1.0), **SOFT}),
     "0.5 kg on a spring, unknown": Wall({}, CART, "ignored", (0.0,)),
-    "the same, at 1.5 Hz": Wall({}, CART, "ignored", (0.0,), {"force": {"bandwidth": 1.5}}),
+    "the same, at 5 Hz": Wall({}, CART, "ignored", (0.0,), {"force": {"bandwidth": 5.0}}),
     "0.5 kg on a spring, known": Wall({}, CART, offsets=(0.0,)),
 }
 
