@@ -38,7 +38,7 @@ from osc_contact.law.vectors import (
 _LEAST_ROOM = 0.02
 #: Acceleration by which the feedback may drive a joint, over K_d times its room below the largest
 #: speed. It bounds what a joint at rest gets, too: contact friction may need more than K_d v_max.
-_STEEPNESS = 4.0
+_STEEPNESS = 2.0
 #: Speed of the object by the feedback (m/s, rad/s) that brings no joint near its limit: only in
 #: singular postures do joints move a hundred times as fast.
 _SLOW = 1e-3
