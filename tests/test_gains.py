@@ -357,13 +357,13 @@ def test_a_joint_that_friction_has_held_breaks_loose_within_its_speed_limit(
 
 @parametrize("seed, number", [(24101, 22)])
 def test_a_light_joint_follows_although_contact_friction_turns_it(own_plants, seed, number):
-    """The last link of this arm is all rotor; feedback reduced at rest as near the limit lost it."""
+    """The last link is all rotor; feedback that was as small at rest as near the limit lost it."""
     recording = osc.run(draw(seed, number).load(), seed=number)
     assert osc.metrics(recording)["task"]["word"] == "OK"
 
 
 @parametrize("seed, number", [(665665, 17)])
 def test_a_joint_does_not_break_loose_faster_than_its_encoder_shows(own_plants, seed, number):
-    """With twice the feedback at rest its estimated speed was taken for a fault, 2 s after start."""
+    """With twice the feedback at rest its estimated speed was taken for a fault after 2 s."""
     recording = osc.run(draw(seed, number).load(), seed=number, duration=2.5)
     assert recording.meta["end_state"] == "RUN"
