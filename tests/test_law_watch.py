@@ -825,6 +825,19 @@ def test_joints_that_pass_one_another_are_not_exchanged():
 
 
 @BOTH
+def test_joints_that_pass_their_zeros_in_a_mirror_image_are_not_exchanged(sign):
+    """Speeds that were estimated too slow: each is where the other one was expected."""
+    sensors = Sensors()
+    v = sign * vector(3.8, -3.8)
+    sensors.q = -10.65 * DT * v  # 2.5 mrad before zero, then 1.3 mrad behind it, not before it
+    for k in range(30):
+        sensors.memory.v[:] = 0.3 * v
+        sensors.memory.derived = at.ESTIMATED
+        assert sensors.tick(v=v) == NO_REASON
+        assert (sensors.joints.barred == at.NOT_BARRED).all(), k
+
+
+@BOTH
 def test_friction_may_hold_a_joint_against_a_share_of_its_torque(sign):
     """5 % of its limit, and twice the dry friction that is known of it."""
     t = joints(2)

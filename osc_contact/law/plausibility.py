@@ -280,15 +280,37 @@ def _are_exchanged(t, i, j):
     """Determine whether the position readings of two joints are exchanged.
 
     Each is then near the position predicted for the other joint, and farther than `_EXCHANGED` from
-    the one predicted for its own.
+    the one predicted for its own, and from where it would be if it had moved as before. Two joints
+    that move in a mirror image pass their zeros at the same time: each is then where the other one
+    was predicted if their estimated speeds lag, but goes on as before.
 
     Args:
-        t: Tick.
+        t: Tick, of which `q` and `step` (last reading and its change; rad, m) of the joints in
+            MEMORY are read.
         i, j: indices of the joints.
     """
     q = t.input.q
-    is_deviating = min(abs(q[i] - _expected(t, i)), abs(q[j] - _expected(t, j))) > _EXCHANGED
+    is_deviating = min(_deviation(t, i), _deviation(t, j)) > _EXCHANGED
     return is_deviating and _is_near_other(q[i], q[j], _expected(t, i), _expected(t, j))
+
+
+@leaf
+def _deviation(t, j):
+    """Distance of the position read of joint j from the nearest one that its motion explains.
+
+    Explained are the one by its estimated speed and the one by the last change of its reading.
+
+    Args:
+        t: Tick.
+        j: index of the joint.
+
+    Returns:
+        Distance (m, rad).
+    """
+    position = t.input.q[j]
+    joint_memory = t.memory.joints[j]
+    going_on = joint_memory.q + joint_memory.step
+    return min(abs(position - _expected(t, j)), abs(position - going_on))
 
 
 @leaf
