@@ -2,6 +2,7 @@
 
 import logging
 from dataclasses import replace
+from hashlib import sha256
 
 import numpy as np
 import pinocchio as pin
@@ -224,6 +225,16 @@ def test_a_fault_begins_within_a_stage_that_is_shorter_than_the_moment_drawn(mon
     assert verdict.stage == "weigh"
     assert verdict.stopped is not None
     assert verdict.wrong == []
+
+
+def test_noise_of_the_wrist_is_not_taken_for_a_rotor():
+    """The last joint had 0.13 kg m^2 of it within 0.2 s of motion, and oscillated with 5 rad/s."""
+    name = "wrist noise of 5 N"
+    rng = np.random.default_rng([990121, *sha256(name.encode()).digest()])
+    run = Run(name, 990150, rng)
+    verdict = run.judge()
+    assert verdict.wrong == [] and verdict.stopped is not None
+    assert_allclose(run._controller.records.memory.joints.rotor, 0.0, atol=1e-3)
 
 
 def test_pegs_that_did_not_slip_are_counted_apart(monkeypatch, capsys):

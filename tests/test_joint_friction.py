@@ -330,6 +330,42 @@ def test_learned_friction_is_applied_gradually_to_contacts_that_are_closed(phase
     assert_near(applied, -8.0 * steps / 100)
 
 
+@parametrize("pause", [1, 4])
+def test_the_noise_of_a_wrist_is_known_before_a_joint_has_moved(pause):
+    """The variance that it leaves in the smoothed residual; also if it is slower than the loop."""
+    dt = 1e-3 * pause
+    noise = 5.0 * default_rng(4).standard_normal(20_000)
+    row = records(1, 1).memory.friction[0]
+    seen = []
+    for change in np.diff(noise):
+        joint_friction._note_jitter(row, change, dt)
+        seen.append(row.jitter)
+    held = np.repeat(noise, pause)
+    for lag in (joint_friction.LAG, joint_friction._SMOOTH):
+        k, last = 1e-3 / (lag + 1e-3), 0.0
+        held = np.array([last := last + k * (x - last) for x in held])
+    assert np.mean(seen) == approx(held.var(), rel=0.15)
+    assert min(seen[600:]) > 0.3 * np.mean(seen)
+
+
+def test_a_rotor_is_not_certain_as_long_as_the_noise_of_the_wrist_explains_the_residuals():
+    """The accelerations are those by which the law answers the noise: 0.3 kg m^2 are no rotor."""
+    rng = default_rng(8)
+    deviations = []
+    for jitter in (0.0, 0.8):
+        t, row = watched(friction_estimate.SUSPECTED, 0.0, 1.0)
+        write(t.model.priors[0], noise=0.04, doubt=0.25, spread=1.8, high=3.6, low=-3.6, sure=2.0)
+        write(row, noise=0.04**2, jitter=jitter**2)
+        row.P[:] = 0.25**2 * np.eye(5)
+        for noise in 0.8 * rng.standard_normal(30):
+            row.smooth[:] = (noise, 1.0, 0.05, 0.05, noise / 0.3, 0.0)
+            friction_estimate.update_estimate(t, 0, True, 0.25, 4e-3)
+        deviations.append(np.sqrt(row.P[2, 2]))
+    quiet, noisy = deviations
+    measured = joint_friction._MEASURED * 0.25
+    assert quiet < measured < noisy
+
+
 @parametrize("missing, certain", {0.5: 0.3, -0.5: -0.3, 0.15: 0.0})
 def test_the_inertia_takes_in_what_is_certain_of_a_learned_rotor(missing, certain):
     """All but two standard deviations, within 0.1 s; what is forgotten leaves it again."""

@@ -91,10 +91,11 @@ def update_estimate(t, j, moves, k, dt):
     for long is certain to have friction; one standard deviation of the residual shows how much,
     where it is commanded to move fast.
 
-    Reads of FRICTION `smooth` (low-passed residual and regressors), `noise` (variance of the
-    residual), `P` (covariance of θ), `rested` (s at rest) and `stuck` (s at rest although commanded
-    to move fast); of PRIOR the upper bounds `high` of θ; and the permitted `speed` of the joint.
-    Changes `estimate`, `theta`, `P`, `noise`, and the state `friction_known` to LEARNED.
+    Reads of FRICTION `smooth` (low-passed residual and regressors), `noise` and `jitter` (variance
+    of the residual, see `_variance`), `P` (covariance of θ), `rested` (s at rest) and `stuck` (s at
+    rest although commanded to move fast); of PRIOR the upper bounds `high` of θ; and the permitted
+    `speed` of the joint. Changes `estimate`, `theta`, `P`, `noise`, and the state `friction_known`
+    to LEARNED.
 
     Args:
         t: Tick.
@@ -113,7 +114,7 @@ def update_estimate(t, j, moves, k, dt):
     friction = smooth[TORQUE] - estimate[2] * a - estimate[3] - estimate[4] * smooth[WEIGHT]
     expected = max(estimate[0], 0.0) + max(estimate[1], 0.0) * abs(t.memory.joints[j].speed)
     excess = friction * smooth[SIGN] - expected
-    deviation = sqrt(friction_row.noise + friction_row.P[2, 2] * a * a)
+    deviation = sqrt(_variance(prior, friction_row) + friction_row.P[2, 2] * a * a)
     is_stuck = friction_row.stuck > _HOLDS
     sticks = is_stuck and excess > deviation
     sticks = sticks or (friction_row.rested > _STANDS and excess > _SEEN * deviation)
@@ -138,16 +139,31 @@ def update_estimate(t, j, moves, k, dt):
 
 
 @leaf
+def _variance(prior, friction_row):
+    """Compute the variance R of a residual that θ does not explain (N² m², N²).
+
+    It is the mean square of r − φᵀθ so far (`noise`), but not less than the part of it that the
+    noise of the wrist causes now (`jitter`), which is known before the joint has moved for long.
+
+    Args:
+        prior: PRIOR of a joint.
+        friction_row: its FRICTION.
+    """
+    least = _QUIET * prior.noise
+    return max(friction_row.noise, friction_row.jitter, least * least)
+
+
+@leaf
 def _regress(prior, friction_row, phi, r, k, dt):
     """Update the estimate of θ of a joint and its covariance P by recursive least squares.
 
         θ ← θ + g(r − φᵀθ),   g = Pφ/(R/k + φᵀPφ),   P ← (1 − g φᵀ)P
 
     θ (5,) has F, D, A, bias and μ, φ (5,) their regressors in the residual r (N m, N), and R is the
-    variance of r that θ does not explain. R follows the mean square of r − φᵀθ; it is increased for
-    outliers beyond `_SEEN` standard deviations. Old residuals are forgotten with the time constant
-    `_FORGET`, for those elements of θ that now affect r by more than `_SEEN` times its noise, and
-    whose standard deviation is below `spread` of the prior.
+    variance of r that θ does not explain (`_variance`). It follows the mean square of r − φᵀθ; it
+    is increased for outliers beyond `_SEEN` standard deviations. Old residuals are forgotten with
+    the time constant `_FORGET`, for those elements of θ that now affect r by more than `_SEEN`
+    times its noise, and whose standard deviation is below `spread` of the prior.
 
     Args:
         prior: PRIOR of a joint.
@@ -168,7 +184,7 @@ def _regress(prior, friction_row, phi, r, k, dt):
     bounded = min(max(miss, -bound), bound)
     square = bounded * bounded
     friction_row.noise += dt / (_SCATTER + dt) * (square - friction_row.noise)
-    R = max(friction_row.noise, (_QUIET * noise) * (_QUIET * noise))
+    R = _variance(prior, friction_row)
     for i in range(_SIZE):
         gain[i] = dot(P[i], phi, _SIZE)
     variance = dot(gain, phi, _SIZE)  # φᵀPφ

@@ -69,7 +69,7 @@ from osc_contact.law.friction_estimate import (
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.phases import APPROACHING
 from osc_contact.law.reading import read_wrist
-from osc_contact.law.records import HISTORY, contact_of
+from osc_contact.law.records import HISTORY, WRISTS, contact_of
 from osc_contact.law.vectors import (
     ZERO,
     add,
@@ -93,6 +93,7 @@ from osc_contact.law.vectors import (
 LAG = 0.01  #: s, time constant 1/K of the residual's low-pass
 _SMOOTH = 0.015  #: s, time constant of the second low-pass
 _SETTLED = 0.15  #: s after the first tick during which nothing is identified
+_JITTER = 0.1  #: s, time constant of the variance of a wrist's noise
 _OUTLIER = 2.0  #: largest residual of one tick, as a multiple of the motor's torque limit
 _MOVES = 0.01  #: rad/s; a slower joint does not contribute to the estimate
 SLIDES = 0.2  #: m/rad, converts speed thresholds of revolute joints to those of prismatic ones
@@ -182,7 +183,7 @@ def _observe_joint(t, arm, j, wrench, bias, inertia_force, k, dt):
     torque limits. Reads h, M and `column` of the joint in WORK, of MEMORY the rates of the arm's
     joints and the motor's torque, and the joint's former signals if wrenches have time stamps
     (`stamped`). Updates `past_weight`, too (torque of h less that of the bias, of the last tick),
-    and with time stamps `history` of PAST.
+    with time stamps `history` of PAST, and with each new reading `jitter` of FRICTION.
 
     Args:
         t: Tick.
@@ -229,11 +230,31 @@ def _observe_joint(t, arm, j, wrench, bias, inertia_force, k, dt):
     bound = _OUTLIER * joint.tau_max
     load = min(max(dot6(joint_work.column, wrench), torque - bound), torque + bound)
     row.means[TORQUE] += k * (torque - 0.5 * (load + row.load) - row.means[TORQUE])
+    if t.memory.balanced > 1 and t.memory.repeated & WRISTS == 0:
+        elapsed = dt + t.memory.old_wrists * t.model.period
+        _note_jitter(t.memory.friction[j], load - row.load, elapsed)
     row.load = load
     for i in range(SIGN, RATE):
         row.means[i] += k * (signals[i] - row.means[i])
     row.residual = row.means[TORQUE] - signals[INERTIAL]
     return signals[RATE], signals[INERTIAL]
+
+
+@leaf
+def _note_jitter(friction_row, change, elapsed):
+    """Update the variance of the smoothed residual that the noise of the wrist causes.
+
+    Successive readings with white noise of variance σ² differ with the variance 2σ². Both
+    low-passes with the time constants T = `LAG` and T' = `_SMOOTH` leave σ² Δt/(2(T + T')) of it,
+    where Δt is the time between readings.
+
+    Args:
+        friction_row: FRICTION of a joint, of which `jitter` is changed (N² m², N²).
+        change: of the torque of the wrist's reading since the last one (N m, N).
+        elapsed: Δt (s).
+    """
+    variance = 0.25 * change * change * elapsed / (LAG + _SMOOTH)
+    friction_row.jitter += elapsed / (_JITTER + elapsed) * (variance - friction_row.jitter)
 
 
 @leaf

@@ -495,9 +495,10 @@ JOINT_MEMORY = _record(
 PAST = _record(history=(HISTORY, 8))  #: signals of a joint in former ticks, for delayed wrenches
 #: Estimate of a joint's friction, see `friction_estimate`: variance of residuals, s of evidence,
 #: s of rest, s of rest although the joint is commanded to move fast, share that is applied, s of
-#: contradiction; θ, θ without bounds and its covariance; regressors after the second low-pass.
+#: contradiction, variance of residuals by the noise of the wrist; θ, θ without bounds and its
+#: covariance; regressors after the second low-pass.
 FRICTION = _record(
-    number=("noise", "evidence", "rested", "stuck", "applied", "contradicted"),
+    number=("noise", "evidence", "rested", "stuck", "applied", "contradicted", "jitter"),
     theta=5,
     estimate=5,
     P=(5, 5),
