@@ -237,6 +237,16 @@ def test_noise_of_the_wrist_is_not_taken_for_a_rotor():
     assert_allclose(run._controller.records.memory.joints.rotor, 0.0, atol=1e-3)
 
 
+def test_a_stopped_arm_does_not_follow_a_drifting_encoder_into_the_face(monkeypatch):
+    """The force had grown by 220 N/s since the stop, to 114 N and more."""
+    name = "encoder drifts by 0.2 rad/s"
+    rng = np.random.default_rng([224844, *sha256(name.encode()).digest()])
+    monkeypatch.setattr(plan_faults, "STOPPED_FOR", 1.5)
+    verdict = Run(name, 224847, rng).judge()
+    assert verdict.wrong == [] and verdict.stopped is not None
+    assert verdict.force < 70.0
+
+
 def test_pegs_that_did_not_slip_are_counted_apart(monkeypatch, capsys):
     """One peg slips, one slips by a part of the distance, one does not; all three are inserted."""
     shares = iter((1.0, 0.5, 0.0))

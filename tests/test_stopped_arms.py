@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from law_calls import holding, records, write
 from pytest import mark
 from rigs import assert_near, vector
 from samples import first, parametrize
@@ -17,6 +18,9 @@ import osc_contact as osc
 from benchmarks.fault_injection import REST_AFTER, REST_SPEED, REST_TRAVEL, Run, Verdict
 from benchmarks.fault_injection import Case as Place
 from benchmarks.faults import NAN
+from osc_contact.law import records as at
+from osc_contact.law.agreement import UNBALANCED
+from osc_contact.law.plausibility import OUT_OF_RANGE
 from osc_contact.law.records import FAULTY_SPEED
 
 SAFE_STOP = osc.SafetyState.SAFE_STOP
@@ -339,3 +343,28 @@ def test_the_brake_of_a_joint_with_a_faulty_speed_is_without_its_identified_roto
         inertia.append([work.joints[j].M[j] for j in range(7)])
     found = np.array(inertia[0]) - np.array(inertia[1])
     assert_near(found, [0, 0, 0, 0, 0, 0, rotor], atol=2e-3)
+
+
+@parametrize(
+    "force, more, moves",
+    [
+        (51.0, {}, True),
+        (49.0, {}, False),
+        (51.0, {"state": at.HOLD}, False),
+        (51.0, {"settled": at.BRAKED}, False),
+        (51.0, {"wrench_age": 1}, False),
+        (51.0, {"old_wrists": 1}, False),
+        (51.0, {"cause": UNBALANCED}, False),
+        (51.0, {"cause": OUT_OF_RANGE}, False),
+        (51.0, {"largest_sum": 40.0}, False),
+    ],
+)
+def test_what_presses_on_a_stopped_arm_moves_its_hold(force, more, moves):
+    """Above half of the ceiling of 100 N, beside the weight of 20 N, if the wrist is believed."""
+    t = records(1, 2, period=1e-3, wrist_ceiling=100.0, wrist_headroom=3.0)
+    how = {"state": at.SAFE_STOP, "settled": at.SETTLED, "cause": 0}
+    write(t.memory, **how | more)
+    t.memory.q[:] = 0.1
+    write(t.memory.arms[0], weighed=1, load=[0.0, force, 20.0])
+    holding._yield_holds(t, vector(0.0, 0.0, 20.0, 0.0, 0.0, 0.0))
+    assert_near(t.memory.joints.hold, 0.1 / 51.0 if moves else 0.0)

@@ -20,6 +20,7 @@ from osc_contact.law.agreement import (
 from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, place_pose, turn_axes
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.phases import collect, slew
+from osc_contact.law.plausibility import OUT_OF_RANGE
 from osc_contact.law.reading import read_wrist
 from osc_contact.law.records import BRAKED, NOISY, SAFE_STOP, SETTLED
 from osc_contact.law.vectors import (
@@ -35,6 +36,7 @@ from osc_contact.law.vectors import (
     fill,
     fill3,
     join,
+    linear,
     minus3,
     origin,
     plus3,
@@ -44,7 +46,7 @@ from osc_contact.law.vectors import (
     transformed,
     velocity_at,
 )
-from osc_contact.law.wrist_readings import WRIST_FROZEN
+from osc_contact.law.wrist_readings import WRIST_FROZEN, WRIST_SATURATED
 
 _AT_REST = 0.02  #: rad/s, m/s, speed below which a braked joint counts as at rest
 _BRAKING = 0.3  #: s, longest time of braking until the joints are held
@@ -58,6 +60,10 @@ LET_GO_TIME = 0.02  #: s for which the load has to be below that share until an 
 _AWAY_TIME = 0.005
 _FASTER = 2.0  #: factor of `hold_rate` of an arm that has let go
 _SOFTER = 0.5  #: factor of `hold_rate` where speeds are estimated from noisy encoders
+#: share of the ceiling of its wrist above which what presses on a stopped arm moves its hold, and
+#: time constant of this motion (s): 0.2 rad/s move the hold by 10 mrad behind the joint
+_PRESSED = 0.5
+_YIELDING = 0.05
 _LOAD_LAG = 0.02  #: s, time constant of the low-pass of the load of a wrist
 
 
@@ -81,7 +87,8 @@ def hold_posture(t):
     q_hold follows the joints, so that the torques dissipate energy. Torques move in a straight line
     from the last ones, at `BRAKE_RATE`, or faster if a joint is above its speed limit or motors
     cannot exert the braking torques; those of an arm that has let go on a line of their own, at
-    `torque_rate`.
+    `torque_rate`. What presses on the wrist of a single arm, beyond a bound, moves q_hold
+    (`_yield_holds`).
 
     Reads q and v of MEMORY. Fills `tau` (N m, N) and `step` (their largest changes) of the motors,
     `torques` of MEMORY with the same, and of the joints in MEMORY `hold`, `acceleration`, `driven`;
@@ -103,6 +110,7 @@ def hold_posture(t):
     centre = local(3)
     weight = local(6)
     object_is_known = _carry_weight(t, R, centre, weight)
+    _yield_holds(t, weight)
     n_holding = _count_holding(t)
     rate_limit = _rate_limit(t)
     # torques of each arm, with its share of the object if it holds it
@@ -321,6 +329,40 @@ def _move_holds(t):
         row.hold = row.begun + clamped(memory.q[j] - row.begun, row.way)
     is_braking = is_moving and memory.age * model.period < _BRAKING
     memory.settled = BRAKED if is_braking else SETTLED
+
+
+@inner
+def _yield_holds(t, weight):
+    """Move the held positions of a single arm towards its joints while something presses on it.
+
+    The hold is a spring: what moves its joints away presses as hard as they are away. In contact,
+    an encoder that drifts, from which speeds are estimated, reads the same: the arm follows the
+    drift, and presses harder the longer it lasts. So the hold follows the joints while the wrist's
+    load, beside the object's weight, exceeds `_PRESSED` times its ceiling. A wrist that has stopped
+    the arms by its reading is no evidence, nor one that is not read.
+
+    Args:
+        t: Tick after `_observe_arms`, of which `load` (3,; N) of the arm in MEMORY is read and
+            `hold` of the joints is changed (rad, m).
+        weight: (6,) wrench that carries the object (N, N m).
+    """
+    model = t.model
+    memory = t.memory
+    row = memory.arms[0]
+    is_held = memory.state == SAFE_STOP and memory.settled == SETTLED and row.weighed != 0
+    if model.n_arms != 1 or not is_held or memory.wrench_age + memory.old_wrists > 0:
+        return
+    cause = memory.cause
+    if cause in (UNBALANCED, WRIST_FROZEN, WRIST_SATURATED, OUT_OF_RANGE):
+        return
+    ceiling = max(model.wrist_ceiling, model.wrist_headroom * memory.largest_sum)
+    force = minus3(row.load, linear(weight))
+    if dot3(force, force) <= (_PRESSED * ceiling) ** 2:
+        return
+    share = model.period / (_YIELDING + model.period)
+    for j in range(model.n_joints):
+        joint_memory = memory.joints[j]
+        joint_memory.hold += share * (memory.q[j] - joint_memory.hold)
 
 
 @inner
