@@ -535,6 +535,7 @@ WORST = (
     ("panda_edge", "along", 200.0, 0.05),
     ("three_arm_plate", "into", 200.0, 0.05),
     ("moving_face", "into", 60.0, 0.05),
+    ("workcell", "off", 120.0, 0.05),
 )
 
 
