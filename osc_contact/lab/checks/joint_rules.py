@@ -155,7 +155,8 @@ def spring_decay(rig: Rig) -> tuple[float, float]:
     M[:d, :d] = state.Lambda_S
     # contact forces of the springs' forces, and torques that command contact forces
     alpha_of_springs = NPhiN_inv @ np.linalg.solve(state.Lambda_S, S_N).T @ W_a.T
-    tau_of_alpha = np.linalg.pinv(state.G * chain.tau_max) * chain.tau_max[:, None] @ S_N
+    limits = np.minimum(chain.tau_max, 1e12)
+    tau_of_alpha = np.linalg.pinv(state.G * limits) * limits[:, None] @ S_N
     by_q, by_v = _torque_derivatives(rig)
     wrist = rig.scenario.sensors.wrist
     wrist_delay = 0.0 if wrist is None else wrist.delay
@@ -275,8 +276,8 @@ def uncompensated(rig: Rig) -> Values:
     """Force by dry friction of the joints that no model compensates, over the mean command.
 
     Torques δτ of the motors change the forces of rigid contacts by (NᵀΦN)⁻¹NᵀS Λ_S⁻¹G δτ. Of the
-    friction of a joint counts what the model lacks, and at least `_UNCERTAIN` of it. Signs of the
-    joints are independent, so squares are added.
+    friction of a joint whose model is wrong counts what the model lacks, and at least `_UNCERTAIN`
+    of it. Signs of the joints are independent, so squares are added.
 
     Args:
         rig: rig of the scenario.
@@ -302,7 +303,8 @@ def uncompensated(rig: Rig) -> Values:
 def _uncompensated_torques(rig: Rig) -> Array:
     """Dry friction (n_a,) of the motors that the controller does not compensate (N m, N).
 
-    A joint torque loop reduces it. The friction of `plant.joint_friction` is in no model.
+    It is none where the model's is exact. A joint torque loop reduces it. The friction of
+    `plant.joint_friction` is in no model.
 
     Args:
         rig: rig of the scenario.
@@ -315,10 +317,15 @@ def _uncompensated_torques(rig: Rig) -> Array:
     modelled = rig.model.model.upperDryFrictionLimit[actuated]
     if not rig.joint_friction:
         modelled = np.zeros_like(modelled)
-    missing = np.maximum(np.abs(true - modelled), _UNCERTAIN * true)
+    missing = np.abs(true - modelled)
+    is_wrong = missing > 1e-9 * true
+    missing = np.where(is_wrong, np.maximum(missing, _UNCERTAIN * true), 0.0)
+    of_drives = scenario.plant.joint_friction
+    if of_drives == 0.0:  # and limits of torque may be infinite
+        return missing
     loop = scenario.control.joint_torque
     share = 1.0 if loop is None or rig.springs is None else 1.0 / (1.0 + loop.gain)
-    return missing + share * scenario.plant.joint_friction * chain.tau_max
+    return missing + share * of_drives * chain.tau_max
 
 
 # --- Encoders -------------------------------------------------------------------------------------
