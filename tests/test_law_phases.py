@@ -299,6 +299,32 @@ def test_a_lost_contact_counts_the_time_until_it_is_held_again():
     assert start.columns[0].time_since_loss == 0.0, "it was never there"
 
 
+@parametrize("face", [False, True])
+def test_a_face_that_rests_on_one_corner_stays_closed(face):
+    """And is made after half a second on it; it is lost where no corner bears anything."""
+    phases = Phases([0, 0, 0, 1], [True] * 2, phase=[CLOSED] * 2)
+    phases.chain.bodies.face = [face, False]
+    seen = []
+    for force, ticks in (([10.0, 10, 10, 10], 100), ([30.0, -5, 0, 0], 400)):
+        for _ in range(ticks):
+            phases.end(force, np.zeros(4), independent=True)
+            phases.begin([10.0] * 4)
+            seen.append(phases.contacts.phase.copy())
+    seen = np.array(seen)
+    assert (seen[:100] == CLOSED).all() and (seen[150:, 1] == APPROACHING).all()
+    assert (seen[150:, 0] == (CLOSED if face else APPROACHING)).all()
+    for _ in range(100):
+        phases.end([0.0, -5, 0, 0], np.zeros(4), independent=True)
+        phases.begin([10.0] * 4)
+    assert phases.contacts.phase[0] == APPROACHING
+    made = []
+    for _ in range(700):
+        phases.end([3.0, -1, 0, 0], np.zeros(4), independent=True)
+        phases.begin([10.0] * 4)
+        made.append(phases.contacts.phase[0] == CLOSED)
+    assert not any(made[:490]) and all(made[540:]) == any(made) == face
+
+
 @drawn(50)
 def test_torques_go_straight_and_not_too_far(seed):
     rng = default_rng(seed)

@@ -44,12 +44,13 @@ from osc_contact.law.tick import BAD_INPUT, MOVING
 
 def command_force(alpha_d, felt, speed, integral, least=-inf):
     """α_u and the integral of the second of two columns; the first and what is beyond differ."""
-    t = records(integral_force=5.0)
+    t = records(contacts=3, columns=3, integral_force=5.0)
+    t.model.columns.contact = range(3)
     columns = {"alpha_d": alpha_d, "felt": felt, "speed": speed, "least": least}
     for name, value in (columns | {"gain": 20.0, "damping": 100.0}).items():
         write(t.work, **{name: [1.0, value, 2.0]})
     write(t.memory, force_sum=[1.0, integral, 2.0], force_rank=2)
-    write(t.work, rank=2, dt=1e-3)
+    write(t.work, rank=2, count=2, dt=1e-3, kept=range(3))
     force_law.command_force(t)
     assert t.work.force_next[2] == t.work.alpha_u[2] == 0.0 and t.work.force_next[0] == 1.0
     return (t.work.alpha_u[1], t.work.force_next[1])
@@ -74,6 +75,77 @@ def command_force(alpha_d, felt, speed, integral, least=-inf):
 )
 def test_the_force_law(given, expected):
     assert_near(command_force(*given), expected, rtol=1e-12)
+
+
+def command_face(felt, last, phase=CLOSED, dependent=False, desired=(4.0,) * 4, **of_model):
+    """α_u and integrals of a face's three columns, and of the vertex after them."""
+    t = records(contacts=2, columns=4, **{"integral_force": 8.0} | of_model)
+    t.model.columns.contact = [0, 0, 0, 1]
+    t.model.bodies.face = [1, 0]
+    t.memory.contacts.phase = phase
+    given = {"speed": 0.0, "gain": 20.0, "damping": 0.0, "least": 0.5}
+    for name, value in given.items():
+        write(t.work, **{name: [value] * 4})
+    write(t.work, rank=4, count=4 + dependent, dt=1e-3, kept=range(4))
+    write(t.work, felt=[*felt, 4.0], alpha_d=desired)
+    write(t.memory, force_sum=[*last, 1.0], force_rank=4)
+    force_law.command_force(t)
+    assert (t.work.alpha_u[3], t.work.force_next[3]) == (desired[3] + 1.0, 1.0)
+    return (t.work.alpha_u[:3].copy(), t.work.force_next[:3].copy())
+
+
+@parametrize(
+    "felt, last, expected",
+    {
+        # as columns alone, while all are free
+        ((2.0, 5.0, 8.0), (0.0, 0.5, -0.5), (0.04, 0.48, -0.58)),
+        # all rests on the first corner, whose command is at its floor of 0.4 N
+        ((12.0, 0.0, 0.0), (-3.6, 1.8, 1.8), (-3.6, 1.8, 1.8)),
+        # and too much of it: the common part, here 0, falls by 20/s times the mean error of 1 N
+        ((15.0, 0.0, 0.0), (-3.6, 1.8, 1.8), (-3.6, 1.79 - 0.02, 1.79 - 0.02)),
+        # too little
+        ((9.0, 0.0, 0.0), (-3.6, 1.8, 1.8), (-3.6, 1.83, 1.83)),
+        # two corners at their floors: the third bears what is commanded
+        ((6.0, 6.0, 0.0), (-3.6, -3.6, 7.2), (-3.6, -3.6, 7.2)),
+        # no integral above nine tenths of its bound: 7.2 N
+        ((0.0, 0.0, -40.0), (3.0, 3.0, 7.2), (3.52, 3.52, 7.2)),
+    },
+)
+def test_the_commands_of_a_face_have_an_exact_sum(felt, last, expected):
+    commands, integrals = command_face(felt, last)
+    mean = np.mean(last) + 0.02 * (4.0 - np.mean(felt))
+    assert_near(integrals.sum(), 3.0 * mean, atol=1e-12, rtol=0)
+    assert_near(integrals, expected, atol=0.02, rtol=0)
+    assert_near(commands, 4.0 + integrals, rtol=1e-12)
+    assert commands.min() > 0.4 - 1e-9 and integrals.max() < 7.2 + 1e-9
+
+
+@parametrize(
+    "other",
+    [
+        {"phase": APPROACHING},
+        {"dependent": True},
+        {"desired": (4.0, 0.0, 4.0, 4.0)},
+    ],
+)
+def test_columns_of_a_face_are_commanded_alone_unless_it_presses(other):
+    desired = np.array(other.get("desired", (4.0,) * 4)[:3])
+    felt, last = np.array([9.0, 5.0, 0.0]), np.array([-3.5, 0.0, 1.8])
+    commands, integrals = command_face(felt, last, **other)
+    free = last + 0.02 * (desired - felt)
+    floors = np.minimum(0.5, 0.1 * desired)
+    low = desired + free < floors
+    assert_near(integrals, np.where(low, np.maximum(free, last), free), rtol=1e-12)
+    assert_near(commands, np.maximum(desired + free, floors), rtol=1e-12)
+
+
+def test_a_face_at_its_floor_keeps_its_common_integral():
+    """And it is limited as that of a column is: here to 8 N."""
+    commands, integrals = command_face((12.0, 12.0, 12.0), (-3.7, -3.7, -3.7))
+    assert_near(integrals, -3.7, rtol=1e-12)
+    assert_near(commands, 0.4, rtol=1e-12)
+    _, integrals = command_face((0.0, 0.0, 0.0), (8.0, 8.0, 8.0))
+    assert_near(integrals, 8.0, rtol=1e-12)
 
 
 @parametrize("dependent", [False, True])
@@ -109,6 +181,18 @@ def test_a_contact_that_holds_without_a_desired_force_has_gains_of_its_own(pushe
     )
     commands.brake_contacts(t)
     assert t.work.brake[0] == (60.0 * 0.25 if holds else 8.0 * 0.125)
+
+
+def test_a_face_is_braked_where_its_corners_move_apart():
+    """Of lasting speeds only their mean is not braked, which is sliding along a tilted face."""
+    t = records(contacts=2, columns=4)
+    t.model.columns.contact = [0, 0, 0, 1]
+    t.model.bodies.face = [1, 0]
+    t.model.bodies.pushes = 1
+    write(t.work, rank=4, kept=range(4), speed=[0.5, 0.25, 0.75, 0.5], brake=[8.0] * 4)
+    t.memory.columns.drift = [0.5, 0.25, 0.75, 0.25]
+    commands.brake_contacts(t)
+    assert t.work.brake[:4].tolist() == [0.0, -2.0, 2.0, 2.0]
 
 
 def test_bodies_do_not_yield_while_their_motion_is_unknown():
@@ -366,9 +450,18 @@ def command_of(flags=0, of_memory=None, integral=2.0, **of_work):
         transfer_integral=lambda t: called.update(handed=True),
         reduce_motion=lambda *given: called.update(reduced=True),
     )
-    t = records(integral_force=5.0, integral_motion=0.8, stiffness=3.0, damping=4.0)
+    t = records(0, 0, 2, 2, integral_force=5.0, integral_motion=0.8, stiffness=3.0, damping=4.0)
     t.model.integral = integral
-    write(t.work, rank=2, dt=1e-3, gain=[20.0, 30.0], alpha_d=[8.0, 9.0], felt=[6.0, 10.0])
+    t.model.columns.contact = range(2)
+    write(
+        t.work,
+        kept=range(2),
+        rank=2,
+        dt=1e-3,
+        gain=[20.0, 30.0],
+        alpha_d=[8.0, 9.0],
+        felt=[6.0, 10.0],
+    )
     write(t.work, speed=[0.01, 0.02], damping=[100.0, 0.0], least=-inf, alpha_u=7.0, a_u=7.0)
     write(t.work, motion_next=[100.0, -900.0, 900.0], error=np.arange(6.0), **of_work)
     write(t.memory, force_sum=[0.5, -0.5], force_rank=2, motion_sum=0.1)

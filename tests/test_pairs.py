@@ -20,7 +20,7 @@ from samples import parametrize
 
 import osc_contact as osc
 from osc_contact.contacts.pairs import PAIRS
-from osc_contact.contacts.pairs.pair import count_forces, triad
+from osc_contact.contacts.pairs.pair import count_forces, presses_flat, triad
 from osc_contact.contacts.pairs.tangent_pair import TangentPair
 
 ALL = sorted(KINDS)
@@ -253,3 +253,9 @@ def test_the_normal_of_a_face_becomes_a_unit_vector_and_input_is_copied(normal):
     assert_near([axes[:, 2], pair.normal], [unit(normal)] * 2, atol=1e-12)
     assert_array_equal(pair.point, [0.1, 0.2, 0.3])
     assert pair.radius == 0.0 and pair.name == "vertex_on_face"
+
+
+@parametrize("name", ALL)
+def test_edges_and_faces_press_flat(name):
+    flat = (osc.EdgeOnFace, osc.CylinderOnPlane, osc.FaceOnFace)
+    assert presses_flat(drawn(name, 1)[0]) == (class_of(name) in flat)

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from osc_contact.contacts.pairs.law_pair import PairRow, law_row
-from osc_contact.contacts.pairs.pair import has_known_points, pushes_only
+from osc_contact.contacts.pairs.pair import has_known_points, presses_flat, pushes_only
 from osc_contact.control.controller_settings import Settings
 from osc_contact.dynamics.arm import effort_scale
 from osc_contact.dynamics.chain_records import pack_chain
@@ -107,7 +107,9 @@ def _pack_body(settings: Settings, head: View, number: int) -> None:
     """
     touched = settings.bodies[number]
     body = head.bodies[number]
-    body.pushes = pushes_only(settings.contacts[number])
+    contact = settings.contacts[number]
+    body.pushes = pushes_only(contact)
+    body.face = presses_flat(contact)
     body.kind, names = _BODIES.get(type(touched), (at.ELSEWHERE, ()))
     body.same = number if touched is None else settings.bodies.index(touched)
     source: Any = touched

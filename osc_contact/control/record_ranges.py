@@ -146,7 +146,7 @@ RELATIONS: dict[str, dict[str, tuple[str, ...]]] = {
         "bodies": (
             f"{at.UNYIELDING} <= kind <= {at.YIELDING}",
             "0 <= same <= row",
-            *_flag_relations("pushes"),
+            *_flag_relations("pushes", "face"),
         ),
     },
     "MEMORY": {

@@ -435,13 +435,13 @@ def brake_contacts(t):
     """Replace the gains `brake` κ (1/s) of the kept columns by the decelerations of the brake.
 
     The deceleration, in m/s² for columns that are forces, is κ(NᵀV_rel − v̄): the speed of the
-    contact less its lasting part v̄. Of contacts that hold without a desired force the whole speed
-    is braked. On a yielding face it is κ(u + (K_i − w) p) − s α̈_s, with the unexplained speed u
-    (m/s) and its integral p (m) from `_deflection`, the force gain K_i and the rate w of
-    `_washout_rate` (1/s), the compliance s (m/N) and the second derivative of the commanded force
-    α_s. On a yielding face whose motion is not measured (`V_N` = 0), the normal is not turned in
-    this tick: `slides` becomes 0 and `turned` equal to `turn`. Reads `speed`, `V_N`, and in MEMORY
-    `drift` (v̄) and `eased_rate` (low-passed α̇_s) of the columns, and the fields that
+    contact less its lasting part v̄ (`_lasting_speed`). Of contacts that hold without a desired
+    force the whole speed is braked. On a yielding face it is κ(u + (K_i − w) p) − s α̈_s, with the
+    unexplained speed u (m/s) and its integral p (m) from `_deflection`, the force gain K_i and the
+    rate w of `_washout_rate` (1/s), the compliance s (m/N) and the second derivative of the
+    commanded force α_s. On a yielding face whose motion is not measured (`V_N` = 0), the normal is
+    not turned in this tick: `slides` becomes 0 and `turned` equal to `turn`. Reads `speed`, `V_N`,
+    and in MEMORY `drift` (v̄) and `eased_rate` (low-passed α̇_s) of the columns, and the fields that
     `_deflection`, `_compliance` and `holds_at_zero` read.
 
     Args:
@@ -451,7 +451,7 @@ def brake_contacts(t):
     for a in range(work.rank):
         j = work.kept[a]
         if body_of(t, j).kind != YIELDING:
-            drift = 0.0 if holds_at_zero(t, j) else t.memory.columns[j].drift
+            drift = 0.0 if holds_at_zero(t, j) else _lasting_speed(t, j)
             work.brake[a] *= work.speed[a] - drift
             continue
         u, p, _, rate = _deflection(t, a, j)
@@ -462,6 +462,29 @@ def brake_contacts(t):
         if work.V_N[a] == 0.0:  # an unmeasured yield would be mistaken for a tilt of the face
             column.slides = 0.0
             fill3(column.turned, column.turn)
+
+
+@leaf
+def _lasting_speed(t, j):
+    """Compute the lasting speed v̄ of a column (m/s); of a face or an edge the mean of its columns.
+
+    A flat face slides along a tilted one with the same speed at all corners. Differences between
+    them are its rotation against the other face, which ends when it lies flat and is braked.
+
+    Args:
+        t: Tick, with `drift` (v̄ of each column, m/s) in MEMORY.
+        j: index of the column among all columns of the model.
+    """
+    c = t.model.columns[j].contact
+    if t.model.bodies[c].face == 0:
+        return t.memory.columns[j].drift
+    total = 0.0
+    n = 0
+    for i in range(t.model.n_columns):
+        if t.model.columns[i].contact == c:
+            total += t.memory.columns[i].drift
+            n += 1
+    return total / n
 
 
 @leaf

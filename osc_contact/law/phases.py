@@ -231,7 +231,9 @@ def _monitor_contact(t, c):
 
     Returns:
         Whether a force is desired of it; and whether contact is made: at least one column is
-        closed, and all whose desired force can be distinguished from zero.
+        closed, and all whose desired force can be distinguished from zero. A face or an edge
+        (`face`) rests on any of its columns: one suffices where contact was made before, or while
+        it has a steady force for `_SOFT`.
     """
     model = t.model
     contact = t.memory.contacts[c]
@@ -239,6 +241,7 @@ def _monitor_contact(t, c):
     is_desired = False
     some_closed = False
     all_closed = True
+    rests = model.bodies[c].face != 0 and contact.phase == CLOSED
     for j in range(model.n_columns):
         if model.columns[j].contact != c:
             continue
@@ -262,9 +265,11 @@ def _monitor_contact(t, c):
             contact.held = 1
         is_desired = is_desired or goal > 0.0
         some_closed = some_closed or row.closed != 0
+        if model.bodies[c].face and row.closed and row.high_for > _SOFT:
+            rests = True
         is_light = goal <= model.force_on  # such a force cannot be distinguished from zero
         all_closed = all_closed and (is_light or row.closed != 0)
-    return is_desired, some_closed and all_closed
+    return is_desired, some_closed and (all_closed or rests)
 
 
 @leaf

@@ -261,8 +261,9 @@ PAIR = _record(
 SHAPE = _record(row=16)  #: numbers of a pair's geometry, see the functions of `pair_geometry`
 COLUMN = _record(whole=("contact",))  #: column of N: index of its contact
 #: Body touched by a contact: kind (UNYIELDING …); index of the first contact with the same body; 1
-#: if the pair can only push; numbers of a cart or a yielding face, see `columns` and `commands`.
-BODY = _record(whole=("kind", "same", "pushes"), parameters=8)
+#: if the pair can only push; 1 if it does so with several columns in one direction, as a face or an
+#: edge does; numbers of a cart or a yielding face, see `columns` and `commands`.
+BODY = _record(whole=("kind", "same", "pushes", "face"), parameters=8)
 
 # States -----------------------------------------------------------------------------------------
 

@@ -84,6 +84,18 @@ def pushes_only(pair: ContactPair) -> bool:
     return bool(getattr(pair, "pushes", False))
 
 
+def presses_flat(pair: ContactPair) -> bool:
+    """Whether several magnitudes of the pair push in one direction, as those of a face or an edge.
+
+    Args:
+        pair: any contact pair.
+    """
+    into = getattr(pair, "into", None)
+    if into is None or not pushes_only(pair) or into.shape[1] < 2:
+        return False
+    return bool(np.all(into == into[:, :1]))
+
+
 def axes_are_chosen(pair: ContactPair) -> bool:
     """Whether the columns of N are one of several choices with the same span.
 
