@@ -357,7 +357,8 @@ def _yield_holds(t, weight):
         return
     ceiling = max(model.wrist_ceiling, model.wrist_headroom * memory.largest_sum)
     force = minus3(row.load, linear(weight))
-    if dot3(force, force) <= (_PRESSED * ceiling) ** 2:
+    bound = _PRESSED * ceiling
+    if dot3(force, force) <= bound * bound:
         return
     share = model.period / (_YIELDING + model.period)
     for j in range(model.n_joints):
