@@ -184,7 +184,7 @@ def test_a_contact_that_holds_without_a_desired_force_has_gains_of_its_own(pushe
 
 
 def test_a_face_is_braked_where_its_corners_move_apart():
-    """Of lasting speeds only their mean is not braked, which is sliding along a tilted face."""
+    """The mean of its lasting speeds is sliding along a tilted face, and is not braked."""
     t = records(contacts=2, columns=4)
     t.model.columns.contact = [0, 0, 0, 1]
     t.model.bodies.face = [1, 0]

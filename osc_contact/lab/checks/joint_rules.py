@@ -56,11 +56,11 @@ def _are_open(rig: Rig) -> bool:
     return not any(springs.findings(rig)) and not has_loop and rig.springs is not None
 
 
-def _all_motors_rub(rig: Rig) -> bool:
+def _all_motors_have_friction(rig: Rig) -> bool:
     """Test whether the joints of all motors have dry friction."""
     chain = rig.chain
-    rubs = chain.model.upperDryFrictionLimit[chain.actuated] > 0.0
-    return bool(rubs.all()) or rig.scenario.plant.joint_friction > 0.0
+    has_friction = chain.model.upperDryFrictionLimit[chain.actuated] > 0.0
+    return bool(has_friction.all()) or rig.scenario.plant.joint_friction > 0.0
 
 
 @rule("{why}")
@@ -87,7 +87,7 @@ def swinging(rig: Rig) -> Values:
     Args:
         rig: rig of the scenario.
     """
-    if _are_open(rig) and not _all_motors_rub(rig):
+    if _are_open(rig) and not _all_motors_have_friction(rig):
         assert rig.springs is not None
         frequencies = modes(rig.state, rig.chain.actuated, rig.springs.stiffness)
         first = frequencies[frequencies > 0.0].min(initial=np.inf)
@@ -110,7 +110,7 @@ def slow_decay(rig: Rig) -> Values:
     Args:
         rig: rig of the scenario.
     """
-    if _are_open(rig) and _all_motors_rub(rig):
+    if _are_open(rig) and _all_motors_have_friction(rig):
         decay, hertz = spring_decay(rig)
         yield -decay, {"hertz": hertz, "decay": decay, "rate": 1e-3 / rig.scenario.plant.step}
 
@@ -303,7 +303,7 @@ def uncompensated(rig: Rig) -> Values:
 def _uncompensated_torques(rig: Rig) -> Array:
     """Dry friction (n_a,) of the motors that the controller does not compensate (N m, N).
 
-    It is none where the model's is exact. A joint torque loop reduces it. The friction of
+    It is zero where the model's friction is exact. A joint torque loop reduces it. The friction of
     `plant.joint_friction` is in no model.
 
     Args:
