@@ -25,7 +25,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from osc_contact.lab.visual.browser import Browser
+from osc_contact.lab.visual.browser import FRAMES, Browser
 from osc_contact.spatial import Array
 from paper.study import table_of
 
@@ -87,7 +87,10 @@ def run_ticks(page: Browser, ticks: int, **more: Any) -> dict[str, Any]:
 
 
 def next_picture(page: Browser) -> dict[str, Any]:
-    """Numbers of the picture after one more tick."""
+    """Numbers of the picture after one more tick of a task, which is stopped."""
+    post(page, kind="run", on=False)
+    run_ticks(page, 0)  # pictures of earlier orders have arrived ...
+    page.run(FRAMES)  # ... and are drawn
     before = page.run("measured.pictures")
     post(page, kind="step", ticks=1)
     page.until(f"measured.pictures > {before}")
