@@ -197,7 +197,8 @@ def test_keys_and_a_push_by_the_pointer(page, rod):
     opened(page, rod, width=400)
     page.run("document.activeElement.blur()")
     run_ticks(page, 3000)
-    assert (late := next_picture(page)["t"]) > 3.0
+    late = next_picture(page)["t"]
+    assert late > 3.0
     page.request("Input.dispatchKeyEvent", type="keyDown", key="r", text="r")
     page.until(f"measured.newest.t < {late} && element('pause').textContent === 'Pause'")
     page.request("Input.dispatchKeyEvent", type="keyDown", key=" ", text=" ")
