@@ -117,6 +117,14 @@ def test_joint_friction_is_dry_for_light_joints_too(inertia):
         assert_near(data.qvel, speed, atol=1e-4 * 0.1 / inertia)
 
 
+def test_errors_of_motors_deflect_no_spring_before_the_start():
+    """A light wrist would be thrown by them at the first instant."""
+    plant = rig_of("two_contact_rod", FLEXIBLE, "plant.motors={bias: 0.01, ripple: 0.01}").plant()
+    tau = vector(-3.9, -1.1, -15.0, 0.3, 3.7, -0.2, -17.7, 0.1)
+    plant.hold(tau)
+    assert_near(plant.measure().joint_torques, tau, rtol=1e-9)
+
+
 def test_motors_have_the_joint_friction_and_springs_have_none():
     rig = free_rig(FLEXIBLE, "plant.joint_friction=0.05")
     plant = rig.plant()

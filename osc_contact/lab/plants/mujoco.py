@@ -249,7 +249,8 @@ class MujocoPlant:
         """Apply torques from now on without letting time pass.
 
         Springs get the deflection that these torques cause, and motors move accordingly, so that
-        the links stay in place.
+        the links stay in place; the motors' errors have not deflected them yet, as friction holds
+        motors at rest.
 
         Args:
             tau: (n_a,) torques (N m, N).
@@ -258,7 +259,7 @@ class MujocoPlant:
         if self.drives.flexible is not None:
             motors = self._q[self.chain.actuated]
             links = self._qpos[motors] + self._qpos[self._springs]
-            deflection = -self._ctrl / self.drives.flexible.stiffness
+            deflection = -as_array("tau", tau, self._ctrl.shape) / self.drives.flexible.stiffness
             self._qpos[motors] = links - deflection
             self._qpos[self._springs] = deflection
         self._mj.mj_forward(self.model, self.data)
