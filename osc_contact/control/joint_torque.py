@@ -36,6 +36,7 @@ class JointTorqueLoop:
         gain: k_p.
         rate_gain: (n_a,) k_d (s).
         bandwidth: (n_a,) ω√(1 + k_p) (rad/s).
+        torque_rate: estimate of τ̇ from the torque readings.
 
     Raises:
         InvalidInputError: impossible numbers, or the sampled loop would be unstable.
@@ -69,10 +70,7 @@ class JointTorqueLoop:
         self.gain = self.settings.gain
         self.bandwidth = np.sqrt(K * (1.0 + self.gain) / J)
         self.rate_gain = 2.0 * self.settings.damping_ratio * (1.0 + self.gain) / self.bandwidth
-        #: estimate of the rate of the torque readings
-        self._torque_rate = VelocityEstimate.with_bandwidth(
-            RATE_BANDWIDTH * self.bandwidth, self.dt
-        )
+        self.torque_rate = VelocityEstimate.with_bandwidth(RATE_BANDWIDTH * self.bandwidth, self.dt)
         radius = float(self.spectral_radius().max())
         if radius >= 1.0:
             raise InvalidInputError(
@@ -90,7 +88,7 @@ class JointTorqueLoop:
             tau: (n_a,) measured joint torques.
             fresh: True if the sensors have sampled since the last call.
         """
-        _, rate = self._torque_rate.update(tau, fresh=fresh)
+        _, rate = self.torque_rate.update(tau, fresh=fresh)
         u = tau_d + self.gain * (tau_d - tau) - self.rate_gain * rate
         return np.minimum(np.maximum(u, -self.tau_max), self.tau_max)  # faster than np.clip
 
@@ -104,8 +102,8 @@ class JointTorqueLoop:
             self.stiffness,
             self.motor_inertia,
             self.rate_gain,
-            self._torque_rate.alpha,
-            self._torque_rate.beta,
+            self.torque_rate.alpha,
+            self.torque_rate.beta,
             strict=True,
         )
         return np.array([self._spectral_radius(*joint) for joint in joints])

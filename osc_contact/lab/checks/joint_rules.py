@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 
-from osc_contact.control.controller import Controller
 from osc_contact.dynamics.chain_state import modes
 from osc_contact.errors import OscContactError
-from osc_contact.interface import Measurement, Touched
+from osc_contact.lab.checks.spring_poles import slowest_oscillation
 from osc_contact.lab.rig import hardware
 from osc_contact.lab.rig.rig import Rig
 from osc_contact.lab.scenarios.bodies import CartSpec
@@ -23,37 +19,18 @@ MOST_FRICTION = 0.3
 #: Least share of dry friction that no model compensates: at rest it is larger than in motion.
 _UNCERTAIN = 0.4
 _DECAY = 3.0  #: 1/s; oscillations of springs that decay more slowly are a finding
-_LATE = 1.5  #: periods of the controller between a reading and the middle of its torque
-_STEPS = (1e-5, 1e-4)  #: changes of positions (rad, m) and speeds by which the law is linearised
-_TURNS = 4  #: evaluations of a feedback with delays until its poles have converged
-_NEAR = 0.2  #: largest change of a mode's frequency by feedback, as a share of it
-
-
-def trial_controller(rig: Rig) -> tuple[Controller, Measurement]:
-    """Controller of a scenario with its contacts engaged, and a measurement at rest in contact.
-
-    Args:
-        rig: rig of the scenario.
-    """
-    controller = rig.controller()
-    controller.engaged = True
-    count = len(rig.pairs)
-    still = np.zeros((count, 6))
-    return controller, Measurement(
-        rig.q_contact,
-        np.zeros(rig.chain.nq),
-        np.zeros((len(rig.chain.arms), 6)),
-        touched=Touched(np.tile(np.eye(4), (count, 1, 1)), still, still),
-    )
-
 
 # --- Springs --------------------------------------------------------------------------------------
 
 
-def _are_open(rig: Rig) -> bool:
-    """Test whether joints have springs, and no joint torque loop produces the commanded torques."""
-    has_loop = rig.scenario.control.joint_torque is not None
-    return not any(springs.findings(rig)) and not has_loop and rig.springs is not None
+def _are_flexible(rig: Rig) -> bool:
+    """Test whether joints have springs, and a joint torque loop, if there is one, can be made."""
+    return not any(springs.findings(rig)) and rig.springs is not None
+
+
+def _has_loop(rig: Rig) -> bool:
+    """Test whether a joint torque loop produces the commanded torques."""
+    return rig.scenario.control.joint_torque is not None
 
 
 def _all_motors_have_friction(rig: Rig) -> bool:
@@ -87,7 +64,7 @@ def swinging(rig: Rig) -> Values:
     Args:
         rig: rig of the scenario.
     """
-    if _are_open(rig) and not _all_motors_have_friction(rig):
+    if _are_flexible(rig) and not _has_loop(rig) and not _all_motors_have_friction(rig):
         assert rig.springs is not None
         frequencies = modes(rig.state, rig.chain.actuated, rig.springs.stiffness)
         first = frequencies[frequencies > 0.0].min(initial=np.inf)
@@ -96,170 +73,38 @@ def swinging(rig: Rig) -> Values:
 
 @doubt(
     "an oscillation of the joint springs at {hertz:.3g} Hz decays at no more than {decay:.2g} 1/s "
-    "(negative: it grows), and no joint torque loop produces the commanded torques: contact may be "
-    "lost; set control.joint_torque={{rate: {rate:g} kHz}}, or lower gains.motion.frequency",
+    "(negative: it grows){where}: contact may be lost, or the arms stop; {cure}",
     -_DECAY,
 )
 def slow_decay(rig: Rig) -> Values:
-    """Slowest decay of oscillations of flexible joints without a torque loop, negated (−1/s).
+    """Slowest decay of oscillations of flexible joints, negated (−1/s).
 
-    It is negated because a slow decay is the finding, and rules compare with upper limits. It is
-    looked at where all motors have dry friction: without, contacts are lost at higher frequencies
-    than the modes of `spring_decay` have (`swinging`).
-
-    Args:
-        rig: rig of the scenario.
-    """
-    if _are_open(rig) and _all_motors_have_friction(rig):
-        decay, hertz = spring_decay(rig)
-        yield -decay, {"hertz": hertz, "decay": decay, "rate": 1e-3 / rig.scenario.plant.step}
-
-
-def spring_decay(rig: Rig) -> tuple[float, float]:
-    """Compute the slowest decay (1/s) of oscillations of flexible joints, and its frequency (Hz).
-
-    Links move by P η, the motions that rigid contacts permit, and motors by θ (n_a,), against
-    springs with the deflection W_a P η − θ. With the masses M, stiffnesses K and dampings D of
-    x = (η, θ), poles s are those of
-
-        s² M x + s D x + K x = (0, F(s) x),
-
-    where F(s) has the torques of the law, linearised at rest in contact: by readings of the links,
-    later by the lag of estimated speeds, and by the integral of the contact forces α that the
-    springs' forces f make, K_i/s of α = (NᵀΦN)⁻¹NᵀS Λ_S⁻¹W_aᵀf; all later by the delay of the
-    controller. From each natural frequency of M and K on, F is evaluated at the last s, until s is
-    a pole.
-
-    Args:
-        rig: rig of a scenario with flexible joints.
-
-    Returns:
-        Decay (negative: the oscillation grows) and frequency.
-    """
-    state = rig.state
-    chain = rig.chain
-    joint_springs = rig.springs
-    assert joint_springs is not None
-    N = rig.contact.N
-    S_N = state.S.T @ N
-    d = state.d
-    W_a = state.W[chain.actuated]
-    # inverse of NᵀΦN; where columns depend on each other, SᵀN α is unique all the same
-    NPhiN_inv = np.linalg.pinv(N.T @ state.Phi @ N, hermitian=True)
-    P = np.eye(d) - np.linalg.solve(state.Lambda_S, S_N @ NPhiN_inv @ S_N.T)
-    deflection = np.hstack([W_a @ P, -np.eye(chain.n_a)])
-    K = deflection.T @ (joint_springs.stiffness[:, None] * deflection)
-    D = deflection.T @ (joint_springs.damping[:, None] * deflection)
-    D[d:, d:] += np.diag(chain.model.damping[chain.actuated])
-    M = np.diag(np.concatenate([np.zeros(d), joint_springs.motor_inertia]))
-    M[:d, :d] = state.Lambda_S
-    # contact forces of the springs' forces, and torques that command contact forces
-    alpha_of_springs = NPhiN_inv @ np.linalg.solve(state.Lambda_S, S_N).T @ W_a.T
-    limits = np.minimum(chain.tau_max, 1e12)
-    tau_of_alpha = np.linalg.pinv(state.G * limits) * limits[:, None] @ S_N
-    by_q, by_v = _torque_derivatives(rig)
-    wrist = rig.scenario.sensors.wrist
-    wrist_delay = 0.0 if wrist is None else wrist.delay
-    late = _LATE / rig.scenario.control.rate
-
-    def feedback(s: complex) -> Array:
-        """F(s) (n_a, d + n_a)."""
-        of_q, of_v = _encoder_transfer(rig, s)
-        springs_of_x = (joint_springs.stiffness + s * joint_springs.damping)[:, None] * deflection
-        integral = rig.gains.force.integral / s * np.exp(-s * wrist_delay)
-        F = integral * (tau_of_alpha @ alpha_of_springs @ springs_of_x)
-        F[:, :d] += (by_q * of_q + s * by_v * of_v) @ P
-        return F * np.exp(-s * late)
-
-    slowest = (np.inf, 0.0)
-    for omega in _natural_frequencies(M, K):
-        pole = _pole_near(1j * omega, M, D, K, feedback)
-        slowest = min(slowest, (-float(pole.real), abs(float(pole.imag)) / (2.0 * np.pi)))
-    return slowest
-
-
-def _natural_frequencies(M: Array, K: Array) -> Array:
-    """Natural frequencies (rad/s) of masses on springs, without those of motions without springs.
-
-    Args:
-        M, K: (m, m) masses and stiffnesses.
-    """
-    L_inv = np.linalg.inv(np.linalg.cholesky(M))
-    squares = np.linalg.eigvalsh(L_inv @ K @ L_inv.T)
-    # the others are of the whole rig, or locked by contacts
-    return np.sqrt(squares[squares > 1e-9 * squares[-1]])
-
-
-def _pole_near(
-    s: complex, M: Array, D: Array, K: Array, feedback: Callable[[complex], Array]
-) -> complex:
-    """The pole of a mode with the feedback of its motors: of several near ones the least damped.
-
-    Args:
-        s: j times the natural frequency of the mode (rad/s).
-        M, D, K: (m, m) masses, dampings and stiffnesses.
-        feedback: function that returns F(s) (n_a, m) of the last n_a coordinates.
-    """
-    m = len(M)
-    omega = abs(s)
-    for turn in range(_TURNS):
-        F = feedback(s)
-        A = np.zeros((2 * m, 2 * m), complex)
-        A[:m, m:] = np.eye(m)
-        A[m:, :m] = -K
-        A[2 * m - len(F) :, :m] += F
-        A[m:, m:] = -D
-        A[m:] = np.linalg.solve(M, A[m:])
-        poles = np.linalg.eigvals(A)
-        if turn == 0:
-            near = poles[np.abs(poles.imag - omega) < _NEAR * omega]
-            s = near[np.argmax(near.real)] if len(near) else s
-        else:
-            s = poles[np.argmin(np.abs(poles - s))]
-    return s
-
-
-def _torque_derivatives(rig: Rig) -> tuple[Array, Array]:
-    """Derivatives (n_a, d) of the law's torques by position and speed along the motions η.
-
-    They are central differences of the first tick at rest in contact.
+    It is negated because a slow decay is the finding, and rules compare with upper limits. Without
+    a joint torque loop it is looked at where all motors have dry friction: without friction,
+    contacts are lost at higher frequencies than these oscillations have (`swinging`).
 
     Args:
         rig: rig of the scenario.
     """
-    W = rig.state.W
-    still = np.zeros(len(W))
-
-    def torques(q: Array, v: Array) -> Array:
-        controller, measured = trial_controller(rig)
-        moved = replace(measured, q=measured.q + q, v=v)
-        return controller.tick(moved, rig.references.at(0.0))
-
-    by_q, by_v = [], []
-    for direction in W.T:
-        position, speed = np.array(_STEPS) / np.abs(direction).max()
-        change = torques(position * direction, still) - torques(-position * direction, still)
-        by_q.append(change / (2.0 * position))
-        change = torques(still, speed * direction) - torques(still, -speed * direction)
-        by_v.append(change / (2.0 * speed))
-    return np.array(by_q).T, np.array(by_v).T
-
-
-def _encoder_transfer(rig: Rig, s: complex) -> tuple[complex, complex]:
-    """Transfer functions at s (rad/s) of positions and speeds that are estimated from encoders.
-
-    An α-β filter of bandwidth ω has (√2 ω s + ω²)/(s² + √2 ω s + ω²) and ω²/(s² + √2 ω s + ω²).
-
-    Args:
-        rig: rig of the scenario.
-        s: complex frequency.
-    """
-    if rig.scenario.sensors.encoder is None:
-        return 1.0, 1.0
-    omega = hardware.encoder_bandwidth(rig.scenario, rig.chain)
-    lag = np.sqrt(2.0) * omega * s
-    common = s**2 + lag + omega**2
-    return (lag + omega**2) / common, omega**2 / common
+    if not _are_flexible(rig) or not (_has_loop(rig) or _all_motors_have_friction(rig)):
+        return
+    slowest = slowest_oscillation(rig)
+    cures = []
+    if not _has_loop(rig):
+        rate = 1e-3 / rig.scenario.plant.step
+        cures.append(f"set control.joint_torque={{rate: {rate:g} kHz}}")
+    if slowest.approaching:
+        cures.append("lower control.life.damping")
+    cures.append("raise control.rate or lower gains.motion.frequency")
+    yield (
+        -slowest.decay,
+        {
+            "hertz": slowest.hertz,
+            "decay": slowest.decay,
+            "where": " as the arms approach their contacts" if slowest.approaching else "",
+            "cure": ", ".join(cures),
+        },
+    )
 
 
 # --- Dry friction ---------------------------------------------------------------------------------

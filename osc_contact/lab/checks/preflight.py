@@ -30,7 +30,8 @@ from osc_contact.control.controller import Controller
 from osc_contact.control.controller_settings import choose_reading
 from osc_contact.errors import InvalidInputError, ModelError, OscContactError, ScenarioError
 from osc_contact.interface import Reference, Robot
-from osc_contact.lab.checks.joint_rules import JOINT_RULES, trial_controller
+from osc_contact.lab.checks.joint_rules import JOINT_RULES
+from osc_contact.lab.checks.spring_poles import trial_controller
 from osc_contact.lab.rig.contacts import urdf_of
 from osc_contact.lab.rig.landings import landings
 from osc_contact.lab.rig.rig import Rig
