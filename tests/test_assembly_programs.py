@@ -237,6 +237,16 @@ def test_noise_of_the_wrist_is_not_taken_for_a_rotor():
     assert_allclose(run._controller.records.memory.joints.rotor, 0.0, atol=1e-3)
 
 
+@parametrize("seed, insertion", [(930998, 931000), (770118, 770118)])
+def test_brakes_are_requested_of_a_joint_whose_encoder_without_noise_is_stuck(seed, insertion):
+    """The arm was stopped for another reason, and the joint swung with 9 to 20 rad/s."""
+    name = "encoder stuck"
+    rng = np.random.default_rng([seed, *sha256(name.encode()).digest()])
+    verdict = Run(name, insertion, rng).judge()
+    assert verdict.wrong == []
+    assert verdict.unbraked
+
+
 def test_a_stopped_arm_does_not_follow_a_drifting_encoder_into_the_face(monkeypatch):
     """The force had grown by 220 N/s since the stop, to 114 N and more."""
     name = "encoder drifts by 0.2 rad/s"

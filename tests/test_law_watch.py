@@ -848,7 +848,7 @@ def test_friction_may_hold_a_joint_against_a_share_of_its_torque(sign):
 
     def driven(*pushes):
         write(t.work.joints, h=h, inertial=h + sign * np.array(pushes))
-        return [bool(sensors.exceeds_dry_friction(t, j)) for j in range(2)]
+        return [bool(sensors.must_move(t, t.model.arms[0], j)) for j in range(2)]
 
     assert driven(0.501, 0.999) == [True, False]
     assert driven(0.499, 1.001) == [False, True]
@@ -907,7 +907,7 @@ def test_joints_that_all_read_the_same_are_held_by_twice_the_friction_that_they_
 
     def driven(push):
         write(t.work.joints, h=0.0, inertial=sign * push)
-        return [bool(sensors.exceeds_dry_friction(t, j)) for j in range(2)]
+        return [bool(sensors.must_move(t, t.model.arms[0], j)) for j in range(2)]
 
     t.memory.still = 0.02
     write(t.memory.joints, slid=[0.2, 0.05], rubbed=0.1)
@@ -918,6 +918,41 @@ def test_joints_that_all_read_the_same_are_held_by_twice_the_friction_that_they_
     t.memory.joints.rubbed[0] = 0.1
     t.memory.still = 0.005  # joints read the same now and then
     assert driven(0.499) == [False, False]
+
+
+@BOTH
+def test_motors_show_whether_a_joint_with_an_estimated_speed_moves(sign):
+    """By torques that the wrist does not explain: its own, and 0.4 of what moves the others."""
+    t = joints(2)
+    write(t.model.arms, end=2, sensor_joint=1)
+    write(t.model.joints, tau_max=10.0)
+    write(t.work.joints, h=0.0, inertial=5.0, M=np.array([[1.0, 0.5], [0.5, 2.0]]))
+
+    def moves(*residuals):
+        t.memory.joints.residual = sign * np.array(residuals)
+        return [bool(sensors.must_move(t, t.model.arms[0], j)) for j in range(2)]
+
+    assert moves(0.0, 0.0) == [True, True], "speeds that are read apart show it"
+    t.memory.derived = at.ESTIMATED
+    assert moves(0.0, 0.0) == [False, False], "a contact may hold both"
+    assert moves(0.501, 0.101) == [True, False] and moves(0.499, 0.2) == [False, False]
+    assert moves(3.0, 0.59) == [False, True] and moves(3.0, -1.0) == [False, False]
+    assert moves(0.0, 4.0) == [False, False], "a brake holds the second one"
+    t.model.arms.sensor_joint[0] = -1
+    assert moves(0.0, 0.0) == [True, True], "without a wrist nothing is known"
+
+
+@BOTH
+def test_rounding_of_an_estimate_is_no_motion(sign):
+    """The estimate of a constant reading changed in its last digits, and seemed to be alive."""
+    for derived, ticks in ((at.ESTIMATED, 50), (0, 0)):
+        found = Sensors(frozen_time=inf)
+        for k in range(50):
+            write(found.memory, derived=derived)
+            q = vector(1e-3 * k, sign * 9e-10 * (k % 2))
+            found.tick(v=(1.0, 0.0), q=q)
+        assert found.joints.rested[1] == approx(ticks * DT, abs=1.5 * DT)
+        assert found.joints.rested[0] < DT
 
 
 @BOTH

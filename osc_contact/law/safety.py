@@ -25,7 +25,7 @@ from osc_contact.law.records import (
     SATURATED,
     WRISTS,
 )
-from osc_contact.law.sensors import exceeds_dry_friction, stopped_abruptly
+from osc_contact.law.sensors import must_move, stopped_abruptly
 
 OVERSPEED = declare_reason(
     "OVERSPEED",
@@ -349,8 +349,8 @@ def _note_accelerations(t):
         for j in range(arm.first, arm.end):
             joint_memory = t.memory.joints[j]
             joint_memory.acceleration = t.work.joints[j].acceleration
-            must_move = joint_memory.rested > 0.0 and (is_dead or exceeds_dry_friction(t, j))
-            joint_memory.driven = 1 if must_move else 0
+            is_driven = joint_memory.rested > 0.0 and (is_dead or must_move(t, arm, j))
+            joint_memory.driven = 1 if is_driven else 0
 
 
 @leaf

@@ -65,6 +65,7 @@ _MODEL = 0.1  #: s, time constant of the predictions of speeds from commanded ac
 _HELD = 0.05  #: share of a motor's torque limit that dry friction may hold
 _LITTLE = 0.002  #: share of it that is added to twice the friction that a joint's motion has shown
 _SLID = 0.1  #: s of motion after which a joint has shown its friction
+_SHOWN = 0.4  #: share of the torques by the acceleration of a joint that others must show
 _FINE = 1e-9  #: rad, m, change of a position below which it is rounding
 _TURNING = 0.1  #: s, time constant of the share of changes that reverse the one before
 _NOISY = 0.2  #: share of reversals above which a position is noisy; pure noise has two thirds
@@ -299,6 +300,8 @@ def _check_position(t, j, is_credible, dt, shares):
     """
     joint_memory = t.memory.joints[j]
     step = t.input.q[j] - joint_memory.q
+    if t.memory.derived and abs(step) < _FINE:  # an estimate of a constant reading is rounded
+        step = 0.0
     reason = NO_REASON
     if t.memory.compared != 0 and is_credible:
         limit = t.model.joints[j].speed_max
@@ -622,29 +625,73 @@ def _dry_friction_bound(t, j):
 
 
 @leaf
-def exceeds_dry_friction(t, j):
-    """Test whether the commanded acceleration of a joint needs more torque than dry friction.
+def must_move(t, arm, j):
+    """Determine whether joint j of an arm has to move under its command, whatever its friction.
 
-    Friction is bounded by `_dry_friction_bound` and, for a joint with a motor, unknown friction of
-    `_HELD` times the motor's limit. If the readings of all joints have been constant for `DEAD`,
-    either friction holds the arm or the encoders are dead; then the unknown friction of a joint
-    that has moved for `_SLID` is at most twice the value that the motion has shown (`rubbed`), plus
-    `_LITTLE` times the limit.
+    The commanded acceleration takes more torque than dry friction may hold. Where speeds are
+    estimated, the readings of a joint that rests are as constant as those of a dead encoder, and a
+    contact that is not as expected may hold it: then the motors must show the motion, too
+    (`_accelerates`).
+
+    Args:
+        t: Tick.
+        arm: ARM row.
+        j: index of the joint.
+    """
+    joint_work = t.work.joints[j]
+    bound = _held_torque(t, j, t.memory.still > DEAD)
+    if abs(joint_work.inertial - joint_work.h) <= bound:
+        return False
+    return t.memory.derived == 0 or j > arm.sensor_joint or _accelerates(t, arm, j)
+
+
+@leaf
+def _accelerates(t, arm, j):
+    """Determine by the motors of an arm whether joint j accelerates, as its encoder does not show.
+
+    Then its residual r_j, the torque that neither model nor wrist explains, exceeds dry friction,
+    and those of the other joints are M_ij/M_jj r_j. A wedged object leaves no residuals, and a
+    brake of the joint none of others.
+
+    Args:
+        t: Tick, of which `residual` of the joints in MEMORY (N m, N), and M, are read.
+        arm: ARM row with a wrist sensor.
+        j: index of the joint, which is not beyond the sensor.
+    """
+    residual = t.memory.joints[j].residual
+    if abs(residual) <= _held_torque(t, j, False):
+        return False
+    row = t.work.joints[j].M
+    shown = 0.0  # Σ p_i r_i over the other joints, p_i = M_ij/M_jj r_j
+    expected = 0.0  # Σ p_i²
+    for i in range(arm.first, arm.sensor_joint + 1):
+        if i != j and t.model.joints[i].motor >= 0:
+            torque = row[i - arm.first] / row[j - arm.first] * residual
+            shown += torque * t.memory.joints[i].residual
+            expected += torque * torque
+    return shown >= _SHOWN * expected
+
+
+@leaf
+def _held_torque(t, j, trusts_motion):
+    """Bound the torque that dry friction of a joint may hold (N m, N).
+
+    It is that of `_dry_friction_bound` and, for a joint with a motor, unknown friction of `_HELD`
+    times the motor's limit. What a motion has shown for `_SLID` bounds the unknown friction by
+    twice its value (`rubbed`), and `_LITTLE` times the limit.
 
     Args:
         t: Tick.
         j: index of the joint.
-
-    Returns:
-        True if the joint has to move under the command, whatever its dry friction.
+        trusts_motion: whether this bound is taken: if the readings of all joints have been constant
+            for `DEAD`, either friction holds the arm or the encoders are dead.
     """
     joint = t.model.joints[j]
-    joint_work = t.work.joints[j]
     joint_memory = t.memory.joints[j]
     bound = _dry_friction_bound(t, j)
     if joint.motor >= 0:
         unknown = _HELD * joint.tau_max
-        if t.memory.still > DEAD and joint_memory.slid > _SLID:
+        if trusts_motion and joint_memory.slid > _SLID:
             unknown = min(unknown, 2.0 * joint_memory.rubbed + _LITTLE * joint.tau_max)
         bound += unknown
-    return abs(joint_work.inertial - joint_work.h) > bound
+    return bound
