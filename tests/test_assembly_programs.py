@@ -237,7 +237,7 @@ def test_noise_of_the_wrist_is_not_taken_for_a_rotor():
     assert_allclose(run._controller.records.memory.joints.rotor, 0.0, atol=1e-3)
 
 
-@parametrize("seed, insertion", [(930998, 931000), (770118, 770118)])
+@parametrize("seed, insertion", [(930998, 931000), (770107, 770107), (770118, 770118)])
 def test_brakes_are_requested_of_a_joint_whose_encoder_without_noise_is_stuck(seed, insertion):
     """The arm was stopped for another reason, and the joint swung with 9 to 20 rad/s."""
     name = "encoder stuck"

@@ -21,6 +21,7 @@ from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, place_p
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.phases import collect, slew
 from osc_contact.law.plausibility import OUT_OF_RANGE
+from osc_contact.law.probing import probe_joints
 from osc_contact.law.reading import read_wrist
 from osc_contact.law.records import BRAKED, NOISY, SAFE_STOP, SETTLED
 from osc_contact.law.vectors import (
@@ -109,6 +110,8 @@ def hold_posture(t):
     R = local(3, 3)
     centre = local(3)
     weight = local(6)
+    world = local(3)
+    fill3(world, ZERO_3)
     object_is_known = _carry_weight(t, R, centre, weight)
     _yield_holds(t, weight)
     n_holding = _count_holding(t)
@@ -120,6 +123,7 @@ def hold_posture(t):
         object_share = 1.0 / n_holding if object_is_known and not has_let_go else 0.0
         _command_braking(t, arm, _hold_rate(t, has_let_go))
         share = _split_torques(t, arm, object_share, R, centre, weight)
+        probe_joints(t, arm, k, world)
         rate = rate_limit if share == 1.0 else min(_HASTE * BRAKE_RATE, model.torque_rate)
         _set_torques(t, arm, share, rate)
         if is_first:
@@ -324,6 +328,7 @@ def _move_holds(t):
         speed = abs(memory.v[j])
         if memory.settled == 0:
             row.begun = memory.q[j]
+            row.probed = 0.0  # see `probing`
             row.way = speed * model.reaction
         is_moving = is_moving or speed > _AT_REST
         row.hold = row.begun + clamped(memory.q[j] - row.begun, row.way)

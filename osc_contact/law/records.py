@@ -489,6 +489,10 @@ JOINT_MEMORY = _record(
         "unbalanced",  # s for which it has been too large
         "rubbed",  # magnitude of the residual during the last motion, low-passed
         "slid",  # s of motion
+        # see `probing`
+        "probed",  # s of the torque that tests its encoder; 0 before, −1 after it
+        "push",  # sum of this torque times its oscillation, over the last period
+        "echo",  # sum of the torque of the wrist's wrench times this oscillation
     ),
     trusted=3,  # F, D and |A| low-passed over a long time, see `agreement`
     means=6,  # low-passed signals, see `friction_estimate`

@@ -673,6 +673,17 @@ def _accelerates(t, arm, j):
 
 
 @leaf
+def dry_friction(t, j):
+    """Bound the torque that dry friction of a joint may hold (N m, N), as far as it is known.
+
+    Args:
+        t: Tick.
+        j: index of the joint.
+    """
+    return _held_torque(t, j, True)
+
+
+@leaf
 def _held_torque(t, j, trusts_motion):
     """Bound the torque that dry friction of a joint may hold (N m, N).
 
