@@ -3,7 +3,7 @@
 from math import pi
 
 import numpy as np
-from law_calls import probing, records, write
+from law_calls import probing, records, sensors, write
 from pytest import approx
 from rigs import vector
 from samples import parametrize
@@ -130,7 +130,7 @@ def test_a_joint_is_not_tested(how):
     stopped = Stopped()
     t = stopped.t
     if how == "it has moved before the stop":
-        stopped.joint.rested = 0.02
+        stopped.joint.rested = 0.01
     elif how == "speeds are read":
         t.memory.derived = 0
     elif how == "no stop":
@@ -143,6 +143,19 @@ def test_a_joint_is_not_tested(how):
         t.model.joints.tau_max[0] = 0.1
     assert not stopped.run(free)
     assert stopped.largest < 0.1
+
+
+@parametrize("rested, followed, tested", [(1.0, 4, True), (0.1, 4, False), (1.0, 3, False)])
+def test_an_encoder_that_no_longer_follows_its_hold_is_tested_again(rested, followed, tested):
+    """The estimate of its position changes by rounding, as that of a joint that friction holds."""
+    stopped = Stopped()
+    t = stopped.t
+    write(t.model, hold_rate=20.0)
+    write(stopped.joint, probed=-1.0, rested=rested, followed=followed, changes=1)
+    t.memory.tested = 0.15
+    sensors._test_encoders(t, DT)
+    assert stopped.joint.faulty == 0
+    assert stopped.run(free) == tested
 
 
 def test_the_wrists_of_lost_ticks_do_not_count():

@@ -25,7 +25,7 @@ from osc_contact.law.sensors import dry_friction
 from osc_contact.law.vectors import dot6
 
 _DELAY = 0.02  #: s from the beginning of a stop until the test begins
-_BEFORE = 0.03  #: s before a stop for which the reading of a joint that is tested was constant
+_CONSTANT = 0.05  #: s of constant readings before the test of a joint, 30 ms of them before a stop
 _PERIOD = 0.08  #: s, period of the oscillation
 _FEWEST = 10.0  #: least number of ticks in a period
 _RISE = 2.0  #: periods in which the torque rises to its largest amplitude A
@@ -43,8 +43,9 @@ def probe_joints(t, arm, k, world):
     """Add the torques that test the encoders of a stopped arm, and mark those that are dead.
 
     Tested are joints with a motor, up to the wrist sensor, whose speeds are estimated from
-    positions, and whose positions have been constant since `_BEFORE` before the stop. A joint whose
-    position changes has passed; so has one whose motor cannot exert the torque.
+    positions, and whose positions have been constant since 30 ms before the stop, or have not
+    followed a move of their holds (`sensors`). A joint whose position changes has passed; so has
+    one whose motor cannot exert the torque.
 
     Reads of the joints `rested`, and M, `column` and `outboard` of WORK. Changes `tau` (carrying
     torque; N m, N) of the joints in WORK, and in MEMORY `probed`, `push`, `echo` and `faulty`.
@@ -63,7 +64,7 @@ def probe_joints(t, arm, k, world):
         row = memory.joints[j]
         if row.probed == 0.0:
             row.echo = row.push = 0.0
-            is_suspect = row.rested > age + _BEFORE and row.faulty & FAULTY_POSITION == 0
+            is_suspect = row.rested > _CONSTANT and row.faulty & FAULTY_POSITION == 0
             row.probed = 0.0 if is_suspect and t.model.joints[j].motor >= 0 else _OVER
         if row.probed != _OVER:
             _probe_joint(t, arm, k, j, world)
@@ -92,7 +93,7 @@ def _probe_joint(t, arm, k, j, world):
     oscillation = sin(2.0 * pi * turns)
     torque = largest * min(turns / _RISE, 1.0) * oscillation
     is_exerted = abs(work.tau + work.rest + torque) < model.joints[j].tau_max
-    if row.rested < memory.age * model.period or not is_exerted:
+    if row.rested < row.probed or not is_exerted:
         row.probed = _OVER
     elif turns > _LENGTH:
         row.probed = _OVER

@@ -80,6 +80,7 @@ _MOVED = 1.2e-4  #: rad, m, distance between both holds
 _SETTLES = 3.0
 _CHANGES = 2  #: least number of changes of a reading that follows the hold
 _FOLLOWED = 4  #: number of consecutive moves after which a joint must follow the next one, too
+_AGAIN = 0.0  #: `probed` of a joint whose test begins
 
 
 @inner
@@ -300,7 +301,8 @@ def _check_position(t, j, is_credible, dt, shares):
     """
     joint_memory = t.memory.joints[j]
     step = t.input.q[j] - joint_memory.q
-    if t.memory.derived and abs(step) < _FINE:  # an estimate of a constant reading is rounded
+    if t.memory.derived and 0.0 < abs(step) < _FINE:  # an estimate of a constant reading is rounded
+        joint_memory.changes += 1
         step = 0.0
     reason = NO_REASON
     if t.memory.compared != 0 and is_credible:
@@ -544,11 +546,12 @@ def _test_encoders(t, dt):
     A constant reading alone does not prove a fault, since errors of gravity and friction may keep a
     joint at rest beside its hold. The holds of all joints are moved by `_MOVED` after each
     `_SETTLES`/`hold_rate` seconds. The encoder of a joint that has followed `_FOLLOWED` moves, and
-    is constant during the next one, is dead. A joint that is blocked by friction or by a contact
-    never follows; it remains at rest even if its encoder is dead.
+    is constant during the next one, is dead. If only rounding has changed the estimate of its
+    position, friction may hold it, too: then `probing` tests it. A joint that is blocked by
+    friction or by a contact never follows; it remains at rest even if its encoder is dead.
 
     Updates in MEMORY `tested` (s since the last move), `above` (side of the holds), and of the
-    joints `hold`, `begun`, `went`, `changes`, `followed` and `faulty`.
+    joints `hold`, `begun`, `went`, `changes`, `followed`, `faulty` and `probed`.
 
     Args:
         t: Tick of stopped arms that are held at rest.
@@ -567,6 +570,8 @@ def _test_encoders(t, dt):
             joint_memory.faulty |= FAULTY_POSITION
             if memory.derived or joint_memory.same_speed >= memory.tested:
                 joint_memory.faulty |= FAULTY_SPEED
+        elif joint_memory.rested >= memory.tested and joint_memory.followed >= _FOLLOWED:
+            joint_memory.probed = _AGAIN
         # it follows if it has moved opposite to the move before, as its hold has
         follows = joint_memory.changes >= _CHANGES and displacement * joint_memory.went < 0.0
         joint_memory.followed = min(joint_memory.followed + 1, _FOLLOWED) if follows else 0
