@@ -368,3 +368,49 @@ def test_what_presses_on_a_stopped_arm_moves_its_hold(force, more, moves):
     write(t.memory.arms[0], weighed=1, load=[0.0, force, 20.0])
     holding._yield_holds(t, vector(0.0, 0.0, 20.0, 0.0, 0.0, 0.0))
     assert_near(t.memory.joints.hold, 0.1 / 51.0 if moves else 0.0)
+
+
+HAND = np.append(np.eye(3).ravel(), [0.0, 0.0, 0.1])  # tip in the last joint
+
+
+def braking(kind, column, axis=(0.0, 0.0, 1.0)):
+    """Torque on a joint that accelerates an object, by its inertia, per acceleration (kg m², kg).
+
+    Args:
+        kind: of the grasp, at (0.3, 0, 0.1) m; the object's centre is at (0.5, 0, 0.1) m.
+        column: of the joint, at the world's origin.
+        axis: of a hinge.
+    """
+    t = records(arms=1, joints=1)
+    arm = t.model.arms[0]
+    write(arm, end=1, kind=kind, tip=HAND, tip_axis=axis)
+    write(t.model, principal=[2.0, 0.01, 0.02, 0.03])
+    write(t.work.joints[0], R=np.eye(3), p=[0.3, 0.0, 0.0], column=column, acceleration=1.0)
+    wrench = holding._inertial_wrench(t, arm, 0.5, np.eye(3), vector(0.5, 0.0, 0.1))
+    return float(np.dot(column, wrench))
+
+
+@mark.parametrize("kind", [at.RIGID, at.HINGE, at.BALL])
+def test_only_what_a_grasp_passes_on_of_a_joint_accelerates_the_object(kind):
+    """Its whole inertia was that of a joint which turns about the ball, and which oscillated."""
+    about_z = vector(0.0, -0.3, 0.0, 0.0, 0.0, 1.0)  # through the grasp
+    about_x = vector(0.0, 0.1, 0.0, 1.0, 0.0, 0.0)
+    along_x = vector(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert_near(braking(kind, along_x), 0.5 * 2.0)
+    turned = 0.5 * (0.03 + 2.0 * 0.2**2)
+    assert_near(braking(kind, about_z), turned if kind == at.RIGID else 0.0, atol=1e-12)
+    assert_near(braking(kind, about_x), 0.0 if kind == at.BALL else 0.5 * 0.01, atol=1e-12)
+    across = turned if kind != at.BALL else 0.0
+    assert_near(braking(kind, about_z, axis=(0.0, 1.0, 0.0)), across, atol=1e-12)
+
+
+def test_noise_of_speeds_does_not_move_a_stopped_hand_about_its_ball():
+    """A joint that turned it moved with 0.14 rad/s and more."""
+    place = Place(scenario="hinge_ball_rod", seed=91619774)
+    run = Run(place, "speed noise of 0.05 rad/s")
+    before = Verdict("no fault", place)
+    while run.k < run.first:
+        run.step(before)
+    assert not before.wrong
+    verdict = run.judge("speed noise of 0.05 rad/s", stopped_for=1.5)
+    assert verdict.wrong == [] and verdict.stopped is not None

@@ -17,13 +17,20 @@ from osc_contact.law.agreement import (
     measure_gap,
     weight_share,
 )
-from osc_contact.law.arm_motion import move_arm, place_arm, place_frame, place_pose, turn_axes
+from osc_contact.law.arm_motion import (
+    move_arm,
+    place_arm,
+    place_frame,
+    place_point,
+    place_pose,
+    turn_axes,
+)
 from osc_contact.law.jit import inner, leaf, local
 from osc_contact.law.phases import collect, slew
 from osc_contact.law.plausibility import OUT_OF_RANGE
 from osc_contact.law.probing import probe_joints
 from osc_contact.law.reading import read_wrist
-from osc_contact.law.records import BRAKED, NOISY, SAFE_STOP, SETTLED
+from osc_contact.law.records import BALL, BRAKED, HINGE, NOISY, SAFE_STOP, SETTLED
 from osc_contact.law.vectors import (
     ZERO,
     ZERO_3,
@@ -42,6 +49,7 @@ from osc_contact.law.vectors import (
     origin,
     plus3,
     rotated,
+    rotated9,
     rotated_back,
     scaled3,
     transformed,
@@ -621,7 +629,9 @@ def _inertial_wrench(t, arm, object_share, R, centre):
 
     The object is accelerated along this wrench: force = mass × acceleration, not its opposite. The
     acceleration is J q̈, where q̈ is `acceleration` and J consists of `column` (Jacobian at the
-    world's origin) of the joints; products of speeds are neglected.
+    world's origin) of the joints; products of speeds are neglected. Turns about a ball, or the axis
+    of a hinge, do not move the object: its inertia would be many times that of a light joint
+    which makes such a turn, and so the gain of this joint.
 
     Args:
         t: Tick.
@@ -639,12 +649,62 @@ def _inertial_wrench(t, arm, object_share, R, centre):
     a = ZERO
     for j in range(arm.first, arm.end):
         a = add(a, work.joints[j].acceleration, work.joints[j].column)
+    if arm.kind == BALL or arm.kind == HINGE:
+        a = _past_grasp(t, arm, a)
     (x, y, z) = rotated_back(R, angular(a))  # angular acceleration along the principal axes
     I = t.model.principal  # mass, then the principal moments
     couple = scaled3(object_share, rotated(R, (I[1] * x, I[2] * y, I[3] * z)))
     # mass times the acceleration of the centre of mass; then from the centre to the world's origin
     force = scaled3(object_share * I[0], velocity_at(a, centre))
-    return join(force, plus3(couple, cross(centre, force)))
+    couple = plus3(couple, cross(centre, force))
+    if arm.kind == BALL or arm.kind == HINGE:
+        tip = _grasp_point(t, arm)
+        transmitted = _without_free_turn(t, arm, minus3(couple, cross(tip, force)))
+        couple = plus3(transmitted, cross(tip, force))
+    return join(force, couple)
+
+
+@leaf
+def _grasp_point(t, arm):
+    """Point of a ball, or on the axis of a hinge, by which an arm holds the object (m, world).
+
+    Args:
+        t: Tick after `place_arm`.
+        arm: ARM row.
+    """
+    return place_point(t.work.joints[arm.tip_joint], arm.tip[9:])
+
+
+@leaf
+def _past_grasp(t, arm, a):
+    """Compute what a ball or hinge passes on to the object of an acceleration of the hand.
+
+    Args:
+        t: Tick after `place_arm`.
+        arm: ARM row.
+        a: acceleration of the hand, as a motion at the world's origin (m/s², rad/s²).
+
+    Returns:
+        Six numbers like `a`: the acceleration of the grasp point, without the free turn.
+    """
+    tip = _grasp_point(t, arm)
+    turn = _without_free_turn(t, arm, angular(a))
+    return join(plus3(velocity_at(a, tip), cross(tip, turn)), turn)
+
+
+@leaf
+def _without_free_turn(t, arm, x):
+    """Compute the part of a turn, or couple, that a hinge passes on: across its axis; a ball: none.
+
+    Args:
+        t: Tick after `place_arm`.
+        arm: ARM row of an arm with a hinge or ball.
+        x: (3,) turn or couple in the world.
+    """
+    if arm.kind == BALL:
+        return ZERO_3
+    axis = rotated(t.work.joints[arm.tip_joint].R, rotated9(arm.tip, arm.tip_axis))
+    return add3(x, -dot3(axis, x), axis)
 
 
 @inner
