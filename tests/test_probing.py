@@ -50,8 +50,8 @@ class Stopped:
         """Let the joint move for a tick, read it, and add the torque of the test.
 
         Args:
-            move: function of the torque (N) that returns acceleration (m/s²) and what the wrist
-                feels of the torque (N).
+            move: function of the torque (N) that returns the acceleration (m/s²) and the change of
+                the wrist's reading (N).
             encoder: function of the true position that returns the reading (m).
         """
         memory = self.t.memory
@@ -61,10 +61,10 @@ class Stopped:
         before = encoder(self.z)
         probing.probe_joints(self.t, self.t.model.arms[0], 0, WORLD)
         self.largest = max(self.largest, abs(work.tau))
-        rate, felt = move(work.tau)
+        rate, reading = move(work.tau)
         self.v += rate * DT
         self.z += self.v * DT
-        memory.wrenches[0, 2] = 7.0 + 30.0 * memory.age * DT + felt
+        memory.wrenches[0, 2] = 7.0 + 30.0 * memory.age * DT + reading
         changed = encoder(self.z) != before
         self.joint.rested = 0.0 if changed else self.joint.rested + DT
 
@@ -76,7 +76,7 @@ class Stopped:
 
 
 def free(torque):
-    """Nothing but its inertia holds the joint; so much of the torque the wrist feels."""
+    """Nothing but its inertia holds the joint; the wrist measures its outer share."""
     return (torque / MASS, BEYOND / MASS * torque)
 
 

@@ -391,7 +391,7 @@ def braking(kind, column, axis=(0.0, 0.0, 1.0)):
 
 
 @mark.parametrize("kind", [at.RIGID, at.HINGE, at.BALL])
-def test_only_what_a_grasp_passes_on_of_a_joint_accelerates_the_object(kind):
+def test_only_the_transmitted_motion_of_a_joint_accelerates_the_object(kind):
     """Its whole inertia was that of a joint which turns about the ball, and which oscillated."""
     about_z = vector(0.0, -0.3, 0.0, 0.0, 0.0, 1.0)  # through the grasp
     about_x = vector(0.0, 0.1, 0.0, 1.0, 0.0, 0.0)

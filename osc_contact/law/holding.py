@@ -650,7 +650,7 @@ def _inertial_wrench(t, arm, object_share, R, centre):
     for j in range(arm.first, arm.end):
         a = add(a, work.joints[j].acceleration, work.joints[j].column)
     if arm.kind == BALL or arm.kind == HINGE:
-        a = _past_grasp(t, arm, a)
+        a = _transmitted_acceleration(t, arm, a)
     (x, y, z) = rotated_back(R, angular(a))  # angular acceleration along the principal axes
     I = t.model.principal  # mass, then the principal moments
     couple = scaled3(object_share, rotated(R, (I[1] * x, I[2] * y, I[3] * z)))
@@ -659,7 +659,7 @@ def _inertial_wrench(t, arm, object_share, R, centre):
     couple = plus3(couple, cross(centre, force))
     if arm.kind == BALL or arm.kind == HINGE:
         tip = _grasp_point(t, arm)
-        transmitted = _without_free_turn(t, arm, minus3(couple, cross(tip, force)))
+        transmitted = _transmitted_turn(t, arm, minus3(couple, cross(tip, force)))
         couple = plus3(transmitted, cross(tip, force))
     return join(force, couple)
 
@@ -676,8 +676,8 @@ def _grasp_point(t, arm):
 
 
 @leaf
-def _past_grasp(t, arm, a):
-    """Compute what a ball or hinge passes on to the object of an acceleration of the hand.
+def _transmitted_acceleration(t, arm, a):
+    """Compute the part of a hand's acceleration that a ball or hinge transmits to the object.
 
     Args:
         t: Tick after `place_arm`.
@@ -688,13 +688,13 @@ def _past_grasp(t, arm, a):
         Six numbers like `a`: the acceleration of the grasp point, without the free turn.
     """
     tip = _grasp_point(t, arm)
-    turn = _without_free_turn(t, arm, angular(a))
+    turn = _transmitted_turn(t, arm, angular(a))
     return join(plus3(velocity_at(a, tip), cross(tip, turn)), turn)
 
 
 @leaf
-def _without_free_turn(t, arm, x):
-    """Compute the part of a turn, or couple, that a hinge passes on: across its axis; a ball: none.
+def _transmitted_turn(t, arm, x):
+    """Compute the part of a turn or couple that a hinge transmits, across its axis; a ball: none.
 
     Args:
         t: Tick after `place_arm`.

@@ -5,13 +5,13 @@ or a contact holds, or of a dead encoder, whose joint nothing brakes. Nothing di
 long as torques are constant. So each such joint gets an oscillating torque that grows until its
 reading changes, at most until it exceeds what friction may hold and moves the joint by steps of an
 encoder. An encoder that has read the same until then is dead if the wrist shows that the joint has
-moved: it feels the share g of the torque, which accelerates the bodies beyond it,
+moved: it measures the share g of the torque, which accelerates the bodies beyond it,
 
     g = Σ s Jᵀw / Σ s τ ≈ J_jᵀ(I_out J_j)/M_jj,   τ = A s,
 
 with the oscillation s, its amplitude A, the wrist's wrench w, the Jacobian's column J_j, the
 inertia I_out of the bodies beyond the wrist, and the inertia M_jj of the joint. If a contact blocks
-the joint, the wrist feels all of the torque (g = 1), if its brake is engaged, none (g = 0).
+the joint, the wrist measures all of the torque (g = 1), if its brake is engaged, none (g = 0).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _RISE = 2.0  #: periods in which the torque rises to its largest amplitude A
 _LENGTH = 3.25
 _BEYOND = 1.3  #: amplitude A as a multiple of the torque that dry friction may hold
 _MOVES = 1.2e-4  #: rad, m, amplitude of the motion of a free joint, beside friction
-_SILENT = 0.3  #: share of the free joint's g below which the wrist has felt nothing
+_SILENT = 0.3  #: share of the free joint's g below which the wrist has measured nothing
 _OVER = -1.0  #: `probed` of a joint whose test is over, or that needs none
 
 
@@ -110,11 +110,11 @@ def _probe_joint(t, arm, k, j, world):
 
 @leaf
 def _has_moved(row, free):
-    """Test whether the wrist has felt that a tested joint moves.
+    """Determine whether the wrist's readings show that a tested joint has moved.
 
     Args:
         row: JOINT_MEMORY after the test, of which `echo` and `push` are read.
-        free: share of the torque that the wrist of a free joint feels.
+        free: share g of the torque that the wrist measures if the joint is free.
     """
     share = abs(row.echo)
     return _SILENT * free * row.push < share < 0.5 * (1.0 + free) * row.push
