@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import rigs
 from complaints import invalid_input, refusals
-from grasp_rigs import Case, random_case
+from grasp_rigs import Case, motions_of, random_case
 from numpy.random import default_rng
 from numpy.testing import assert_array_equal
 from pytest import approx, fixture
@@ -244,7 +244,7 @@ def stop_of(case, v, known=True):
     """Torques (n,) that carry arms and object and that brake both by q̈ = −40 v, and this q̈.
 
     Each arm carries its share of the object, where it is `known`. Joints without a motor drive
-    nothing: q̈ = 0.
+    nothing: q̈ = 0. A grasp transmits no turn about its ball or hinge.
     """
     chain = case.chain
     data = terms_at(chain.model, case.q, v)
@@ -256,7 +256,17 @@ def stop_of(case, v, known=True):
     for arm, s in zip(rest.arms if known else (), chain.slices, strict=known):
         share = arm.J.T / len(rest.arms)
         carry[s] += share @ rest.payload.p
-        brake[s] += share @ rest.payload.Lambda @ arm.J @ q_dd[s]
+    at_object = pin.SE3(np.eye(3), -case.X_WO.translation).toActionMatrix()
+    for i, (kind, _, axis) in enumerate(case.grasps if known else ()):
+        tip = f"{chain.arms[i].name}/{chain.arms[i].tip}"
+        X_WT = data.oMf[chain.model.getFrameId(tip)]
+        to_object = at_object @ X_WT.toActionMatrix()  # motions at the tip, in its axes
+        T = motions_of(kind, axis)
+        P = to_object @ (np.eye(6) - T @ T.T) @ np.linalg.inv(to_object)
+        s = chain.slices[i]
+        transmitted = P @ rest.arms[i].J
+        inertia = transmitted.T @ rest.payload.Lambda @ transmitted
+        brake[s] += inertia @ q_dd[s] / len(rest.arms)
     return (carry, brake, q_dd)
 
 
@@ -272,7 +282,8 @@ def test_motors_carry_first_and_brake_with_what_is_left(arms):
     scaled = 0
     for _ in range(12):
         q, v = random_state(chain, rng)
-        carry, brake, q_dd = stop_of(Case(chain, q, chain.state(q, v).X_WO, []), v)
+        rigid = [("rigid", pin.SE3.Identity(), np.ones(3))] * len(chain.arms)
+        carry, brake, q_dd = stop_of(Case(chain, q, chain.state(q, v).X_WO, rigid), v)
         most = abs(carry) * rng.choice([1.0, 0.9], len(q), p=[0.7, 0.3])
         most += abs(brake) * rng.choice([0.05, 0.3, 0.9, 5.0], len(q), p=[0.1, 0.1, 0.1, 0.7])
         most[[j for j in range(len(q)) if j not in chain.actuated]] = np.inf

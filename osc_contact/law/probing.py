@@ -16,7 +16,7 @@ the joint, the wrist measures all of the torque (g = 1), if its brake is engaged
 
 from __future__ import annotations
 
-from math import pi, sin
+from math import cos, pi, sin
 
 from osc_contact.law.jit import inner, leaf
 from osc_contact.law.reading import read_wrist
@@ -89,8 +89,10 @@ def _probe_joint(t, arm, k, j, world):
     row.probed += model.period
     turns = row.probed / period
     inertia = work.M[j - arm.first]
-    largest = _BEYOND * dry_friction(t, j) + inertia * _MOVES * (2.0 * pi / period) ** 2
-    oscillation = sin(2.0 * pi * turns)
+    rate = 2.0 * pi / period
+    largest = _BEYOND * dry_friction(t, j) + inertia * _MOVES * rate * rate
+    half_angle = pi * turns
+    oscillation = 2.0 * sin(half_angle) * cos(half_angle)  # sin 2πx, by the function that the law calls
     torque = largest * min(turns / _RISE, 1.0) * oscillation
     is_exerted = abs(work.tau + work.rest + torque) < model.joints[j].tau_max
     if row.rested < row.probed or not is_exerted:
