@@ -91,8 +91,8 @@ def _probe_joint(t, arm, k, j, world):
     inertia = work.M[j - arm.first]
     rate = 2.0 * pi / period
     largest = _BEYOND * dry_friction(t, j) + inertia * _MOVES * rate * rate
-    half_angle = pi * turns
-    oscillation = 2.0 * sin(half_angle) * cos(half_angle)  # sin 2πx, by the function that the law calls
+    half_angle = pi * turns  # its sine and cosine are one call in machine code
+    oscillation = 2.0 * sin(half_angle) * cos(half_angle)
     torque = largest * min(turns / _RISE, 1.0) * oscillation
     is_exerted = abs(work.tau + work.rest + torque) < model.joints[j].tau_max
     if row.rested < row.probed or not is_exerted:
