@@ -135,6 +135,13 @@ def test_an_arm_with_encoders_far_noisier_than_expected_is_held_at_rest():
     assert verdict.state is SAFE_STOP and not verdict.wrong, verdict
 
 
+@parametrize("every, seed", [(0, 5), (3, 177370)])
+def test_a_face_does_not_rest_on_the_weight_that_is_left_by_wrists_that_read_zero(every, seed):
+    """It kept its contact, and its integral rose to 15 N at each corner: 38 N of 33."""
+    case = Case(scenario="ur5_wipe", every=every, seed=seed)
+    assert try_fault("wrists read zero", case, fault_for=0.5, stopped_for=0.5).wrong == []
+
+
 def test_an_arm_whose_posture_motors_and_wrist_both_contradict_asks_for_brakes():
     """It followed its drifting encoder for ever: speeds are estimated from it."""
     case = Case(scenario="panda_wrist", every=3, seed=2911)

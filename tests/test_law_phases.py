@@ -319,10 +319,28 @@ def test_a_face_that_rests_on_one_corner_stays_closed(face):
     assert phases.contacts.phase[0] == APPROACHING
     made = []
     for _ in range(700):
-        phases.end([3.0, -1, 0, 0], np.zeros(4), independent=True)
+        phases.end([20.0, -1, 0, 0], np.zeros(4), independent=True)
         phases.begin([10.0] * 4)
         made.append(phases.contacts.phase[0] == CLOSED)
     assert not any(made[:490]) and all(made[540:]) == any(made) == face
+
+
+@parametrize("total, rests", [(0.41, True), (0.39, False)])
+def test_a_face_rests_on_some_corners_by_a_share_of_its_whole_force(total, rests):
+    """A wrist that read zero left the weight of a pad, on which a face rested at 0.25 of it."""
+    phases = Phases([0, 0], [True], phase=[CLOSED])
+    phases.chain.bodies.face = [True]
+    approach = phases.chain.approach_damping * phases.chain.approach_speed
+    least = phases.chain.force_off
+    for _ in range(300):
+        phases.end([10.0, 10.0], np.zeros(2), independent=True)
+        phases.begin([10.0, 10.0])
+    phases.columns.predicted = 10.0
+    force = least + total * 2.0 * (10.0 - approach)
+    for _ in range(100):
+        phases.end([force + 1.0, -1.0], np.zeros(2), independent=True)
+        phases.begin([10.0, 10.0])
+    assert (phases.contacts.phase[0] == CLOSED) == rests
 
 
 @drawn(50)

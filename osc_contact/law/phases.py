@@ -37,6 +37,7 @@ _SLOW = 0.25  #: share of the speed limits up to which the torque rate is reduce
 _RETURN = 5.0  #: 1/s, additional speed of a return per distance since the contact was lost
 _SLOWED = 0.5  #: share of v_a; a contact is made once its approach is slower than this
 _SOFT = 0.5  #: s of force after which a contact is made even if its approach is not slower
+_FACE_SHARE = 0.4  #: share of its predicted force below which a face does not rest on some columns
 _FELT = 1.5  #: largest net force of an impact, as a multiple of the measured force
 _NOISE = 0.05  #: s, time constant of the estimate of a force's noise
 _OVERCOME = 2.0  #: push of an approach at rest, as a multiple of the force that it certainly meets
@@ -221,9 +222,10 @@ def _monitor_contact(t, c):
     fast it cannot be made.
 
     Reads `goal` (N), `predicted` (N), `speed` (NᵀV_rel, m/s), `high_for` (s of high force) and the
-    fields of `_certain_force` of the columns; changes their fields of `monitor`, and `held` of the
-    contact, which is 1 once a steady force was measured since it was OPEN. Of an OPEN contact
-    `held`, and `closed` and `collision` of the columns, become 0.
+    fields of `_certain_force` of the columns; changes their fields of `monitor`, and of the contact
+    `low_for` (s for which the sum of its forces is low) and `held`, which is 1 once a steady force
+    was measured since it was OPEN. Of an OPEN contact `held`, and `closed` and `collision` of the
+    columns, become 0.
 
     Args:
         t: Tick.
@@ -233,7 +235,8 @@ def _monitor_contact(t, c):
         Whether a force is desired of it; and whether contact is made: at least one column is
         closed, and all whose desired force can be distinguished from zero. A face or an edge
         (`face`) rests on any of its columns: one suffices where contact was made before, or while
-        it has a steady force for `_SOFT`.
+        it has a steady force for `_SOFT`; but not where the sum of all forces has been below
+        `force_off` and `_FACE_SHARE` of the predicted ones beyond those of an approach.
     """
     model = t.model
     contact = t.memory.contacts[c]
@@ -242,6 +245,8 @@ def _monitor_contact(t, c):
     some_closed = False
     all_closed = True
     rests = model.bodies[c].face != 0 and contact.phase == CLOSED
+    total = 0.0  # force of all columns
+    least_total = model.force_off  # what it has to exceed
     for j in range(model.n_columns):
         if model.columns[j].contact != c:
             continue
@@ -251,6 +256,8 @@ def _monitor_contact(t, c):
         margin = -inf  # a smaller force cannot be distinguished from zero, so it cannot be lost
         if row.predicted > model.force_on:
             margin = model.lost_share * max(row.predicted - approach_force, 0.0)
+        least_total += _FACE_SHARE * max(row.predicted - approach_force, 0.0)
+        total += row.net
         force = row.net
         if row.closed == 0:  # a failing sensor of wrists or speeds resembles an impact
             flies = row.speed > _SLOWED * model.approach_speed and row.high_for < _SOFT
@@ -269,6 +276,9 @@ def _monitor_contact(t, c):
             rests = True
         is_light = goal <= model.force_on  # such a force cannot be distinguished from zero
         all_closed = all_closed and (is_light or row.closed != 0)
+    is_low = contact.phase == CLOSED and total < least_total
+    contact.low_for = contact.low_for + t.work.dt if is_low else 0.0
+    rests = rests and contact.low_for <= model.patience
     return is_desired, some_closed and (all_closed or rests)
 
 

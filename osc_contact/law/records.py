@@ -368,8 +368,8 @@ _MEMORY = _record(
 CONTACT_MEMORY = _record(
     whole=("active", "phase", "held"),  # held: 1 once a steady force was measured since OPEN
     # of the force law: K_i (1/s), K_v (N s/m), κ (1/s), α_min (N); s in the present phase;
-    # s since a closed contact was named not active
-    number=("gain", "damping", "brake", "least", "since", "unloading"),
+    # s since a closed contact was named not active; s for which the sum of its forces is low
+    number=("gain", "damping", "brake", "least", "since", "unloading", "low_for"),
 )
 COLUMN_MEMORY = _record(
     whole=(
