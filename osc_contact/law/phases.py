@@ -38,6 +38,7 @@ _RETURN = 5.0  #: 1/s, additional speed of a return per distance since the conta
 _SLOWED = 0.5  #: share of v_a; a contact is made once its approach is slower than this
 _SOFT = 0.5  #: s of force after which a contact is made even if its approach is not slower
 _FACE_SHARE = 0.4  #: share of its predicted force below which a face does not rest on some columns
+_FACE_TIME = 0.05  #: s of such a force until this contact is lost: time to find a mirrored wrist
 _FELT = 1.5  #: largest net force of an impact, as a multiple of the measured force
 _NOISE = 0.05  #: s, time constant of the estimate of a force's noise
 _OVERCOME = 2.0  #: push of an approach at rest, as a multiple of the force that it certainly meets
@@ -235,8 +236,8 @@ def _monitor_contact(t, c):
         Whether a force is desired of it; and whether contact is made: at least one column is
         closed, and all whose desired force can be distinguished from zero. A face or an edge
         (`face`) rests on any of its columns: one suffices where contact was made before, or while
-        it has a steady force for `_SOFT`; but not where the sum of all forces has been below
-        `force_off` and `_FACE_SHARE` of the predicted ones beyond those of an approach.
+        it has a steady force for `_SOFT`; but not where the sum of all forces has for `_FACE_TIME`
+        been below `force_off` and `_FACE_SHARE` of the predicted ones beyond those of an approach.
     """
     model = t.model
     contact = t.memory.contacts[c]
@@ -278,7 +279,7 @@ def _monitor_contact(t, c):
         all_closed = all_closed and (is_light or row.closed != 0)
     is_low = contact.phase == CLOSED and total < least_total
     contact.low_for = contact.low_for + t.work.dt if is_low else 0.0
-    rests = rests and contact.low_for <= model.patience
+    rests = rests and contact.low_for <= _FACE_TIME
     return is_desired, some_closed and (all_closed or rests)
 
 
