@@ -280,13 +280,14 @@ def _held(drive: Drive, state: _State, loop: JointTorqueLoop | None, step: float
     moves = expm(step * rates)[:count]
     motors, rate = state.tau, state.loop
     if loop is not None:
-        felt = drive.springs @ state.drive
+        spring_torque = drive.springs @ state.drive
         estimate = loop.torque_rate
         guess, slope = np.split(state.loop, 2)
-        innovation = felt - guess - step * slope
+        innovation = spring_torque - guess - step * slope
         guess = guess + step * slope + estimate.alpha[:, None] * innovation
         slope = slope + (estimate.beta / step)[:, None] * innovation
-        motors = state.tau + loop.gain * (state.tau - felt) - loop.rate_gain[:, None] * slope
+        error = state.tau - spring_torque
+        motors = state.tau + loop.gain * error - loop.rate_gain[:, None] * slope
         rate = np.vstack([guess, slope])
     moved = moves[:, :count] @ state.drive + moves[:, count:] @ motors
     return np.vstack([moved, rate, state.q, state.v, state.a, state.tau, state.expected])
